@@ -21,8 +21,8 @@ from multiprocessing.synchronize import Barrier
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from ltsim.planning.loading import load_plan
 from ltsim.planning.search import Searcher
-from ltsim.planning.spec import load_plan
 from ltsim.planning.workshop import objective_of, site_of
 from ltsim.randomness import stream
 
@@ -56,8 +56,7 @@ def exchanged(search: Searcher, number: int) -> int:
     """One station of a layout replaced by every set-up of the table."""
     draw, table = stream(3, "exchange", number), search.table(0)
     chosen = draw.integers(0, len(table.position), search.stations)
-    layout = type(table)(table.position[chosen], table.yaw[chosen], table.seen[chosen], table.blocks.take(chosen))
-    search.best_replacement(layout, int(draw.integers(search.stations)), table)
+    search.best_replacement(table.take(chosen), int(draw.integers(search.stations)), table)
     return len(table.position)
 
 

@@ -23,10 +23,9 @@ if TYPE_CHECKING:
     from ltsim.campaigns.recovering import recover as recover, recovery_checks as recovery_checks
     from ltsim.campaigns.verbs import campaign as campaign
     from ltsim.diagnosis.verbs import diagnose as diagnose
-    from ltsim.effects.made import Effect as Effect
-    from ltsim.effects.verbs import add_effect as add_effect, catalogue as catalogue
+    from ltsim.effects.verbs import Effect as Effect, add_effect as add_effect, catalogue as catalogue
     from ltsim.evaluation.verbs import bench as bench
-    from ltsim.fieldcheck.verbs import check as check
+    from ltsim.fieldcheck.check import check as check
     from ltsim.files import convert as convert, read as read, write as write
     from ltsim.pages.verbs import report as report, view as view
     from ltsim.planning.verbs import (
@@ -50,12 +49,11 @@ _ROOMS = {
     "campaigns.injecting": ("inject", "injection_curve"),
     "planning.verbs": ("plan", "next_measurement", "without_station"),
     "pages.verbs": ("view", "report"),
-    "effects.made": ("Effect",),
-    "effects.verbs": ("add_effect", "catalogue"),
+    "effects.verbs": ("Effect", "add_effect", "catalogue"),
     "tasks.verbs": ("compare", "uncertainty"),
     "acceptance.verbs": ("accept",),
     "evaluation.verbs": ("bench",),
-    "fieldcheck.verbs": ("check",),
+    "fieldcheck.check": ("check",),
 }
 """The module that holds each public function."""
 _HOME = {name: room for room, names in _ROOMS.items() for name in names}

@@ -9,21 +9,23 @@ from pathlib import Path
 import numpy as np
 
 from experiments.common import Made, Options, Row, spread_out, tell, write_figure, write_table
+from experiments.criteria import corrections, g_criterion, i_criterion
 from ltsim.adjustment import adjust
 from ltsim.arrays import Floats
 from ltsim.geometry.alignment import align
 from ltsim.model.construction import misalignment
 from ltsim.pages.figures.floor_plan import floor_plan
 from ltsim.pages.workshop import from_scenario
-from ltsim.planning.criteria import a_criterion, d_criterion, e_criterion, g_criterion, i_criterion
 from ltsim.planning.files import plan_file, with_layout
 from ltsim.planning.improvement import Predictor
 from ltsim.planning.information import LayoutInformation
+from ltsim.planning.loading import load_plan
 from ltsim.planning.making import make_plan
+from ltsim.planning.objective import a_criterion, d_criterion, e_criterion
 from ltsim.planning.planner import Plan
 from ltsim.planning.reasons import fewest
 from ltsim.planning.search import Searcher
-from ltsim.planning.spec import PlanFile, load_plan
+from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import Survey
 from ltsim.planning.workshop import objective_of, site_of, survey_of
 from ltsim.randomness import stream
@@ -97,7 +99,7 @@ def candidates_of(plan: Plan, cone: float, drawn: Drawn) -> list[Candidate]:
 def quality(candidate: Candidate) -> Row:
     """Every criterion of a layout, and what calibration is expected to do for the paper's."""
     information = LayoutInformation.of(survey_of(candidate.scenario))
-    covariance, rows = information.scaled_covariance, information.corrections()
+    covariance, rows = information.scaled_covariance, corrections(information)
     expected = Predictor.of(information).expected()
     values = {
         "D": d_criterion(covariance),

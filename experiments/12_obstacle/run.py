@@ -8,12 +8,12 @@ from experiments.common import Made, Options, Row, tell, write_figure, write_tab
 from ltsim.errors import NetworkError
 from ltsim.pages.figures.floor_plan import floor_plan
 from ltsim.pages.workshop import from_scenario
-from ltsim.planning.criteria import d_criterion
 from ltsim.planning.files import plan_file, planned_scenario
 from ltsim.planning.information import LayoutInformation
+from ltsim.planning.loading import load_plan
 from ltsim.planning.making import make_plan
+from ltsim.planning.objective import d_criterion
 from ltsim.planning.planner import Plan
-from ltsim.planning.spec import load_plan
 from ltsim.planning.survey import Survey
 from ltsim.planning.workshop import survey_of
 from ltsim.simulation.scenario import Scenario

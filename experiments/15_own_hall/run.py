@@ -14,24 +14,23 @@ from ltsim.campaigns.cloud_kernels import rigid_fit
 from ltsim.campaigns.spec import Method
 from ltsim.pages.figures.plan import reflector_changes
 from ltsim.pages.workshop import from_scenario
-from ltsim.planning.changes import Change
 from ltsim.planning.files import plan_file, planned_scenario
+from ltsim.planning.loading import load_plan
 from ltsim.planning.making import make_plan
-from ltsim.planning.spec import load_plan
+from ltsim.planning.schema import ChangeEntry
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.sections import Target
-from ltsim.units import MICROMETRE, MILLIMETRE
+from ltsim.units import MICROMETRE
 
 HERE = Path(__file__).resolve().parent
 TRIALS, SEED = 100_000, 15
 
 
-def changed(scenario: Scenario, change: Change) -> Scenario:
+def changed(scenario: Scenario, change: ChangeEntry) -> Scenario:
     """The scenario with a reflector moved (under its own name), added or left out."""
     targets = {name: target for name, target in scenario.targets.items() if name != change.reflector}
-    if change.position is not None:
-        x, y, z = (change.position / MILLIMETRE).tolist()
-        targets[change.reflector or change.place] = Target(position_mm=(x, y, z))
+    if change.position_mm is not None:
+        targets[change.reflector or change.place] = Target(position_mm=change.position_mm)
     return scenario.model_copy(update={"targets": targets})
 
 

@@ -284,11 +284,14 @@ class Adjustment(Result):
         covariance = self.covariance_of(self.problem.unknowns.pose)
         held = self.problem.structure.held_poses
         covariance[held[:, :, None] | held[:, None, :]] = np.nan
+        over = self.problem.marks.target
+        flat = np.flatnonzero((over >= 0) & self.open_heights[over])
+        covariance[flat, 2] = covariance[flat, :, 2] = np.nan
         return covariance
 
     @cached_property
     def target_covariance(self) -> Floats:
-        """Covariance (T, 3, 3) [m^2] of each target; NaN where none of its readings was used."""
+        """Covariance (T, 3, 3) [m^2] of each target; NaN where no reading in use tells it."""
         unknowns = self.problem.unknowns
         covariance = np.empty((len(unknowns.target), 3, 3))
         kept = unknowns.target[:, 0] < unknowns.kept
@@ -300,7 +303,14 @@ class Adjustment(Result):
             own = np.arange(3)  # a coordinate that the datum holds has variance 0, up to rounding of either sign
             covariance[:, own, own] = np.maximum(covariance[:, own, own], 0.0)
         covariance[self.problem.unseen_targets] = np.nan
+        covariance[self.open_heights, 2] = covariance[self.open_heights, :, 2] = np.nan
         return covariance
+
+    @cached_property
+    def open_heights(self) -> Bools:
+        """(T,): targets in plan only, that no reading gives a height."""
+        plan = [self.recording.target_setup(name).in_plan for name in self.recording.targets]
+        return np.asarray(self.problem.structure.flat | np.array(plan, dtype=bool))
 
     @in_one_thread
     def with_effects(self, effects: Sequence[Signature], start: State) -> Adjustment:

@@ -12,6 +12,7 @@ from ltsim.adjustment.estimate import adjust
 from ltsim.adjustment.frame import ROUGH_PLACE, Frame, upright_alignment
 from ltsim.adjustment.gross import mistakes
 from ltsim.adjustment.mixed_up import mend_stations
+from ltsim.adjustment.occupations import moved_tripods
 from ltsim.arrays import Bools, Floats
 from ltsim.errors import LtsimError, NetworkError
 from ltsim.geometry.alignment import align
@@ -85,7 +86,13 @@ def _require_known_points(adjustment: Adjustment) -> None:
 
 def doubts(adjustment: Adjustment) -> tuple[str, ...]:
     """Sentences: what nobody can tell, mistakes, stations that lost most of their readings, sigmas that mislead."""
-    kinds = _known, _plan, _undecided, _mistakes, _thin_stations, _held, _bent, _contradiction, _copies
+    kinds = _known, _plan, _undecided, _mistakes, _tripods, _thin_stations, _held, _bent, _contradiction, _copies
+    return tuple(doubt for kind in kinds for doubt in kind(adjustment))
+
+
+def weaknesses(adjustment: Adjustment) -> tuple[str, ...]:
+    """Sentences: those doubts that are no single value or mistake, for which figures of the network mislead."""
+    kinds = _plan, _undecided, _thin_stations, _held, _bent, _contradiction
     return tuple(doubt for kind in kinds for doubt in kind(adjustment))
 
 
@@ -211,6 +218,12 @@ def _mistakes(adjustment: Adjustment) -> Iterator[str]:
     if told:
         more = f"; {len(told) - MOST_NAMED} more such mistakes" if len(told) > MOST_NAMED else ""
         yield f"{'; '.join(told[:MOST_NAMED])}{more}: left out here; ltsim diagnose adjusts with them mended"
+
+
+def _tripods(adjustment: Adjustment) -> Iterator[str]:
+    moved = moved_tripods(adjustment)
+    if moved is not None:
+        yield moved.sentence(adjustment)
 
 
 def _thin_stations(adjustment: Adjustment) -> Iterator[str]:

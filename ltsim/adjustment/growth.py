@@ -179,6 +179,8 @@ class Growth:
         station = self._recording.station[rows]
         position, rotation = self._position[station], self._rotation[station]
         front = self._front[rows]
+        if self._upright and self._frame.level[station].all() and np.isnan(front[:, [0, 2]]).all():
+            front = np.where([False, False, True], 0.0, front)  # where directions alone meet in plan
         beams = np.isfinite(front[:, 1:]).all(axis=1)
         if beams.sum() >= 2:
             rays = from_polar(np.column_stack([np.ones(beams.sum()), front[beams, 1:]]))

@@ -46,6 +46,7 @@ def loose_targets(problem: NetworkProblem, state: State) -> Bools:
     for end in (gauge.first, gauge.second):
         np.add.at(normal, end, along[:, :, None] * along[:, None, :])
     np.add.at(normal, control.target, np.swapaxes(control.root, 1, 2) @ control.root)
+    normal[problem.structure.flat, 2, 2] += np.trace(normal[problem.structure.flat], axis1=1, axis2=2)
     spread = np.linalg.eigvalsh(normal)
     return doubtful & (spread[:, 0] <= POINT * spread[:, 2])
 

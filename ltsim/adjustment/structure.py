@@ -15,6 +15,8 @@ from ltsim.model.measurement import MeasurementModel, State
 from ltsim.recording.recording import Recording
 
 VERTICAL = np.array([0.0, 0.0, 1.0])
+UPRIGHT = 1.0 - 1e-8
+"""Cosine of the lean up to which a plumb line counts as that of the network (0.14 mrad, 900 m on the earth)."""
 
 
 @dataclass(frozen=True)
@@ -32,6 +34,8 @@ class Structure:
     """Stations without any reading."""
     unseen: Bools
     """(T,): targets without a reading in use, known coordinates or a set-up on them."""
+    flat: Bools
+    """(T,): targets that levelled set-ups saw by horizontal directions alone: nothing tells their height."""
 
     @classmethod
     def of(
@@ -60,13 +64,15 @@ class Structure:
             height=np.flatnonzero(alone & azimuth & ~range_ & ~elevation & level),
             place=np.flatnonzero(alone & ~range_ & ~azimuth & ~elevation),
             unseen=_unseen(recording, use, control, marks),
+            flat=_flat(recording, use, gauge, control, levels, marks),
         )
 
     @property
     def held_columns(self) -> Ints:
         """Columns (h, 3) of what no reading determines: each row is held where it is."""
         unknowns = self.unknowns
-        single = [unknowns.target[self.unseen], unknowns.pose[self.place, :3], unknowns.pose[self.height, 2:3]]
+        single = [unknowns.target[self.unseen], unknowns.pose[self.place, :3]]
+        single += [unknowns.pose[self.height, 2:3], unknowns.target[self.flat, 2:3]]
         rows = [unknowns.pose[self.yaw, 3:], np.repeat(unknowns.pose[self.tilt, 3:], 2, axis=0)]
         return np.concatenate([*rows, *(np.repeat(columns.reshape(-1, 1), 3, axis=1) for columns in single)])
 
@@ -91,7 +97,7 @@ class Structure:
     @property
     def held(self) -> int:
         """Number h of held unknowns."""
-        counted = len(self.yaw) + 2 * len(self.tilt) + len(self.height) + 3 * len(self.place)
+        counted = len(self.yaw) + 2 * len(self.tilt) + len(self.height) + 3 * len(self.place) + int(self.flat.sum())
         return counted + 3 * int(self.unseen.sum())
 
     @property
@@ -115,3 +121,16 @@ def _unseen(recording: Recording, use: Bools, control: ControlRows, marks: Marks
     seen[control.target] += 1
     seen[marks.target[marks.target >= 0]] += 1
     return seen == 0
+
+
+def _flat(
+    recording: Recording, use: Bools, gauge: GaugeRows, control: ControlRows, levels: LevelRows, marks: Marks
+) -> Bools:
+    count, level = len(recording.targets), np.zeros(len(recording.stations), dtype=bool)
+    level[levels.station] = np.abs(levels.vertical @ VERTICAL) > UPRIGHT
+    flat = np.bincount(recording.target, use[:, 1], count) > 0
+    tells = use[:, [0, 2]].any(axis=1) | (use[:, 1] & ~level[recording.station])
+    flat[recording.target[tells]] = False
+    for known in (gauge.first, gauge.second, control.target, marks.target[marks.target >= 0]):
+        flat[known] = False
+    return flat

@@ -10,11 +10,15 @@ from scipy import special
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.doubt import doubts
-from ltsim.adjustment.reliability import FAMILY_LEVEL
+from ltsim.adjustment.reliability import CHECKED, FAMILY_LEVEL
+from ltsim.arrays import Floats
+from ltsim.solve.robust import median_deviation
 
 LEVEL = 0.05
 FEW = 15
 """Degrees of freedom below which an estimated sigma0 is too uncertain to replace a stated one."""
+FAR_MORE = 2.0
+"""Ratio of the scatter of a target's readings to that of the others from which it is named."""
 ONLY_A_FEW = 0.05
 """Share of readings up to which outliers are single errors and not the noise itself."""
 
@@ -120,9 +124,32 @@ def _noise_is_larger(adjustment: Adjustment, shown: str, high: float, by_w: int,
     sentence = (
         f"Trust the global test and the estimated sigma0: {shown}; the noise is larger than stated or a systematic "
         f"effect is missing from the model, and of the {by_w} readings that the w-test blames {by_tau or 'none'} stand "
-        "out from the noise they show."
+        f"out from the noise they show{_by_targets(adjustment)}."
     )
     return Verdict(Case.LARGER_NOISE, sentence, True, by_tau)
+
+
+def _by_targets(adjustment: Adjustment) -> str:
+    """The targets whose own readings scatter far more than all others, in words."""
+    recording = adjustment.recording
+    w = np.where(adjustment.redundancy > CHECKED, np.abs(adjustment.w), np.nan)
+    count = np.bincount(recording.target, np.isfinite(w).sum(axis=1), len(recording.targets))
+    noise = {t: median_deviation(_finite(w[recording.target == t])) for t in np.flatnonzero(count >= FEW).tolist()}
+    named: list[int] = []
+    for t in sorted(noise, key=lambda t: -noise[t])[: len(noise) - 1]:
+        rest = median_deviation(_finite(w[~np.isin(recording.target, [*named, t])]))
+        if not noise[t] > FAR_MORE * rest:
+            break
+        named.append(t)
+    if not named:
+        return ""
+    at = np.isin(recording.target, named)
+    names, (own, rest) = [recording.targets[t] for t in named], (median_deviation(_finite(w[i])) for i in (at, ~at))
+    return f"; readings to {', '.join(names)} scatter {own:.2g} times as stated, the others {rest:.2g} times"
+
+
+def _finite(values: Floats) -> Floats:
+    return np.asarray(values[np.isfinite(values)])
 
 
 def _readings(count: int) -> str:

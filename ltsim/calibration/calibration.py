@@ -21,6 +21,7 @@ from ltsim.calibration.schema import (
     RESIDUALS,
     STATIONS,
     TARGETS,
+    AxesEntry,
     Combination as Combination,
     Correction as Correction,
     DeterminedEntry,
@@ -88,6 +89,8 @@ class Calibration(Result):
     """Known coordinates, lengths and levels, each tested by the rest."""
     lost_targets: tuple[str, ...] = ()
     """Measured targets that the readings in use do not determine; they have no coordinates."""
+    axes: AxesEntry | None = None
+    """How well the axes are known, where stated coordinates give them."""
     held: Bools = field(default_factory=lambda: np.zeros((0, 0), dtype=bool))
     """(I, p): parameters that were not estimated but held at their value."""
     informed: bool = False
@@ -241,10 +244,11 @@ class Calibration(Result):
 
 
 def targets_table(names: Sequence[str], points: Floats, covariance: Floats) -> Table:
-    """The table of points (T, 3) [m] with covariance (T, 3, 3) [m^2]; NaN ones have no row."""
+    """The table of points (T, 3) [m] with covariance (T, 3, 3) [m^2]; NaN ones have no row, or no height alone."""
     sigma = np.sqrt(np.einsum("tii->ti", covariance)) / MILLIMETRE
-    known = np.flatnonzero(np.isfinite(sigma).all(axis=1)).tolist()
-    return TARGETS.filled([names[i], *(points[i] / MILLIMETRE).tolist(), *sigma[i].tolist()] for i in known)
+    cells = np.concatenate([np.where(np.isfinite(sigma), points / MILLIMETRE, np.nan), sigma], axis=1)
+    known = np.flatnonzero(np.isfinite(sigma[:, :2]).all(axis=1)).tolist()
+    return TARGETS.filled([names[i], *cells[i].tolist()] for i in known)
 
 
 def residuals_table(adjustment: Adjustment) -> Table:

@@ -75,6 +75,7 @@ def calibration_file(calibration: Calibration) -> CalibrationFile:
         "noise",
         "noise_estimated",
         "lost_targets",
+        "axes",
         "informed",
         "correction",
         "effects",

@@ -19,6 +19,7 @@ from ltsim.calibration.choice import WIDE, Choice
 from ltsim.calibration.conflict import beyond_prior, disagreement, widened
 from ltsim.calibration.known_values import known_of
 from ltsim.calibration.result import (
+    axes_of,
     criteria_of,
     directions_of,
     fit_of,
@@ -27,6 +28,7 @@ from ltsim.calibration.result import (
     notes_on_axes,
     notes_on_hand,
     notes_on_modes,
+    notes_on_plan,
     outliers_of,
     stations_of,
     undetermined_of,
@@ -172,7 +174,13 @@ def _calibration(source: Recording, adjustment: Adjustment, method: str, *, advi
         noise=noise_of(adjustment),
         known=known_of(adjustment),
         lost_targets=adjustment.lost_targets,
+        axes=axes_of(adjustment),
         recording=SourceEntry.of(source),
-        notes=(*notes_on_axes(adjustment), *notes_on_modes(adjustment), *notes_on_hand(adjustment)),
+        notes=(
+            *notes_on_axes(adjustment),
+            *notes_on_modes(adjustment),
+            *notes_on_hand(adjustment),
+            *notes_on_plan(adjustment),
+        ),
         adjustment=adjustment,
     )

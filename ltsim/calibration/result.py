@@ -7,28 +7,31 @@ from collections.abc import Sequence
 import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment, observable_name
+from ltsim.adjustment.datum import about
 from ltsim.adjustment.frame import Frame
 from ltsim.adjustment.screening import gross_pointings
 from ltsim.adjustment.start import reached_network
 from ltsim.adjustment.verdict import Case, Verdict, verdict
 from ltsim.arrays import Bools, Floats
 from ltsim.calibration.calibration import SHOWN_UNITS, Combination, Fit, NoiseRow, OutlierRow, StationPose
+from ltsim.calibration.schema import AxesEntry
 from ltsim.chances import AGREES
 from ltsim.effects.motions import exact_target_change
 from ltsim.errors import NetworkError
 from ltsim.evaluation.criteria import Criteria, evaluate
+from ltsim.geometry.rigid import rigid_motion
 from ltsim.geometry.rotations import quaternion
 from ltsim.model.construction import Construction
 from ltsim.model.measurement import ball_lift
 from ltsim.notation import with_sigma
 from ltsim.recording.recording import MODE_COLUMN, OBSERVABLES, Recording
-from ltsim.remedies.determining import determining
-from ltsim.remedies.undetermined import Direction, undetermined
+from ltsim.remedies.undetermined import Direction, determining, undetermined
 from ltsim.units import ARCSECOND, MICROMETRE, MILLIMETRE
 
 CONTRADICTS = 3.0
 """Standard deviations from where its target last was, beyond which a reading is named that its target is lost by."""
 MOST_NAMED = 6
+UP = np.array([False, False, True])
 
 
 def gross_rows(recording: Recording) -> Bools:
@@ -64,11 +67,12 @@ def stations_of(adjustment: Adjustment, covariance: Floats | None = None) -> tup
     """Poses with standard deviations; `covariance` (S, 6, 6), default that of the adjustment."""
     spread = adjustment.pose_covariance if covariance is None else covariance
     sigma = np.sqrt(np.maximum(np.einsum("sii->si", spread), 0.0))
-    state = adjustment.state
+    state, over = adjustment.state, adjustment.problem.marks.target
+    flat = (over >= 0) & adjustment.open_heights[over]
     return tuple(
         StationPose(
             name=name,
-            position_mm=(state.position[i] / MILLIMETRE).tolist(),
+            position_mm=np.where(flat[i] & UP, np.nan, state.position[i] / MILLIMETRE).tolist(),
             rotation_quaternion=quaternion(state.rotation[i]).tolist(),
             sigma_position_mm=(sigma[i, :3] / MILLIMETRE).tolist(),
             sigma_rotation_arcsec=(sigma[i, 3:] / ARCSECOND).tolist(),
@@ -141,15 +145,41 @@ def noise_of(adjustment: Adjustment) -> tuple[NoiseRow, ...]:
     return tuple(rows)
 
 
+def axes_of(adjustment: Adjustment) -> AxesEntry | None:
+    """Standard deviations of axes that stated coordinates give, by what these miss the network; None without."""
+    kept = [test for test in adjustment.axes if not test.left_out]
+    if not kept:
+        return None
+    places = adjustment.state.points[[adjustment.recording.targets.index(test.name) for test in kept]]
+    centre = places.mean(axis=0)
+    free = about(adjustment.problem.free, centre)
+    motion = rigid_motion(places, centre) @ free
+    misses = np.concatenate([test.residual for test in kept])
+    variance = float(misses @ misses) / max(len(misses) - free.shape[1], 1)
+    sigma = np.sqrt(variance * np.diag(free @ np.linalg.inv(motion.T @ motion) @ free.T))
+    return AxesEntry(
+        targets=tuple(test.name for test in kept),
+        sigma_position_mm=(sigma[:3] / MILLIMETRE).tolist(),
+        sigma_rotation_arcsec=(sigma[3:] / ARCSECOND).tolist(),
+    )
+
+
 def notes_on_axes(adjustment: Adjustment) -> tuple[str, ...]:
     """How the coordinates fit that only give the axes."""
     kept = [test for test in adjustment.axes if not test.left_out]
-    if not kept:
+    fitted = axes_of(adjustment)
+    if fitted is None:
         return ()
     within = max(float(np.linalg.norm(test.residual)) for test in kept) / MILLIMETRE
     source = adjustment.recording.setup.axes
     out = [f"{test.name} ({test.off})" for test in adjustment.axes if test.left_out]
-    said = f"coordinates in the axes of {source}: {len(kept)} targets fit it within {within:.3g} mm"
+    place, turn = (
+        " ".join(f"{v:.2g}" for v in values) for values in (fitted.sigma_position_mm, fitted.sigma_rotation_arcsec)
+    )
+    said = (
+        f"coordinates in the axes of {source}: {len(kept)} targets fit it within {within:.3g} mm, which leaves "
+        f"the axes uncertain by {place} mm (x y z, in the middle) and {turn} arcsec (1 sigma)"
+    )
     return (f"{said}; left out of the datum: {named(out)}" if out else said,)
 
 
@@ -265,6 +295,16 @@ def notes_on_hand(adjustment: Adjustment) -> tuple[str, ...]:
         "ranges alone do not tell a network from its mirror image: rough places of a few targets and stations that are "
         "off one plane (approximate_mm, position_mm) would",
     )
+
+
+def notes_on_plan(adjustment: Adjustment) -> tuple[str, ...]:
+    """Which targets have no height."""
+    names = [adjustment.recording.targets[t] for t in np.flatnonzero(adjustment.open_heights)]
+    if not names:
+        return ()
+    more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
+    named = ", ".join(names[:MOST_NAMED])
+    return (f"in plan alone, as no reading tells their height: {named}{more}",)
 
 
 def notes_on_modes(adjustment: Adjustment) -> tuple[str, ...]:

@@ -30,7 +30,7 @@ COORDINATES = (
     *numbers(".6f", sigma_x_mm="its standard deviation", sigma_y_mm="as sigma_x_mm", sigma_z_mm="as sigma_x_mm"),
 )
 TARGETS = ResultTable(
-    "targets.csv", "adjusted targets; those that the readings do not determine have no row", COORDINATES
+    "targets.csv", "adjusted targets; what the readings do not determine has no row, or no height", COORDINATES
 )
 RESIDUALS = ResultTable(
     "residuals.csv",
@@ -146,8 +146,8 @@ class StationPose(Entry):
 
     name: str
     """Its name."""
-    position_mm: Vector
-    """In the frame that the file names."""
+    position_mm: tuple[Known, Known, Known]
+    """In the frame that the file names; no height where it was adjusted in plan only."""
     rotation_quaternion: tuple[Finite, Finite, Finite, Finite] = (0.0, 0.0, 0.0, 1.0)
     """From instrument to network."""
     sigma_position_mm: tuple[Known, Known, Known] | None = None
@@ -157,8 +157,8 @@ class StationPose(Entry):
 
     @property
     def position(self) -> Floats:
-        """(3,) [m]."""
-        return np.array(self.position_mm) * MILLIMETRE
+        """(3,) [m]; 0 for a height that nothing tells."""
+        return np.nan_to_num(np.array(self.position_mm, dtype=np.float64)) * MILLIMETRE
 
     @property
     def quaternion(self) -> Floats:
@@ -174,6 +174,17 @@ class StationPose(Entry):
     def sigma_rotation(self) -> Floats:
         """(3,) [rad]; NaN where a file does not say."""
         return np.array(self.sigma_rotation_arcsec or [np.nan] * 3, dtype=np.float64) * ARCSECOND
+
+
+class AxesEntry(Entry):
+    """How well the axes are known that stated coordinates give, by how these fit the network."""
+
+    targets: tuple[str, ...]
+    """Whose coordinates give them."""
+    sigma_position_mm: Vector
+    """Standard deviation of their place, at the middle of these targets."""
+    sigma_rotation_arcsec: Vector
+    """Of their turn about x, y and z; 0 where levels hold it."""
 
 
 class OutlierRow(Entry):
@@ -369,6 +380,8 @@ class CalibrationFile(ResultFile):
     """Known coordinates, lengths and levels, each tested by the rest."""
     lost_targets: tuple[str, ...] = ()
     """Targets that their readings do not determine."""
+    axes: AxesEntry | None = None
+    """Of the coordinates, where stated ones give them (`--frame`)."""
     correction: Correction | None = None
     """What of the estimates is worth applying; null where that was not asked."""
     effects: tuple[FittedEffectEntry, ...] = ()

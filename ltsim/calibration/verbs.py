@@ -21,7 +21,7 @@ from ltsim.calibration.history import History
 from ltsim.calibration.known import Known
 from ltsim.calibration.result import gross_rows
 from ltsim.effects.effect import Effect
-from ltsim.effects.made import effect_from, names
+from ltsim.effects.verbs import effect_from, names
 from ltsim.errors import LtsimError, ModelError, RecordError, option, unknown_name
 from ltsim.evaluation import Criteria, evaluate as criteria_of, read_nominal, verify as verified
 from ltsim.laws.words import read_law

@@ -25,7 +25,7 @@ from ltsim.model.construction import Construction
 from ltsim.randomness import BLOCK
 from ltsim.recording.lengths import KnownLengths
 from ltsim.recording.recording import Recording
-from ltsim.simulation.lengths import certified_by
+from ltsim.simulation.simulator import certified_by
 
 SUSPECT = 0.6e-3
 SUSPECT_FACTOR = 10.0

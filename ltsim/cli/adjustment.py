@@ -233,7 +233,7 @@ def show_calibration(terminal: Terminal, calibration: Calibration) -> None:
         terminal.say(parameter_table(calibration))
     for effect in calibration.effects:
         terminal.say(effect.sentence)
-    if calibration.correction is not None:
+    if calibration.correction is not None and calibration.correction.uncorrected_um > 0:
         terminal.say("\n".join([calibration.correction.line, *calibration.correction.sentences]))
     if calibration.determined:
         terminal.say()

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from ltsim.planning.planner import Plan
     from ltsim.planning.schema import PlanResult
     from ltsim.planning.survey import Survey
-    from ltsim.planning.whatif import Alternative
+    from ltsim.planning.verbs import Alternative
     from ltsim.recording import Recording
     from ltsim.remedies.next_measurement import NextMeasurement
 
@@ -73,8 +73,8 @@ def plan(
 
     Example: ltsim plan paper-workshop --out my-plan
     """
+    from ltsim.planning.loading import plan_names, plan_text
     from ltsim.planning.schema import NEXT, TABLES, NextFile, PlanResult
-    from ltsim.planning.spec import plan_names, plan_text
 
     if after is not None:
         if source is not None:

@@ -14,7 +14,7 @@ from ltsim.effects.effect import Effect
 from ltsim.effects.signature import Tunable
 from ltsim.geometry.rigid import rigid_motion
 from ltsim.remedies.detectability import MinimalSize, information_left, seen_from, thinned
-from ltsim.remedies.words import advice
+from ltsim.remedies.remedy import advice
 
 OUT_OF_REACH = 10.0
 """An effect that would have to be so many times a bad but plausible size to be found is called invisible."""

@@ -40,12 +40,30 @@ class Case:
     """Constants are tried against their prior too."""
     sigma: Floats = field(init=False)
     noise: list[NoiseHypothesis] = field(default_factory=list)
-    searcher: Searcher = field(init=False)
+    space: ResidualSpace = field(init=False)
     bank: NoiseBank = field(init=False)
+    _searcher: Searcher | None = None
+    _scored: Searcher | None = None
 
     def __post_init__(self) -> None:
         self.sigma = self.recording.sigma()
-        self.search(self.baseline)
+        self.weigh(self.baseline)
+
+    @property
+    def searcher(self) -> Searcher:
+        """The search in the residual space; everything is scored when it is asked for first."""
+        if self._searcher is None:
+            before = self._scored
+            cards = None if before is None else before.cards.reweighted(before.space, self.space)
+            trials = self.trials if before is None else 0
+            self._scored = None
+            self._searcher = Searcher(self.space, self.seed, trials, cards=cards, ordinary=self.ordinary)
+        return self._searcher
+
+    @property
+    def empty(self) -> Found:
+        """The set of no findings."""
+        return Found((), (), (), self.space.residual)
 
     @property
     def recording(self) -> Recording:
@@ -62,20 +80,16 @@ class Case:
         adjusted = partial(adjust, self.recording, self.baseline.construction, sigma=sigma, use=self.use, held_to=WIDE)
         return refit(adjusted, effects, start=self.baseline.state)
 
-    def search(self, adjustment: Adjustment) -> None:
-        """Score everything beside an adjustment; what was scored before is let go."""
-        space, cards, trials = ResidualSpace.of(adjustment), None, self.trials
-        if hasattr(self, "searcher"):
-            cards, trials = self.searcher.cards.reweighted(self.searcher.space, space), 0
-            del self.searcher
-        self.searcher = Searcher(space, self.seed, trials, cards=cards, ordinary=self.ordinary)
+    def weigh(self, adjustment: Adjustment) -> None:
+        """Look at what another adjustment leaves; what was scored before is let go."""
+        self.space, self._scored, self._searcher = ResidualSpace.of(adjustment), self._searcher or self._scored, None
         quieter = not any(getattr(one.effect, "repeating", "") for one in self.noise)
-        tried = noise_hypotheses(space.sightings, self.recording.instruments, quieter=quieter)
-        self.bank = NoiseBank.of(space, tried)
+        tried = noise_hypotheses(self.space.sightings, self.recording.instruments, quieter=quieter)
+        self.bank = NoiseBank.of(self.space, tried)
 
     def noises(self, found: Found) -> list[tuple[float, NoiseHypothesis]]:
         """Every change of the noise beside a set, the likeliest of each family first, with its evidence."""
-        redundancy = self.searcher.space.redundancy - np.sum(found.extension**2, axis=1)
+        redundancy = self.space.redundancy - np.sum(found.extension**2, axis=1)
         return self.bank.ranked(found.residual, redundancy, found.extension)
 
     def add_noise(self, further: NoiseHypothesis) -> None:
@@ -101,6 +115,14 @@ class Case:
                 self.noise[i] = replace(most_likely(space, stated, one), drop=one.drop)
             self.sigma = self._weighted(self.noise)
         return self.refit((), self.sigma).adjustment
+
+    def settle_with(self, beside: Sequence[Tunable]) -> None:
+        """Settle the noise beside some effects, without changes of it that these leave no reason for."""
+        space = ResidualSpace.of(self.settle_noise(beside)).beside(beside)
+        told = [most_likely(space, self._weighted([n for n in self.noise if n is not one]), one) for one in self.noise]
+        self.noise = [n for n, one in zip(self.noise, told, strict=True) if 0.5 * one.drop + one.log_prior > 0.0]
+        self.sigma = self._weighted(self.noise)
+        self.weigh(self.settle_noise(beside))
 
     def _weighted(self, noise: Sequence[NoiseHypothesis]) -> Floats:
         """Standard deviations (n, 3) with some changes of the noise."""

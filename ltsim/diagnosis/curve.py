@@ -20,7 +20,7 @@ def curve_of(law: Law, sightings: Sightings, mean: Floats, covariance: Floats) -
     The coefficients have a `mean` (k,) and a `covariance` (k, k) [SI].
     """
     driver = law.driver
-    if len(driver.covariates) != 1:
+    if len(driver.covariates) != 1 or driver.kind == "amounts":
         return None
     law, way, means, spread = law.along(mean, covariance, sightings)
     mean, covariance = way @ means, np.einsum("c,ckdl,d->kl", way, spread, way)

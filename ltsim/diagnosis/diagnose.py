@@ -9,10 +9,12 @@ from math import ceil
 import numpy as np
 
 from ltsim.adjustment import Adjustment, adjust
-from ltsim.adjustment.gross import explain_gross
+from ltsim.adjustment.gross import GrossFinding, explain_gross
+from ltsim.adjustment.known import KnownTest
 from ltsim.adjustment.mixed_up import mend_faces, mend_stations
 from ltsim.adjustment.refit import Refit
 from ltsim.adjustment.residual_space import ResidualSpace
+from ltsim.arrays import Bools
 from ltsim.calibration.known import Known
 from ltsim.diagnosis.averaging import averaged_targets
 from ltsim.diagnosis.blind import Sight, sight_of
@@ -20,21 +22,23 @@ from ltsim.diagnosis.case import Case
 from ltsim.diagnosis.detect import detect
 from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.diagnosis.evidence import log_average
-from ltsim.diagnosis.findings import Explained, among, gross_finding, instrument_finding, noise_finding
+from ltsim.diagnosis.findings import Explained, among, gross_finding, instrument_finding, known_finding, noise_finding
 from ltsim.diagnosis.held_out import HeldOut, held_out as left_out
 from ltsim.diagnosis.history import History
 from ltsim.diagnosis.hypotheses import Found
 from ltsim.diagnosis.instruments import contradictions, instrument_entries
 from ltsim.diagnosis.noise import NoiseHypothesis, most_likely
+from ltsim.diagnosis.prior import OUTSIDE, SAME_OBSERVABLE
 from ltsim.diagnosis.probe import TRIALS
 from ltsim.diagnosis.schema import Finding, Fit
 from ltsim.diagnosis.search import MOST_MEMBERS
+from ltsim.diagnosis.stray import stray_readings
 from ltsim.diagnosis.words import LIKELY, summarise
 from ltsim.effects.signature import Tunable
 from ltsim.errors import RecordError
 from ltsim.laws.carriers import VARIED, constants_in
 from ltsim.laws.law import Law
-from ltsim.model.construction import stated_construction
+from ltsim.model.construction import Construction, stated_construction
 from ltsim.recording.recording import Recording
 from ltsim.solve.threads import in_one_thread
 
@@ -88,27 +92,40 @@ def diagnose(
         raise RecordError(f"level: found {level:g}, expected a false-alarm rate from {LEAST_LEVEL:g} to 1")
     construction = stated_construction(recording)
     compared = contradictions if history is None else History.of(history, recording, construction).contradictions
-    converted, wrong = mend_stations(recording)
-    faced, confused = mend_faces(converted)
-    baseline = adjust(faced, construction)
-    mended, use, stray = explain_gross(baseline)
-    gross = [*wrong, *confused, *stray]
-    if gross:
-        baseline = adjust(mended, construction, sigma=mended.sigma(), use=use, start=baseline.state)
-    taken, trials = use if gross else baseline.problem.use, max(TRIALS, ceil(1.0 / level))
-    case = Case(baseline, taken, seed, trials, ordinary=history is None)
-    sight, detection = sight_of(case.searcher.space, case.searcher.cards), detect(case.searcher, case.bank)
+    baseline, use, gross, wrong = _mended(recording, construction)
+    trials = max(TRIALS, ceil(1.0 / level))
+    case = Case(baseline, use, seed, trials, ordinary=history is None)
+    sight, detection = sight_of(case.space, case.searcher.cards), detect(case.searcher, case.bank)
     mismatch = detection.p_value < level
     threshold = max(detection.threshold(NEXT_LEVEL), LEAST_GAIN)
-    found, fitted = _refitted(case, _explain(case, threshold) if mismatch else case.searcher.empty)
+    found = _explain(case, threshold) if mismatch else case.empty
+    found, fitted = _refitted(case, found)
     settled = fitted.adjustment if fitted.adjustment.solution.converged else baseline
     mistaken = [gross_finding(slip, baseline) for slip in gross]
+    mistaken += [known_finding(test, baseline) for test in wrong]
     apart = compared(settled, LEAST_GAIN + ABSORBED * found.misfit)
     odd = [instrument_finding(c) for c in apart if not _varies(c.parameter.name, found.effects)][:MOST_MEMBERS]
     explained = _likely(Explained(case, detection, found, fitted), bool(mistaken or odd or case.noise))
     repeated = not case.searcher.large if held_out is None else held_out
     errors = HeldOut() if case.searcher.large and not repeated else _held_out(explained, threshold, repeated)
     return _told(explained, sight, [*mistaken, *odd], settled, errors, mismatch=mismatch)
+
+
+def _mended(
+    recording: Recording, construction: Construction
+) -> tuple[Adjustment, Bools, list[GrossFinding], list[KnownTest]]:
+    """The ordinary adjustment with mistakes mended, readings (n, 3) to use, wrong readings and wrong known values."""
+    converted, wrong = mend_stations(recording)
+    faced, confused = mend_faces(converted)
+    baseline = adjust(faced, construction)
+    known = [test for test in (*baseline.wrong, *baseline.axes) if test.left_out or test.rivals]
+    mended, use, gross = explain_gross(baseline)
+    if mistaken := [*wrong, *confused, *gross]:
+        baseline = adjust(mended, construction, sigma=mended.sigma(), use=use, start=baseline.state)
+    use, stray = stray_readings(ResidualSpace.of(baseline), use if mistaken else baseline.problem.use)
+    if stray:
+        baseline = adjust(mended, construction, sigma=mended.sigma(), use=use, start=baseline.state)
+    return baseline, use, [*mistaken, *stray], known
 
 
 def _varies(constant: str, effects: Sequence[Tunable]) -> bool:
@@ -120,8 +137,33 @@ def _varies(constant: str, effects: Sequence[Tunable]) -> bool:
 
 
 def _explain(case: Case, threshold: float) -> Found:
-    """Mean shifts, and changes of the noise beside them, or in place of one or all, until nothing gains."""
+    """Shifts of the readings and changes of the noise, each looked for beside the other until nothing gains.
+
+    Whichever explains more alone comes first: a law that is sought while the stated noise is wrong explains noise, and
+    noise that is fitted before a law hides it.
+    """
     found = case.searcher.search(threshold, something=True)
+    if _noise_alone(case, threshold, found.score):
+        found = case.searcher.search(threshold, something=False)
+        if found.members:
+            case.settle_with(found.effects)
+            found = case.searcher.search(threshold, something=False)
+    return _in_turn(case, found, threshold)
+
+
+def _noise_alone(case: Case, threshold: float, least: float) -> bool:
+    """Changes of the noise, one after another, while they gain; whether there is one that explains `least`."""
+    for _ in range(MOST_ROUNDS):
+        ranked = case.noises(case.empty)
+        if ranked[0][0] < max(threshold, 0.0 if case.noise else least):
+            break
+        case.add_noise(most_likely(case.space, case.space.sigma, _with_probability(ranked, 0.0)))
+        case.weigh(case.settle_noise(()))
+    return bool(case.noise)
+
+
+def _in_turn(case: Case, found: Found, threshold: float) -> Found:
+    """Changes of the noise beside a set, or in place of one or all of it, and what shifts then, until nothing gains."""
     for _ in range(MOST_ROUNDS):
         searcher, members = case.searcher, found.members
         kept = [found, *(searcher.without(found, i) for i in range(len(members)))]
@@ -135,9 +177,9 @@ def _explain(case: Case, threshold: float) -> Found:
         if gains[most] < (least if not most and (case.noise or members) else 0.0):
             break
         likeliest = _with_probability(ranked[most], rest[most])
-        beside = searcher.space.beside(kept[most].effects)
-        case.add_noise(most_likely(beside, searcher.space.sigma, likeliest))
-        case.search(case.settle_noise(kept[most].effects))
+        beside = case.space.beside(kept[most].effects)
+        case.add_noise(most_likely(beside, case.space.sigma, likeliest))
+        case.weigh(case.settle_noise(kept[most].effects))
         found = case.searcher.search(threshold, something=False)
     return found
 
@@ -151,7 +193,8 @@ def _with_probability(ranked: Sequence[tuple[float, NoiseHypothesis]], rest: flo
         named[one.effect.name] = named.get(one.effect.name, 0.0) + weight
     value, best = ranked[0]
     probability, rivals = among(named, best.effect.name)
-    return replace(best, evidence=value, probability=probability, equivalents=rivals)
+    listed = 1.0 - OUTSIDE * SAME_OBSERVABLE  # what nobody listed may shift readings, and looks like noise
+    return replace(best, evidence=value, probability=listed * probability, equivalents=rivals)
 
 
 def _refitted(case: Case, found: Found) -> tuple[Found, Refit]:
@@ -178,7 +221,7 @@ def _likely(explained: Explained, besides: bool) -> Explained:
     """Without findings whose name is unlikely, the least likely first, as long as something is told `besides`."""
     case, found, told = explained.case, explained.found, explained
     while len(found.members) + besides > 1:
-        chances = [told.ranking(i).probabilities().get(h.name, 0.0) for i, h in enumerate(found.members)]
+        chances = [told.probability(i, told.ranking(i)) for i in range(len(found.members))]
         least = int(np.argmin(chances)) if chances else 0
         if not chances or chances[least] >= LIKELY:
             break

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.adjustment.gross import GrossFinding
+from ltsim.adjustment.gross import CLOSE, GrossFinding
+from ltsim.adjustment.known import KnownTest
 from ltsim.adjustment.prior import prior_sigmas
 from ltsim.adjustment.refit import Refit
 from ltsim.diagnosis.blind import distortion
@@ -20,6 +21,8 @@ from ltsim.diagnosis.evidence import carried_by, posterior
 from ltsim.diagnosis.hypotheses import Found, Hypothesis, Ranking
 from ltsim.diagnosis.instruments import TINY, Contradiction
 from ltsim.diagnosis.noise import NoiseHypothesis
+from ltsim.diagnosis.outside import log_likeness
+from ltsim.diagnosis.prior import OUTSIDE, SAME_OBSERVABLE
 from ltsim.diagnosis.schema import Equivalent, Estimate, Evidence, Finding, Where
 from ltsim.diagnosis.separate import separating_measurement
 from ltsim.diagnosis.words import card_sentence, law_sentence, outside_sentence, percent, without_clock
@@ -34,6 +37,7 @@ from ltsim.laws.words import IN_ITS_OWN_WAY, describe
 from ltsim.notation import number, with_sigma
 from ltsim.recording.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
+from ltsim.units import FACTOR
 
 MOST_EQUIVALENTS = 3
 """Equivalents that are stated at most."""
@@ -57,10 +61,25 @@ class Explained:
     refit: Refit
 
     def ranking(self, member: int) -> Ranking:
-        """Everything that could stand in a member's place, changes of the noise among it."""
-        others = self.case.searcher.without(self.found, member)
+        """All that could stand in a member's place: changes of the noise among it, and a cause that nobody listed."""
+        searcher, found = self.case.searcher, self.found
+        others = searcher.without(found, member)
         noises = [Hypothesis(one.effect, 0.0, value, one.effect.name) for value, one in self.case.noises(others)]
-        return self.case.searcher.rank(others).beside(noises)
+        effect, spread = self.refit.effects[member], found.members[member].spread
+        mean = posterior(*searcher.exact.moments([effect], others)[0], spread)[0]
+        redundancy = searcher.space.redundancy - np.sum(found.extension**2, axis=1)
+        shift = searcher.space.signature(effect) @ mean
+        likeness = log_likeness(searcher.space, shift, found.residual, redundancy)
+        return searcher.rank(others).beside(noises).doubted(likeness)
+
+    def probability(self, member: int, ranking: Ranking) -> float:
+        """Probability of a member's name; of what has none, that it acts on the same observables."""
+        hypothesis = self.found.members[member]
+        if hypothesis.known:
+            return ranking.probabilities().get(hypothesis.name, 0.0)
+        acts = set(hypothesis.effect.observables)
+        same = ranking.share(lambda h: not h.known and set(h.effect.observables) == acts)
+        return same + SAME_OBSERVABLE * ranking.unlisted
 
     def finding(self, member: int, ranking: Ranking) -> Finding:
         """The finding of a member, a mean shift, beside the others."""
@@ -68,7 +87,7 @@ class Explained:
         space, others = searcher.space, searcher.without(found, member)
         hypothesis = replace(found.members[member], effect=self.refit.effects[member])
         effect, name = hypothesis.effect, hypothesis.name
-        probability, rivals = among(ranking.probabilities(), name)
+        probability, rivals = self.probability(member, ranking), among(ranking.probabilities(), name)[1]
         shown = self._shown(found.members[member].effect, ranking)
         gain = others.residual**2 - found.residual**2
         where = self._where(effect, carried_by(space.use, gain[: int(space.use.sum())]))
@@ -91,8 +110,7 @@ class Explained:
         if hypothesis.known:
             doubt = self._doubt(effect, told)
             sentence = card_sentence(name, where, told, probability, shown=shown) + doubt
-        mean = posterior(*searcher.exact.moments([effect], others)[0], hypothesis.spread)[0]
-        moved = distortion(space, effect, mean)
+        moved = distortion(space, effect, posterior(*searcher.exact.moments([effect], others)[0], hypothesis.spread)[0])
         more["moves_targets_um"] = moved
         sentence += f" Not modelled, it moves the targets by {number(moved, 2)} um rms."
         return Finding(
@@ -202,16 +220,60 @@ def _scattering(hypothesis: NoiseHypothesis, sightings: Sightings) -> tuple[str,
 
 
 def gross_finding(gross: GrossFinding, adjustment: Adjustment) -> Finding:
-    """The finding of a gross error, certain by its size."""
+    """The finding of a gross error, certain by its size; of less than that nobody knows that it has no other cause."""
+    probability = 1.0 if gross.size > CLOSE else 1.0 - OUTSIDE * SAME_OBSERVABLE
     floor = float(adjustment.recording.sigma()[:, 0].min())
     return Finding(
         effect=gross.effect,
         known=True,
         where=_place(observables=gross.observables, stations=gross.stations, targets=gross.targets),
         parameters=(Estimate(name="size", value=1e3 * gross.size, sigma=1e3 * floor, unit="mm"),),
-        evidence=Evidence(chi2_drop=(gross.size / floor) ** 2, parameters=3, p_value=None, probability=1.0),
+        evidence=Evidence(chi2_drop=(gross.size / floor) ** 2, parameters=3, p_value=None, probability=probability),
         sentence=gross.sentence,
         equivalents=(),
+    )
+
+
+DATUM = {
+    "point": "known coordinates",
+    "axes": "stated coordinates",
+    "length": "known length",
+    "level": "level",
+    "mark": "place of the stand",
+}
+"""What is called wrong of each kind of known value."""
+
+
+def known_finding(test: KnownTest, adjustment: Adjustment) -> Finding:
+    """The finding of a known value that contradicts the rest: what carries the error is the value itself."""
+    recording = adjustment.recording
+    ends = (test.name, *test.name.split("-")) if test.kind == "length" else (test.name,)
+    unit = "arcsec" if test.kind == "level" else "mm"
+    factor = FACTOR[unit]
+    rows = [
+        Estimate(
+            name=f"off along {axis}" if len(test.error) > 1 else "off", value=e / factor, sigma=s / factor, unit=unit
+        )
+        for axis, e, s in zip(test.axes or "xyz", test.error.tolist(), test.sigma_error.tolist(), strict=False)
+        if np.isfinite(s)
+    ]
+    sentence = test.sentence[0].upper() + test.sentence[1:] + "."
+    return Finding(
+        effect="unknown",
+        known=False,
+        where=_place(
+            stations=(test.name,) if test.name in recording.stations else (),
+            targets=tuple(t for t in recording.targets if t in ends)
+            if test.kind in ("point", "axes", "length")
+            else (),
+        ),
+        parameters=tuple(rows),
+        evidence=Evidence(
+            chi2_drop=test.drop, parameters=test.rank, p_value=None, probability=1.0 - OUTSIDE * SAME_OBSERVABLE
+        ),
+        sentence=sentence,
+        formula=f"the {DATUM[test.kind]} of {test.name} is wrong",
+        carrier=DATUM[test.kind],
     )
 
 

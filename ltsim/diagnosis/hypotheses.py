@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import product
 
@@ -12,7 +12,7 @@ import numpy as np
 from ltsim.adjustment.residual_space import VISIBLE, orthonormal
 from ltsim.arrays import Floats, Ints
 from ltsim.diagnosis.evidence import LOG_WEIGHTS, SIZES, log_average
-from ltsim.diagnosis.prior import SECOND_ALIKE
+from ltsim.diagnosis.prior import OUTSIDE, SECOND_ALIKE
 from ltsim.effects import find_effect
 from ltsim.effects.signature import Tunable
 
@@ -131,16 +131,23 @@ class Ranking:
     entries : tuple of Hypothesis
     total : float
         Log sum over them, the first computed exactly.
+    outside : float
+        Log evidence of a cause that nobody listed.
     """
 
     entries: tuple[Hypothesis, ...]
     total: float
+    outside: float = -np.inf
 
     def beside(self, rivals: Sequence[Hypothesis]) -> Ranking:
         """The ranking with further hypotheses in it."""
         entries = sorted([*self.entries, *rivals], key=lambda h: -h.value)
         total = float(log_average(np.array([self.total, *(h.value for h in rivals)])))
         return Ranking(tuple(entries), total)
+
+    def doubted(self, likeness: float) -> Ranking:
+        """The ranking with a cause in it that nobody listed, by the log ratio of its likelihood to that of the best."""
+        return replace(self, outside=self.total + likeness + float(np.log(OUTSIDE / (1.0 - OUTSIDE))))
 
     def name(self) -> str:
         """The likeliest name; `unknown` where that is likelier than all names together."""
@@ -152,8 +159,18 @@ class Ranking:
     def weights(self) -> Floats:
         """Posterior probability (k,) of each among everything that was tried, nothing at all included."""
         logs = np.array([h.value for h in self.entries])
-        found: Floats = np.exp(logs - np.logaddexp(log_average(logs), 0.0))
+        found: Floats = np.exp(logs - self._whole)
         return found
+
+    @cached_property
+    def _whole(self) -> float:
+        """Log sum of all explanations, that nothing is missing among them."""
+        return float(np.logaddexp.reduce([*(h.value for h in self.entries), self.outside, 0.0]))
+
+    @cached_property
+    def unlisted(self) -> float:
+        """Posterior probability of a cause that nobody listed."""
+        return float(np.exp(self.outside - self._whole))
 
     def share(self, chosen: Callable[[Hypothesis], bool]) -> float:
         """Posterior probability of some of them together."""
@@ -161,7 +178,7 @@ class Ranking:
 
     def probabilities(self) -> dict[str, float]:
         """Posterior probability of each name."""
-        found: dict[str, float] = {}
+        found = {"unknown": self.unlisted} if self.unlisted else {}
         for hypothesis, weight in zip(self.entries, self.weights.tolist(), strict=True):
             found[hypothesis.name] = min(found.get(hypothesis.name, 0.0) + weight, 1.0)
         return found

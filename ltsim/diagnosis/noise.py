@@ -19,7 +19,7 @@ import scipy.sparse as sp
 
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.arrays import Floats, Ints
-from ltsim.diagnosis.evidence import log_means, shares
+from ltsim.diagnosis.evidence import log_average, log_means, shares
 from ltsim.diagnosis.prior import log_share
 from ltsim.diagnosis.schema import Equivalent
 from ltsim.effects import CATALOGUE
@@ -41,6 +41,12 @@ COMPARED, BEHIND = 6, 20.0
 """Families that are computed exactly, the likeliest among them, and how much log evidence they may be behind."""
 LEAST_SHARE = 0.05
 """Redundancy that a mean of repeats has at least."""
+AMOUNTS = np.array([0.0, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0])
+AMOUNT_SHARES = np.array([0.5, *np.full(6, 0.5 / 6)])
+"""Added variances of one target among many that each have their own, over the stated, and their shares."""
+EACH_TARGET = "unknown:noise:each target"
+LEAST_TARGETS = 4
+"""Targets from which noise may differ from one to the next."""
 LARGEST = 400.0
 """Upper bound of a size in units of its plausible one."""
 GRID, REACH, ZOOMS = 7, 4.0, 9
@@ -61,6 +67,11 @@ class NoiseHypothesis:
     evidence: float = 0.0
     probability: float = 0.0
     equivalents: tuple[Equivalent, ...] = ()
+
+    @property
+    def log_prior(self) -> float:
+        """Of its kind among all explanations."""
+        return log_share("scatter" if self.family.startswith("unknown") else "noise", 1)
 
 
 def _patterns(sightings: Sightings, trackers: Sequence[Place]) -> Iterator[tuple[str, NoisePattern, tuple[float, ...]]]:
@@ -108,6 +119,9 @@ class NoiseBank:
         1 - 1/s and log s of each row; of each mean for what repeats.
     means : (g, m) csr float
         What adds up repeats, in each face and then in both.
+    at_target : (T, m) csr float
+        One where a row is a reading of a target; none where there are few of them.
+    targets : tuple of str
     basis : (m, u) float, or None
         Orthonormal, of what is estimated, where there is one.
     """
@@ -119,6 +133,8 @@ class NoiseBank:
     logs: sp.csr_array
     means: sp.csr_array
     basis: Floats | None
+    at_target: sp.csr_array
+    targets: tuple[str, ...]
 
     @classmethod
     def of(cls, space: ResidualSpace, hypotheses: Sequence[NoiseHypothesis]) -> NoiseBank:
@@ -147,7 +163,12 @@ class NoiseBank:
         index = {name: i for i, name in enumerate(names)}
         family = np.array([index[h.family] for h in hypotheses], dtype=np.int64)
         basis = space.projection.basis if isinstance(space.projection, BasisProjection) else None
-        return cls(list(hypotheses), names, family, gain, logs, means, basis)
+        targets = space.sightings.target_names if len(space.sightings.target_names) >= LEAST_TARGETS else ()
+        of = np.repeat(space.sightings.target[:, None], 3, axis=1)[space.use]
+        at_target = sp.csr_array(
+            (np.ones(len(of)), (of, np.arange(len(of)))), (len(space.sightings.target_names), space.size)
+        )
+        return cls(list(hypotheses), names, family, gain, logs, means, basis, at_target, targets)
 
     def log_likelihood_ratio(self, residual: Floats, redundancy: Floats) -> Floats:
         """(h, trials) for whitened residuals (m, trials) of a redundancy (m,)."""
@@ -157,12 +178,26 @@ class NoiseBank:
         return ratio
 
     def family_evidence(self, residual: Floats, redundancy: Floats) -> Floats:
-        """Log evidence (families, trials) with priors, in its diagonal form."""
-        return self._by_family(self.log_likelihood_ratio(residual, redundancy))
+        """Log evidence (families, trials) with priors, in its diagonal form; another noise at each target last."""
+        known = self._by_family(self.log_likelihood_ratio(residual, redundancy))
+        return np.vstack([known, self._each_target(residual, redundancy)]) if self.targets else known
+
+    def _each_target(self, residual: Floats, redundancy: Floats) -> Floats:
+        """Log evidence (trials,) with its prior of noise that differs from target to target, amounts averaged."""
+        squares, share = self.at_target @ residual**2, self.at_target @ redundancy
+        factor = 1.0 + AMOUNTS[:, None, None]
+        logs = 0.5 * (squares * (1.0 - 1.0 / factor) - share[:, None] * np.log(factor))
+        each: Floats = log_average(logs + np.log(AMOUNT_SHARES)[:, None, None]).sum(axis=0) + self._share_of_unknown
+        return each
+
+    @property
+    def _share_of_unknown(self) -> float:
+        """Log prior of each family of noise that no card describes."""
+        return log_share("scatter", sum(f.startswith("unknown") for f in self.families) + bool(self.targets))
 
     def _by_family(self, ratio: Floats) -> Floats:
         known = np.array([not f.startswith("unknown") for f in self.families])
-        each = np.where(known, log_share("noise", int(known.sum())), log_share("scatter", int((~known).sum())))
+        each = np.where(known, log_share("noise", int(known.sum())), self._share_of_unknown)
         return log_means(ratio, self.family, len(self.families)) + each[:, None]
 
     def exact(self, i: int, residual: Floats, extension: Floats) -> float:
@@ -190,6 +225,10 @@ class NoiseBank:
             if rank < COMPARED and value > evidence.max() - BEHIND and self.basis is not None:
                 value += self.exact(likeliest, residual, extension) - float(ratio[likeliest, 0])
             found.append((value, self.hypotheses[likeliest]))
+        if self.targets:
+            pattern = NoisePattern(targets=self.targets, each=True)
+            each = float(self._each_target(residual[:, None], redundancy)[0])
+            found.append((each, NoiseHypothesis(EACH_TARGET, pattern, (0.0,) * len(self.targets))))
         return sorted(found, key=lambda one: -one[0])
 
 
@@ -257,5 +296,5 @@ def most_likely(space: ResidualSpace, stated: Floats, hypothesis: NoiseHypothesi
         low, high = np.maximum(least, mean - REACH * spread), np.minimum(most, mean + REACH * spread)
     values = np.sum(weight * sizes, axis=0)
     sigma = np.sqrt(np.sum(weight * (sizes - values) ** 2, axis=0))
-    drop = float(gains(values).sum())
+    drop = float(gains(values).sum() - gains(0.0 * scale).sum())
     return replace(hypothesis, values=tuple(values.tolist()), drop=drop, sigma=tuple(sigma.tolist()))

@@ -2,9 +2,9 @@
 
 That something is missing, and that nothing is, start alike. What is missing is shared among kinds of explanations; each
 share evenly among all of its kind that a recording offers: effects of the catalogue, their places and shapes, carriers,
-drivers and places of laws. `rows` is the table as the theory page prints it. None of the numbers is fitted to anything:
-they say what a service engineer would bet before seeing residuals, and a factor of two in one of them is 0.7 of log
-evidence.
+drivers and places of laws (each operator of a driver costs `laws.offered.COST`). `rows` is the table as the theory page
+prints it. None of the numbers is fitted to anything: they say what a service engineer would bet before seeing
+residuals, and a factor of two in one of them is 0.7 of log evidence.
 """
 
 from __future__ import annotations
@@ -23,23 +23,12 @@ ABOUT = {
     "constant": "a constant of an instrument that is not what the others, its history or a stated correction say",
 }
 """The same in words."""
-LAWS = {
-    "everywhere": 0.33,  # any carrier, any driver, the whole recording
-    "set-up": 0.14,  # the same at one set-up
-    "instrument": 0.09,  # the same at all set-ups of one instrument
-    "two drivers": 0.11,  # a reading that follows two drivers
-    "on the way": 0.03,  # a reading that errs on the way to the target, or a list one row late
-    "reading that swings": 0.08,
-    "set-up that swings": 0.02,
-    "group that swings": 0.02,  # targets that belong together
-    "anything else that swings": 0.02,
-    "across the room": 0.04,  # targets that move together, more the farther across the room
-    "target": 0.04,
-    "group": 0.02,
-    "group that tilts": 0.04,
-    "corner": 0.02,  # a target and those around it
-}
-"""How the share of laws without a card is shared; what a recording does not offer leaves its share to the others."""
+OUTSIDE = 0.2
+"""Share of causes that are in no list, and look like something that is: one in five."""
+SAME_OBSERVABLE = 0.5
+"""Chance that such a cause acts on the observable of what it looks like."""
+PLACES = {"everywhere": 0.5, "set-up": 0.2, "instrument": 0.1, "target": 0.1, "group": 0.1}
+"""Where a law without a card acts."""
 KINDS = {
     "reading": 0.5,
     "instrument": 0.17,
@@ -51,10 +40,6 @@ KINDS = {
 }
 """Shares of the kinds of carriers: what errs in no known way shows in a reading alone, and where all targets seem to
 move alike it is the stands."""
-AT_SET_UPS = {"reading": 0.4, "instrument": 0.09, "circle": 0.01, "stand": 0.46, "air": 0.04}
-"""The same for what happens at one set-up: the instrument is the same at the others, the stand is not."""
-AT_INSTRUMENTS = {"reading": 0.5, "instrument": 0.25, "circle": 0.05, "stand": 0.15, "air": 0.05}
-"""The same for what happens to one of several instruments."""
 AT_TARGETS = {"reading": 0.2, "target": 0.8}
 """The same for what happens at some targets: an instrument does not know where it looks."""
 FORMS = {"curve": 0.5, "formula": 0.4, "fine": 0.1, "cycle": 0.2, "members": 0.2}
@@ -79,5 +64,4 @@ def rows() -> Iterator[tuple[str, float]]:
         if kind != "law":
             yield ABOUT[kind], part
             continue
-        for where, of_laws in LAWS.items():
-            yield f"a law without a card: {where}", part * of_laws
+        yield from ((f"{ABOUT[kind]}: {where}", part * share) for where, share in PLACES.items())

@@ -24,12 +24,12 @@ from ltsim.diagnosis.evidence import log_average, posterior
 from ltsim.diagnosis.exact import Exact
 from ltsim.diagnosis.forms import in_all_forms
 from ltsim.diagnosis.hypotheses import Found, Hypothesis, Ranking, alike
-from ltsim.diagnosis.laws_tried import panels
 from ltsim.diagnosis.panel import Hit, Panel
 from ltsim.diagnosis.prior import log_share
 from ltsim.diagnosis.probe import Probe
 from ltsim.diagnosis.schema import Estimate
 from ltsim.diagnosis.shapes import apart, between, shape_posterior
+from ltsim.diagnosis.space import panels
 from ltsim.effects.signature import ShapeParameter, Tunable
 from ltsim.laws.law import Law
 from ltsim.laws.names import name_of

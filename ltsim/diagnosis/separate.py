@@ -10,8 +10,7 @@ from ltsim.effects import find_effect
 from ltsim.effects.effect import NoiseEffect
 from ltsim.effects.signature import Signature
 from ltsim.errors import ModelError
-from ltsim.remedies.deciding import explanation, space_of
-from ltsim.remedies.next_measurement import deciding
+from ltsim.remedies.next_measurement import deciding, explanation, space_of
 
 
 def separating_measurement(

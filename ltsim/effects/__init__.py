@@ -1,4 +1,4 @@
-"""The catalogue: one file, one physical effect. To add one, write its file and add it to `GROUPS` here."""
+"""The catalogue: one physical effect, one small file. To add one, write its file and list its class in its group."""
 
 from ltsim.effects.air_gradient import AirGradient
 from ltsim.effects.air_layer import AirLayer
@@ -10,8 +10,7 @@ from ltsim.effects.backlash import Backlash
 from ltsim.effects.beam_offset import BeamOffset
 from ltsim.effects.beam_tilt import BeamTilt
 from ltsim.effects.bearing_wobble import BearingWobble
-from ltsim.effects.card import Card as Card, card_of as card_of
-from ltsim.effects.catalogue import Catalogue, Entry as Entry
+from ltsim.effects.catalogue import Card as Card, Catalogue, Entry as Entry, card_of as card_of
 from ltsim.effects.dead_path import DeadPath
 from ltsim.effects.detector_offset import DetectorOffset
 from ltsim.effects.effect import (
@@ -45,7 +44,6 @@ from ltsim.effects.range_step import RangeStep
 from ltsim.effects.refractivity_drift import RefractivityDrift
 from ltsim.effects.smr_centring import SmrCentring
 from ltsim.effects.smr_dihedral import SmrDihedral
-from ltsim.effects.smr_incidence import SmrIncidence
 from ltsim.effects.smr_offset import SmrOffset
 from ltsim.effects.station_bump import StationBump
 from ltsim.effects.station_levelling import StationLevelling
@@ -107,44 +105,13 @@ GROUPS: dict[str, tuple[type[Effect], ...]] = {
         RefractivityDrift,
         RangeDrift,
     ),
-    "air": (
-        AirGradient,
-        AirLayer,
-        HeatPlume,
-        Turbulence,
-    ),
-    "reflector": (
-        SmrCentring,
-        SmrIncidence,
-        SmrDihedral,
-        Window,
-        SmrOffset,
-        NestLift,
-        TargetMoved,
-    ),
-    "time and heat": (
-        IndexDrift,
-        AzimuthDrift,
-        StationSettling,
-        MeshExpansion,
-        GaugeScale,
-        GaugeShape,
-    ),
-    "system and gross": (
-        StationLevelling,
-        TimingLag,
-        StationBump,
-        TargetSwap,
-        Outlier,
-        WrongUnit,
-        FaceConfusion,
-    ),
-    "noise": (
-        NoiseLevel,
-        StationNoise,
-    ),
+    "air": (AirGradient, AirLayer, HeatPlume, Turbulence),
+    "reflector": (SmrCentring, SmrDihedral, Window, SmrOffset, NestLift, TargetMoved),
+    "time and heat": (IndexDrift, AzimuthDrift, StationSettling, MeshExpansion, GaugeScale, GaugeShape),
+    "system and gross": (StationLevelling, TimingLag, StationBump, TargetSwap, Outlier, WrongUnit, FaceConfusion),
+    "noise": (NoiseLevel, StationNoise),
 }
-"""What ships, by group."""
+"""What ships, by group, in the order of the files."""
 
 CATALOGUE = Catalogue(GROUPS)
 """Every effect: what ships, then what installed packages add (see `effects.catalogue`)."""

@@ -1,20 +1,4 @@
-"""Uniform vertical gradient of the air's temperature: the air is warmer the higher it lies, and light bends.
-
-Delta_elevation = -1/2 beta G d cos(el) (warm air above lifts the target's image),
-Delta_d = +beta G d ((z_station + z_target) / 2 - z_sensor), with G = dT/dz and beta = -dn/dT.
-The two together are a conformal map of empty space, so poses and targets absorb the whole and nothing is left in the
-residuals, while the mesh is distorted (7 um rms at 1 K/m); either alone would invent a signature. A weather sensor that
-rides on the head (`head`) reads another height at each station and leaves a scale a station.
-
-Size: 0.1 K/m in a good hall, 1 to 2 K/m in a heated one; 1 K/m bends 8 m by 3.7 urad, 30 um.
-Like: nothing is left to be like anything; `head`: station-weather. Bending alone: head-sag (0.92), vertical-index (0.86
-/ 0).
-Separate by: thermometers at two heights; a length standard at the floor and at the ceiling (5.6 ppm over 6 m at 1 K/m).
-Valid: up to some kelvin a metre; the vertical is the z axis of the network frame.
-Source: Born and Wolf, Principles of Optics, section 3.2 (ray equation); Ciddor 1996, Appl. Opt. 35, 1566,
-doi:10.1364/AO.35.001566 (beta); that a network absorbs it is derived here.
-Status: first order validated against the integrated ray; absorption by the network reproduced.
-"""
+"""Uniform vertical gradient of the air's temperature."""
 
 from dataclasses import dataclass
 from typing import Literal, Self
@@ -22,14 +6,31 @@ from typing import Literal, Self
 import numpy as np
 
 from ltsim.arrays import Floats
-from ltsim.effects.effect import Effect, Parameter, Stage, on_readings
-from ltsim.effects.rays import bending, bent
+from ltsim.effects.effect import Parameter, Stage, on_readings
+from ltsim.effects.rays import AirField, WarmAir, bending
 from ltsim.scene.sightings import Sightings
 
 
 @dataclass(frozen=True)
-class AirGradient(Effect):
-    """Temperature that rises with the height."""
+class AirGradient(WarmAir):
+    """Uniform vertical gradient of the air's temperature: the air is warmer the higher it lies, and light bends.
+
+    Delta_elevation = -1/2 beta G d cos(el) (warm air above lifts the target's image), Delta_d = +beta G d ((z_station +
+    z_target) / 2 - z_sensor), with G = dT/dz and beta = -dn/dT. The two together are a conformal map of empty space, so
+    poses and targets absorb the whole and nothing is left in the residuals, while the mesh is distorted (7 um rms at 1
+    K/m); either alone would invent a signature. A weather sensor that rides on the head (`head`) reads another height
+    at each station and leaves a scale a station.
+
+    Size: 0.1 K/m in a good hall, 1 to 2 K/m in a heated one; 1 K/m bends 8 m by 3.7 urad, 30 um.
+    Like: nothing is left to be like anything; `head`: station-weather. Bending alone: head-sag (0.92), vertical-index
+    (0.86 / 0).
+    Separate by: thermometers at two heights; a length standard at the floor and at the ceiling (5.6 ppm over 6 m at 1
+    K/m).
+    Valid: up to some kelvin a metre; the vertical is the z axis of the network frame.
+    Source: Born and Wolf, Principles of Optics, section 3.2 (ray equation); Ciddor 1996, Appl. Opt. 35, 1566,
+    doi:10.1364/AO.35.001566 (beta); that a network absorbs it is derived here.
+    Status: first order validated against the integrated ray; absorption by the network reproduced.
+    """
 
     sensor: Literal["room", "head"] = "room"
 
@@ -62,12 +63,12 @@ class AirGradient(Effect):
         )
         return column[:, :, None]
 
-    def shift(self, sightings: Sightings, values: Floats) -> Floats:
-        """Change (n, 3) of the raw readings by the integrated ray."""
+    def field(self, sightings: Sightings) -> AirField:
+        """The field of a gradient of one kelvin a metre."""
         bottom = self._sensor_height(sightings)
 
         def field(points: Floats) -> tuple[Floats, Floats]:
-            warmer = values[0] * (points[:, 2] - np.repeat(bottom, len(points) // max(len(bottom), 1)))
-            return warmer, np.broadcast_to([0.0, 0.0, values[0]], points.shape)
+            higher = points[:, 2] - np.repeat(bottom, len(points) // max(len(bottom), 1))
+            return higher, np.broadcast_to([0.0, 0.0, 1.0], points.shape)
 
-        return bent(sightings, field) * self.mask(sightings)[:, None]
+        return field

@@ -1,18 +1,4 @@
-"""Layered room: a warm layer lies under the roof.
-
-T(z) = D / (1 + exp(-(z - height) / width)), z above the lowest target or station, and along the path from the station,
-(D_t, D_v) = integral of (d - s) grad_perp n ds, Delta_d = -integral of (n - n_sensor) ds, s = 0 to d.
-Only the curvature of the profile is seen: targets in the layer are read too near and too high.
-
-Size: 2 to 6 K across the layer; it shows from 12 K on in one face, from 4.5 K on in two.
-Like: elevation-second-order sine (0.59); a drift, where the ceiling row is measured first.
-Separate by: a temperature profile; another time of day; stations at different heights.
-Valid: steps of 1 to 10 K; the weather sensor is below the layer; height and width along the network's z
-axis.
-Source: Born and Wolf, Principles of Optics, section 3.2 (ray equation); Ciddor 1996, Appl. Opt. 35, 1566,
-doi:10.1364/AO.35.001566 (index).
-Status: first order validated against the integrated ray.
-"""
+"""Layered room."""
 
 from dataclasses import dataclass
 from typing import Self
@@ -20,11 +6,13 @@ from typing import Self
 import numpy as np
 
 from ltsim.arrays import Floats
-from ltsim.effects.effect import Effect, Parameter, ShapeParameter, Stage
-from ltsim.effects.rays import bent, first_order
+from ltsim.effects.effect import Parameter, ShapeParameter, Stage
+from ltsim.effects.rays import AirField, WarmAir
 from ltsim.scene.sightings import Sightings
 
 HEIGHTS = 7
+
+
 WIDTHS = (0.15, 0.5)
 
 
@@ -33,14 +21,23 @@ def _ends(sightings: Sightings) -> Floats:
     return np.concatenate([sightings.points[:, 2], sightings.position[:, 2]])
 
 
-def _floor(sightings: Sightings) -> float:
-    """Height [m] of the lowest of them."""
-    return float(_ends(sightings).min(initial=np.inf))
-
-
 @dataclass(frozen=True)
-class AirLayer(Effect):
-    """A step of the temperature at `height` [m] above the lowest target or station, over some `width` [m]."""
+class AirLayer(WarmAir):
+    """Layered room: a warm layer lies under the roof.
+
+    T(z) = D / (1 + exp(-(z - height) / width)), z above the lowest target or station, and along the path from the
+    station, (D_t, D_v) = integral of (d - s) grad_perp n ds, Delta_d = -integral of (n - n_sensor) ds, s = 0 to d. Only
+    the curvature of the profile is seen: targets in the layer are read too near and too high.
+
+    Size: 2 to 6 K across the layer; it shows from 12 K on in one face, from 4.5 K on in two.
+    Like: elevation-second-order sine (0.59); a drift, where the ceiling row is measured first.
+    Separate by: a temperature profile; another time of day; stations at different heights.
+    Valid: steps of 1 to 10 K; the weather sensor is below the layer; height and width along the network's z
+    axis.
+    Source: Born and Wolf, Principles of Optics, section 3.2 (ray equation); Ciddor 1996, Appl. Opt. 35, 1566,
+    doi:10.1364/AO.35.001566 (index).
+    Status: first order validated against the integrated ray.
+    """
 
     height: float = 4.0
     width: float = 0.3
@@ -60,28 +57,16 @@ class AirLayer(Effect):
         heights = np.linspace(0.0, float(np.ptp(_ends(sightings))), HEIGHTS + 2)[1:-1]
         return [cls(height=float(z), width=w) for z in heights for w in WIDTHS]
 
-    def temperature(self, points: Floats, floor: float) -> tuple[Floats, Floats]:
-        """Temperature (m,) and gradient (m, 3) at points (m, 3) for a step of one kelvin above a floor at z [m]."""
+    def field(self, sightings: Sightings) -> AirField:
+        """The step of one kelvin above the lowest target or station."""
         from scipy.special import expit
 
-        risen: Floats = expit((points[:, 2] - floor - self.height) / self.width)
-        gradient = np.zeros_like(points)
-        gradient[:, 2] = risen * (1.0 - risen) / self.width
-        return risen, gradient
-
-    def design(self, sightings: Sightings) -> Floats:
-        """Change (n, 3, 1) of the raw readings per unit of step, first order."""
-        floor = _floor(sightings)
-        column = first_order(sightings, lambda points: self.temperature(points, floor))
-        column = column * self.mask(sightings)[:, None]
-        return column[:, :, None]
-
-    def shift(self, sightings: Sightings, values: Floats) -> Floats:
-        """Change (n, 3) of the raw readings by the integrated ray."""
-        floor = _floor(sightings)
+        floor = float(_ends(sightings).min(initial=np.inf))
 
         def field(points: Floats) -> tuple[Floats, Floats]:
-            warmer, gradient = self.temperature(points, floor)
-            return values[0] * warmer, values[0] * gradient
+            risen: Floats = expit((points[:, 2] - floor - self.height) / self.width)
+            gradient = np.zeros_like(points)
+            gradient[:, 2] = risen * (1.0 - risen) / self.width
+            return risen, gradient
 
-        return bent(sightings, field) * self.mask(sightings)[:, None]
+        return field

@@ -1,29 +1,27 @@
-"""Drift of the azimuth zero: the base or the tripod's head turns, the circle warms.
-
-Correction of the azimuth = r t (in every visit, or in one) or A exp(-t / tau). The station's yaw takes the mean, so
-only the change within a visit is seen: a linear drift over the recording and one in every visit are the same.
-
-Size: under 2 urad/h after the warm-up; tens of urad over two hours from cold, or on an unsteady stand.
-Like: transit-tilt (0.67 / 0) where points are taken level by level.
-Separate by: a random order of the targets, the first three again before leaving.
-Valid: the same law at every station, or one station's own; time constants of 10 min to 4 h.
-Source: Pollack Periodica 15(3), 2020, on the warm-up of a Leica AT960 (size); Dvořáček 2016, Acta Polytechnica 56,
-88-98 (tests of a Leica AT401).
-Status: validated against the azimuth slot at a given time, and the equality of both linear laws up to yaw.
-"""
+"""Drift of the azimuth zero."""
 
 from dataclasses import dataclass
-from typing import Self
 
-from ltsim.effects.drift import Drift
 from ltsim.effects.effect import Parameter, Stage
-from ltsim.scene.sightings import Sightings
+from ltsim.effects.places import Drift
 from ltsim.units import FACTOR, MICRORADIAN
 
 
 @dataclass(frozen=True)
 class AzimuthDrift(Drift):
-    """Azimuth zero that follows the clock."""
+    """Drift of the azimuth zero: the base or the tripod's head turns, the circle warms.
+
+    Correction of the azimuth = r t (in every visit, or in one) or A exp(-t / tau). The station's yaw takes the mean, so
+    only the change within a visit is seen: a linear drift over the recording and one in every visit are the same.
+
+    Size: under 2 urad/h after the warm-up; tens of urad over two hours from cold, or on an unsteady stand.
+    Like: transit-tilt (0.67 / 0) where points are taken level by level.
+    Separate by: a random order of the targets, the first three again before leaving.
+    Valid: the same law at every station, or one station's own; time constants of 10 min to 4 h.
+    Source: Pollack Periodica 15(3), 2020, on the warm-up of a Leica AT960 (size); Dvořáček 2016, Acta Polytechnica 56,
+    88-98 (tests of a Leica AT401).
+    Status: validated against the azimuth slot at a given time, and the equality of both linear laws up to yaw.
+    """
 
     name = "azimuth-drift"
     stage = Stage.ENCODERS
@@ -33,10 +31,5 @@ class AzimuthDrift(Drift):
     amplitude = Parameter("azimuth-drift-amplitude", "urad", "correction at the start, dying away", 20 * MICRORADIAN)
     parameters = (rate,)
 
-    @classmethod
-    def candidates(cls, sightings: Sightings) -> list[Self]:
-        """In every visit, in one visit alone, and warm-ups."""
-        names = sightings.station_names if len(sightings.station_names) > 1 else ()
-        alone = [cls((name,), law="visit") for name in names]
-        warm_ups = [cls(law="exponential", time_constant=t) for t in cls.shapes()]
-        return [cls(law="visit"), *alone, *warm_ups]
+    laws = ("visit",)
+    alone = True

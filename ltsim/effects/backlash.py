@@ -1,16 +1,4 @@
-"""Backlash: what an axis reads depends on the side it came from (hysteresis).
-
-Correction of the raw angle = -h/2 sgn(last move of that axis), on either axis. The last move is that between two
-pointings of a station in the order of the work; the first pointing of a station has none.
-
-Size: 0.1 to 0.3 urad in a good drive, 2 to 5 urad in a bad one.
-Like: encoder harmonics, where the route is always the same.
-Separate by: the same targets in the reverse order.
-Valid: constant width; the order of the rows is the order of the work. Cable drag that decays with the travel is not in
-it.
-Source: general knowledge of drives; the law is that of a play of constant width.
-Status: validated by reversing the order of the work, which turns the sign.
-"""
+"""Backlash."""
 
 from dataclasses import dataclass
 
@@ -24,7 +12,19 @@ from ltsim.units import MICRORADIAN
 
 @dataclass(frozen=True)
 class Backlash(Effect):
-    """Width of the dead zone of either axis."""
+    """Backlash: what an axis reads depends on the side it came from (hysteresis).
+
+    Correction of the raw angle = -h/2 sgn(last move of that axis), on either axis. The last move is that between two
+    pointings of a station in the order of the work; the first pointing of a station has none.
+
+    Size: 0.1 to 0.3 urad in a good drive, 2 to 5 urad in a bad one.
+    Like: encoder harmonics, where the route is always the same.
+    Separate by: the same targets in the reverse order.
+    Valid: constant width; the order of the rows is the order of the work. Cable drag that decays with the travel is not
+    in it.
+    Source: general knowledge of drives; the law is that of a play of constant width.
+    Status: validated by reversing the order of the work, which turns the sign.
+    """
 
     name = "backlash"
     stage = Stage.AXES

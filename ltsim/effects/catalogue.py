@@ -1,4 +1,4 @@
-"""The catalogue of effects: what ships with ltsim, then what installed packages add.
+"""The catalogue of effects: what ships with ltsim, then what installed packages add; and the card of each.
 
 A package adds effects by entry points of the group `ltsim.effects`, each naming a class:
 
@@ -6,16 +6,20 @@ A package adds effects by entry points of the group `ltsim.effects`, each naming
     cable-drag = "my_package.cable_drag:CableDrag"
 
 They are looked for when the catalogue is first read beyond what ships, not when ltsim is imported.
+
+A card is the docstring of the effect's class, or of its file. Its first line is the title, a colon and the cause; then
+come the law, with its sign, and a paragraph for each of `PARTS`.
 """
 
+import inspect
 import re
+import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from importlib.metadata import EntryPoint, entry_points
-from typing import overload
+from typing import Any, Self
 
-from ltsim.effects.card import PARTS, card_of
 from ltsim.effects.effect import Effect, Stage
 from ltsim.errors import ModelError, unknown_name
 from ltsim.units import FACTOR
@@ -26,6 +30,57 @@ SESSION = "this session"
 ADDED = "installed"
 """The group of effects that packages add."""
 NAME = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
+PARTS = ("Size", "Like", "Separate by", "Valid", "Source", "Status")
+"""Of a good and of a bad instrument or room; what leaves similar residuals, with two correlations of the residuals in
+the reference workshop, one face and two faces; the measurement that tells it from these; where the law holds;
+literature; how the law was validated.
+"""
+_PART = re.compile(rf"^({'|'.join(PARTS)}): ", re.MULTILINE)
+
+
+@dataclass(frozen=True)
+class Card:
+    """What is known of a physical cause."""
+
+    title: str
+    cause: str
+    """What it is called, and what happens."""
+    law: str
+    """The equation with its sign, in lines as they are written; often with what gives it away."""
+    told: tuple[str, ...]
+    """The texts of `PARTS`."""
+
+    @classmethod
+    def read(cls, text: str) -> Self:
+        """The card in a docstring; raises ModelError, naming the part that is missing, given twice or out of order."""
+        head, _, rest = inspect.cleandoc(text).partition("\n\n")
+        title, colon, cause = " ".join(head.split()).rstrip(".").partition(": ")
+        if not colon or not cause:
+            raise ModelError(f"a card begins with 'Title: what happens.', found {head.partition(chr(10))[0]!r}")
+        pieces = _PART.split(rest)
+        if tuple(pieces[1::2]) != PARTS:
+            found = ", ".join(pieces[1::2]) or "none"
+            raise ModelError(f"a card has the parts {', '.join(PARTS)} in this order, found {found}")
+        law, *told = (piece.strip() for piece in pieces[::2])
+        for name, part in zip(("law", *PARTS), (law, *told), strict=True):
+            if not part:
+                raise ModelError(f"the part {name} of a card is empty")
+        return cls(title, cause, law, tuple(" ".join(part.split()) for part in told))
+
+    def parts(self) -> tuple[tuple[str, str], ...]:
+        """(name, text) of the parts after the law."""
+        return tuple(zip(PARTS, self.told, strict=True))
+
+
+@cache
+def card_of(kind: type) -> Card:
+    """The card of an effect; raises ModelError when neither the class nor its file has one that is complete."""
+    own = kind.__dict__.get("__doc__") or ""
+    text = own if _PART.search(inspect.cleandoc(own)) else sys.modules[kind.__module__].__doc__
+    try:
+        return Card.read(text or "")
+    except ModelError as problem:
+        raise ModelError(f"{kind.__module__}.{kind.__name__}: {problem}") from None
 
 
 @dataclass(frozen=True)
@@ -87,13 +142,10 @@ class Catalogue(Sequence[type[Effect]]):
         try:
             card_of(kind)
         except ModelError:
-            title, parts = (
-                kind.name.replace("-", " ").capitalize(),
-                "\n\n".join(f"{part}: not stated." for part in PARTS),
-            )
+            title = kind.name.replace("-", " ").capitalize()
+            parts = "\n\n".join(f"{part}: not stated." for part in PARTS)
             kind.__doc__ = f"{title}: an effect of this session.\n\nnot stated\n\n{parts}\n"
-        self.__dict__.pop("_kinds", None)
-        self.__dict__["entries"] = {**self.entries, kind.name: Entry(kind, SESSION, "this session")}
+        self.__dict__["entries"] = {**self.entries, kind.name: Entry(kind, SESSION, SESSION)}
         return kind
 
     @property
@@ -114,22 +166,14 @@ class Catalogue(Sequence[type[Effect]]):
             raise unknown_name("effect", name, self.entries)
         return entry.kind
 
-    @cached_property
-    def _kinds(self) -> tuple[type[Effect], ...]:
-        return tuple(entry.kind for entry in self.entries.values())
-
     def __len__(self) -> int:
-        return len(self._kinds)
+        return len(self.entries)
 
     def __iter__(self) -> Iterator[type[Effect]]:
-        return iter(self._kinds)
+        return (entry.kind for entry in self.entries.values())
 
-    @overload
-    def __getitem__(self, index: int) -> type[Effect]: ...
-    @overload
-    def __getitem__(self, index: slice) -> tuple[type[Effect], ...]: ...
-    def __getitem__(self, index: int | slice) -> type[Effect] | tuple[type[Effect], ...]:
-        return self._kinds[index]
+    def __getitem__(self, index: Any) -> Any:
+        return tuple(self)[index]
 
 
 def _package(point: EntryPoint) -> str:
@@ -146,14 +190,12 @@ def _loaded(point: EntryPoint) -> Entry:
         kind = point.load()
     except Exception as problem:  # whatever a stranger's module does when it is imported
         raise _refused(point, f"{type(problem).__name__}: {problem}") from problem
-    why = fault_of(kind)
-    if not why:
-        try:
-            card_of(kind)
-        except ModelError as problem:
-            why = str(problem)
-    if why:
+    if why := fault_of(kind):
         raise _refused(point, why)
+    try:
+        card_of(kind)
+    except ModelError as problem:
+        raise _refused(point, str(problem)) from None
     return Entry(kind, ADDED, _package(point))
 
 

@@ -1,15 +1,4 @@
-"""Dead path: a part of the reference path inside the head warms with the air, and nobody corrects it.
-
-Delta_d = k (T - T_0), T the recorded air temperature, T_0 that of the first pointing. For an interferometer
-k = -beta D_0, with beta = 0.955 ppm/K the change of the air's index; for an absolute meter the fibre's own.
-
-Size: 0.15 um/K for a path D_0 of 0.15 m, negligible; 1 to 5 um/K for the fibre of a bad absolute meter.
-Like: range-drift, where the temperature follows the clock.
-Separate by: a new homing; both distance modes along the same line.
-Valid: needs the column air_temperature_c; without it, or with a constant one, there is nothing to try.
-Source: Bobroff 1993, Recent advances in displacement measuring interferometry, Meas. Sci. Technol. 4, 907-926.
-Status: validated on a temperature column; the size is general knowledge.
-"""
+"""Dead path."""
 
 from dataclasses import dataclass
 from typing import Self
@@ -22,13 +11,26 @@ from ltsim.scene.sightings import Sightings
 from ltsim.units import MICROMETRE
 
 COLUMN = "air_temperature_c"
+
+
 STEADY = 0.05
 """[K] span of temperature below which nothing can be learnt."""
 
 
 @dataclass(frozen=True)
 class DeadPath(Effect):
-    """Range zero per kelvin of the air."""
+    """Dead path: a part of the reference path inside the head warms with the air, and nobody corrects it.
+
+    Delta_d = k (T - T_0), T the recorded air temperature, T_0 that of the first pointing. For an interferometer
+    k = -beta D_0, with beta = 0.955 ppm/K the change of the air's index; for an absolute meter the fibre's own.
+
+    Size: 0.15 um/K for a path D_0 of 0.15 m, negligible; 1 to 5 um/K for the fibre of a bad absolute meter.
+    Like: range-drift, where the temperature follows the clock.
+    Separate by: a new homing; both distance modes along the same line.
+    Valid: needs the column air_temperature_c; without it, or with a constant one, there is nothing to try.
+    Source: Bobroff 1993, Recent advances in displacement measuring interferometry, Meas. Sci. Technol. 4, 907-926.
+    Status: validated on a temperature column; the size is general knowledge.
+    """
 
     name = "dead-path"
     stage = Stage.RANGE

@@ -34,6 +34,7 @@ from ltsim.effects.signature import (
     ShapeParameter as ShapeParameter,
     Signature as Signature,
     Tunable,
+    along_axes as along_axes,
     by_displacement as by_displacement,
     on_readings as on_readings,
     parameter_names as parameter_names,

@@ -1,35 +1,35 @@
-"""Interpolation error of an encoder: the signal between two lines of the scale is no pure sine.
-
-Delta = A cos(N x) + B sin(N x) on one circle, x its raw reading, N the periods a turn, 1e3 to 1e5. It looks like white
-noise of that angle, but repeats where the same angle is read again.
-
-Size: 0.05 urad in a good encoder, 0.5 to 1 urad in a bad one.
-Like: white noise of that angle.
-Separate by: a repeat with the base turned by a known fraction; a dense sweep of one target along an arc.
-Valid: where N is known, from the data sheet: a network of some hundred pointings cannot search N over all integers, so
-the usual counts are tried. An error e of x blurs the phase by N e, 15 urad by 0.5 rad at N = 36 000: an adjustment
-takes it at the reading with the instrument's own errors in it (`sightings.read`), as the exact chain does.
-Source: Heydemann 1981, Appl. Opt. 20, 3382, doi:10.1364/AO.20.003382 (why a quadrature signal leaves such an error);
-sizes are general knowledge.
-Status: validated against the exact chain for N up to 36 000.
-"""
+"""Interpolation error of an encoder."""
 
 from dataclasses import dataclass
 from typing import Literal, Self
 
-from ltsim.effects.azimuth_harmonic import waves
-from ltsim.effects.effect import Parameter, SlotEffect, Stage, Term
+from ltsim.effects.circles import lobes, waves
+from ltsim.effects.effect import SlotEffect, Stage, Term
 from ltsim.scene.sightings import Sightings
 from ltsim.units import MICRORADIAN
 
 COUNTS = (256, 360, 512, 720, 1024, 2048, 3600, 4096, 8192, 9000, 10_000, 16_384, 18_000, 20_000, 32_768, 36_000)
 """Periods per turn of encoders on the market: powers of two, and whole fractions of a degree."""
-COLUMN = {"azimuth": 1, "elevation": 2}
 
 
 @dataclass(frozen=True)
 class EncoderInterpolation(SlotEffect):
-    """Interpolation error of one circle (`azimuth` or `elevation`) with `periods` per turn."""
+    """Interpolation error of an encoder: the signal between two lines of the scale is no pure sine.
+
+    Delta = A cos(N x) + B sin(N x) on one circle, x its raw reading, N the periods a turn, 1e3 to 1e5. It looks like
+    white noise of that angle, but repeats where the same angle is read again.
+
+    Size: 0.05 urad in a good encoder, 0.5 to 1 urad in a bad one.
+    Like: white noise of that angle.
+    Separate by: a repeat with the base turned by a known fraction; a dense sweep of one target along an arc.
+    Valid: where N is known, from the data sheet: a network of some hundred pointings cannot search N over all integers,
+    so the usual counts are tried. An error e of x blurs the phase by N e, 15 urad by 0.5 rad at N = 36 000: an
+    adjustment takes it at the reading with the instrument's own errors in it (`sightings.read`), as the exact chain
+    does.
+    Source: Heydemann 1981, Appl. Opt. 20, 3382, doi:10.1364/AO.20.003382 (why a quadrature signal leaves such an
+    error); sizes are general knowledge.
+    Status: validated against the exact chain for N up to 36 000.
+    """
 
     circle: Literal["azimuth", "elevation"] = "azimuth"
     periods: int = 36_000
@@ -38,10 +38,7 @@ class EncoderInterpolation(SlotEffect):
     stage = Stage.ENCODERS
     observables = ("azimuth", "elevation")
     covariates = ("azimuth", "elevation")
-    parameters = (
-        Parameter("interpolation-cos", "urad", "cosine of `periods` times the raw angle", 1 * MICRORADIAN),
-        Parameter("interpolation-sin", "urad", "sine of `periods` times the raw angle", 1 * MICRORADIAN),
-    )
+    parameters = lobes("interpolation", "`periods` times the raw angle", MICRORADIAN)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "observables", (self.circle,))
@@ -50,7 +47,7 @@ class EncoderInterpolation(SlotEffect):
     @property
     def terms(self) -> tuple[Term, ...]:  # type: ignore[override]
         """The slot and the two waves."""
-        return waves(self.circle, COLUMN[self.circle], self.periods)
+        return waves(self.circle, self.periods)
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:

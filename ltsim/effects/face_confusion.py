@@ -1,16 +1,4 @@
-"""Confused faces: readings of one face are stored as those of the other.
-
-Rows stored as `face` hold what the other face read: azimuth + 180 deg and 180 deg - elevation of what is expected.
-
-Size: metres: a point lands behind the tracker.
-Like: nothing.
-Separate by: nothing is needed: the raw elevation itself says on which face it was read.
-Valid: the parameter is 1 where it happened and 0 elsewhere. A mistake of this size is mended before an adjustment, so
-`candidates` is empty and `possible` lists the mistakes.
-Source: definition of the two faces of a theodolite; Deumlich and Staiger 2002, Instrumentenkunde der
-Vermessungstechnik.
-Status: validated: twice the same mistake gives the reading back.
-"""
+"""Confused faces."""
 
 from dataclasses import dataclass, replace
 from typing import Self
@@ -24,7 +12,19 @@ from ltsim.scene.sightings import Sightings
 
 @dataclass(frozen=True)
 class FaceConfusion(Mistake):
-    """Rows of a station stored as `face` (1 or 2) that hold the other face's readings."""
+    """Confused faces: readings of one face are stored as those of the other.
+
+    Rows stored as `face` hold what the other face read: azimuth + 180 deg and 180 deg - elevation of what is expected.
+
+    Size: metres: a point lands behind the tracker.
+    Like: nothing.
+    Separate by: nothing is needed: the raw elevation itself says on which face it was read.
+    Valid: the parameter is 1 where it happened and 0 elsewhere. A mistake of this size is mended before an adjustment,
+    so `candidates` is empty and `possible` lists the mistakes.
+    Source: definition of the two faces of a theodolite; Deumlich and Staiger 2002, Instrumentenkunde der
+    Vermessungstechnik.
+    Status: validated: twice the same mistake gives the reading back.
+    """
 
     face: int = 2
 

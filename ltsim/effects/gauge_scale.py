@@ -1,14 +1,4 @@
-"""Scale of the gauge: its temperature or its coefficient of expansion is wrong.
-
-True length = stated length (1 + s); a stated length changes by -s L. No reading changes.
-
-Size: a coefficient from a table is wrong by some percent, 8 ppm for aluminium over 7 K; a gauge one kelvin off 23 ppm.
-Like: range-scale, one index of air for all, a uniform warming of the mesh: exactly.
-Separate by: a thermometer on the gauge; a bar of another material; a maker's guarantee on the range scale.
-Valid: all known lengths share one gauge.
-Source: Sensors 2021, 21, 7479, doi:10.3390/s21227479, eq. 15, which lacks the length: L (1 + a dT) is meant.
-Status: validated on the known lengths.
-"""
+"""Scale of the gauge."""
 
 from dataclasses import dataclass
 
@@ -22,7 +12,18 @@ from ltsim.units import PPM
 
 @dataclass(frozen=True)
 class GaugeScale(Effect):
-    """Factor on every known length, less one."""
+    """Scale of the gauge: its temperature or its coefficient of expansion is wrong.
+
+    True length = stated length (1 + s); a stated length changes by -s L. No reading changes.
+
+    Size: a coefficient from a table is wrong by some percent, 8 ppm for aluminium over 7 K; a gauge one kelvin off 23
+    ppm.
+    Like: range-scale, one index of air for all, a uniform warming of the mesh: exactly.
+    Separate by: a thermometer on the gauge; a bar of another material; a maker's guarantee on the range scale.
+    Valid: all known lengths share one gauge.
+    Source: Sensors 2021, 21, 7479, doi:10.3390/s21227479, eq. 15, which lacks the length: L (1 + a dT) is meant.
+    Status: validated on the known lengths.
+    """
 
     name = "gauge-scale"
     stage = Stage.TARGET

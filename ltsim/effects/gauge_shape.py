@@ -1,16 +1,4 @@
-"""Shape of the gauge: a nest moved, or the gauge bent, after its lengths were measured.
-
-One nest has moved by D since: true length = stated length + D . unit vector towards the nest. The parameters are the
-nest's motion in the network frame (no correction of a reading); no reading changes, the target is where it is today.
-
-Size: 1 K across a frame 20 mm thick with nests 40 mm above it turns into 28 um on 590 mm; a nest moves by 5 to 50 um.
-Like: smr-centring or dirt in the gauge's nest.
-Separate by: the gauge measured again; reflectors swapped. Of the lengths' freedoms one is scale, the rest is shape.
-Valid: motions small against the lengths; a bend out of the plane of a flat gauge leaves its lengths as they are.
-Source: Sensors 2021, 21, 7479, doi:10.3390/s21227479, table 2 and section 2.3 (the gauge; 2.3 + L/300 um of the machine
-that measured it).
-Status: validated against moved points on the known lengths.
-"""
+"""Shape of the gauge."""
 
 from dataclasses import dataclass
 from typing import Self
@@ -18,16 +6,28 @@ from typing import Self
 import numpy as np
 
 from ltsim.arrays import Floats, Ints
-from ltsim.effects.effect import Effect, Parameter, Stage
+from ltsim.effects.effect import Effect, Stage, along_axes
 from ltsim.scene.sightings import Sightings
 from ltsim.units import MICROMETRE
-
-MOVED = 30 * MICROMETRE
 
 
 @dataclass(frozen=True)
 class GaugeShape(Effect):
-    """Motion of one nest of the gauge, the target of number `index`, since its lengths were measured."""
+    """Shape of the gauge: a nest moved, or the gauge bent, after its lengths were measured.
+
+    One nest has moved by D since: true length = stated length + D . unit vector towards the nest. The parameters are
+    the nest's motion in the network frame (no correction of a reading); no reading changes, the target is where it is
+    today.
+
+    Size: 1 K across a frame 20 mm thick with nests 40 mm above it turns into 28 um on 590 mm; a nest moves by 5 to 50
+    um.
+    Like: smr-centring or dirt in the gauge's nest.
+    Separate by: the gauge measured again; reflectors swapped. Of the lengths' freedoms one is scale, the rest is shape.
+    Valid: motions small against the lengths; a bend out of the plane of a flat gauge leaves its lengths as they are.
+    Source: Sensors 2021, 21, 7479, doi:10.3390/s21227479, table 2 and section 2.3 (the gauge; 2.3 + L/300 um of the
+    machine that measured it).
+    Status: validated against moved points on the known lengths.
+    """
 
     index: int = 0
 
@@ -37,11 +37,7 @@ class GaugeShape(Effect):
     covariates = ("place",)
     scope = "target"
     plural = True
-    parameters = (
-        Parameter("nest-x", "um", "motion of the nest along the network's x axis", MOVED),
-        Parameter("nest-y", "um", "motion of the nest along the network's y axis", MOVED),
-        Parameter("nest-z", "um", "motion of the nest along the network's z axis", MOVED),
-    )
+    parameters = along_axes("nest", "um", "motion of the nest along", 30 * MICROMETRE)
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:

@@ -1,19 +1,4 @@
-"""Heat plume: a motor, a radiator or the tracker's own exhaust warms a part of the air.
-
-T = D exp(-|r - c|^2 / (2 radius^2)), its centre c at an offset from a station or a target; along the path, s = 0 to d,
-(D_t, D_v) = integral of (d - s) grad_perp n ds, Delta_d = -integral of (n - n_sensor) ds.
-The weight (d - s) makes heat near the station bend the aim (a shift that grows with d), heat near a target hardly at
-all; the range falls short by beta times the integral of T wherever it is.
-
-Size: 5 K over 0.5 m changes a range by 2.3 um; at the head, with a gradient of 5 K in 0.2 m, it bends by 7 urad.
-Like: the station's tilt and index-drift there (near a station); a range constant of that target (near a target).
-Separate by: a fan on and off; a repeat after cooling; the scatter of repeats by direction.
-Valid: on while its station, or target, is measured; the centre is searched half a metre away in all directions, then
-moved, and the radius refined.
-Source: Born and Wolf, Principles of Optics, section 3.2 (ray equation); Ciddor 1996, Appl. Opt. 35, 1566,
-doi:10.1364/AO.35.001566 (index).
-Status: first order validated against the integrated ray; the Gaussian form is a choice.
-"""
+"""Heat plume."""
 
 from dataclasses import dataclass
 from typing import Self
@@ -21,18 +6,28 @@ from typing import Self
 import numpy as np
 
 from ltsim.arrays import Floats
-from ltsim.effects.effect import Effect, Parameter, ShapeParameter, Stage
-from ltsim.effects.rays import bent, first_order
+from ltsim.effects.effect import Parameter, ShapeParameter, Stage
+from ltsim.effects.rays import AirField, WarmAir
 from ltsim.scene.sightings import Sightings
 
 RING = 8
+
+
 LEVELS = (-0.6, 0.0, 0.6)
 """[rad] elevations of the directions that are tried, besides the poles."""
+
+
 REACH = 0.5
 """[m] from a station to the centres that are tried."""
+
+
 MOVES = (0.2, 0.08)
 """[m] steps by which a centre is refined."""
+
+
 NEAR_STATION, NEAR_TARGET = 0.25, 0.5
+
+
 MOST_PLACES = 40
 """Stations, or targets, beyond which single plumes are not tried."""
 
@@ -43,8 +38,23 @@ def _rounded(offset: Floats) -> tuple[float, float, float]:
 
 
 @dataclass(frozen=True)
-class HeatPlume(Effect):
-    """A warm ball of air of some `radius` [m], at `offset` [m] from its station or target."""
+class HeatPlume(WarmAir):
+    """Heat plume: a motor, a radiator or the tracker's own exhaust warms a part of the air.
+
+    T = D exp(-|r - c|^2 / (2 radius^2)), its centre c at an offset from a station or a target; along the path, s = 0 to
+    d, (D_t, D_v) = integral of (d - s) grad_perp n ds, Delta_d = -integral of (n - n_sensor) ds. The weight (d - s)
+    makes heat near the station bend the aim (a shift that grows with d), heat near a target hardly at all; the range
+    falls short by beta times the integral of T wherever it is.
+
+    Size: 5 K over 0.5 m changes a range by 2.3 um; at the head, with a gradient of 5 K in 0.2 m, it bends by 7 urad.
+    Like: the station's tilt and index-drift there (near a station); a range constant of that target (near a target).
+    Separate by: a fan on and off; a repeat after cooling; the scatter of repeats by direction.
+    Valid: on while its station, or target, is measured; the centre is searched half a metre away in all directions,
+    then moved, and the radius refined.
+    Source: Born and Wolf, Principles of Optics, section 3.2 (ray equation); Ciddor 1996, Appl. Opt. 35, 1566,
+    doi:10.1364/AO.35.001566 (index).
+    Status: first order validated against the integrated ray; the Gaussian form is a choice.
+    """
 
     offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
     radius: float = 0.3
@@ -81,34 +91,18 @@ class HeatPlume(Effect):
         moved = [sign * step * axis for step in MOVES for axis in np.eye(3) for sign in (1.0, -1.0)]
         return [self.reshaped(offset=_rounded(np.array(self.offset) + move)) for move in moved]
 
-    def _centre(self, sightings: Sightings) -> Floats:
-        """(3,) [m] in the network frame: from the station where one is named, else from the target."""
+    def field(self, sightings: Sightings) -> AirField:
+        """The plume with a centre warmer by one kelvin: from the station where one is named, else from the target."""
+        anchor = np.zeros(3)
         if self.stations:
             anchor = sightings.position[sightings.station_names.index(self.stations[0])]
         elif self.targets:
             anchor = sightings.points[sightings.target_names.index(self.targets[0])]
-        else:
-            anchor = np.zeros(3)
-        return anchor + np.asarray(self.offset)
-
-    def temperature(self, points: Floats, centre: Floats) -> tuple[Floats, Floats]:
-        """Temperature (m,) and gradient (m, 3) at points (m, 3) for a centre warmer by one kelvin."""
-        arm = points - centre
-        warm = np.exp(-0.5 * np.einsum("mi,mi->m", arm, arm) / self.radius**2)
-        return warm, -arm * (warm / self.radius**2)[:, None]
-
-    def design(self, sightings: Sightings) -> Floats:
-        """Change (n, 3, 1) of the raw readings per unit of temperature, first order."""
-        centre = self._centre(sightings)
-        acts = self.mask(sightings) > 0
-        return first_order(sightings, lambda points: self.temperature(points, centre), acts)[:, :, None]
-
-    def shift(self, sightings: Sightings, values: Floats) -> Floats:
-        """Change (n, 3) of the raw readings by the integrated ray."""
-        centre = self._centre(sightings)
+        centre = anchor + np.asarray(self.offset)
 
         def field(points: Floats) -> tuple[Floats, Floats]:
-            warm, gradient = self.temperature(points, centre)
-            return values[0] * warm, values[0] * gradient
+            arm = points - centre
+            warm = np.exp(-0.5 * np.einsum("mi,mi->m", arm, arm) / self.radius**2)
+            return warm, -arm * (warm / self.radius**2)[:, None]
 
-        return bent(sightings, field) * self.mask(sightings)[:, None]
+        return field

@@ -1,30 +1,28 @@
-"""Drift of the vertical index: the head warms up and the zero of the elevation circle moves.
-
-Correction of the raw elevation = r t (anew in every visit, or over the recording) or A exp(-t / tau). It flips with the
-face in front-face terms, as the index does.
-
-Size: under 2 urad/h after the warm-up; tens of urad over two hours from cold.
-Like: the index itself (0.63 / 0.86) and elevation-second-order cosine (0.84) where points are taken level by level;
-station-settling.
-Separate by: a random order of the targets, the first three again before leaving, two faces.
-Valid: the same law at every station, or one station's own; time constants of 10 min to 4 h.
-Source: Pollack Periodica 15(3), 2020, on the warm-up of a Leica AT960 (size); patents GB 2497910 B and US 8511891 (the
-two-face error followed over time measures stability).
-Status: validated against the vertical index at a given time, face parity and sign.
-"""
+"""Drift of the vertical index."""
 
 from dataclasses import dataclass
-from typing import Self
 
-from ltsim.effects.drift import Drift
 from ltsim.effects.effect import Parameter, Stage
-from ltsim.scene.sightings import Sightings
+from ltsim.effects.places import Drift
 from ltsim.units import FACTOR, MICRORADIAN
 
 
 @dataclass(frozen=True)
 class IndexDrift(Drift):
-    """Vertical index that follows the clock."""
+    """Drift of the vertical index: the head warms up and the zero of the elevation circle moves.
+
+    Correction of the raw elevation = r t (anew in every visit, or over the recording) or A exp(-t / tau). It flips with
+    the face in front-face terms, as the index does.
+
+    Size: under 2 urad/h after the warm-up; tens of urad over two hours from cold.
+    Like: the index itself (0.63 / 0.86) and elevation-second-order cosine (0.84) where points are taken level by level;
+    station-settling.
+    Separate by: a random order of the targets, the first three again before leaving, two faces.
+    Valid: the same law at every station, or one station's own; time constants of 10 min to 4 h.
+    Source: Pollack Periodica 15(3), 2020, on the warm-up of a Leica AT960 (size); patents GB 2497910 B and US 8511891
+    (the two-face error followed over time measures stability).
+    Status: validated against the vertical index at a given time, face parity and sign.
+    """
 
     name = "index-drift"
     stage = Stage.ENCODERS
@@ -34,11 +32,5 @@ class IndexDrift(Drift):
     amplitude = Parameter("index-drift-amplitude", "urad", "index at the start, dying away", 20 * MICRORADIAN)
     parameters = (rate,)
 
-    @classmethod
-    def candidates(cls, sightings: Sightings) -> list[Self]:
-        """Over the recording, anew in every visit, in one visit alone, and warm-ups."""
-        names = sightings.station_names if len(sightings.station_names) > 1 else ()
-        visits = [cls(law="visit")] if names else []
-        alone = [cls((name,), law="visit") for name in names]
-        warm_ups = [cls(law="exponential", time_constant=t) for t in cls.shapes()]
-        return [cls(law="linear"), *visits, *alone, *warm_ups]
+    laws = ("linear", "visit")
+    alone = True

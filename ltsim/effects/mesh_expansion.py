@@ -1,15 +1,4 @@
-"""Thermal expansion of the mesh: walls and floor carry the targets along as the hall warms.
-
-P(t) = P + a t A (P - centroid), t since the first pointing, A = 1 (uniform) or the z axis alone (vertical). The
-parameter is the growth of the structure itself (no correction of a reading).
-
-Size: steel and concrete grow 11 to 12 ppm/K, 69 um over 6 m and 1 K: often more than all errors of the tracker.
-Like: refractivity-drift and station-weather (uniform mode, exact where it grows between visits), range-drift (0.955).
-Separate by: thermometers on the structure; a gauge of another material read at each station; the first station again.
-Valid: linear over the recording; the fixed point does not matter, poses take a common motion.
-Source: Bryan 1990, International status of thermal error research, CIRP Annals 39, 645-656; the law is derived here.
-Status: first order validated against the exact motion, and against the range scale drift in the network.
-"""
+"""Thermal expansion of the mesh."""
 
 from dataclasses import dataclass
 from typing import Literal, Self
@@ -17,8 +6,8 @@ from typing import Literal, Self
 import numpy as np
 
 from ltsim.arrays import Floats
-from ltsim.effects.effect import Effect, Parameter, Stage, by_displacement
-from ltsim.effects.motions import exact_target_change
+from ltsim.effects.effect import Parameter, Stage
+from ltsim.effects.motions import TargetMotion
 from ltsim.effects.places import start_time
 from ltsim.scene.sightings import Sightings
 from ltsim.units import FACTOR
@@ -27,8 +16,22 @@ MODES = {"uniform": np.ones(3), "vertical": np.array([0.0, 0.0, 1.0])}
 
 
 @dataclass(frozen=True)
-class MeshExpansion(Effect):
-    """Growth of all targets about their centroid, in all directions or upwards."""
+class MeshExpansion(TargetMotion):
+    """Thermal expansion of the mesh: walls and floor carry the targets along as the hall warms.
+
+    P(t) = P + a t A (P - centroid), t since the first pointing, A = 1 (uniform) or the z axis alone (vertical). The
+    parameter is the growth of the structure itself (no correction of a reading).
+
+    Size: steel and concrete grow 11 to 12 ppm/K, 69 um over 6 m and 1 K: often more than all errors of the tracker.
+    Like: refractivity-drift and station-weather (uniform mode, exact where it grows between visits), range-drift
+    (0.955).
+    Separate by: thermometers on the structure; a gauge of another material read at each station; the first station
+    again.
+    Valid: linear over the recording; the fixed point does not matter, poses take a common motion.
+    Source: Bryan 1990, International status of thermal error research, CIRP Annals 39, 645-656; the law is derived
+    here.
+    Status: first order validated against the exact motion, and against the range scale drift in the network.
+    """
 
     mode: Literal["uniform", "vertical"] = "uniform"
 
@@ -42,16 +45,8 @@ class MeshExpansion(Effect):
         """Both modes."""
         return [cls(mode="uniform"), cls(mode="vertical")]
 
-    def _displacement(self, sightings: Sightings) -> Floats:
-        """(n, 3): motion of each pointing's target per unit of the rate."""
+    def displacement(self, sightings: Sightings) -> Floats:
+        """Motion (n, 3, 1) of each pointing's target per unit of the rate."""
         since = self.mask(sightings) * (sightings.time - start_time(sightings))
         arm = sightings.points[sightings.target] - sightings.points.mean(axis=0)
-        return since[:, None] * arm * MODES[self.mode]
-
-    def design(self, sightings: Sightings) -> Floats:
-        """Change (n, 3, 1) of the raw readings per unit of the rate, first order."""
-        return by_displacement(sightings, self._displacement(sightings)[:, :, None])
-
-    def shift(self, sightings: Sightings, values: Floats) -> Floats:
-        """Change (n, 3) of the raw readings, exact."""
-        return exact_target_change(sightings, values[0] * self._displacement(sightings))
+        return (since[:, None] * arm * MODES[self.mode])[:, :, None]

@@ -1,8 +1,11 @@
-"""What readings do when targets or stations move: exact, and first order. Shared by the effects that move things."""
+"""What readings do when targets or stations move: exact, first order, and as bases of the effects that move things."""
+
+from dataclasses import dataclass
 
 import numpy as np
 
 from ltsim.arrays import Floats
+from ltsim.effects.effect import Effect, by_displacement
 from ltsim.geometry.polar import to_face, to_polar, wrap
 from ltsim.geometry.rigid import pose_design
 from ltsim.geometry.rotations import from_rotation_vector
@@ -35,3 +38,37 @@ def reading_change(sightings: Sightings, local: Floats) -> Floats:
     change: Floats = to_face(to_polar(local), sightings.face) - sightings.raw
     change[:, 1] = wrap(change[:, 1])
     return change
+
+
+@dataclass(frozen=True)
+class TargetMotion(Effect):
+    """An effect that moves targets, or lets them appear moved."""
+
+    def displacement(self, sightings: Sightings) -> Floats:
+        """Motion (n, 3, p) [m] of each pointing's target in the network frame, per unit of each parameter."""
+        raise NotImplementedError
+
+    def design(self, sightings: Sightings) -> Floats:
+        """Change (n, 3, p) of the raw readings per unit of each parameter, first order."""
+        return by_displacement(sightings, self.displacement(sightings))
+
+    def shift(self, sightings: Sightings, values: Floats) -> Floats:
+        """Change (n, 3) of the raw readings, exact."""
+        return exact_target_change(sightings, self.displacement(sightings) @ values)
+
+
+@dataclass(frozen=True)
+class StationMotion(Effect):
+    """An effect that moves stations."""
+
+    def motion(self, sightings: Sightings) -> Floats:
+        """Motion (n, 6, p) of each pointing's station, as of `exact_station_change`, per unit of each parameter."""
+        raise NotImplementedError
+
+    def design(self, sightings: Sightings) -> Floats:
+        """Change (n, 3, p) of the raw readings per unit of each parameter, first order."""
+        return station_design(sightings) @ self.motion(sightings)
+
+    def shift(self, sightings: Sightings, values: Floats) -> Floats:
+        """Change (n, 3) of the raw readings, exact."""
+        return exact_station_change(sightings, self.motion(sightings) @ values)

@@ -1,16 +1,4 @@
-"""Badly seated reflector: dirt or a burr lifts it in its nest during one visit of one station.
-
-D = h n along the nest's normal (kind `normal`), or any direction (kind `free`: a cone or three balls push sideways).
-The parameters are the motion of the reflector (no correction of a reading); all three readings of that visit share it.
-
-Size: 4 um in a clean nest, 5 to 50 um with dirt.
-Like: outlier in one reading (0.85).
-Separate by: reseating and repeating; a lift hits all three readings in a fixed direction.
-Valid: 5 to 200 um; one seating a visit, so both faces and all repeats share it.
-Source: Hughes et al. 2011, Meas. Sci. Technol. 22, 045103, doi:10.1088/0957-0233/22/4/045103 (repeatability of nests,
-second hand); Baarda 1968, A testing procedure for use in geodetic networks (its smallest detectable size).
-Status: first order validated against the exact motion.
-"""
+"""Badly seated reflector."""
 
 from dataclasses import dataclass
 from typing import Literal, Self
@@ -18,20 +6,35 @@ from typing import Literal, Self
 import numpy as np
 
 from ltsim.arrays import Floats
-from ltsim.effects.effect import Effect, Parameter, Stage, by_displacement
-from ltsim.effects.motions import exact_target_change
+from ltsim.effects.effect import Parameter, Stage, along_axes
+from ltsim.effects.motions import TargetMotion
 from ltsim.effects.places import visited_pairs
 from ltsim.scene.sightings import Sightings
 from ltsim.units import MICROMETRE
 
 SIZE = 50 * MICROMETRE
+
+
 MOST_PAIRS = 600
 """Pairs of station and target beyond which no network is searched for single seatings: the w-test finds them."""
 
 
 @dataclass(frozen=True)
-class NestLift(Effect):
-    """A reflector that sits elsewhere during one visit."""
+class NestLift(TargetMotion):
+    """Badly seated reflector: dirt or a burr lifts it in its nest during one visit of one station.
+
+    D = h n along the nest's normal (kind `normal`), or any direction (kind `free`: a cone or three balls push
+    sideways). The parameters are the motion of the reflector (no correction of a reading); all three readings of that
+    visit share it.
+
+    Size: 4 um in a clean nest, 5 to 50 um with dirt.
+    Like: outlier in one reading (0.85).
+    Separate by: reseating and repeating; a lift hits all three readings in a fixed direction.
+    Valid: 5 to 200 um; one seating a visit, so both faces and all repeats share it.
+    Source: Hughes et al. 2011, Meas. Sci. Technol. 22, 045103, doi:10.1088/0957-0233/22/4/045103 (repeatability of
+    nests, second hand); Baarda 1968, A testing procedure for use in geodetic networks (its smallest detectable size).
+    Status: first order validated against the exact motion.
+    """
 
     kind: Literal["normal", "free"] = "normal"
 
@@ -44,11 +47,7 @@ class NestLift(Effect):
 
     def __post_init__(self) -> None:
         if self.kind == "free":
-            moved = (
-                Parameter("lift-x", "um", "motion of the reflector along the network's x axis", SIZE),
-                Parameter("lift-y", "um", "motion of the reflector along the network's y axis", SIZE),
-                Parameter("lift-z", "um", "motion of the reflector along the network's z axis", SIZE),
-            )
+            moved = along_axes("lift", "um", "motion of the reflector along", SIZE)
             object.__setattr__(self, "parameters", moved)
 
     @classmethod
@@ -62,18 +61,10 @@ class NestLift(Effect):
         along = [cls((s,), (t,), "normal") for s, t in pairs if t in nests]
         return [*along, *(cls((s,), (t,), "free") for s, t in pairs)]
 
-    def _directions(self, sightings: Sightings) -> Floats:
-        """(n, 3, p): displacement of each pointing's target per unit."""
+    def displacement(self, sightings: Sightings) -> Floats:
+        """Motion (n, 3, p) of each pointing's reflector per unit."""
         acts = self.mask(sightings)[:, None, None]
         if self.kind == "free":
             return acts * np.eye(3)
         normal: Floats = np.nan_to_num(sightings.nest_normal[sightings.target])[:, :, None]
         return acts * normal
-
-    def design(self, sightings: Sightings) -> Floats:
-        """Change (n, 3, p) of the raw readings per unit of motion, first order."""
-        return by_displacement(sightings, self._directions(sightings))
-
-    def shift(self, sightings: Sightings, values: Floats) -> Floats:
-        """Change (n, 3) of the raw readings, exact."""
-        return exact_target_change(sightings, self._directions(sightings) @ values)

@@ -1,14 +1,4 @@
-"""Noise level: all readings of a kind scatter more, or less, than the set-up states.
-
-variance = sigma^2 (1 + v), v the variance added over the stated one, for each observable. Negative: less noise.
-
-Size: v between -0.5 and 3.
-Like: turbulence (grows with the range), many small effects at once.
-Separate by: repeats: pointings of one target from one station show the noise without any model.
-Valid: factors on the variance from 0.1 up.
-Source: Teunissen 2000, Testing Theory: an introduction (weights come before tests).
-Status: validated: zero gives the stated variance.
-"""
+"""Noise level."""
 
 from dataclasses import dataclass
 
@@ -20,12 +10,24 @@ from ltsim.scene.sightings import Sightings
 
 LEAST = 0.01
 """Smallest factor on a variance."""
+
+
 QUIETER = (-0.35, -0.6, -0.8)
 
 
 @dataclass(frozen=True)
 class NoiseLevel(NoiseEffect):
-    """Variance added to each observable, over the stated variance."""
+    """Noise level: all readings of a kind scatter more, or less, than the set-up states.
+
+    variance = sigma^2 (1 + v), v the variance added over the stated one, for each observable. Negative: less noise.
+
+    Size: v between -0.5 and 3.
+    Like: turbulence (grows with the range), many small effects at once.
+    Separate by: repeats: pointings of one target from one station show the noise without any model.
+    Valid: factors on the variance from 0.1 up.
+    Source: Teunissen 2000, Testing Theory: an introduction (weights come before tests).
+    Status: validated: zero gives the stated variance.
+    """
 
     name = "noise-level"
     least = -0.95

@@ -1,15 +1,4 @@
-"""Outlier: one reading of one pointing is wrong.
-
-Correction of that reading alone, whatever its cause.
-
-Size: any; from 16 um on a range shows.
-Like: nest-lift (0.85), which hits all three readings of a pointing in one direction.
-Separate by: the pointing repeated.
-Valid: any size below a millimetre; larger ones are screened before an adjustment. In large recordings `candidates` is
-empty: the w-test of the residuals finds single readings without trying each.
-Source: Baarda 1968, A testing procedure for use in geodetic networks (data snooping).
-Status: validated on a single row.
-"""
+"""Outlier."""
 
 from dataclasses import dataclass
 from typing import Literal, Self
@@ -22,13 +11,28 @@ from ltsim.scene.sightings import Sightings
 from ltsim.units import MICROMETRE, MICRORADIAN
 
 Observable = Literal["distance", "azimuth", "elevation"]
+
+
 COLUMN: dict[Observable, int] = {"distance": 0, "azimuth": 1, "elevation": 2}
+
+
 MOST_ROWS = 1500
 
 
 @dataclass(frozen=True)
 class Outlier(Effect):
-    """A wrong reading of `observable` in row `row`."""
+    """Outlier: one reading of one pointing is wrong.
+
+    Correction of that reading alone, whatever its cause.
+
+    Size: any; from 16 um on a range shows.
+    Like: nest-lift (0.85), which hits all three readings of a pointing in one direction.
+    Separate by: the pointing repeated.
+    Valid: any size below a millimetre; larger ones are screened before an adjustment. In large recordings `candidates`
+    is empty: the w-test of the residuals finds single readings without trying each.
+    Source: Baarda 1968, A testing procedure for use in geodetic networks (data snooping).
+    Status: validated on a single row.
+    """
 
     row: int = 0
     observable: Observable = "distance"

@@ -1,17 +1,4 @@
-"""Cyclic range error: crosstalk of the modulation, periodic in the range with its unit length.
-
-Delta_d = A cos(2 pi d / L) + B sin(2 pi d / L), the unit length L = c / (2 n f): 150 mm for a modulation of 1 GHz,
-53.5 mm for 2.8 GHz. Ranges that differ by L have the same error.
-
-Size: under 1 um in a good meter, 5 to 10 um in a bad one.
-Like: noise that repeats; biases the range zero where it is left out.
-Separate by: one reflector slid along a rail over one L; the modulation frequency of the data sheet.
-Valid: L from 20 mm to 2 m: a network tells two wavelengths apart whose phases differ over its span of ranges. An
-interferometer's 0.3 um cannot be seen.
-Source: Rüeger 1996, Electronic Distance Measurement (unit length; zero and cyclic terms are estimated together); Lichti
-2007, ISPRS J. Photogramm. Remote Sens. 61, 307-324, doi:10.1016/j.isprsjprs.2006.10.004.
-Status: validated on wave and sign; the density of the search by the share of power kept between its steps.
-"""
+"""Cyclic range error."""
 
 from dataclasses import dataclass
 from typing import Self
@@ -24,14 +11,31 @@ from ltsim.scene.sightings import Sightings
 from ltsim.units import MICROMETRE
 
 SHORTEST, LONGEST = 0.02, 2.0
+
+
 PHASE = 0.125
 """Share of a period by which the phase may be wrong at the ends of the span when it is right in the middle."""
+
+
 MOST = 1200
 
 
 @dataclass(frozen=True)
 class RangeCyclic(Effect):
-    """Periodic error with `wavelength` [m]."""
+    """Cyclic range error: crosstalk of the modulation, periodic in the range with its unit length.
+
+    Delta_d = A cos(2 pi d / L) + B sin(2 pi d / L), the unit length L = c / (2 n f): 150 mm for a modulation of 1 GHz,
+    53.5 mm for 2.8 GHz. Ranges that differ by L have the same error.
+
+    Size: under 1 um in a good meter, 5 to 10 um in a bad one.
+    Like: noise that repeats; biases the range zero where it is left out.
+    Separate by: one reflector slid along a rail over one L; the modulation frequency of the data sheet.
+    Valid: L from 20 mm to 2 m: a network tells two wavelengths apart whose phases differ over its span of ranges. An
+    interferometer's 0.3 um cannot be seen.
+    Source: Rüeger 1996, Electronic Distance Measurement (unit length; zero and cyclic terms are estimated together);
+    Lichti 2007, ISPRS J. Photogramm. Remote Sens. 61, 307-324, doi:10.1016/j.isprsjprs.2006.10.004.
+    Status: validated on wave and sign; the density of the search by the share of power kept between its steps.
+    """
 
     wavelength: float = 0.15
 

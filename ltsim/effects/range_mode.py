@@ -1,15 +1,4 @@
-"""Range zero by mode: the interferometer starts from another zero than the absolute distance meter.
-
-Delta_d = rho for the ranges of the interferometer, where a recording holds both modes (column `distance_mode`): the
-difference of the two zeros. The zero that both share is range-offset.
-
-Size: 5 um in a good tracker, 20 to 50 um in a bad one.
-Like: range-step, where the mode changes once in a visit; range-offset, where all ranges are of one mode.
-Separate by: the same targets in both modes.
-Valid: one zero a mode for the whole recording: an interferometer homed anew gets another (range-step).
-Source: the manual of a Brunson laser-tracker kit (both zeros are checked apart).
-Status: validated on the rows of either mode, and by a recording with both.
-"""
+"""Range zero by mode."""
 
 from dataclasses import dataclass
 from typing import Self
@@ -25,7 +14,18 @@ from ltsim.units import MICROMETRE
 
 @dataclass(frozen=True)
 class RangeMode(Effect):
-    """Zero of the interferometer less that of the absolute distance meter."""
+    """Range zero by mode: the interferometer starts from another zero than the absolute distance meter.
+
+    Delta_d = rho for the ranges of the interferometer, where a recording holds both modes (column `distance_mode`): the
+    difference of the two zeros. The zero that both share is range-offset.
+
+    Size: 5 um in a good tracker, 20 to 50 um in a bad one.
+    Like: range-step, where the mode changes once in a visit; range-offset, where all ranges are of one mode.
+    Separate by: the same targets in both modes.
+    Valid: one zero a mode for the whole recording: an interferometer homed anew gets another (range-step).
+    Source: the manual of a Brunson laser-tracker kit (both zeros are checked apart).
+    Status: validated on the rows of either mode, and by a recording with both.
+    """
 
     name = "range-mode"
     stage = Stage.RANGE

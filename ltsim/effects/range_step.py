@@ -1,14 +1,4 @@
-"""Step of the range zero: the beam is lost and found again, and the zero is another one afterwards.
-
-Delta_d = rho from a time on, until the station is left.
-
-Size: 5 um in a current tracker, 20 to 50 um in a bad one.
-Like: station-weather (0.965, where the step is at the station's start), a station-bump along the beams.
-Separate by: near and far targets at that station; a target measured before and after.
-Valid: one step a station; the next station starts with a new zero of its own.
-Source: general knowledge: an interferometer is homed anew after each lost beam, an absolute meter keeps its own zero.
-Status: validated on rows before and after the step.
-"""
+"""Step of the range zero."""
 
 from dataclasses import dataclass
 from typing import Self
@@ -22,7 +12,18 @@ from ltsim.units import MICROMETRE
 
 @dataclass(frozen=True)
 class RangeStep(Effect):
-    """Another range zero at a station from `time` [s] on."""
+    """Step of the range zero: the beam is lost and found again, and the zero is another one afterwards.
+
+    Delta_d = rho from a time on, until the station is left.
+
+    Size: 5 um in a current tracker, 20 to 50 um in a bad one.
+    Like: station-weather (0.965, where the step is at the station's start), a station-bump along the beams.
+    Separate by: near and far targets at that station; a target measured before and after.
+    Valid: one step a station; the next station starts with a new zero of its own.
+    Source: general knowledge: an interferometer is homed anew after each lost beam, an absolute meter keeps its own
+    zero.
+    Status: validated on rows before and after the step.
+    """
 
     time: float = 0.0
 

@@ -8,6 +8,7 @@ Ray equation d/ds (n dr/ds) = grad n. First order, s from the station (truth - r
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -15,7 +16,7 @@ from numpy.polynomial import Polynomial
 
 from ltsim.arrays import Bools, Floats
 from ltsim.effects.ciddor import refractivity, temperature_sensitivity
-from ltsim.effects.effect import on_readings
+from ltsim.effects.effect import Effect, on_readings
 from ltsim.effects.motions import reading_change
 from ltsim.scene.sightings import Sightings
 
@@ -124,3 +125,26 @@ def _traced(
         heading /= np.linalg.norm(heading, axis=1, keepdims=True)
         optical = optical + h / 6.0 * (n1 + 2.0 * n2 + 2.0 * n3 + n4)
     return place, heading, optical
+
+
+@dataclass(frozen=True)
+class WarmAir(Effect):
+    """An effect of air that is warmer in places by its one parameter [K]."""
+
+    def field(self, sightings: Sightings) -> AirField:
+        """The field of one kelvin."""
+        raise NotImplementedError
+
+    def design(self, sightings: Sightings) -> Floats:
+        """Change (n, 3, 1) of the raw readings per kelvin, first order."""
+        return first_order(sightings, self.field(sightings), self.mask(sightings) > 0)[:, :, None]
+
+    def shift(self, sightings: Sightings, values: Floats) -> Floats:
+        """Change (n, 3) of the raw readings by the integrated ray."""
+        kelvin = self.field(sightings)
+
+        def field(points: Floats) -> tuple[Floats, Floats]:
+            warmer, gradient = kelvin(points)
+            return values[0] * warmer, values[0] * gradient
+
+        return bent(sightings, field) * self.mask(sightings)[:, None]

@@ -1,14 +1,4 @@
-"""Drift of the air's index: the hall warms up, the weather entered in the morning is kept.
-
-Delta_d = d s t, t since the first pointing; a kelvin is 0.955 ppm. Later stations see the mesh smaller.
-
-Size: 0.5 to 2 K a morning, 0.1 to 1 ppm/h.
-Like: mesh-expansion, the uniform mode (0.996, exact where it grows between visits), station-weather in single stations.
-Separate by: a thermometer on the structure; the first station again at the end.
-Valid: linear over the recording.
-Source: Ciddor 1996, Appl. Opt. 35, 1566, doi:10.1364/AO.35.001566 (sensitivities by `effects.ciddor`).
-Status: validated against the range scale at one hour.
-"""
+"""Drift of the air's index."""
 
 from dataclasses import dataclass
 
@@ -21,7 +11,18 @@ from ltsim.units import FACTOR
 
 @dataclass(frozen=True)
 class RefractivityDrift(Effect):
-    """Scale of the ranges that grows with the clock."""
+    """Drift of the air's index: the hall warms up, the weather entered in the morning is kept.
+
+    Delta_d = d s t, t since the first pointing; a kelvin is 0.955 ppm. Later stations see the mesh smaller.
+
+    Size: 0.5 to 2 K a morning, 0.1 to 1 ppm/h.
+    Like: mesh-expansion, the uniform mode (0.996, exact where it grows between visits), station-weather in single
+    stations.
+    Separate by: a thermometer on the structure; the first station again at the end.
+    Valid: linear over the recording.
+    Source: Ciddor 1996, Appl. Opt. 35, 1566, doi:10.1364/AO.35.001566 (sensitivities by `effects.ciddor`).
+    Status: validated against the range scale at one hour.
+    """
 
     name = "refractivity-drift"
     stage = Stage.AIR

@@ -56,6 +56,11 @@ class Parameter:
         return FACTOR[self.unit]
 
 
+def along_axes(name: str, unit: str, meaning: str, size: float) -> tuple[Parameter, ...]:
+    """Parameters along, or about, the axes of the network; `meaning` ends before them."""
+    return tuple(Parameter(f"{name}-{axis}", unit, f"{meaning} the network's {axis} axis", size) for axis in "xyz")
+
+
 @dataclass(frozen=True)
 class ShapeParameter:
     """A constant that enters nonlinearly: a field of the effect, searched between bounds."""

@@ -1,19 +1,4 @@
-"""Centring of a reflector: the vertex of its mirrors is not the centre of its sphere.
-
-The tracker measures the vertex, off the centre by e = axial a + side s + up p, axial along the open face:
-Delta_d = e_axial cos(alpha) + e_t sin(alpha) cos(chi - chi_0), lateral -e_perp, alpha the incidence off the axis and
-chi its direction around it. A fixed reflector (not re-aimed) keeps e in its nest; a re-aimed one turns its axis to the
-tracker, so the axial part is a range zero and the rest a lateral constant that does not flip with the face (its mark
-held up; a free roll makes it noise).
-
-Size: 2.5 um in a good reflector, 12 to 25 um in a bad one.
-Like: fixed: the target's position, exactly. Re-aimed: range-offset, exactly (axial, all); beam-offset (one face).
-Separate by: the reflector turned by 4 x 90 deg in one nest, or swapped.
-Valid: up to 25 um; independent of where the beam hits.
-Source: patent US 2015/0285615 A1 (run-out and the mark that keeps it still); Yan et al. 2010 (geometric errors of a
-spherically mounted reflector); the law follows from a ray trace of three mirrors.
-Status: validated: fixed is a displacement, re-aimed axial a range offset.
-"""
+"""Centring of a reflector."""
 
 from dataclasses import dataclass
 from typing import Self
@@ -45,7 +30,22 @@ def reflector_axes(sightings: Sightings) -> Floats:
 
 @dataclass(frozen=True)
 class SmrCentring(Effect):
-    """Offset of the vertex, of one reflector carried to all nests or of one target's own."""
+    """Centring of a reflector: the vertex of its mirrors is not the centre of its sphere.
+
+    The tracker measures the vertex, off the centre by e = axial a + side s + up p, axial along the open face: Delta_d =
+    e_axial cos(alpha) + e_t sin(alpha) cos(chi - chi_0), lateral -e_perp, alpha the incidence off the axis and chi its
+    direction around it. A fixed reflector (not re-aimed) keeps e in its nest; a re-aimed one turns its axis to the
+    tracker, so the axial part is a range zero and the rest a lateral constant that does not flip with the face (its
+    mark held up; a free roll makes it noise).
+
+    Size: 2.5 um in a good reflector, 12 to 25 um in a bad one.
+    Like: fixed: the target's position, exactly. Re-aimed: range-offset, exactly (axial, all); beam-offset (one face).
+    Separate by: the reflector turned by 4 x 90 deg in one nest, or swapped.
+    Valid: up to 25 um; independent of where the beam hits.
+    Source: patent US 2015/0285615 A1 (run-out and the mark that keeps it still); Yan et al. 2010 (geometric errors of a
+    spherically mounted reflector); the law follows from a ray trace of three mirrors.
+    Status: validated: fixed is a displacement, re-aimed axial a range offset.
+    """
 
     name = "smr-centring"
     stage = Stage.TARGET

@@ -1,16 +1,4 @@
-"""Dihedral error of a reflector: two mirrors do not meet at a right angle, and the return spot splits.
-
-The six sub-beams part by up to 1.63 delta; their mean stays unless the spot is clipped or a coating is uneven. Then the
-tracker holds the spot's brighter part, off by a share of 1.63 delta d: a constant angle for that reflector and roll,
-Delta_azimuth = left / cos(el), Delta_elevation = up, the same on both faces. The range does not change.
-
-Size: delta is 10 urad in a good reflector, 50 urad in a bad one; the clipped share a few percent of that.
-Like: detector-offset at one target, turbulence (if the roll is free).
-Separate by: the reflector turned about the beam.
-Valid: the reflector keeps its mark up; the clipped share is empirical.
-Source: the knowledge base of FARO on dihedral errors of a reflector; 1.63 from a ray trace of three mirrors.
-Status: form validated by its parity; the size is empirical.
-"""
+"""Dihedral error of a reflector."""
 
 from dataclasses import dataclass
 
@@ -24,7 +12,19 @@ from ltsim.units import MICRORADIAN
 
 @dataclass(frozen=True)
 class SmrDihedral(Effect):
-    """Constant pointing error of one reflector."""
+    """Dihedral error of a reflector: two mirrors do not meet at a right angle, and the return spot splits.
+
+    The six sub-beams part by up to 1.63 delta; their mean stays unless the spot is clipped or a coating is uneven. Then
+    the tracker holds the spot's brighter part, off by a share of 1.63 delta d: a constant angle for that reflector and
+    roll, Delta_azimuth = left / cos(el), Delta_elevation = up, the same on both faces. The range does not change.
+
+    Size: delta is 10 urad in a good reflector, 50 urad in a bad one; the clipped share a few percent of that.
+    Like: detector-offset at one target, turbulence (if the roll is free).
+    Separate by: the reflector turned about the beam.
+    Valid: the reflector keeps its mark up; the clipped share is empirical.
+    Source: the knowledge base of FARO on dihedral errors of a reflector; 1.63 from a ray trace of three mirrors.
+    Status: form validated by its parity; the size is empirical.
+    """
 
     name = "smr-dihedral"
     stage = Stage.TARGET

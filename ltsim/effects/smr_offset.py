@@ -1,15 +1,4 @@
-"""Another reflector or adaptor: at one station a ball of another radius was used, and the old constant kept.
-
-D = (R_true - R_used) n along the nest's normal n. The parameter is the motion of the sphere's centre away from the nest
-(no correction of a reading).
-
-Size: 12.7 mm for 1.5 in taken for 0.5 in, 7.94 mm for 7/8 in: one of a few catalogue lengths.
-Like: nest-lift of many targets at once, a station-bump along a wall's normal.
-Separate by: nothing is needed, the size tells.
-Valid: nests with a known normal. At all stations alike it moves the targets, and only the gauge would show it.
-Source: nominal radii of reflectors: 1.5, 7/8 and 0.5 in across.
-Status: first order validated against the exact motion.
-"""
+"""Another reflector or adaptor."""
 
 from dataclasses import dataclass
 from typing import Self
@@ -17,15 +6,26 @@ from typing import Self
 import numpy as np
 
 from ltsim.arrays import Floats
-from ltsim.effects.effect import Effect, Parameter, Stage, by_displacement
-from ltsim.effects.motions import exact_target_change
+from ltsim.effects.effect import Parameter, Stage
+from ltsim.effects.motions import TargetMotion
 from ltsim.scene.sightings import Sightings
 from ltsim.units import MILLIMETRE
 
 
 @dataclass(frozen=True)
-class SmrOffset(Effect):
-    """Another radius of the reflector at a station."""
+class SmrOffset(TargetMotion):
+    """Another reflector or adaptor: at one station a ball of another radius was used, and the old constant kept.
+
+    D = (R_true - R_used) n along the nest's normal n. The parameter is the motion of the sphere's centre away from the
+    nest (no correction of a reading).
+
+    Size: 12.7 mm for 1.5 in taken for 0.5 in, 7.94 mm for 7/8 in: one of a few catalogue lengths.
+    Like: nest-lift of many targets at once, a station-bump along a wall's normal.
+    Separate by: nothing is needed, the size tells.
+    Valid: nests with a known normal. At all stations alike it moves the targets, and only the gauge would show it.
+    Source: nominal radii of reflectors: 1.5, 7/8 and 0.5 in across.
+    Status: first order validated against the exact motion.
+    """
 
     name = "smr-offset"
     stage = Stage.TARGET
@@ -39,15 +39,7 @@ class SmrOffset(Effect):
         known = np.isfinite(sightings.nest_normal).all(axis=1).any()
         return [cls((name,)) for name in sightings.station_names] if known else []
 
-    def _lift(self, sightings: Sightings) -> Floats:
-        """(n, 3): motion of each pointing's sphere per unit."""
+    def displacement(self, sightings: Sightings) -> Floats:
+        """Motion (n, 3, 1) of each pointing's sphere per unit of radius."""
         normal = np.nan_to_num(sightings.nest_normal[sightings.target])
-        return normal * self.mask(sightings)[:, None]
-
-    def design(self, sightings: Sightings) -> Floats:
-        """Change (n, 3, 1) of the raw readings per unit of radius, first order."""
-        return by_displacement(sightings, self._lift(sightings)[:, :, None])
-
-    def shift(self, sightings: Sightings, values: Floats) -> Floats:
-        """Change (n, 3) of the raw readings, exact."""
-        return exact_target_change(sightings, values[0] * self._lift(sightings))
+        return (normal * self.mask(sightings)[:, None])[:, :, None]

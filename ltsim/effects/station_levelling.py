@@ -1,15 +1,4 @@
-"""Levelling error: the level is wrong, and the station's axis leans although it was levelled.
-
-w = R_i (b_x, b_y, 0): the parameters are the true lean of the instrument, a rotation vector about its own x and y axes
-(no correction of a reading). One station with its own, or the same bias b at all of them (a level fixed to the head).
-
-Size: 2 urad for a good level, 10 to 20 urad for a bad one.
-Like: nothing, where the poses are free: then it is the pose, and leaves no residual.
-Separate by: freeing the tilts and comparing; plumb lines converge by 0.157 urad a metre.
-Valid: only levelled stations feel it.
-Source: the user manual of SpatialAnalyzer (weights of levels); ISO 10360-10:2021 (inclinometers).
-Status: first order validated against the exact motion.
-"""
+"""Levelling error."""
 
 from dataclasses import dataclass
 from typing import Self
@@ -17,15 +6,27 @@ from typing import Self
 import numpy as np
 
 from ltsim.arrays import Floats
-from ltsim.effects.effect import Effect, Parameter, Stage
-from ltsim.effects.motions import exact_station_change, station_design
+from ltsim.effects.effect import Parameter, Stage
+from ltsim.effects.motions import StationMotion
 from ltsim.scene.sightings import Sightings
 from ltsim.units import MICRORADIAN
 
 
 @dataclass(frozen=True)
-class StationLevelling(Effect):
-    """Lean of the instrument against the vertical that its level claims."""
+class StationLevelling(StationMotion):
+    """Levelling error: the level is wrong, and the station's axis leans although it was levelled.
+
+    w = R_i (b_x, b_y, 0): the parameters are the true lean of the instrument, a rotation vector about its own x and y
+    axes (no correction of a reading). One station with its own, or the same bias b at all of them (a level fixed to the
+    head).
+
+    Size: 2 urad for a good level, 10 to 20 urad for a bad one.
+    Like: nothing, where the poses are free: then it is the pose, and leaves no residual.
+    Separate by: freeing the tilts and comparing; plumb lines converge by 0.157 urad a metre.
+    Valid: only levelled stations feel it.
+    Source: the user manual of SpatialAnalyzer (weights of levels); ISO 10360-10:2021 (inclinometers).
+    Status: first order validated against the exact motion.
+    """
 
     name = "station-levelling"
     stage = Stage.STATION
@@ -42,16 +43,7 @@ class StationLevelling(Effect):
         """Every station alone, and the same bias at all."""
         return [cls(), *(cls((name,)) for name in sightings.station_names)]
 
-    def _axes(self, sightings: Sightings) -> Floats:
-        """(n, 3, 2): the instrument's x and y axes in the network frame where the effect acts."""
-        axes: Floats = sightings.rotation[sightings.station][:, :, :2]
-        return axes * self.mask(sightings)[:, None, None]
-
-    def design(self, sightings: Sightings) -> Floats:
-        """Change (n, 3, 2) of the raw readings per unit of lean, first order."""
-        return station_design(sightings)[:, :, 3:] @ self._axes(sightings)
-
-    def shift(self, sightings: Sightings, values: Floats) -> Floats:
-        """Change (n, 3) of the raw readings, exact."""
-        turn = self._axes(sightings) @ values
-        return exact_station_change(sightings, np.concatenate([np.zeros_like(turn), turn], axis=1))
+    def motion(self, sightings: Sightings) -> Floats:
+        """Turn (n, 6, 2) about the instrument's x and y axes per unit of lean."""
+        axes = sightings.rotation[sightings.station][:, :, :2] * self.mask(sightings)[:, None, None]
+        return np.concatenate([np.zeros_like(axes), axes], axis=1)

@@ -1,24 +1,12 @@
-"""Settling of a station: tripod, stand or floor give way after the set-up, or the stand warms.
-
-pose(t) = pose + (1 - exp(-t_i / tau)) (tilts, height), t_i since the station's first pointing. The parameters are the
-final motion of the station itself in the network frame (no correction of a reading): rotation vectors about x and y
-through its origin, and up. It starts anew at the next station and is the same on both faces.
-
-Size: under 1 urad on a good stand, 5 to 20 urad over 10 to 20 min on a bad one; a steel stand of 1.2 m grows 14 um/K.
-Like: index-drift (one face), air-layer.
-Separate by: two faces; the first targets again before leaving; a level on the head.
-Valid: time constants of 2 to 40 min.
-Source: the user manual of SpatialAnalyzer (drift check); the exponential is a choice.
-Status: first order validated against the exact motion.
-"""
+"""Settling of a station."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
 from ltsim.arrays import Floats
-from ltsim.effects.effect import Effect, Parameter, ShapeParameter, Stage
-from ltsim.effects.motions import exact_station_change, station_design
+from ltsim.effects.effect import Parameter, ShapeParameter, Stage
+from ltsim.effects.motions import StationMotion
 from ltsim.scene.sightings import Sightings
 from ltsim.units import MICROMETRE, MICRORADIAN
 
@@ -27,8 +15,21 @@ MOVES = [3, 4, 2]
 
 
 @dataclass(frozen=True)
-class StationSettling(Effect):
-    """Motion of a station that comes to rest with `time_constant` [s]."""
+class StationSettling(StationMotion):
+    """Settling of a station: tripod, stand or floor give way after the set-up, or the stand warms.
+
+    pose(t) = pose + (1 - exp(-t_i / tau)) (tilts, height), t_i since the station's first pointing. The parameters are
+    the final motion of the station itself in the network frame (no correction of a reading): rotation vectors about x
+    and y through its origin, and up. It starts anew at the next station and is the same on both faces.
+
+    Size: under 1 urad on a good stand, 5 to 20 urad over 10 to 20 min on a bad one; a steel stand of 1.2 m grows 14
+    um/K.
+    Like: index-drift (one face), air-layer.
+    Separate by: two faces; the first targets again before leaving; a level on the head.
+    Valid: time constants of 2 to 40 min.
+    Source: the user manual of SpatialAnalyzer (drift check); the exponential is a choice.
+    Status: first order validated against the exact motion.
+    """
 
     time_constant: float = 600.0
 
@@ -47,17 +48,7 @@ class StationSettling(Effect):
         ),
     )
 
-    def _settled(self, sightings: Sightings) -> Floats:
-        """(n,): share of the motion already made."""
-        return self.mask(sightings) * (1.0 - np.exp(-sightings.station_time / self.time_constant))
-
-    def design(self, sightings: Sightings) -> Floats:
-        """Change (n, 3, 3) of the raw readings per unit of the final motion, first order."""
-        settled = self._settled(sightings)
-        return station_design(sightings)[:, :, MOVES] * settled[:, None, None]
-
-    def shift(self, sightings: Sightings, values: Floats) -> Floats:
-        """Change (n, 3) of the raw readings, exact."""
-        motion = np.zeros((len(sightings), 6))
-        motion[:, MOVES] = self._settled(sightings)[:, None] * values
-        return exact_station_change(sightings, motion)
+    def motion(self, sightings: Sightings) -> Floats:
+        """Motion (n, 6, 3) already made, per unit of the final one."""
+        settled = self.mask(sightings) * (1.0 - np.exp(-sightings.station_time / self.time_constant))
+        return settled[:, None, None] * np.eye(6)[:, MOVES]

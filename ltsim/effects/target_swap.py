@@ -1,15 +1,4 @@
-"""Swapped targets: two reflectors carry each other's name at a station.
-
-The reading of one is that of the other: the change is the partner's reading less the own one, times 1.
-
-Size: the distance between the two.
-Like: two outliers, equal and opposite.
-Separate by: nothing is needed; the length of the miss is the distance of the two.
-Valid: the parameter is 1 where it happened and 0 elsewhere; nothing in between means anything. A mistake of this size
-is mended before an adjustment, so `candidates` is empty and `possible` lists the pairs.
-Source: general knowledge of networks.
-Status: validated against a recording with two names exchanged.
-"""
+"""Swapped targets."""
 
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -25,7 +14,18 @@ from ltsim.scene.sightings import Sightings
 
 @dataclass(frozen=True)
 class TargetSwap(Mistake):
-    """Two `targets` that carry each other's name at `stations`."""
+    """Swapped targets: two reflectors carry each other's name at a station.
+
+    The reading of one is that of the other: the change is the partner's reading less the own one, times 1.
+
+    Size: the distance between the two.
+    Like: two outliers, equal and opposite.
+    Separate by: nothing is needed; the length of the miss is the distance of the two.
+    Valid: the parameter is 1 where it happened and 0 elsewhere; nothing in between means anything. A mistake of this
+    size is mended before an adjustment, so `candidates` is empty and `possible` lists the pairs.
+    Source: general knowledge of networks.
+    Status: validated against a recording with two names exchanged.
+    """
 
     name = "target-swap"
     stage = Stage.ELECTRONICS

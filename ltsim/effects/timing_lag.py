@@ -1,16 +1,4 @@
-"""Timing lag: a reading is taken before the axis has come to rest, or a channel is late.
-
-Delta = rate of the reading times the lag, each channel with its own. The rate is that of the approach: the change since
-the last pointing of the station over the time between them; none for a station's first pointing.
-
-Size: 0.1 to 1 ms; a target moved at 0.1 m/s is off by 100 um in 1 ms.
-Like: backlash, where all moves take equally long.
-Separate by: dwell times of 0.1, 1 and 5 s.
-Valid: static targets in a steady rhythm; a head that hurries has a higher rate than the mean used here, so the lag
-comes out too long by that ratio.
-Source: general knowledge; the law is that of a delayed channel.
-Status: validated on a sequence of known rates; the size is general knowledge.
-"""
+"""Timing lag."""
 
 from dataclasses import dataclass
 
@@ -32,7 +20,19 @@ def approach_rate(sightings: Sightings) -> Floats:
 
 @dataclass(frozen=True)
 class TimingLag(Effect):
-    """Lag of each channel."""
+    """Timing lag: a reading is taken before the axis has come to rest, or a channel is late.
+
+    Delta = rate of the reading times the lag, each channel with its own. The rate is that of the approach: the change
+    since the last pointing of the station over the time between them; none for a station's first pointing.
+
+    Size: 0.1 to 1 ms; a target moved at 0.1 m/s is off by 100 um in 1 ms.
+    Like: backlash, where all moves take equally long.
+    Separate by: dwell times of 0.1, 1 and 5 s.
+    Valid: static targets in a steady rhythm; a head that hurries has a higher rate than the mean used here, so the lag
+    comes out too long by that ratio.
+    Source: general knowledge; the law is that of a delayed channel.
+    Status: validated on a sequence of known rates; the size is general knowledge.
+    """
 
     name = "timing-lag"
     stage = Stage.ELECTRONICS

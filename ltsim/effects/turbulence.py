@@ -1,15 +1,4 @@
-"""Turbulence: the air boils, and readings scatter more the farther they reach.
-
-var(D_t) and var(D_v) grow by C d^3, var(d) by C_r d: a change of the noise, not of its mean.
-
-Size: C of 100 um^2/m^3 on a shop floor; shielding a path of 2.5 m cut the lateral spread from 40 to 23 um there.
-Like: noise-level, small drifts.
-Separate by: repeats over minutes; a shielded path.
-Valid: white from pointing to pointing; averaging within one helps less than 1 / sqrt(N).
-Source: Chernov 1960, Wave Propagation in a Random Medium (a ray's displacement grows with d^3); Hughes et al. 2011,
-Meas. Sci. Technol. 22, 045103, doi:10.1088/0957-0233/22/4/045103 (sizes, second hand).
-Status: form validated; sizes second hand.
-"""
+"""Turbulence."""
 
 from dataclasses import dataclass
 
@@ -23,7 +12,18 @@ from ltsim.units import MICROMETRE
 
 @dataclass(frozen=True)
 class Turbulence(NoiseEffect):
-    """Variance that grows with the range."""
+    """Turbulence: the air boils, and readings scatter more the farther they reach.
+
+    var(D_t) and var(D_v) grow by C d^3, var(d) by C_r d: a change of the noise, not of its mean.
+
+    Size: C of 100 um^2/m^3 on a shop floor; shielding a path of 2.5 m cut the lateral spread from 40 to 23 um there.
+    Like: noise-level, small drifts.
+    Separate by: repeats over minutes; a shielded path.
+    Valid: white from pointing to pointing; averaging within one helps less than 1 / sqrt(N).
+    Source: Chernov 1960, Wave Propagation in a Random Medium (a ray's displacement grows with d^3); Hughes et al. 2011,
+    Meas. Sci. Technol. 22, 045103, doi:10.1088/0957-0233/22/4/045103 (sizes, second hand).
+    Status: form validated; sizes second hand.
+    """
 
     name = "turbulence"
     stage = Stage.AIR

@@ -1,15 +1,4 @@
-"""Window in the path: a pane of glass stands between a station and some of its targets.
-
-With i the angle at the pane: range + w (sqrt(n^2 - sin^2 i) - cos i), lateral w sin i (1 - cos i / sqrt(n^2 - sin^2 i))
-away from the normal. The parameter is the thickness w (no correction of a reading).
-
-Size: 3 mm give 1.500 mm of range at normal incidence and 1.645 mm at 30 deg, and 0.58 mm across.
-Like: range-step over the whole visit (if all targets are behind it), smr-offset.
-Separate by: the window taken away.
-Valid: plane parallel glass of index 1.5, anywhere on the path.
-Source: Born and Wolf, Principles of Optics (refraction at a plane-parallel plate), derived here from Snell's law.
-Status: validated against the numbers above.
-"""
+"""Window in the path."""
 
 from dataclasses import dataclass
 from typing import Self
@@ -17,14 +6,18 @@ from typing import Self
 import numpy as np
 
 from ltsim.arrays import Floats
-from ltsim.effects.effect import Effect, Parameter, Stage, by_displacement
-from ltsim.effects.motions import exact_target_change
+from ltsim.effects.effect import Parameter, Stage
+from ltsim.effects.motions import TargetMotion
 from ltsim.scene.sightings import Sightings
 from ltsim.units import MILLIMETRE
 
 INDEX = 1.5
+
+
 SHARES = (0.25, 0.12)
 """Lengths of the runs that are tried, as shares of a station's targets."""
+
+
 TURNS = (-0.15, -0.05, 0.05, 0.15)
 """[rad] by which a pane is turned in refinement."""
 
@@ -38,8 +31,19 @@ def _around(sightings: Sightings, station: str) -> list[int]:
 
 
 @dataclass(frozen=True)
-class Window(Effect):
-    """A pane with `normal` in the network frame; (0, 0, 0): across every beam."""
+class Window(TargetMotion):
+    """Window in the path: a pane of glass stands between a station and some of its targets.
+
+    With i the angle at the pane: range + w (sqrt(n^2 - sin^2 i) - cos i), lateral w sin i (1 - cos i / sqrt(n^2 - sin^2
+    i)) away from the normal. The parameter is the thickness w (no correction of a reading).
+
+    Size: 3 mm give 1.500 mm of range at normal incidence and 1.645 mm at 30 deg, and 0.58 mm across.
+    Like: range-step over the whole visit (if all targets are behind it), smr-offset.
+    Separate by: the window taken away.
+    Valid: plane parallel glass of index 1.5, anywhere on the path.
+    Source: Born and Wolf, Principles of Optics (refraction at a plane-parallel plate), derived here from Snell's law.
+    Status: validated against the numbers above.
+    """
 
     normal: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
@@ -87,8 +91,8 @@ class Window(Effect):
         turned = [np.arctan2(y, x) + angle for angle in TURNS]
         return found + [self.reshaped(normal=(float(np.cos(a)), float(np.sin(a)), 0.0)) for a in turned]
 
-    def _apparent(self, sightings: Sightings) -> Floats:
-        """(n, 3): displacement of the target that the readings describe, per unit of thickness."""
+    def displacement(self, sightings: Sightings) -> Floats:
+        """Displacement (n, 3, 1) of the target that the readings describe, per unit of thickness."""
         beam = sightings.unit_vectors[0]
         normal = np.broadcast_to(np.asarray(self.normal), beam.shape) if any(self.normal) else beam
         cosine = np.sum(beam * normal, axis=1)[:, None]
@@ -96,12 +100,4 @@ class Window(Effect):
         inside = np.sqrt(INDEX**2 - 1.0 + cosine**2)
         longer = (inside - cosine) * beam
         aside = (1.0 - cosine / inside) * (cosine * beam - normal)
-        return (longer + aside) * self.mask(sightings)[:, None]
-
-    def design(self, sightings: Sightings) -> Floats:
-        """Change (n, 3, 1) of the raw readings per unit of thickness, first order in it."""
-        return by_displacement(sightings, self._apparent(sightings)[:, :, None])
-
-    def shift(self, sightings: Sightings, values: Floats) -> Floats:
-        """Change (n, 3) of the raw readings."""
-        return exact_target_change(sightings, values[0] * self._apparent(sightings))
+        return ((longer + aside) * self.mask(sightings)[:, None])[:, :, None]

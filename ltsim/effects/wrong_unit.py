@@ -1,16 +1,4 @@
-"""Wrong unit: the readings of a station are in other units, count another way, or hold zeniths for elevations.
-
-The reading becomes the reading times a factor, or its complement to a right angle, or counts clockwise; the slips are
-those of `recording.slips`.
-
-Size: metres.
-Like: nothing; the pose fit misses by metres.
-Separate by: nothing is needed.
-Valid: the parameter is 1 where it happened and 0 elsewhere. A mistake of this size is mended before an adjustment, so
-`candidates` is empty and `possible` lists the mistakes. Weather in a wrong unit is station-weather.
-Source: definitions of the units; BIPM, The International System of Units (SI Brochure).
-Status: validated on the readings: what the mend gives back is what was read.
-"""
+"""Wrong unit."""
 
 from dataclasses import dataclass
 from typing import Self
@@ -29,7 +17,19 @@ SLIPS = {slip.name: slip for slip in UNIT_SLIPS}
 
 @dataclass(frozen=True)
 class WrongUnit(Mistake):
-    """Readings of a station in another unit, or counted another way: a slip by its name."""
+    """Wrong unit: the readings of a station are in other units, count another way, or hold zeniths for elevations.
+
+    The reading becomes the reading times a factor, or its complement to a right angle, or counts clockwise; the slips
+    are those of `recording.slips`.
+
+    Size: metres.
+    Like: nothing; the pose fit misses by metres.
+    Separate by: nothing is needed.
+    Valid: the parameter is 1 where it happened and 0 elsewhere. A mistake of this size is mended before an adjustment,
+    so `candidates` is empty and `possible` lists the mistakes. Weather in a wrong unit is station-weather.
+    Source: definitions of the units; BIPM, The International System of Units (SI Brochure).
+    Status: validated on the readings: what the mend gives back is what was read.
+    """
 
     mistake: str = "gon"
 

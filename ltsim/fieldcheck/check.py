@@ -7,9 +7,10 @@ and within a test so does each target, gap or pointing that was looked at.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import special
 
 from ltsim.adjustment.reliability import surprise
 from ltsim.arrays import Bools, Floats, Ints
@@ -18,24 +19,35 @@ from ltsim.effects.motions import station_design
 from ltsim.effects.range_drift import RangeDrift
 from ltsim.effects.station_bump import StationBump
 from ltsim.errors import NetworkError
-from ltsim.fieldcheck.faces import Faces, Mpe, faces_or_none
+from ltsim.fieldcheck.faces import Faces
 from ltsim.fieldcheck.items import Family, Item, two_sided
 from ltsim.fieldcheck.network import NETWORK_TESTS, items_of_network
 from ltsim.fieldcheck.visit import Explained, Visit
-from ltsim.fieldcheck.words import bump_sentence, drift_sentence, face_sentence, gross_sentence, instrument_sentence
+from ltsim.fieldcheck.words import (
+    bump_sentence,
+    drift_sentence,
+    face_sentence,
+    gross_sentence,
+    instrument_sentence,
+    target_sentence,
+)
 from ltsim.model.construction import Construction, stated_construction
+from ltsim.recording.exchange import RecordingSource, recording_of
 from ltsim.recording.recording import Recording
 from ltsim.results import Columns, Result, by_row
+from ltsim.scene.sightings import Sightings
 
 LEVEL = 0.01
 MOST_GROSS = 0.1
 """Part of the pointings of a set-up that may be gross; with more, the stated noise is wrong."""
 WITNESSES = 3
 """Targets on both sides of a gap that a motion of the station needs: one alone may itself have moved."""
-CAUSES = ("mistake", "bump", "drift")
-"""What is named first: two faces that differ and scatter follow from it."""
 TESTS = 6
 """Tests of one set-up."""
+
+
+OWN_DOF = 6.0
+"""Degrees of freedom from which a target shows a scatter of its own."""
 
 
 @dataclass(frozen=True)
@@ -90,59 +102,98 @@ class Check(Result):
     @property
     def sentence(self) -> str:
         """Go or no-go and why."""
-        failed = sorted((item for item in self.items if not item.passed), key=lambda item: item.kind not in CAUSES)
+        failed = sorted((item for item in self.items if not item.passed), key=lambda item: not item.is_cause)
         if failed:
             more = f" (and {len(failed) - 1} more)" if len(failed) > 1 else ""
             return f"no-go: {failed[0].sentence}{more}"
         return f"go: {len(self.setups)} set-up{'s' if len(self.setups) > 1 else ''} within noise and guarantee"
 
 
-def check(recording: Recording, *, level: float = LEVEL, mpe: Mpe | None = None) -> Check:
-    """Judge every set-up of a recording, and the agreement of the stations.
+def check(recording: RecordingSource, *, level: float = LEVEL, mpe: tuple[float, float] | None = None) -> Check:
+    """Go or no-go in the field: two-face differences, repeated points, drift, bumps and scatter.
 
     Parameters
     ----------
-    recording : Recording
+    recording : Recording, str or Path
     level : float
         Chance of one false alarm in the whole recording, if noise and guarantee are as stated.
-    mpe : Mpe, optional
-        Limit of the two-face differences; default by the stated noise and the maker's guarantee.
+    mpe : pair of float, optional
+        Limit of two-face differences as lengths, [um] and [um/m] of the range: ``(20, 6)``; default by the stated noise
+        and what the maker guarantees.
 
     Raises
     ------
     NetworkError
         When nothing was measured twice: there is nothing to check yet.
+
+    Examples
+    --------
+    >>> import ltsim as lt
+    >>> recording, _ = lt.simulate("paper-workshop", seed=7)
+    >>> lt.check(recording).passed
+    True
     """
-    family = Family(level, TESTS * max(len(recording.stations), 1) + NETWORK_TESTS)
-    setups = tuple(_set_up(recording, s, family, mpe) for s in range(len(recording.stations)))
-    found = Check(recording, setups, items_of_network(recording, family), level)
+    whole = recording_of(recording)
+    family = Family(level, TESTS * max(len(whole.stations), 1) + NETWORK_TESTS)
+    setups = tuple(_set_up(whole, s, family, mpe) for s in range(len(whole.stations)))
+    found = Check(whole, setups, items_of_network(whole, family), level)
     if not found.items:
         message = "no station measured a target twice, so nothing can be checked yet; "
         raise NetworkError(message + "measure some targets on both faces, or the first ones again at the end")
     return found
 
 
-def _set_up(whole: Recording, station: int, family: Family, mpe: Mpe | None) -> SetUp:
+def _set_up(whole: Recording, station: int, family: Family, mpe: tuple[float, float] | None) -> SetUp:
     at = np.flatnonzero(whole.station == station)
     recording, rows, name = whole.select(at), at + 1, whole.stations[station]
     construction = stated_construction(recording)
     items: list[Item] = []
-    faces = faces_or_none(recording, construction, family.share, mpe)
+    faces = Faces.of(recording, construction, family.share, mpe)
     if faces is not None:
         limit = "noise and guarantee" if mpe is None else "the limit"
         sentence, targets, worst = face_sentence(faces, recording, limit)
-        items.append(Item(name, "two-face", not targets, sentence, targets=targets, rows=tuple(rows[worst].tolist())))
+        items.append(
+            Item.of(name, "two-face", not targets, sentence, targets=targets, rows=tuple(rows[worst].tolist()))
+        )
     visit = Visit.of(recording, construction)
     if visit.dof < 1:
         return SetUp(name, tuple(items), faces, None, rows)
+    told, left = _judged(visit, construction, family, rows)
+    scale = _own_scatter(left, family)
+    if scale is None:
+        told.append(_closure(left, family))
+    else:
+        told, _ = _judged(Visit.of(recording, construction, sigma=visit.sigma * scale), construction, family, rows)
+        told.insert(0, _scattering(visit, left, family))
+    return SetUp(name, (*items, *told), faces, left, rows)
+
+
+def _judged(visit: Visit, construction: Construction, family: Family, rows: Ints) -> tuple[list[Item], Visit]:
+    """What a visit says of single pointings and motions, and the visit without them."""
     gross, bump, visit = _events(visit, construction, family)
-    items += [_of_gross(visit, gross, rows), _of_bump(visit, bump, rows, family)]
+    items = [_of_gross(visit, gross, rows), _of_bump(visit, bump, rows, family)]
     if bump is not None:
         visit = visit.without(bump.design(visit.sightings))
     drift = _drift(visit, family)
     steady = visit if drift.passed else visit.without(_creep(visit))
-    items += [drift, _instrument_drift(steady, family), _closure(visit, family)]
-    return SetUp(name, tuple(items), faces, visit, rows)
+    return [*items, drift, _instrument_drift(steady, family)], visit
+
+
+def _own_scatter(visit: Visit, family: Family) -> Floats | None:
+    """Scatter (n, 1) of each pointing's target over the stated noise, where targets scatter differently (Bartlett)."""
+    chi2, dof = visit.scatter()
+    told = dof >= OWN_DOF
+    variance, own = chi2[told] / np.maximum(dof[told], 1.0), dof[told]
+    if told.sum() < 2 or not variance.min() > 0.0:
+        return None
+    pooled = float(own @ variance / own.sum())
+    gain = own.sum() * np.log(pooled) - own @ np.log(variance)
+    gain /= 1.0 + (np.sum(1.0 / own) - 1.0 / own.sum()) / (3.0 * (len(own) - 1.0))
+    if not special.chdtrc(len(own) - 1.0, gain) < family.share:
+        return None
+    ratio = np.full(len(dof), np.sqrt(pooled))
+    ratio[told] = np.sqrt(variance)
+    return np.asarray(np.maximum(ratio, 1.0)[visit.recording.target][:, None])
 
 
 def _events(visit: Visit, construction: Construction, family: Family) -> tuple[list[int], StationBump | None, Visit]:
@@ -162,7 +213,7 @@ def _events(visit: Visit, construction: Construction, family: Family) -> tuple[l
             return gross, bump, visit
         gross.append(worst)
         use: Bools = visit.use & np.asarray(np.arange(len(visit.use)) != worst)
-        visit = Visit.of(visit.recording, construction, use)
+        visit = Visit.of(visit.recording, construction, use, visit.sigma)
 
 
 def best_bump(visit: Visit) -> tuple[StationBump | None, Explained, int]:
@@ -194,13 +245,13 @@ def _of_gross(visit: Visit, gross: Sequence[int], rows: Ints) -> Item:
     recording, name = visit.recording, visit.recording.stations[0]
     targets = tuple(dict.fromkeys(recording.targets[recording.target[i]] for i in gross))
     sentence = gross_sentence(visit, gross, rows)
-    return Item(name, "gross", not gross, sentence, targets=targets, rows=tuple(int(rows[i]) for i in gross))
+    return Item.of(name, "gross", not gross, sentence, targets=targets, rows=tuple(int(rows[i]) for i in gross))
 
 
 def _of_bump(visit: Visit, bump: StationBump | None, rows: Ints, family: Family) -> Item:
     recording, name = visit.recording, visit.recording.stations[0]
     if bump is None:
-        return Item(name, "bump", True, f"{name}: no motion at once")
+        return Item.of(name, "bump", True, f"{name}: no motion at once")
     explained = visit.explained(bump.design(visit.sightings))
     order = np.argsort(recording.time, kind="stable")
     at = int(np.searchsorted(recording.time[order], bump.time))
@@ -209,39 +260,60 @@ def _of_bump(visit: Visit, bump: StationBump | None, rows: Ints, family: Family)
     numbers = int(rows[pair[0]]), int(rows[pair[1]])
     chance = family.adjusted(visit.p_value(explained), len(order) - 1)
     sentence = bump_sentence(recording, between, numbers, explained)
-    return Item(name, "bump", False, sentence, chance, rows=numbers, between=between)
+    return Item.of(name, "bump", False, sentence, chance, rows=numbers, between_s=between)
+
+
+def _by_runs(visit: Visit) -> Sightings:
+    """The sightings, those of a target without a break at one time.
+
+    What changes while one target is watched may be the target's own: only who comes back to it learns of a drift.
+    """
+    target, order = visit.recording.target, visit.sightings.order
+    run = np.zeros(len(order), dtype=np.int64)
+    run[order] = np.concatenate([[0], np.cumsum(np.diff(target[order]) != 0)])
+    time = np.bincount(run, visit.sightings.time) / np.bincount(run)
+    return replace(visit.sightings, time=time[run])
 
 
 def _creep(visit: Visit) -> Floats:
     """Change (n, 3, 6) of the readings by an even motion of the station, as large as its end."""
-    duration = max(float(np.ptp(visit.recording.time)), 1e-9)
-    return np.asarray(station_design(visit.sightings) * (visit.sightings.station_time / duration)[:, None, None])
+    sightings, duration = _by_runs(visit), max(float(np.ptp(visit.recording.time)), 1e-9)
+    return np.asarray(station_design(sightings) * (sightings.station_time / duration)[:, None, None])
 
 
 def _drift(visit: Visit, family: Family) -> Item:
     explained = visit.explained(_creep(visit))
     p = family.adjusted(visit.p_value(explained))
     passed = p >= family.level
-    return Item(visit.recording.stations[0], "drift", passed, drift_sentence(visit.recording, explained, passed), p)
+    return Item.of(visit.recording.stations[0], "drift", passed, drift_sentence(visit.recording, explained, passed), p)
 
 
 def _instrument_drift(visit: Visit, family: Family) -> Item:
-    laws = [RangeDrift(law="visit"), IndexDrift(law="visit")]
-    explained = visit.explained(np.concatenate([law.design(visit.sightings) for law in laws], axis=2))
+    laws, sightings = [RangeDrift(law="visit"), IndexDrift(law="visit")], _by_runs(visit)
+    explained = visit.explained(np.concatenate([law.design(sightings) for law in laws], axis=2))
     p = family.adjusted(visit.p_value(explained))
     passed = p >= family.level
     sentence = instrument_sentence(visit.recording, explained, passed)
-    return Item(visit.recording.stations[0], "instrument-drift", passed, sentence, p)
+    return Item.of(visit.recording.stations[0], "instrument-drift", passed, sentence, p)
 
 
 def _closure(visit: Visit, family: Family) -> Item:
     """Scatter of repeated pointings against the stated noise, two-sided; less noise than stated passes with a word."""
     name, ratio = visit.recording.stations[0], float(np.sqrt(visit.chi2 / max(visit.dof, 1)))
     if visit.dof < 1:
-        return Item(name, "closure", True, f"{name}: what is left of its repeated pointings tells no scatter")
+        return Item.of(name, "closure", True, f"{name}: what is left of its repeated pointings tells no scatter")
     p, less = two_sided(visit.chi2, visit.dof)
     p = family.adjusted(p)
     scatter = f"{name}: repeated pointings scatter {ratio:.2f} times the stated noise ({visit.dof} degrees of freedom)"
     if p >= family.level:
-        return Item(name, "closure", True, f"{scatter}, as it should be", p)
-    return Item(name, "closure", less, f"{scatter}, {'less' if less else 'more'} than stated", p)
+        return Item.of(name, "closure", True, f"{scatter}, as it should be", p)
+    return Item.of(name, "closure", less, f"{scatter}, {'less' if less else 'more'} than stated", p)
+
+
+def _scattering(visit: Visit, left: Visit, family: Family) -> Item:
+    """The closure of a set-up whose targets scatter each in its own way."""
+    closure, (chi2, dof) = _closure(left, family), left.scatter()
+    shown = np.flatnonzero(dof >= OWN_DOF)
+    shown = shown[np.argsort(-chi2[shown] / dof[shown], kind="stable")]
+    sentence, targets = target_sentence(visit, shown)
+    return closure.model_copy(update={"sentence": f"{closure.sentence}: {sentence}", "targets": targets})

@@ -18,14 +18,7 @@ from ltsim.arrays import Bools, Floats
 from ltsim.evaluation.two_face import TwoFace, face_pairs, two_face
 from ltsim.model.construction import Construction
 from ltsim.recording.recording import Recording
-
-
-@dataclass(frozen=True)
-class Mpe:
-    """Limit of a two-face difference as a length: `constant` [m] + `per_metre` * range."""
-
-    constant: float
-    per_metre: float
+from ltsim.units import MICROMETRE
 
 
 @dataclass(frozen=True)
@@ -43,14 +36,15 @@ class Faces:
     """(m, 3): largest half difference that passes."""
 
     @classmethod
-    def of(cls, recording: Recording, construction: Construction, level: float, mpe: Mpe | None = None) -> Faces:
-        """The differences of a recording of one station; `level` is the chance of one false alarm over all of them.
+    def of(
+        cls, recording: Recording, construction: Construction, level: float, mpe: tuple[float, float] | None
+    ) -> Faces | None:
+        """The differences of a recording of one station; None where no target was measured on both faces.
 
-        Raises
-        ------
-        NetworkError
-            When no target was measured on both faces.
+        `level` is the chance of one false alarm over all of them; `mpe` a limit of lengths [um], and [um/m].
         """
+        if not len(face_pairs(recording)):
+            return None
         pairs = two_face(recording)
         sigma = recording.sigma()
         sigma[:, 1] *= np.abs(np.cos(recording.readings[:, 2]))
@@ -63,11 +57,6 @@ class Faces:
             limit = critical * np.hypot(noise, guarantee)
         else:
             metres = pairs.place[:, 0]
-            allowed = 0.5 * (mpe.constant + mpe.per_metre * metres)
+            allowed = 0.5 * MICROMETRE * (mpe[0] + mpe[1] * metres)
             limit = np.stack([allowed, allowed / metres, allowed / metres], axis=1)
         return cls(pairs, noise, guarantee, np.abs(pairs.half) > limit, limit)
-
-
-def faces_or_none(recording: Recording, construction: Construction, level: float, mpe: Mpe | None) -> Faces | None:
-    """The differences of a recording of one station; None where no target was measured on both faces."""
-    return Faces.of(recording, construction, level, mpe) if len(face_pairs(recording)) else None

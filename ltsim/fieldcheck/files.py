@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import ClassVar, Literal
 
 from ltsim.fieldcheck.check import Check
-from ltsim.recording.result_file import Entry, Finite, Known, ResultFile, SourceEntry, write_result
+from ltsim.fieldcheck.items import Item
+from ltsim.recording.result_file import Finite, ResultFile, SourceEntry, write_result
 from ltsim.recording.result_table import ResultTable, numbers, texts
 from ltsim.units import ARCSECOND, MICROMETRE
 
@@ -25,27 +26,6 @@ TWO_FACE = ResultTable(
 )
 
 
-class ItemEntry(Entry):
-    """One thing that was tested."""
-
-    station: str
-    """Empty for what concerns all stations."""
-    kind: str
-    """Which test."""
-    passed: bool
-    """Whether it is no reason against going on."""
-    sentence: str
-    """For a person, with units."""
-    p_value: Known = None
-    """Chance of as much by noise, paid for all that was looked at."""
-    targets: tuple[str, ...] = ()
-    """Targets that stand out."""
-    rows: tuple[int, ...] = ()
-    """Rows of the recording that stand out, from 1."""
-    between_s: tuple[Finite, Finite] | None = None
-    """Where something moved: after the first and before the second of these times."""
-
-
 class CheckFile(ResultFile):
     """`check.json`: from `check`."""
 
@@ -58,7 +38,7 @@ class CheckFile(ResultFile):
     """Go or no-go, and why."""
     level: Finite
     """Chance of one false alarm in the whole recording."""
-    items: tuple[ItemEntry, ...]
+    items: tuple[Item, ...]
     """Every test, set-up by set-up."""
 
 
@@ -69,19 +49,7 @@ def check_file(check: Check) -> CheckFile:
         passed=check.passed,
         sentence=check.sentence,
         level=check.level,
-        items=tuple(
-            ItemEntry(
-                station=item.station,
-                kind=item.kind,
-                passed=item.passed,
-                sentence=item.sentence,
-                p_value=item.p_value,
-                targets=tuple(item.targets),
-                rows=tuple(int(row) for row in item.rows),
-                between_s=item.between,
-            )
-            for item in check.items
-        ),
+        items=check.items,
     )
 
 

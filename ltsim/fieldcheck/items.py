@@ -3,29 +3,46 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 from scipy import special
 
+from ltsim.recording.result_file import Entry, Finite, Known
+
 Kind = Literal["two-face", "gross", "bump", "drift", "instrument-drift", "closure", "network", "level", "mistake"]
+CAUSES = ("mistake", "bump", "drift")
+"""What is named first: two faces that differ and scatter follow from it."""
 
 
-@dataclass(frozen=True)
-class Item:
-    """One thing that was looked at: whether it passes, in a sentence, with its chance over everything looked at.
-
-    `p_value` is None where a limit was compared; `rows` are rows of the recording from 1, `between` the two times
-    [s] that enclose an event.
-    """
+class Item(Entry):
+    """One thing that was tested."""
 
     station: str
+    """Empty for what concerns all stations."""
     kind: Kind
+    """Which test."""
     passed: bool
+    """Whether it is no reason against going on."""
     sentence: str
-    p_value: float | None = None
+    """For a person, with units."""
+    p_value: Known = None
+    """Chance of as much by noise, paid for all that was looked at."""
     targets: tuple[str, ...] = ()
+    """Targets that stand out."""
     rows: tuple[int, ...] = ()
-    between: tuple[float, float] | None = None
+    """Rows of the recording that stand out, from 1."""
+    between_s: tuple[Finite, Finite] | None = None
+    """Where something moved: after the first and before the second of these times."""
+
+    @classmethod
+    def of(cls, at: str, kind: Kind, passed: bool, sentence: str, p: float | None = None, **marked: Any) -> Item:
+        """What a test says, with its chance and what it marks."""
+        return cls(station=at, kind=kind, passed=passed, sentence=sentence, p_value=p, **marked)
+
+    @property
+    def is_cause(self) -> bool:
+        """Whether other items follow from it: targets that scatter by themselves make gross pointings."""
+        return self.kind in CAUSES or (self.kind == "closure" and bool(self.targets))
 
 
 @dataclass(frozen=True)

@@ -6,10 +6,11 @@ import numpy as np
 from scipy import special
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.adjustment.doubt import require_result
+from ltsim.adjustment.doubt import require_result, weaknesses
 from ltsim.adjustment.estimate import adjust
 from ltsim.adjustment.gross import mistakes
 from ltsim.adjustment.known import Kind
+from ltsim.adjustment.occupations import moved_tripods
 from ltsim.arrays import Bools
 from ltsim.errors import ConvergenceError, NetworkError
 from ltsim.fieldcheck.items import Family, Item, two_sided
@@ -33,23 +34,27 @@ def items_of_network(recording: Recording, family: Family) -> tuple[Item, ...]:
     try:
         built = stated_construction(recording)
     except NetworkError as problem:
-        return (Item("", "network", True, f"the stations are not compared: {problem}"),)
+        return (Item.of("", "network", True, f"the stations are not compared: {problem}"),)
     try:
         plain = adjust(recording, judging=TESTED)
         require_result(plain)
         found = adjust(recording, built, robust=True, judging=TESTED)
     except (NetworkError, ConvergenceError) as problem:
-        return (Item("", "network", False, f"the set-ups make no network: {problem}"),)
-    mistaken = [
-        Item(", ".join(told.stations), "mistake", False, told.sentence, targets=told.targets, rows=tuple(told.rows + 1))
-        for told, *_ in mistakes(plain)
-    ]
-    wrong = [Item("", "network", False, test.sentence, targets=(test.name,)) for test in found.wrong]
-    if not found.solution.converged or found.dof < 1:
-        return (*mistaken, *wrong)
+        return (Item.of("", "network", False, f"the set-ups make no network: {problem}"),)
+    items = [Item.of("", "network", False, doubt) for doubt in weaknesses(plain)]
     known = np.zeros(len(recording), dtype=bool)
-    known[[row - 1 for item in mistaken for row in item.rows]] = True
-    return (*mistaken, *wrong, *_of_targets(found, known, family), *_of_levels(found, family))
+    for one, *_ in mistakes(plain):
+        at = ", ".join(one.stations)
+        items.append(Item.of(at, "mistake", False, one.sentence, targets=one.targets, rows=tuple(one.rows + 1)))
+        known[one.rows] = True
+    moved = moved_tripods(plain)
+    if moved is not None:
+        marks = tuple(dict.fromkeys(one.mark for one in moved.found))
+        items.append(Item.of("", "mistake", False, moved.sentence(plain), targets=marks))
+    items += [Item.of("", "network", False, test.sentence, targets=(test.name,)) for test in found.wrong]
+    if found.solution.converged and found.dof > 0:
+        items += [*_of_targets(found, known, family), *_of_levels(found, family)]
+    return tuple(items)
 
 
 def _of_targets(found: Adjustment, known: Bools, family: Family) -> list[Item]:
@@ -61,7 +66,7 @@ def _of_targets(found: Adjustment, known: Bools, family: Family) -> list[Item]:
     if not out.any():
         passed = less or p >= family.level
         verb = "agree" if passed else "disagree"
-        return [Item("", "network", passed, f"the stations {verb} on their common targets: {scatter}", p)]
+        return [Item.of("", "network", passed, f"the stations {verb} on their common targets: {scatter}", p)]
     size = np.nan_to_num(np.abs(found.residuals / found.problem.sigma)).max(axis=1)
     rows = np.flatnonzero(out)
     rows = rows[np.argsort(-size[rows], kind="stable")]
@@ -70,7 +75,7 @@ def _of_targets(found: Adjustment, known: Bools, family: Family) -> list[Item]:
     many = f"{len(rows)} pointings contradict" if len(rows) > 1 else "a pointing contradicts"
     sentence = f"{many} the other stations ({first}{', is the worst' if len(rows) > 1 else ''})"
     targets = tuple(dict.fromkeys(recording.targets[t] for t in recording.target[rows]))
-    return [Item("", "network", False, sentence, targets=targets, rows=tuple((rows + 1).tolist()))]
+    return [Item.of("", "network", False, sentence, targets=targets, rows=tuple((rows + 1).tolist()))]
 
 
 def _of_levels(found: Adjustment, family: Family) -> list[Item]:
@@ -95,5 +100,5 @@ def _of_levels(found: Adjustment, family: Family) -> list[Item]:
         tilt = float(np.hypot(*np.where(checked[k], w[k] * sigma[k], 0.0)))
         size = with_sigma(tilt / ARCSECOND, float(sigma[k, worst]) / ARCSECOND, "arcsec")
         verb = "agrees with" if passed else "is off"
-        items.append(Item(name, "level", passed, f"{name}: its level {verb} the vertical of the others ({size})", p))
+        items.append(Item.of(name, "level", passed, f"{name}: its level {verb} the vertical of the others ({size})", p))
     return items

@@ -26,6 +26,8 @@ REDUNDANT = 0.05
 """Redundancy below which an error of a reading does not show."""
 SEEN = 0.999
 """Share of a parameter that the directions which readings feel must hold before it has a value."""
+SHOWN = 0.01
+"""Share of what a suspect does to the readings that targets and instrument must leave, to say anything of it."""
 HELD = 1e-6
 """Singular value of whitened columns, against the largest, from which they count as one direction less."""
 
@@ -74,11 +76,13 @@ class Visit:
     """Degrees of freedom."""
 
     @classmethod
-    def of(cls, recording: Recording, construction: Construction, use: Bools | None = None) -> Visit:
-        """The visit of a recording of one station; `use` (n,) leaves pointings out."""
+    def of(
+        cls, recording: Recording, construction: Construction, use: Bools | None = None, sigma: Floats | None = None
+    ) -> Visit:
+        """The visit of a recording of one station; `use` (n,) leaves pointings out, `sigma` (n, 3) is not as stated."""
         chosen = np.ones(len(recording), dtype=bool) if use is None else use
         weight = recording.measured & chosen[:, None]
-        sigma = recording.sigma()
+        sigma = recording.sigma() if sigma is None else sigma
         sightings = replace(sightings_of(recording, _state(recording, chosen)), lift=None)
         prior = prior_sigmas(recording, construction)[0]
         raw = np.where(recording.measured, recording.readings, sightings.raw)
@@ -117,16 +121,21 @@ class Visit:
             rest = rest - np.einsum("nik,kc->nic", self.by_instrument, amount)
         return np.asarray(rest)
 
+    def _unit_columns(self, design: Floats) -> tuple[Floats, Floats]:
+        """Unit columns (3 n, c) of a suspect and their lengths (c,); both 0 where targets and instrument take all."""
+        whole = design * self.weight[:, :, None]
+        columns = self.projected(whole).reshape(-1, design.shape[2])
+        length = np.linalg.norm(columns, axis=0)
+        length[length < SHOWN * np.linalg.norm(whole, axis=(0, 1))] = 0.0
+        return np.where(length > 0, columns / np.where(length > 0, length, 1.0), 0.0), length
+
     def explained(self, design: Floats) -> Explained:
         """What the columns (n, 3, c) of a suspect, changes of the readings, explain."""
-        columns = self.projected(design * self.weight[:, :, None]).reshape(-1, design.shape[2])
-        length = np.linalg.norm(columns, axis=0)
-        kept = length > 0
-        unit = columns / np.where(kept, length, 1.0)
+        unit, length = self._unit_columns(design)
         left, size, right = np.linalg.svd(unit, full_matrices=False)
         good = size > np.sqrt(HELD) * max(float(size.max(initial=0.0)), 1e-12)
         amount = left[:, good].T @ self.whitened.ravel()
-        back = (right[good].T / size[good]) / np.where(kept, length, np.inf)[:, None]
+        back = (right[good].T / size[good]) / np.where(length > 0, length, np.inf)[:, None]
         covariance = back @ back.T
         unseen = np.sum(right[good] ** 2, axis=0) < SEEN
         covariance[unseen, unseen] = np.inf
@@ -143,13 +152,19 @@ class Visit:
 
     def without(self, design: Floats) -> Visit:
         """The visit with the columns (n, 3, c) of a suspect fitted too."""
-        columns = self.projected(design * self.weight[:, :, None]).reshape(-1, design.shape[2])
-        length = np.linalg.norm(columns, axis=0)
-        left, size, _ = np.linalg.svd(columns / np.where(length > 0, length, 1.0), full_matrices=False)
+        left, size, _ = np.linalg.svd(self._unit_columns(design)[0], full_matrices=False)
         added = left[:, size > np.sqrt(HELD) * max(float(size.max(initial=0.0)), 1e-12)]
         rest = self.whitened.ravel() - added @ (added.T @ self.whitened.ravel())
         basis = np.concatenate([self.by_instrument, added.reshape(len(self.use), 3, -1)], axis=2)
         return replace(self, whitened=rest.reshape(-1, 3), by_instrument=basis, dof=self.dof - added.shape[1])
+
+    def scatter(self) -> tuple[Floats, Floats]:
+        """Chi-square (T,) of each target's pointings, and the degrees of freedom that it has."""
+        own = np.sum(self.by_target**2, axis=2) + np.sum(self.by_instrument**2, axis=2)
+        redundancy = np.where(self.weight > 0, 1.0 - own, 0.0).sum(axis=1)
+        target, count = self.recording.target, len(self.recording.targets)
+        chi2 = np.bincount(target, np.sum(self.whitened**2, axis=1), count)
+        return chi2, np.bincount(target, redundancy, count)
 
     def miss(self, row: int) -> float:
         """How far [m] a pointing lands from the mean of the other pointings to its target."""
@@ -158,6 +173,11 @@ class Visit:
         others: Bools = np.logical_and(whole & self.use, self.recording.target == self.recording.target[row])
         others[row] = False
         return float(np.linalg.norm(points[row] - points[others].mean(axis=0))) if others.any() else float("nan")
+
+    def spread(self, target: int) -> float:
+        """Standard deviation [m] of the points of a target, along one axis."""
+        points = from_polar(self.recording.readings[self.use & np.asarray(self.recording.target == target)])
+        return float(np.sqrt(np.nanmean(np.nanvar(points, axis=0, ddof=1))))
 
     def of_pointings(self) -> tuple[Floats, Ints]:
         """Fall of chi-square (n,) if a pointing were left out, and by how many readings (n,) that is judged."""

@@ -14,7 +14,7 @@ from ltsim.notation import with_sigma
 from ltsim.recording.recording import OBSERVABLES, Recording
 from ltsim.units import ARCSECOND, MICROMETRE, MICRORADIAN, MILLIMETRE
 
-ZEROS = (("range", "um", MICROMETRE, MILLIMETRE), ("vertical index", "arcsec", ARCSECOND, 100 * ARCSECOND))
+ZEROS = (("range", "um", MICROMETRE, 100 * MICROMETRE), ("vertical index", "arcsec", ARCSECOND, 100 * ARCSECOND))
 """Zeros of an instrument, and the standard deviation from which a recording says nothing of them."""
 SHIFT, TILT, TURN = slice(0, 3), slice(3, 5), slice(5, 6)
 VAGUE = 100 * MICRORADIAN
@@ -112,6 +112,16 @@ def instrument_sentence(recording: Recording, explained: Explained, passed: bool
     ]
     said = f" ({', '.join(parts)} over the visit)" if parts else "; what was measured again tells little of it"
     return f"{recording.stations[0]}: {'no drift of the instrument' if passed else 'the instrument drifts'}{said}"
+
+
+def target_sentence(visit: Visit, shown: Ints) -> tuple[str, tuple[str, ...]]:
+    """Which targets scatter most and least, of `shown` (k,) from the most to the least, and those of the upper half."""
+    recording = visit.recording
+    names = [recording.targets[t] for t in shown]
+    sizes = [length(visit.spread(int(t))) for t in shown]
+    low, high = (f"{sizes[i]} at {names[i]}" for i in (-1, 0))
+    sentence = f"it belongs to the targets ({low} to {high} along each axis), not to range or air"
+    return sentence, tuple(names[: (len(names) + 1) // 2])
 
 
 def _motion(found: Explained) -> str:

@@ -27,7 +27,7 @@ EDGE = 1.25
 range ends a curve need not be zero."""
 SCALES = {MODES: (0.9, 0.4, 0.18), LOW: (0.6,), FINE: (0.07,)}
 """Length scales by number of eigenfunctions: in half-widths of the covariate's range, round a circle in radians."""
-MEMORY = ("approach-", "move-", "last-", "wound-", "lapse")
+MEMORY = ("approach-", "move-", "last-", "work-", "wound-", "lapse")
 """How the names of covariates begin that tell of the pointing before."""
 SIMPLE = {
     "power": lambda x, k: x**k,
@@ -43,8 +43,6 @@ SIMPLE = {
     "fading": lambda x, k: np.exp(-np.abs(x) / k),
 }
 """Functions of a covariate and a constant, of which the shortest laws are made."""
-PARTS = 10
-"""Parts into which the planes that are tried first divide the room along each axis."""
 RESTING = 0.02
 """Share of its largest value up to which a column counts as zero."""
 
@@ -121,51 +119,6 @@ def field(sightings: Sightings, names: Sequence[str], around: Sequence[str], *, 
     return np.hstack([np.ones((len(place), 1)), place, *more])
 
 
-SEEN = 0.03
-"""Least rms of a bell over the pointings, before it is sized: what no sight comes near has no error there."""
-
-
-def near(sightings: Sightings, target: str, width: float, *, far: bool = False) -> Floats:
-    """A bell about the line of sight to a target, of a width [rad], and its slopes to the left and upwards (n, 3).
-
-    What is `far` lies in one direction from all stations: that of the target from the middle of them.
-    """
-    point = sightings.points[sightings.target_ids[target][0]]
-    there = point - sightings.position[sightings.station]
-    there = np.broadcast_to(there.mean(axis=0), there.shape) if far else there
-    away = np.linalg.norm(there, axis=1)
-    there = there / np.maximum(away, 1e-300)[:, None]
-    ahead, *across = (np.sum(there * axis, axis=1) for axis in sightings.unit_vectors)
-    angle = np.where(away > 0.0, np.arctan2(np.hypot(*across), ahead), np.pi)  # a station may stand at a target
-    bell = np.exp(-0.5 * (angle / width) ** 2)
-    bell /= max(float(np.sqrt(np.mean(bell**2))), SEEN)
-    return np.stack([bell, *(bell * side / width for side in across)], axis=1)
-
-
-def past(sightings: Sightings, name: str, plane: float) -> Floats:
-    """The length (n, 1) of each sight beyond a plane [m] across one of the room's axes."""
-    there, here = _ends(sightings, name)
-    share = np.clip((np.maximum(there, here) - plane) / np.maximum(np.abs(there - here), 1e-300), 0.0, 1.0)
-    return sized((share * sightings.range_)[:, None])
-
-
-CURTAIN = 0.5
-"""[m] Thickness of the sheet: it matters only to sights that run nearly along it."""
-
-
-def through(sightings: Sightings, name: str, plane: float) -> Floats:
-    """The length (n, 1) of each sight in a thin sheet at a plane [m] across one of the room's axes."""
-    there, here = _ends(sightings, name)
-    aslant = sightings.range_ / np.maximum(np.abs(there - here), CURTAIN)
-    return sized(np.where((there - plane) * (here - plane) < 0.0, aslant, 0.0)[:, None])
-
-
-def _ends(sightings: Sightings, name: str) -> tuple[Floats, Floats]:
-    """Coordinates (n,) of target and instrument along one of the room's axes."""
-    axis = "xyz".index(name)
-    return sightings.points[sightings.target, axis], sightings.position[sightings.station, axis]
-
-
 def lagging(sightings: Sightings, name: str, memory: float) -> Floats:
     """A covariate, or the amount of a move, after a first-order lag with a memory [s]; how far it is behind (n, 2)."""
     x = sightings.quantities[name]
@@ -183,11 +136,3 @@ def lagging(sightings: Sightings, name: str, memory: float) -> Floats:
 def one_each(what: Ints, ids: Ints | Sequence[int]) -> Floats:
     """One where something (n,) has one of the ids (k,), (n, k)."""
     return (what[:, None] == np.asarray(ids)).astype(np.float64)
-
-
-def late(sightings: Sightings) -> Floats:
-    """What belongs to the target measured before, less what belongs to this one, (n, T)."""
-    own = one_each(sightings.target, np.arange(len(sightings.target_names)))
-    before = np.empty_like(sightings.order)
-    before[sightings.order] = np.append(sightings.order[:1], sightings.order[:-1])
-    return own[before] - own

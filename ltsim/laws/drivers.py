@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ltsim.arrays import Bools, Floats
+from ltsim.arrays import Bools, Floats, Ints
 from ltsim.laws.columns import (
     CIRCULAR,
     MEMORY,
@@ -20,18 +20,15 @@ from ltsim.laws.columns import (
     function,
     has_zero,
     lagging,
-    late,
-    near,
     one_each,
-    past,
     sized,
-    through,
     waves_of,
 )
 from ltsim.scene.sightings import Sightings
 
 CLOCKS = ("time", "station-time")
 WORDS = {
+    "station": "place",
     "x": "place",
     "y": "place",
     "z": "place",
@@ -48,9 +45,19 @@ WORDS = {
 """Names of the interface for covariates that have others here."""
 
 
+POINTED = ("azimuth", "elevation", "distance", "target")
+
+
+def base_of(name: str) -> str:
+    """The quantity that an operator on the order of the work is applied to."""
+    how, _, base = name.partition("-")
+    return base if base and f"{how}-" in MEMORY else name
+
+
 def words_of(names: Iterable[str]) -> tuple[str, ...]:
-    """Covariates in the words of the interface."""
-    return tuple(dict.fromkeys("approach" if n.startswith(MEMORY) else WORDS.get(n, n) for n in names))
+    """Covariates in the words of the interface: how the head came to a pointing is the approach."""
+    memory = {name for name in names if name == "lapse" or (base_of(name) != name and base_of(name) in POINTED)}
+    return tuple(dict.fromkeys("approach" if n in memory else WORDS.get(base_of(n), base_of(n)) for n in names))
 
 
 @dataclass(frozen=True)
@@ -61,21 +68,19 @@ class Driver:
     ----------
     kind : str
         constant, smooth, wave (cosine and sine of `constant` times a covariate), cycle (a wave of any shape), simple,
-        product, pieces (the sum of steps and ramps of one covariate), visits (something else at every set-up),
-        lagging (what follows a covariate by and by), near (sights that pass a target within an angle), towards (those
-        within an angle of its direction), past and through (the length of a sight beyond a plane, and in a curtain
-        there), late (what belongs to the target before, less what belongs to this one); for what carries targets
-        field (the same for all, growing across the room, and bent) and members (another amount for each).
+        product, pieces (the sum of steps and ramps of one covariate), lagging (what follows a covariate by and by),
+        amounts (another one for each station, for each target, or for each that was measured before), field (the same
+        for all that is carried, growing across the room, and bent).
     covariates : tuple of str
     function : str
         Of a simple driver.
     constant : float
-        Of a simple driver or a wave; the eigenfunctions of a smooth one; the order of a field; the angle of what is
-        near [rad], the coordinate of a plane [m], the number of targets of what is late, the time [s] of a lag.
+        Of a simple driver or a wave; the eigenfunctions of a smooth one; the order of a field; the number of amounts;
+        the time [s] of a lag.
     factors : tuple of Driver
         Of a product; the pieces.
     around : tuple of str
-        Targets about whose middle a field grows, empty for all; members; the one that sights pass.
+        Targets about whose middle a field grows, or that have amounts of their own; empty for all.
     """
 
     kind: str
@@ -92,7 +97,7 @@ class Driver:
         column of the recording is at its zero, and where there is no such moment in the mean of the work.
         """
         found = self._columns(sightings, moving)
-        if not moving or self.kind in ("constant", "field", "members", "product"):
+        if not moving or self.kind in ("constant", "field", "amounts", "product"):
             return found
         found = found - found[self._resting(sightings)].mean(axis=0)
         return sized(found) if self.kind == "simple" else found
@@ -119,24 +124,23 @@ class Driver:
                 return field(sightings, self.covariates, self.around, bent=self.constant > 1)
             case "simple":
                 return function(sightings, name, self.function, self.constant)
-            case "near" | "towards" | "past" | "through":
-                return self._on_the_way(sightings)
             case "lagging":
                 return lagging(sightings, name, self.constant)
-            case "late":
-                return late(sightings)
-            case "visits":
-                return one_each(sightings.station, np.unique(sightings.station))
-            case "members":
-                return one_each(sightings.target, [sightings.target_names.index(name) for name in self.around])
+            case "amounts":
+                return one_each(*self._owners(sightings))
             case "pieces":
                 return np.hstack([factor.columns(sightings) for factor in self.factors])
         return self._products(sightings, moving)
 
-    def _on_the_way(self, sightings: Sightings) -> Floats:
-        if self.kind in PLANES:
-            return (past if self.kind == "past" else through)(sightings, self.covariates[1], self.constant)
-        return near(sightings, self.around[0], self.constant, far=self.kind == "towards")
+    def _owners(self, sightings: Sightings) -> tuple[Ints, Ints]:
+        """Which station or target (n,) each amount goes by, and those (k,) that have one."""
+        if self.covariates == ("station",):
+            return sightings.station, np.unique(sightings.station)
+        every = np.arange(len(sightings.target_names))
+        if self.covariates == ("last-target",):
+            return np.where(sightings.previous >= 0, sightings.target[sightings.previous], -1), every
+        own = [sightings.target_names.index(name) for name in self.around]
+        return sightings.target, np.array(own) if own else every
 
     def _products(self, sightings: Sightings, moving: bool) -> Floats:
         found = np.ones((len(sightings), 1))
@@ -150,13 +154,11 @@ class Driver:
     def spreads(self) -> tuple[Floats, ...]:
         """Prior standard deviations (k,) of the coefficients, one set a length scale."""
         match self.kind:
-            case "constant" | "simple" | "past" | "through":
+            case "constant" | "simple":
                 return (np.ones(1),)
-            case "near" | "towards":
-                return (np.full(3, np.sqrt(1.0 / 3.0)),)
             case "wave" | "lagging":
                 return (np.full(2, np.sqrt(0.5)),)
-            case "visits" | "pieces" | "late" | "members":
+            case "amounts" | "pieces":
                 return (np.ones(int(self.constant)),)
             case "cycle":
                 return (np.repeat(1.0 / np.arange(1, OVERTONES + 1), 2) / np.sqrt(2.0),)
@@ -182,7 +184,7 @@ class Driver:
     def for_each(self, targets: tuple[str, ...]) -> Driver:
         """The driver with another amount for each of some targets."""
         followed = [f for f in self.factors or (self,) if f.kind != "field"]
-        each = Driver("members", SEVERAL["members"], constant=len(targets), around=targets)
+        each = amounts("target", len(targets), targets)
         return Driver("product", factors=(*followed, each))
 
     @property
@@ -194,33 +196,27 @@ class Driver:
     def told(self) -> tuple[str, ...]:
         """What it depends on, in the words of the interface."""
         names = [*self.covariates, *(name for factor in self.factors for name in factor.covariates)]
-        return words_of([*names, "x"] if self.kind == "visits" else names)
+        return words_of(names)
 
 
 CONSTANT = Driver("constant")
-SEVERAL = {
-    "field": ("x", "y", "z"),
-    "near": ("azimuth", "elevation"),
-    "towards": ("bearing", "elevation"),
-    "late": ("last-target", "target"),
-    "members": ("target",),
-}
-"""Kinds of drivers with covariates of their own."""
-BELLS = ("near", "towards")
-"""Kinds of drivers that are largest in the direction of a target."""
-PLANES = ("past", "through")
-"""Kinds of drivers whose constant is where a plane stands across an axis."""
+PLACE = ("x", "y", "z")
 
 
 def across_the_room(drivers: Sequence[Driver], order: int) -> list[Driver]:
     """Drivers whose size may grow across the room, or bend with it."""
-    grows = Driver("field", SEVERAL["field"], constant=order)
+    grows = Driver("field", PLACE, constant=order)
     return [Driver("product", factors=(driver, grows)) for driver in drivers]
 
 
 def simple(name: str, function: str, constant: float = 1.0) -> Driver:
     """A driver with one column."""
     return Driver("simple", (name,), function, constant)
+
+
+def amounts(of: str, count: int, targets: tuple[str, ...] = ()) -> Driver:
+    """Another amount for each `station`, `target`, or `last-target`; of some targets only."""
+    return Driver("amounts", (of,), constant=count, around=targets)
 
 
 def pieces(steps: Sequence[Driver]) -> Driver:

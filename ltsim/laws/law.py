@@ -15,8 +15,8 @@ import numpy as np
 from ltsim.arrays import Floats
 from ltsim.effects.signature import Parameter, Tunable
 from ltsim.laws.carriers import CARRIERS, Carrier
-from ltsim.laws.columns import CIRCULAR, FINE, LOW, MODES, PARTS, one_each
-from ltsim.laws.drivers import CLOCKS, CONSTANT, PLANES, Driver, pieces, simple, smooth
+from ltsim.laws.columns import CIRCULAR, FINE, LOW, MODES, one_each
+from ltsim.laws.drivers import CLOCKS, CONSTANT, Driver, pieces, simple, smooth
 from ltsim.laws.offered import MOST_VISITS, WAVE_STEP
 from ltsim.laws.places import LEAST_GROUP
 from ltsim.recording.recording import OBSERVABLES
@@ -35,7 +35,7 @@ ANGULAR = ("elevation", "incidence", "nest-direction", "last-azimuth", "last-ele
 MOVED, NEAR = 4, 6
 """Steps and ramps up to whose number each is moved, and by how many gaps between the values of their covariate;
 nearer to each other they are not set, for a few pointings make no law."""
-SCALED = ("decay", "fading", "relaxing", "saturated", "near", "towards", "lagging")
+SCALED = ("decay", "fading", "relaxing", "saturated", "lagging")
 """Functions and kinds with a constant that is known to a factor at first."""
 OF_SPAN = np.array([0.05, 0.15, 0.5])
 """Constants of decays and saturations, as a share of a covariate's span."""
@@ -104,16 +104,12 @@ class Law(Tunable):
         return (at[:, :, None] * columns[:, None, :]).reshape(len(sightings), -1)
 
     def finer(self, sightings: Sightings) -> list[Law]:
-        """Rates and planes between those tried first, edges and constants around one."""
+        """Rates between those tried first, edges and constants around one."""
         driver = self.driver
         if driver.kind in ("wave", "cycle"):
             step = 2 * np.pi * WAVE_STEP / float(np.ptp(sightings.quantities[driver.covariates[0]]))
             rates = driver.constant + step * np.linspace(-0.9, 0.9, 19)
             return [replace(self, driver=replace(driver, constant=float(r))) for r in rates if r > 0]
-        if driver.kind in PLANES:
-            step = float(np.ptp(sightings.points[:, "xyz".index(driver.covariates[1])])) / PARTS
-            planes = driver.constant + step * np.linspace(-0.9, 0.9, 7)
-            return [replace(self, driver=replace(driver, constant=float(plane))) for plane in planes]
         if driver.kind == "pieces" and len(driver.factors) <= MOVED:
             return self._with_one_moved(sightings)
         if driver.function in SCALED or driver.kind in SCALED:
@@ -200,7 +196,7 @@ class Law(Tunable):
         """The law with coefficients of its own for each set-up, where that can be."""
         stations = tuple(sightings.station_names)
         confined = len(self.stations) > 1 or self.targets or self.instruments
-        once = self.driver.kind in ("product", "visits", "late") or self.carrier.kind not in OF_A_SET_UP
+        once = self.driver.kind in ("product", "amounts") or self.carrier.kind not in OF_A_SET_UP
         if confined or once or len(stations) < 2:
             return None
         return replace(self, stations=stations, each=True) if len(stations) <= MOST_VISITS else None

@@ -30,9 +30,15 @@ class NoisePattern(NoiseSignature):
     instruments: tuple[str, ...] = ()
     falling: bool = False
     repeating: str = ""
+    each: bool = False
 
     name = "unknown"
-    parameters = (Parameter("added-variance", "", "variance added where the pattern is 1, over the stated", 3.0),)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """One size; one for each of the targets where `each` has its own noise."""
+        names = [f"added-variance at {name}" for name in self.targets] if self.each else ["added-variance"]
+        return tuple(Parameter(n, "", "variance added where the pattern is 1, over the stated", 3.0) for n in names)
 
     @property
     def carrier(self) -> str:
@@ -42,7 +48,7 @@ class NoisePattern(NoiseSignature):
     @property
     def driver(self) -> str:
         """What it follows, in words."""
-        return "station and target" if self.repeating else " ".join(self.covariates)
+        return "station and target" if self.repeating else "target" if self.each else " ".join(self.covariates)
 
     @property
     def law(self) -> str:
@@ -50,12 +56,18 @@ class NoisePattern(NoiseSignature):
         if self.repeating:
             again = ", in both faces" if self.repeating == BOTH_FACES else ""
             return f"amounts without a visible law that repeat when a target is measured again{again}"
+        if self.each:
+            return "noise that differs from target to target"
         if not self.covariates:
             return "larger noise"
         return f"noise that {'falls' if self.falling else 'grows'} with {self.covariates[0]}"
 
     def variance(self, sightings: Sightings, sigma: Floats, values: Floats) -> Floats:
         """Variance (n, 3)."""
+        if self.each:
+            ids = [sightings.target_names.index(name) for name in self.targets]
+            added = np.bincount(ids, values, minlength=len(sightings.target_names))
+            return sigma**2 * (1.0 + added[sightings.target, None])
         pattern = self.mask(sightings)
         for name in self.covariates:
             x = np.abs(sightings.quantities[name]) if name.startswith(MEMORY) else sightings.quantities[name]

@@ -11,9 +11,9 @@ import numpy as np
 from ltsim.errors import ModelError
 from ltsim.laws.carriers import CARRIERS
 from ltsim.laws.columns import LOW, MODES
-from ltsim.laws.drivers import BELLS, CLOCKS, PLANES, SEVERAL, Driver, pieces
+from ltsim.laws.drivers import CLOCKS, PLACE, Driver, pieces
 from ltsim.laws.law import Law
-from ltsim.laws.offered import FOLLOWED
+from ltsim.laws.offered import FOLLOWED, OPERATORS
 from ltsim.recording.recording import Recording
 
 ANGLES = ("azimuth", "bearing", "circle", "elevation", "nest-direction")
@@ -23,19 +23,18 @@ METRES = ("distance", "height", "move-distance", "last-distance", "x", "y", "z")
 PARITIES = {
     "parity": "the parity of the order (every other pointing)",
     "seating-parity": "the parity of the seatings (every other target)",
+    "station": "the station",
+    "target": "the target",
+    "last-target": "the target before",
 }
+OWNERS = ("station", "target", "last-target")
+"""What may have amounts of its own."""
 PHRASES: dict[tuple[str, str, float | None], str] = {
     ("constant", "", None): "constant",
     ("smooth", "", None): "a smooth function of {x}",
     ("field", "", None): "the place in the room",
-    ("visits", "", None): "the station, another at each",
-    ("members", "", None): "the target, another at each",
-    ("near", "", None): "the nearness to the line of sight to {x}, within {value}",
-    ("towards", "", None): "the nearness to the direction of {x}, within {value}",
+    ("amounts", "", None): "{x}, another at each",
     ("lagging", "", None): "{x} with a lag of {value}",
-    ("past", "", None): "the length of the sight beyond {x} = {value}",
-    ("through", "", None): "the length of the sight in a curtain at {x} = {value}",
-    ("late", "", None): "the target before, as if the list were one row late",
     ("wave", "turn", 1.0): "a wave in {x}, 1 period a turn",
     ("wave", "turn", None): "a wave in {x}, {k} periods a turn",
     ("wave", "period", None): "a wave in {x} with a period of {value}",
@@ -61,8 +60,8 @@ PHRASES: dict[tuple[str, str, float | None], str] = {
 }
 """What is said of a kind of driver, its function and its constant (None: any): x is a covariate, k the constant, and
 value a constant, or a wave's period, with its unit."""
-UNIT_OF = {"lagging": "time", **dict.fromkeys(BELLS, "azimuth")}
-"""Covariates whose unit the constant of such a driver has: an angle, a time."""
+UNIT_OF = {"lagging": "time"}
+"""Covariates whose unit the constant of such a driver has."""
 LEAST = {"min": 2.0, "m": 1.0}
 """Values from which a unit is used that has a smaller one beside it: 90 s, but 2 min; 400 mm, but 1 m."""
 IN_ITS_OWN_WAY = ", in its own way at each set-up"
@@ -92,8 +91,7 @@ def describe(driver: Driver, *, clock: bool = True) -> str:
     """A driver in words."""
     if driver.kind in BETWEEN:
         return BETWEEN[driver.kind].join(describe(f, clock=clock) for f in driver.factors)
-    said = driver.around if driver.kind in BELLS else driver.covariates  # of a plane its axis, which stands last
-    name, k, how = "".join(said[-1:]), driver.constant, driver.function
+    name, k, how = "".join(driver.covariates[-1:]), driver.constant, driver.function
     if driver.kind in ("wave", "cycle"):
         how = "turn" if name.endswith(ANGLES) else "period"
     phrase = PHRASES.get((driver.kind, how, k)) or PHRASES[driver.kind, how, None]
@@ -127,13 +125,15 @@ def read_law(
     driver, each = read_driver(words.removesuffix(IN_ITS_OWN_WAY), recording), words.endswith(IN_ITS_OWN_WAY)
     if each and (stations or targets):
         raise ModelError(f"'{words}' goes with all set-ups, not with {', '.join((*stations, *targets))}")
-    driver = Driver("product", factors=(driver,)) if driver.kind == "members" else driver
-    if not targets and any(factor.kind == "members" for factor in driver.factors):
+    owned = [f for f in (driver, *driver.factors) if f.covariates == ("target",)]
+    driver = Driver("product", factors=(driver,)) if owned == [driver] else driver
+    if not targets and owned:
         raise ModelError(f"'{words}' goes with some targets, named behind the law: {carrier} ~ {words}:TARGET,TARGET")
     if targets or any(factor.kind == "wave" for factor in driver.factors):  # a group tilts, the whole may bend
-        constants = {"field": 1.0, "members": float(len(targets))}
+        orders = {PLACE: 1.0, ("target",): float(len(targets))}
         factors = (
-            replace(f, around=targets, constant=constants[f.kind]) if f.kind in constants else f for f in driver.factors
+            replace(f, around=targets, constant=orders[f.covariates]) if f.covariates in orders else f
+            for f in driver.factors
         )
         driver = replace(driver, factors=tuple(factors))
     return Law(recording.stations if each else stations, targets, CARRIERS[carrier][0], driver, each=each)
@@ -146,26 +146,26 @@ def read_driver(words: str, recording: Recording, modes: int = MODES) -> Driver:
         return Driver("product", factors=tuple(read_driver(factor.strip(), recording, LOW) for factor in factors))
     if len(steps) > 1:
         return pieces([read_driver(step, recording) for step in steps])
-    known = (*FOLLOWED, *recording.circumstances)
-    names = {"": ""} | {PARITIES.get(name, name): name for name in known}
+    further = recording.circumstances
+    known = (*FOLLOWED, *further, *(f"{how}-{name}" for how in OPERATORS for name in further))
+    names = {"": ""} | {PARITIES.get(name, name): name for name in (*known, *OWNERS)}
     for (kind, how, constant), phrase in PHRASES.items():
         pattern = re.sub(r"\\{(\w+)\\}", lambda group: _GROUPS[group[1]], re.escape(phrase))
         if not (found := re.fullmatch(pattern, words)):
             continue
         said: dict[str, str] = found.groupdict()
-        near = kind in BELLS and said["x"] in recording.targets
-        name = said["x"] if near else names.get(said.get("x", ""))
-        if name is None or (how == "turn" and not name.endswith(ANGLES)):
+        name = names.get(said.get("x", ""))
+        if name is None or (how == "turn" and not name.endswith(ANGLES)) or (name in OWNERS) != (kind == "amounts"):
             continue
-        many = {"visits": len(np.unique(recording.station)), "late": len(recording.targets)}
-        k = constant or {"smooth": modes, "field": 2.0, **many}.get(kind, 0.0)
+        many = len(np.unique(recording.station)) if name == "station" else len(recording.targets)
+        k = constant or {"smooth": modes, "field": 2.0, "amounts": many}.get(kind, 0.0)
         if "k" in said or "value" in said:
             k = _constant(words, UNIT_OF.get(kind, name), said, recording.has_clock)
-            if k <= 0.0 and how not in ("step", "ramp", "power") and kind not in PLANES:
+            if k <= 0.0 and how not in ("step", "ramp", "power"):
                 raise ModelError(f"'{words}': expected a number above zero")
-        along = SEVERAL.get(kind) or (("distance", name) if kind in PLANES else (name,) if name else ())
+        along = PLACE if kind == "field" else (name,) if name else ()
         constant = 2 * np.pi / k if how == "period" else k
-        return Driver(kind, along, how if kind == "simple" else "", constant, around=(name,) if near else ())
+        return Driver(kind, along, how if kind == "simple" else "", constant)
     raise ModelError(
         f"'{words}' is nothing that a law can follow here; expected words such as {'; '.join(EXAMPLES)}; with one of "
         f"{', '.join(known)}"

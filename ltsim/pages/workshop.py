@@ -118,7 +118,7 @@ def from_adjustment(adjustment: Adjustment, *, plain: Adjustment | None = None, 
     """The workshop of an adjusted network; `plain` is the adjustment before, for the correction arrows."""
     recording, state = adjustment.recording, adjustment.state
     worst = np.nanmax(np.abs(np.nan_to_num(adjustment.w)), axis=1)
-    placed = np.asarray(np.isfinite(adjustment.target_covariance).all(axis=(1, 2)))
+    placed = np.asarray(np.isfinite(adjustment.target_covariance[:, :2, :2]).all(axis=(1, 2)))
     rows, number = placed[recording.target], np.cumsum(placed) - 1
     correction = None if plain is None else (state.points - plain.state.points)[placed]
     return assemble(
@@ -132,7 +132,7 @@ def from_adjustment(adjustment: Adjustment, *, plain: Adjustment | None = None, 
         sights=Sights(
             recording.station[rows], number[recording.target[rows]], worst[rows], "largest normalised residual"
         ),
-        covariance=adjustment.target_covariance[placed],
+        covariance=np.nan_to_num(adjustment.target_covariance[placed]),
         correction=correction,
     )
 

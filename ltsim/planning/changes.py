@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -11,9 +11,10 @@ from ltsim.arrays import Bools, Floats, Ints
 from ltsim.model.construction import Construction
 from ltsim.planning.objective import TARGETS, Objective
 from ltsim.planning.reflectors import Choice
+from ltsim.planning.schema import ChangeEntry, rounded
 from ltsim.planning.site import Site
 from ltsim.planning.survey import Survey
-from ltsim.units import MICROMETRE
+from ltsim.units import MICROMETRE, MILLIMETRE
 
 MATERIAL = 0.002
 """Least improvement of the quality, relative, that a change is told for."""
@@ -23,65 +24,20 @@ SHOWN = 3
 """Changes of each sort that are told."""
 
 What = Literal["move", "add", "remove"]
+SORTS: tuple[What, ...] = get_args(What)
 Tried = tuple[float, int | None, int | None, Floats]
 """Factor on the quality, which reflector leaves, which place is taken, the normal matrix then."""
-
-
-@dataclass(frozen=True)
-class Change:
-    """One reflector moved, added or left out."""
-
-    what: What
-    """`move`, `add` or `remove`."""
-    reflector: str
-    """Which; empty for one that is added."""
-    place: str
-    """Where to; empty for one that is left out."""
-    position: Floats | None
-    """(3,) [m]."""
-    gain_um: float
-    """By how much the point error of all other targets falls, root mean square, inner constraints; negative: rises."""
-    quality: float
-    """Factor on the plan's objective; where its goal is targets alone, on the error of all other targets. Below one is
-    better.
-    """
-    serves: str
-    """What profits most, or suffers most from leaving a reflector out: an instrument parameter, or one of the other
-    targets where the goal is targets alone; and the factor on its sigma.
-    """
-    serves_factor: float
-
-    @property
-    def deed(self) -> str:
-        """What to do, with the place in metres."""
-        place = "" if self.position is None else f"{self.place} ({', '.join(f'{v:.2f}' for v in self.position)}) m"
-        return {
-            "move": f"move {self.reflector} to {place}",
-            "add": f"add a reflector at {place}",
-            "remove": f"leave out {self.reflector}",
-        }[self.what]
-
-    @property
-    def words(self) -> str:
-        """What to do and what it brings, as a sentence without a stop."""
-        if abs(1 - self.quality) < NOTHING:
-            return f"{self.deed}: makes no difference"
-        better = f"{100 * abs(1 - self.quality):.1f} % {'better' if self.quality <= 1 else 'worse'}"
-        other = f"{abs(self.gain_um):.2f} um {'less' if self.gain_um >= 0 else 'more'} error of the other points"
-        sigma = 100 * (self.serves_factor - 1)
-        most = "hardest on" if self.what == "remove" else "most for"
-        return f"{self.deed}: quality {better}, {other}, {most} {self.serves} (sigma {sigma:+.1f} %)"
 
 
 @dataclass(frozen=True)
 class Changes:
     """All single changes that were tried."""
 
-    told: tuple[Change, ...]
+    told: tuple[ChangeEntry, ...]
     """Moves and additions that help, the best first, then what can be left out at the least cost."""
-    tried: dict[str, int]
+    tried: dict[What, int]
     """How many of each sort."""
-    helped: dict[str, int]
+    helped: dict[What, int]
     """How many of each made the quality better by more than `MATERIAL`."""
 
     @property
@@ -102,17 +58,9 @@ class Changes:
 def reflector_changes(
     site: Site, survey: Survey, stays: Bools, objective: Objective, construction: Construction
 ) -> Changes:
-    """Try every move, addition and removal of one reflector.
-
-    Parameters
-    ----------
-    site : Site
-        Its candidate places are those to move to.
-    stays : (T,) bool
-        Targets that stay: no change of theirs is tried.
-    """
+    """Try every move, addition and removal of one reflector, but of those that stay (T,); places are the site's."""
     if stays.all() and site.nests is None:
-        return Changes((), dict.fromkeys(("move", "add", "remove"), 0), dict.fromkeys(("move", "add", "remove"), 0))
+        return Changes((), dict.fromkeys(SORTS, 0), dict.fromkeys(SORTS, 0))
     return _Trial(Choice.of(site, survey, stays, objective, construction), objective, site.reflector_spacing).changes()
 
 
@@ -154,9 +102,8 @@ class _Trial:
     def changes(self) -> Changes:
         """All single changes."""
         terms, chosen = self.table.terms, self.chosen
-        found: dict[What, list[Tried]] = {"move": [], "add": [], "remove": []}
-        tried = {"move": 0, "add": 0, "remove": 0}
-        helped = dict(tried)
+        found: dict[What, list[Tried]] = {what: [] for what in SORTS}
+        tried, helped = dict.fromkeys(SORTS, 0), dict.fromkeys(SORTS, 0)
 
         def note(what: What, taken: int | None, places: Ints) -> None:
             """One reflector away, one at each of some places instead; of its moves only the best is kept."""
@@ -179,13 +126,13 @@ class _Trial:
             note("move", i, self._free(np.delete(chosen, i)))
             note("remove", i, chosen[:0])
         note("add", None, self._free(chosen))
-        told: list[Change] = []
+        told: list[ChangeEntry] = []
         for what, made in found.items():
             best = _at_different_places(sorted(made, key=lambda pair: pair[0]))[:SHOWN]
             told += [self._change(what, *one) for one in best if what == "remove" or one[0] < 1 - MATERIAL]
         return Changes(tuple(told), tried, helped)
 
-    def _change(self, what: What, value: float, taken: int | None, place: int | None, total: Floats) -> Change:
+    def _change(self, what: What, value: float, taken: int | None, place: int | None, total: Floats) -> ChangeEntry:
         common = self.chosen if taken is None else np.delete(self.chosen, taken)
         before, after = self.table.target_rms(np.stack([self.total, total]), common)
         if self._of_targets:
@@ -195,17 +142,29 @@ class _Trial:
             ratio = self._sigma(total) / self.sigma
             ratios = dict(zip(self.table.reducer.construction.names, ratio.tolist(), strict=True))
         serves = (min if what != "remove" else max)(ratios, key=lambda name: ratios[name])
-        names = self.choice.names
-        return Change(
-            what=what,
+        names, places = self.choice.names, self.choice.places
+        made = ChangeEntry(
+            do=what,
             reflector="" if taken is None else names[taken],
             place="" if place is None else names[place],
-            position=None if place is None else self.choice.places[place],
+            position_mm=None if place is None else rounded(places[place] / MILLIMETRE, 1),
             gain_um=float(before - after) / MICROMETRE,
             quality=value,
             serves=serves,
             serves_factor=float(ratios[serves]),
         )
+        return made.model_copy(update={"words": _words(made)})
+
+
+def _words(change: ChangeEntry) -> str:
+    """What to do and what it brings, as a sentence without a stop."""
+    if abs(1 - change.quality) < NOTHING:
+        return f"{change.deed}: makes no difference"
+    better = f"{100 * abs(1 - change.quality):.1f} % {'better' if change.quality <= 1 else 'worse'}"
+    other = f"{abs(change.gain_um):.2f} um {'less' if change.gain_um >= 0 else 'more'} error of the other points"
+    sigma = 100 * (change.serves_factor - 1)
+    most = "hardest on" if change.do == "remove" else "most for"
+    return f"{change.deed}: quality {better}, {other}, {most} {change.serves} (sigma {sigma:+.1f} %)"
 
 
 def _at_different_places(best: list[Tried]) -> list[Tried]:

@@ -21,7 +21,7 @@ from ltsim.arrays import Bools, Floats, Ints
 from ltsim.effects.effect import Effect
 from ltsim.effects.noise import white_noise_sigma
 from ltsim.geometry.rigid import holds_pose, rigid_motion
-from ltsim.geometry.rotations import cross_matrix
+from ltsim.geometry.rotations import about_z, cross_matrix
 from ltsim.model.construction import Construction, misalignment
 from ltsim.model.measurement import MeasurementModel
 from ltsim.planning.survey import Survey
@@ -35,10 +35,14 @@ POSE_SCALE = 1e-5
 
 @dataclass(frozen=True)
 class StationBlocks:
-    """What each of N set-ups contributes to the normal equations; P = instrument and effect parameters."""
+    """N set-ups and what each contributes to the normal equations; P = instrument and effect parameters."""
 
     position: Floats
     """(N, 3) [m]."""
+    yaw: Floats
+    """(N,) [rad]."""
+    seen: Bools
+    """(N, T): targets that each measures."""
     held: Bools
     """(N,): whether the targets in sight hold the pose."""
     tt: Floats
@@ -57,6 +61,11 @@ class StationBlocks:
         """Several sets of set-ups as one."""
         return cls(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(cls)))
 
+    def with_station(self, slot: int, other: StationBlocks) -> StationBlocks:
+        """A layout of these set-ups with another one (N = 1) as station `slot`."""
+        stations = np.arange(len(self.position))
+        return self.joined([self, other]).take(np.where(stations == slot, len(stations), stations))
+
 
 @dataclass(frozen=True)
 class Reduced:
@@ -73,14 +82,8 @@ class Reduced:
 class Reducer:
     """Layouts of one workshop: fixed targets, gauge, noise and priors; set-ups that change.
 
-    Parameters
-    ----------
-    survey : Survey
-        Everything but the places of the stations; its number of stations is that of every layout.
-    construction : Construction, optional
-        Default: the 16 misalignment parameters.
-    effects : sequence of Effect
-        Further effects whose information is wanted too; unit their prior sigma, no prior.
+    `survey` has everything but the places of the stations, whose number is that of every layout; parameters are those
+    of `construction`, by default the 16 misalignments, and of `effects` (unit their prior sigma, no prior).
     """
 
     def __init__(
@@ -129,61 +132,55 @@ class Reducer:
     def sightings(self, position: Floats, yaw: Floats, slot: Ints) -> Sightings:
         """One pointing of every target on each face from each of N set-ups; `slot` is the station they stand for."""
         survey = self.survey
-        count, targets, faces = len(position), len(survey.points), np.array(survey.faces)
-        station, target, face = (
-            axis.ravel() for axis in np.meshgrid(np.arange(count), np.arange(targets), faces, indexing="ij")
-        )
-        at = survey.turn(slot[station], target, face)
-        visit = survey.seconds_per_move + targets * len(faces) * survey.seconds_per_pointing
-        normals = [survey.setup.targets.get(t) for t in survey.target_names]
-        missing = (np.nan, np.nan, np.nan)
-        normal = np.array([(n.nest_normal or missing) if n else missing for n in normals], dtype=np.float64)
-        cosine, sine, zero = np.cos(yaw), np.sin(yaw), np.zeros(count)
-        rotation = np.stack(
-            [
-                np.stack([cosine, -sine, zero], axis=1),
-                np.stack([sine, cosine, zero], axis=1),
-                np.stack([zero, zero, zero + 1.0], axis=1),
-            ],
-            axis=1,
-        )
+        axes = np.arange(len(position)), np.arange(len(survey.points)), np.array(survey.faces)
+        station, target, face = (axis.ravel() for axis in np.meshgrid(*axes, indexing="ij"))
+        turn = survey.turn(slot[station], target, face)
+        visit = survey.seconds_per_move + len(survey.points) * len(survey.faces) * survey.seconds_per_pointing
+        nests = [survey.setup.targets.get(name) for name in survey.target_names]
+        stated = [(nest and nest.nest_normal) or (np.nan, np.nan, np.nan) for nest in nests]
+        normal = np.array(stated, dtype=np.float64)
         return Sightings(
             station=station,
             target=target,
             instrument=np.zeros(len(station), dtype=np.int64),
             face=face,
             repeat=np.ones(len(station), dtype=np.int64),
-            time=slot[station] * visit + at * survey.seconds_per_pointing,
+            time=slot[station] * visit + turn * survey.seconds_per_pointing,
             position=position,
-            rotation=rotation,
+            rotation=np.stack([about_z(float(angle)) for angle in yaw]),
             points=survey.points,
             nest_normal=normal / np.linalg.norm(normal, axis=1, keepdims=True),
-            reaimed=np.array([n.reaimed if n else True for n in normals], dtype=bool),
+            reaimed=np.array([nest is None or nest.reaimed for nest in nests], dtype=bool),
             station_names=tuple(survey.station_names[s] for s in slot),
             target_names=survey.target_names,
         )
 
-    def rows(self, position: Floats, yaw: Floats, slot: Ints) -> tuple[Floats, Floats]:
-        """Whitened derivatives by the target and by the parameters of set-ups, in the order of `sightings`.
+    def rows(self, position: Floats, yaw: Floats, slot: Ints, seen: Bools) -> tuple[Floats, Floats]:
+        """Whitened rows of N set-ups: (N, T, r, 3) by the target, (N, T, r, 6 + P) by pose and parameters.
 
-        Effects that count time from the start of the work see the first station too.
+        They are zero for what is not `seen` (N, T). Effects that count time from the start of the work see the first
+        station too.
         """
-        if not self.effects or slot.min() == 0:
-            return self._rows(self.sightings(position, yaw, slot))
-        whole = self.sightings(np.r_[position[:1], position], np.r_[yaw[:1], yaw], np.r_[0, slot])
-        by_target, by_value = self._rows(whole)
-        own = len(self.survey.points) * len(self.survey.faces)
-        return by_target[own:], by_value[own:]
+        if self.effects and slot.min() > 0:
+            first = position[:1], yaw[:1], np.zeros(1, dtype=np.int64)
+            whole = (np.concatenate(pair) for pair in zip(first, (position, yaw, slot), strict=True))
+            by_target, by_value = self._derivatives(self.sightings(*whole))
+            own = len(self.survey.points) * len(self.survey.faces)
+            by_target, by_value = by_target[own:], by_value[own:]
+        else:
+            by_target, by_value = self._derivatives(self.sightings(position, yaw, slot))
+        weight = (np.sqrt(self.survey.repeats) * seen)[:, :, None, None]
+        shape = (*seen.shape, 3 * len(self.survey.faces))
+        t, v = by_target.reshape(*shape, 3) * weight, by_value.reshape(*shape, -1) * weight
+        turned = t @ cross_matrix(self.survey.points[None] - position[:, None])
+        return t, np.concatenate([-t, turned, v], axis=3)
 
-    def _rows(self, sightings: Sightings) -> tuple[Floats, Floats]:
+    def _derivatives(self, sightings: Sightings) -> tuple[Floats, Floats]:
         """Whitened derivative (n, 3, 3) by the target and (n, 3, P) by the parameters."""
-        values = np.zeros(self.construction.size)
-        by_point, by_value = self.construction.reading_design(sightings.raw, values)
-        rotation = sightings.rotation[sightings.station]
-        by_target = by_point @ np.swapaxes(rotation, 1, 2)
+        by_point, by_value = self.construction.reading_design(sightings.raw, np.zeros(self.construction.size))
+        by_target = by_point @ np.swapaxes(sightings.rotation[sightings.station], 1, 2)
         designs = [by_value, *(effect.design(sightings) for effect in self.effects)]
-        noise = [self.survey.setup.instrument.noise]
-        sigma = white_noise_sigma(sightings, noise)
+        sigma = white_noise_sigma(sightings, [self.survey.setup.instrument.noise])
         if self.survey.air is not None:
             sigma = np.sqrt(sigma**2 + self.survey.air.variance(sightings))
         white = (self._use / sigma)[:, :, None]
@@ -194,37 +191,19 @@ class Reducer:
     ) -> StationBlocks:
         """Contributions of N set-ups at `position` (N, 3) and `yaw` (N,).
 
-        Parameters
-        ----------
-        slot : (N,) int, optional
-            Which station of the layout each stands for (its time and name, for effects that know them).
-        seen : (N, T) bool, optional
-            Targets that each measures; default all.
+        `slot` (N,) is the station of the layout that each stands for (its time and name, for effects that know them),
+        `seen` (N, T) what it measures; default all.
         """
-        count, targets = len(position), len(self.survey.points)
-        at = np.zeros(count, dtype=np.int64) if slot is None else slot
-        by_target, by_value = self.rows(position, yaw, at)
-        seen = np.ones((count, targets), dtype=bool) if seen is None else seen
-        weight = np.sqrt(self.survey.repeats) * seen
-        shape = (count, targets, 3 * len(self.survey.faces))
-        t = by_target.reshape(*shape, 3) * weight[:, :, None, None]
-        v = by_value.reshape(*shape, -1) * weight[:, :, None, None]
-        arm = self.survey.points[None] - position[:, None]
-        turned = t @ cross_matrix(arm)
-        x = np.concatenate([-t, turned, v], axis=3)
-        flat = x.reshape(count, -1, x.shape[3])
+        at = np.zeros(len(position), dtype=np.int64) if slot is None else slot
+        seen = np.ones((len(position), len(self.survey.points)), dtype=bool) if seen is None else seen
+        t, x = self.rows(position, yaw, at, seen)
+        flat = x.reshape(len(position), -1, x.shape[3])
         across = np.swapaxes(t, 2, 3)
         held = holds_pose(self.survey.points, seen, self._vertical[at])
-        return StationBlocks(position, held, across @ t, across @ x, np.swapaxes(flat, 1, 2) @ flat)
+        return StationBlocks(position, yaw, seen, held, across @ t, across @ x, np.swapaxes(flat, 1, 2) @ flat)
 
     def reduce(self, blocks: StationBlocks, chosen: Ints, *, targets: bool = False) -> Reduced:
-        """Information of B layouts; `chosen` (B, S) are indices into `blocks`, a row a layout.
-
-        Parameters
-        ----------
-        targets : bool
-            Also the targets' point error.
-        """
+        """Information of B layouts; `chosen` (B, S) are indices into `blocks`, a row a layout; and target errors."""
         schur, length, inverse, weights = self.eliminated(blocks, chosen)
         information, rms = np.full((len(schur), *2 * self.scale.shape), np.nan), np.full(len(schur), np.nan)
         held = blocks.held[chosen].all(axis=1) & np.isfinite(schur[:, 0, 0])
@@ -233,13 +212,6 @@ class Reducer:
             known = np.isfinite(information).all(axis=(1, 2))
             rms[known] = self.target_rms(schur[known], inverse[known], weights[known], self.mesh)
         return Reduced(information, rms)
-
-    def schur(self, blocks: StationBlocks, chosen: Ints) -> tuple[Floats, Floats]:
-        """Normal matrices (B, K, K) of poses, gauge targets and parameters, all other targets eliminated.
-
-        And the squared lengths (B, K) of the columns before that, by which `marginal` decides rank.
-        """
-        return self.eliminated(blocks, chosen)[:2]
 
     def marginal(self, schur: Floats, length: Floats) -> Floats:
         """Information (B, P, P) of the parameters: poses and gauge targets of normal matrices (B, K, K) eliminated.
@@ -330,15 +302,9 @@ class Reducer:
     def target_variance(self, schur: Floats, inverse: Floats, weights: Floats, mesh: Ints) -> Floats:
         """Squared point error (B, E + gauge) [m^2] of targets with inner constraints over them.
 
-        Effects are not estimated here, only the instrument's parameters.
-
-        Parameters
-        ----------
-        schur : (B, K, K) float
-        inverse : (B, E, 3, 3), weights : (B, E, 3, K) float
-            Of the eliminated targets that are asked about (`eliminated`).
-        mesh : (E,) or (B, E) int
-            Which targets of the survey these are; those of the gauge are asked about as well.
+        Effects are not estimated here, only the instrument's parameters. `schur` (B, K, K), `inverse` (B, E, 3, 3) and
+        `weights` (B, E, 3, K) are those of `eliminated`, of the targets that are asked about: `mesh` (E,) or (B, E).
+        Those of the gauge are asked about as well.
         """
         layouts, size = len(schur), schur.shape[1] - (len(self.scale) - len(self.prior_sigma))
         covariance = np.linalg.inv(schur[:, :size, :size])

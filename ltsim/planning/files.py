@@ -12,8 +12,8 @@ import numpy as np
 from ltsim.arrays import Floats
 from ltsim.effects import CATALOGUE
 from ltsim.errors import SetupError
-from ltsim.planning.detectability import Detectability, detectability
 from ltsim.planning.improvement import Expected
+from ltsim.planning.loading import load_plan
 from ltsim.planning.planner import Evaluated, Option, Plan
 from ltsim.planning.reasons import fewest, reasons
 from ltsim.planning.schema import (
@@ -28,12 +28,14 @@ from ltsim.planning.schema import (
     WORK,
     NextFile,
     PlanResult,
+    rounded,
 )
-from ltsim.planning.spec import PlanFile, load_plan
+from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import Survey
 from ltsim.planning.tolerances import reached
 from ltsim.planning.work_order import work_rows
-from ltsim.recording.result_file import SourceEntry, read_result, write_result
+from ltsim.recording.result_file import SourceEntry, Vector, read_result, write_result
+from ltsim.remedies.detectability import Detectability, MinimalSize, detectability
 from ltsim.remedies.next_measurement import NextMeasurement
 from ltsim.simulation.scenario import Scenario, load_scenario, scenario_to_toml
 from ltsim.simulation.sections import Station, Target
@@ -46,59 +48,50 @@ SCENARIO = "scenario.toml"
 
 def plan_file(plan: Plan, found: Detectability | None = None) -> PlanResult:
     """The content of `plan.json`."""
-    chosen = plan.chosen
-    sentences = reasons(plan)
-    few = fewest(plan)
+    sentences, few, kept = reasons(plan), fewest(plan), plan.kept
     content: dict[str, Any] = {
         "title": plan.file.title or plan.scenario.title,
         "summary": sentences[0],
         "reasons": sentences[1:],
         "frame": "the workshop's: its corner is the origin, z is up; yaw is the direction of azimuth zero, "
         "counter-clockwise from x",
-        **_evaluated_json(chosen),
-        "reflectors": _reflectors(chosen, plan),
-        "reference": None if plan.reference is None else _evaluated_json(plan.reference),
-        "fewest_stations": None if few is None else _option_json(few),
-        "tradeoff": [_option_json(option) for option in plan.options],
-        "reflector_changes": [
-            {
-                **vars(c),
-                "do": c.what,
-                "words": c.words,
-                "position_mm": None if c.position is None else _millimetres(c.position),
-            }
-            for c in plan.changes.told
-        ],
+        **_layout(plan.chosen, plan),
+        "reference": None if plan.reference is None else _layout(plan.reference),
+        "fewest_stations": None if few is None else _option(few),
+        "tradeoff": [_option(option) for option in plan.options],
+        "reflector_changes": plan.changes.told,
         "changes_tried": plan.changes.summary,
         "starts": plan.spread,
         "bodies": [body.words for body in bodies_of(plan.scenario)],
-        "reached": None if plan.kept is None else reached(plan.demands, plan.kept, plan.losses),
-        "tolerances_kept": None if plan.kept is None else plan.kept.good,
+        "reached": None if kept is None else reached(plan.demands, kept, plan.losses),
+        "tolerances_kept": None if kept is None else kept.good,
         "losses": [{**vars(loss), "kept": loss.good} for loss in plan.losses],
         "settings": plan.file.model_dump(mode="json"),
         "seed": plan.file.search.seed,
     }
     if found is not None:
-        content |= detectability_json(found)
+        content["detectable"] = [_detectable(row) for row in found.table()]
+        content["alike"] = [{"effect": a, "taken_for": b, "share": share} for a, b, share in found.confusable()]
+        content["silent"] = found.silent
     return PlanResult.model_validate(content)
 
 
-def _evaluated_json(layout: Evaluated) -> dict[str, Any]:
-    information = layout.information
-    sentences = information.cures()
+def _layout(layout: Evaluated, plan: Plan | None = None) -> dict[str, Any]:
+    """The keys of a `LayoutEntry`; those of a plan's own layout hold its tolerances."""
+    information, survey = layout.information, layout.survey
     return {
         "allowed": math.isfinite(layout.value),
-        **_work(layout.survey),
+        **_work(survey),
         "quality": layout.qualities,
         "stations": _stations(layout),
-        "reflectors": _reflectors(layout),
+        "reflectors": _reflectors(layout, plan),
         "parameters": information.parameters(),
         "undetermined": [
             {"combination": d.coefficients(information.construction.names), "gain": d.gain, "cure": cure}
-            for d, cure in zip(information.undetermined, sentences, strict=True)
+            for d, cure in zip(information.undetermined, information.cures(), strict=True)
         ],
         "expected_improvement": None if layout.expected is None else _expected(layout.expected),
-        "not_seen": layout.table.lost(layout.survey.station_names, layout.survey.target_names),
+        "not_seen": layout.table.lost(survey.station_names, survey.target_names),
     }
 
 
@@ -109,47 +102,49 @@ def _expected(e: Expected) -> dict[str, Any]:
     }
     return {
         name: {
-            "before_um": float(before[0]) / MICROMETRE,
-            "after_um": float(after[0]) / MICROMETRE,
-            "improvement_percent": float(percent[0]),
+            "before_um": before[0] / MICROMETRE,
+            "after_um": after[0] / MICROMETRE,
+            "improvement_percent": percent[0],
         }
         for name, (before, after, percent) in found.items()
     }
 
 
+def _places(survey: Survey) -> list[dict[str, Any]]:
+    """The stations of a survey as a `StationEntry` begins."""
+    return [
+        {"name": name, "position_mm": _millimetres(place), "yaw_deg": _degrees(yaw)}
+        for name, place, yaw in zip(survey.station_names, survey.position, survey.yaw, strict=True)
+    ]
+
+
 def _stations(layout: Evaluated) -> list[dict[str, Any]]:
-    rows = []
-    sigma = layout.information.pose_covariance
-    for s, name in enumerate(layout.survey.station_names):
-        spread = [float(sigma[s, i, i]) ** 0.5 for i in range(3)]
-        rows.append(
-            {
-                "name": name,
-                "position_mm": _millimetres(layout.survey.position[s]),
-                "yaw_deg": _degrees(layout.survey.yaw[s]),
-                "sigma_position_um": [round(v / MICROMETRE, 2) for v in spread],
-                "reflectors_seen": int(layout.survey.seen[s].sum()),
-            }
-        )
-    return rows
+    sigma = np.sqrt(np.einsum("sii->si", layout.information.pose_covariance[:, :3, :3])) / MICROMETRE
+    seen = layout.survey.seen.sum(axis=1).tolist()
+    return [
+        {**place, "sigma_position_um": np.round(own, 2).tolist(), "reflectors_seen": count}
+        for place, own, count in zip(_places(layout.survey), sigma, seen, strict=True)
+    ]
 
 
-def _reflectors(layout: Evaluated, plan: Plan | None = None) -> list[dict[str, Any]]:
+def _reflectors(layout: Evaluated, plan: Plan | None) -> list[dict[str, Any]]:
+    survey, information = layout.survey, layout.information
+    kept = plan.kept.radius if plan is not None and plan.kept is not None else {}
+    expanded = 2.0 * np.sqrt(np.einsum("tii->ti", information.target_covariance)) / MICROMETRE
     rows: list[dict[str, Any]] = []
-    covariance = layout.information.target_covariance
-    for t, name in enumerate(layout.survey.target_names):
+    for t, name in enumerate(survey.target_names):
         rows.append(
             {
                 "name": name,
-                "position_mm": _millimetres(layout.survey.points[t], 3),
-                "sigma_um": round(float(layout.information.target_sigma[t]) / MICROMETRE, 2),
-                "U_um": np.round(2.0 * np.sqrt(np.diag(covariance[t])) / MICROMETRE, 2).tolist(),
-                "stations_seeing": int(layout.survey.seen[:, t].sum()),
-                "seen_from": [layout.survey.station_names[s] for s in np.flatnonzero(layout.survey.seen[:, t])],
+                "position_mm": _millimetres(survey.points[t], 3),
+                "sigma_um": round(float(information.target_sigma[t]) / MICROMETRE, 2),
+                "U_um": np.round(expanded[t], 2).tolist(),
+                "stations_seeing": int(survey.seen[:, t].sum()),
+                "seen_from": [survey.station_names[s] for s in np.flatnonzero(survey.seen[:, t])],
             }
         )
-        if plan is not None and plan.kept is not None and name in plan.kept.radius:
-            rows[-1]["within_mm"] = round(plan.kept.radius[name] / MILLIMETRE, 5)
+        if plan is not None and name in kept:
+            rows[-1]["within_mm"] = round(kept[name] / MILLIMETRE, 5)
             rows[-1]["tolerance_mm"] = plan.demands.tolerance[name] / MILLIMETRE
     return rows
 
@@ -163,41 +158,21 @@ def _work(survey: Survey) -> dict[str, Any]:
     }
 
 
-def _option_json(option: Option) -> dict[str, Any]:
-    survey = option.survey
+def _option(option: Option) -> dict[str, Any]:
     return {
-        **_work(survey),
-        "stations": len(survey.position),
+        **_work(option.survey),
+        "stations": len(option.survey.position),
         "value": option.value,
         "quality": option.qualities,
         "efficient": option.efficient,
-        "layout": [
-            {"name": name, "position_mm": _millimetres(place), "yaw_deg": _degrees(yaw)}
-            for name, place, yaw in zip(survey.station_names, survey.position, survey.yaw, strict=True)
-        ],
+        "layout": _places(option.survey),
     }
 
 
-def detectability_json(found: Detectability) -> dict[str, Any]:
-    """Minimal detectable sizes in display units, pairs that are alike, effects that leave no trace."""
-    rows = []
-    for row in found.table():
-        unit = FACTOR[row.unit]
-        rows.append(
-            {
-                "effect": row.effect,
-                "parameter": row.parameter,
-                "unit": row.unit,
-                "best": row.best / unit,
-                "typical": row.typical / unit,
-                "worst": row.worst / unit,
-                "worst_at": row.worst_place,
-                "plausible": row.prior_sigma / unit,
-                "visible": row.visible,
-            }
-        )
-    pairs = [{"effect": a, "taken_for": b, "share": share} for a, b, share in found.confusable()]
-    return {"detectable": rows, "alike": pairs, "silent": list(found.silent)}
+def _detectable(row: MinimalSize) -> dict[str, Any]:
+    """A minimal detectable size in the unit that a person reads."""
+    sizes = {"best": row.best, "typical": row.typical, "worst": row.worst, "plausible": row.prior_sigma}
+    return {**vars(row), "worst_at": row.worst_place, **{key: size / FACTOR[row.unit] for key, size in sizes.items()}}
 
 
 def planned_scenario(plan: Plan) -> Scenario:
@@ -207,61 +182,52 @@ def planned_scenario(plan: Plan) -> Scenario:
 
 def with_layout(scenario: Scenario, survey: Survey, title: str = "") -> Scenario:
     """A scenario with the stations, reflectors and way of working of a survey."""
-    stations = {}
-    for name, place, yaw in zip(survey.station_names, survey.position, survey.yaw, strict=True):
-        kept = scenario.stations.get(name)
-        levelled = kept is not None and kept.levelled
-        stations[name] = Station(position_mm=_millimetres(place), yaw_deg=_degrees(yaw), levelled=levelled)
+    levelled = {name for name, station in scenario.stations.items() if station.levelled}
+    stations = {
+        place["name"]: Station(
+            position_mm=place["position_mm"], yaw_deg=place["yaw_deg"], levelled=place["name"] in levelled
+        )
+        for place in _places(survey)
+    }
     fixed = set(scenario.gauge.targets) if scenario.gauge else set()
     targets = {
         name: scenario.targets.get(name) or Target(position_mm=_millimetres(place, 3))
         for name, place in zip(survey.target_names, survey.points, strict=True)
         if name not in fixed
     }
-    work = scenario.work.model_copy(
-        update={
-            "faces": len(survey.faces),
-            "repeats": survey.repeats,
-            "seconds_per_pointing": survey.seconds_per_pointing,
-            "minutes_per_move": survey.seconds_per_move / 60.0,
-        }
-    )
+    way = {
+        "faces": len(survey.faces),
+        "repeats": survey.repeats,
+        "seconds_per_pointing": survey.seconds_per_pointing,
+        "minutes_per_move": survey.seconds_per_move / 60.0,
+    }
+    work = scenario.work.model_copy(update=way)
     return scenario.model_copy(
         update={"title": title or scenario.title, "stations": stations, "targets": targets, "work": work}
     )
 
 
 def with_cad_beside(scenario: Scenario) -> tuple[Scenario, dict[str, bytes]]:
-    """The scenario with its CAD files named from its own folder, and these files by name.
-
-    Raises
-    ------
-    SetupError
-        When one of them cannot be read.
-    """
+    """The scenario with its CAD files named from its own folder, and these files by name; raises SetupError."""
     names: dict[str, str] = {}
     found: dict[str, bytes] = {}
-    obstacles = []
-    for entry in scenario.workshop.obstacles:
-        if entry.file is not None and entry.file not in names:
-            own = Path(entry.file).name
-            names[entry.file] = own if own not in found else f"{len(found) + 1}-{own}"
-            try:
-                found[names[entry.file]] = Path(entry.file).read_bytes()
-            except OSError as problem:
-                raise SetupError(f"{entry.file}: cannot be read ({problem.strerror})") from None
-        obstacles.append(entry if entry.file is None else entry.model_copy(update={"file": names[entry.file]}))
-    room = scenario.workshop.model_copy(update={"obstacles": tuple(obstacles)})
+    for path in dict.fromkeys(entry.file for entry in scenario.workshop.obstacles if entry.file is not None):
+        own = Path(path).name
+        names[path] = own if own not in found else f"{len(found) + 1}-{own}"
+        try:
+            found[names[path]] = Path(path).read_bytes()
+        except OSError as problem:
+            raise SetupError(f"{path}: cannot be read ({problem.strerror})") from None
+    obstacles = tuple(
+        entry if entry.file is None else entry.model_copy(update={"file": names[entry.file]})
+        for entry in scenario.workshop.obstacles
+    )
+    room = scenario.workshop.model_copy(update={"obstacles": obstacles})
     return scenario.model_copy(update={"workshop": room}), found
 
 
 def opened(source: str | Path) -> tuple[PlanFile, Scenario]:
-    """A plan and its scenario from a plan file, a scenario, or a folder that `ltsim plan` wrote, with its stations.
-
-    Raises
-    ------
-    SetupError, RecordError
-    """
+    """A plan and its scenario from a plan file, a scenario, or a folder that `ltsim plan` wrote, with its stations."""
     folder = Path(source)
     if not folder.is_dir():
         return load_plan(source)
@@ -269,9 +235,8 @@ def opened(source: str | Path) -> tuple[PlanFile, Scenario]:
     return file, load_scenario(folder / SCENARIO)
 
 
-def _millimetres(place: Floats, decimals: int = 1) -> tuple[float, float, float]:
-    x, y, z = (round(float(v) / MILLIMETRE, decimals) for v in place)
-    return x, y, z
+def _millimetres(place: Floats, decimals: int = 1) -> Vector:
+    return rounded(place / MILLIMETRE, decimals)
 
 
 def _degrees(angle: float) -> float:
@@ -313,41 +278,30 @@ def next_file(made: NextMeasurement, summary: str = "", source: SourceEntry | No
 
 def next_csv(content: NextFile) -> str:
     """The content of `next.csv`."""
-    return NEXT.text(
-        [p.kind, p.minutes, p.sharper, p.serves, p.serves_factor, " ".join(p.tells_apart), p.decides, p.do]
-        for p in content.proposals
-    )
+    return NEXT.filled({**vars(p), "tells_apart": " ".join(p.tells_apart)} for p in content.proposals).csv()
 
 
 def plan_texts(plan: Plan, content: PlanResult) -> dict[str, str | bytes]:
     """The files beside `plan.json`, by name."""
     own = {p.name: p.sigma for p in content.reference.parameters} if content.reference else {}
-    spread = [s.sigma_position_um or (None,) * 3 for s in content.stations]
-    texts = {
-        STATIONS: [[s.name, *s.position_mm, s.yaw_deg, *v] for s, v in zip(content.stations, spread, strict=True)],
-        REFLECTORS: [
-            [
-                r.name,
-                *r.position_mm,
-                r.sigma_um,
-                *r.u_um,
-                r.within_mm,
-                r.tolerance_mm,
-                " ".join(r.seen_from),
-            ]
+    filled = [
+        STATIONS.filled([s.name, *s.position_mm, s.yaw_deg, *s.sigma_position_um] for s in content.stations),
+        REFLECTORS.filled(
+            [r.name, *r.position_mm, r.sigma_um, *r.u_um, r.within_mm, r.tolerance_mm, " ".join(r.seen_from)]
             for r in content.reflectors
-        ],
-        TRADEOFF: [[getattr(option, name) for name in TRADEOFF.header] for option in content.tradeoff],
-        PARAMETERS: [[p.name, p.unit, p.sigma, own.get(p.name), p.prior_sigma, p.gain] for p in content.parameters],
-        VISIBILITY: _visibility(plan.chosen),
-    }
+        ),
+        TRADEOFF.filled(content.tradeoff),
+        PARAMETERS.filled(
+            [p.name, p.unit, p.sigma, own.get(p.name), p.prior_sigma, p.gain] for p in content.parameters
+        ),
+        VISIBILITY.filled(_visibility(plan.chosen)),
+        NOMINALS.filled([r.name, *r.position_mm] for r in content.reflectors),
+        WORK.filled(work_rows(plan)),
+    ]
     if "detectable" in content.model_fields_set:
-        texts[EFFECTS] = [[getattr(row, name) for name in EFFECTS.header] for row in content.detectable]
-    texts[NOMINALS] = [[r.name, *r.position_mm] for r in content.reflectors]
-    texts[WORK] = work_rows(plan)
-    tables: dict[str, str | bytes] = {table.file: table.text(rows) for table, rows in texts.items()}
+        filled.append(EFFECTS.filled(content.detectable))
     scenario, cad = with_cad_beside(planned_scenario(plan))
-    return tables | {SCENARIO: scenario_to_toml(scenario)} | cad
+    return {table.file: table.csv() for table in filled} | {SCENARIO: scenario_to_toml(scenario)} | cad
 
 
 def _visibility(layout: Evaluated) -> list[list[Any]]:

@@ -1,15 +1,19 @@
-"""The table [floor] of a plan file: areas for tripods, what stays free, doors."""
+"""Where tripods may stand: the table [floor] of a plan file, and outlines seen from above."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
 from typing import Annotated
 
 import numpy as np
 from pydantic import Field, model_validator
 
+from ltsim.arrays import Bools, Floats
 from ltsim.errors import SetupError
-from ltsim.planning.outlines import Area, KeepOut, fault
 from ltsim.recording.setup import Finite, NonNegative, Positive, Section
+from ltsim.scene.meshes import Obstacles
 from ltsim.units import MILLIMETRE
 
 Corner = tuple[Finite, Finite]
@@ -17,6 +21,10 @@ Corners = Annotated[tuple[Corner, ...], Field(min_length=3, max_length=500)]
 Heights = tuple[Positive, Positive]
 HEAD_ROOM = 0.3
 """[m] that the head of an instrument needs above its centre."""
+PLACES = 250
+"""That cover the floor where no step is stated; stations are refined off the grid afterwards."""
+EDGE = 1e-9
+"""[m] within which a place counts as on an edge."""
 
 
 class FloorArea(Section):
@@ -90,17 +98,8 @@ def ground_of(
 ) -> tuple[tuple[Area, ...], tuple[KeepOut, ...]]:
     """Areas where tripods may stand and what is kept free in them [m].
 
-    Parameters
-    ----------
-    size_mm : (float, float, float)
-        Of the room.
-    heights : (float, float), [m]
-        Of heads, where neither the floor nor the area states them.
-
-    Raises
-    ------
-    SetupError
-        In one sentence, for an outline that crosses itself, leaves the room, or a ceiling too low for any head.
+    `size_mm` is that of the room; `heights` [m] are those of heads, where neither the floor nor the area states them.
+    Raises SetupError for an outline that crosses itself or leaves the room, or a ceiling too low for any head.
     """
     mm = MILLIMETRE
     usual = heights if floor.height_mm is None else (floor.height_mm[0] * mm, floor.height_mm[1] * mm)
@@ -150,3 +149,121 @@ def _outline(key: str, corners_mm: tuple[Corner, ...], size_mm: tuple[float, flo
                 f"{key} has the corner ({x:g}, {y:g}), outside the room of {size_mm[0]:g} x {size_mm[1]:g} mm"
             )
     return outline
+
+
+@dataclass(frozen=True)
+class Area:
+    """One area of the floor."""
+
+    outline: Floats
+    """(k, 2) [m]: corners, in order around it."""
+    heights: tuple[float, float]
+    """[m]: lowest and highest centre of the instrument here."""
+    holes: tuple[Floats, ...] = ()
+    """(k, 2) [m]: what is cut out of it."""
+
+    def holds(self, position: Floats) -> Bools:
+        """(N,): positions (N, 3) [m] of an instrument that may stand here."""
+        low, high = self.heights
+        good = inside(self.outline, position[:, :2])
+        good &= (position[:, 2] > low - EDGE) & (position[:, 2] < high + EDGE)
+        for hole in self.holes:
+            good &= ~inside(hole, position[:, :2])
+        return good
+
+
+@dataclass(frozen=True)
+class KeepOut:
+    """A place that stays free: within `clear` [m] of an outline (k, 2), or of the way between two ends (2, 2)."""
+
+    outline: Floats
+    clear: float = 0.0
+
+    def holds(self, places: Floats) -> Bools:
+        """(N,): places (N, 2) that stay free."""
+        near = distance(self.outline, places) < self.clear + EDGE
+        return near | inside(self.outline, places) if len(self.outline) > 2 else near
+
+
+def distance(outline: Floats, places: Floats) -> Floats:
+    """(N,) [m]: from places (N, 2) to the nearest edge of an outline (k, 2)."""
+    start, way = outline, np.roll(outline, -1, axis=0) - outline
+    along = np.einsum("nki,ki->nk", places[:, None] - start, way) / np.maximum((way**2).sum(axis=1), 1e-30)
+    foot = start + np.clip(along, 0, 1)[:, :, None] * way
+    return np.linalg.norm(places[:, None] - foot, axis=2).min(axis=1)
+
+
+def inside(outline: Floats, places: Floats) -> Bools:
+    """(N,): places (N, 2) inside an outline (k, 2) or within a nanometre of its edge."""
+    start, end = outline, np.roll(outline, -1, axis=0)
+    x, y = places[:, 0, None], places[:, 1, None]
+    spans = (start[:, 1] > y) != (end[:, 1] > y)
+    rise = np.where(end[:, 1] == start[:, 1], 1.0, end[:, 1] - start[:, 1])
+    left = x < start[:, 0] + (y - start[:, 1]) * (end[:, 0] - start[:, 0]) / rise
+    crossings: Bools = (spans & left).sum(axis=1) % 2 == 1
+    return crossings | (distance(outline, places) < EDGE)
+
+
+def fault(outline: Floats) -> str:
+    """What keeps corners (k, 2) from being an outline, in words; empty for one that is simple and has an area."""
+    count = len(outline)
+    for i in range(count):
+        if np.linalg.norm(outline[i] - outline[i - 1]) < EDGE:
+            return f"its corner {i + 1} stands where the one before it stands"
+    for i, j in combinations(range(count), 2):
+        beside = j == i + 1 or (i == 0 and j == count - 1)
+        if not beside and _cross(outline[i], outline[(i + 1) % count], outline[j], outline[(j + 1) % count]):
+            return (
+                f"its side from corner {i + 1} crosses the one from corner {j + 1}; give the corners in order around it"
+            )
+    x, y = outline.T
+    area = 0.5 * abs(float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y)))
+    return "" if area > EDGE else "its corners lie in a line"
+
+
+def _cross(a: Floats, b: Floats, c: Floats, d: Floats) -> bool:
+    """Whether two sides, a to b and c to d, have a point in common."""
+
+    def side(p: Floats, q: Floats, r: Floats) -> float:
+        return float((q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0]))
+
+    def between(p: Floats, q: Floats, r: Floats) -> bool:
+        return bool(np.all(np.minimum(p, q) <= r + EDGE) and np.all(r <= np.maximum(p, q) + EDGE))
+
+    turns = side(a, b, c), side(a, b, d), side(c, d, a), side(c, d, b)
+    if turns[0] * turns[1] < 0 and turns[2] * turns[3] < 0:
+        return True
+    ends = ((a, b, c), (a, b, d), (c, d, a), (c, d, b))
+    return any(abs(turn) < EDGE and between(*three) for turn, three in zip(turns, ends, strict=True))
+
+
+def grid_step(areas: Sequence[Area], grid_mm: float | None) -> float:
+    """[m]: of a grid of places; where none is stated `PLACES` of them cover the areas, half a metre apart or more."""
+    if grid_mm is not None:
+        return grid_mm * MILLIMETRE
+    size = sum(float(np.prod(np.ptp(area.outline, axis=0))) for area in areas)
+    return max(round(float(np.sqrt(size / PLACES)), 1), 0.5)
+
+
+def may_stand(
+    areas: Sequence[Area], keep_outs: Sequence[KeepOut], obstacles: Obstacles | None, position: Floats
+) -> Bools:
+    """(N,): a tripod may stand under an instrument at positions (N, 3) [m]."""
+    good = np.zeros(len(position), dtype=bool)
+    for area in areas:
+        good |= area.holds(position)
+    for place in keep_outs:
+        good &= ~place.holds(position[:, :2])
+    if obstacles is not None and good.any():
+        good[good] = ~obstacles.encloses(position[good])
+    return good
+
+
+def over(area: Area, step: float, heights: int) -> Floats:
+    """Grid (N, 3) [m] over the rectangle around an area, at its heights."""
+    low, high = area.outline.min(axis=0), area.outline.max(axis=0)
+    count = np.maximum(np.ceil((high - low) / step).astype(int), 1)
+    axes = [np.linspace(a, b, n + 1) for a, b, n in zip(low, high, count, strict=True)]
+    bottom, top = area.heights
+    levels = np.linspace(bottom, top, heights if top - bottom > EDGE else 1)
+    return np.stack([g.ravel() for g in np.meshgrid(*axes, levels, indexing="ij")], axis=1)

@@ -14,7 +14,7 @@ from itertools import combinations
 import numpy as np
 
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.arrays import Floats, Ints
+from ltsim.arrays import Floats
 from ltsim.effects.effect import Effect
 from ltsim.errors import unknown_name
 from ltsim.geometry.rigid import rigid_motion
@@ -65,10 +65,7 @@ class Predictor:
     def of(cls, information: LayoutInformation, left_out: Sequence[Effect] = ()) -> Predictor:
         """The predictor of a layout whose targets are all seen from all stations.
 
-        Parameters
-        ----------
-        left_out : sequence of Effect
-            Effects that act and that the calibration does not know; each is a group, at its prior sigma.
+        Effects in `left_out` act and the calibration does not know them; each is a group, at its prior sigma.
         """
         ways, group = _ways(information, left_out)
         names = tuple(dict.fromkeys(group))
@@ -93,17 +90,17 @@ class Predictor:
         scale = np.stack(np.broadcast_arrays(*(np.atleast_1d(wanted.get(name, 1.0)) for name in self.groups)), axis=1)
         square = scale.astype(np.float64) ** 2
         distance = [np.sqrt(2 / np.pi) * np.mean(np.sqrt(square @ variance), axis=1) for variance in self.distance]
-        coordinate = [self._mean_gap(square, spread) for spread in self.coordinate]
+        coordinate = [_mean_gap(square, spread) for spread in self.coordinate]
         return Expected(distance[0], distance[1], coordinate[0], coordinate[1])
 
-    @staticmethod
-    def _mean_gap(square: Floats, spread: Floats) -> Floats:
-        """Mean over rows of the expected length (k,), a few requests at a time."""
-        found = [
-            expected_length(np.asarray(np.linalg.eigvalsh(np.tensordot(part, spread, axes=1)))).mean(axis=1)
-            for part in np.array_split(square, max(1, len(square) // 64))
-        ]
-        return np.concatenate(found)
+
+def _mean_gap(square: Floats, spread: Floats) -> Floats:
+    """Mean over rows of the expected length (k,), a few requests at a time."""
+    found = [
+        expected_length(np.asarray(np.linalg.eigvalsh(np.tensordot(part, spread, axes=1)))).mean(axis=1)
+        for part in np.array_split(square, max(1, len(square) // 64))
+    ]
+    return np.concatenate(found)
 
 
 def expected_length(variances: Floats, nodes: int = 48) -> Floats:
@@ -126,44 +123,33 @@ def expected_length(variances: Floats, nodes: int = 48) -> Floats:
 
 def _ways(information: LayoutInformation, left_out: Sequence[Effect]) -> tuple[tuple[Floats, Floats], list[str]]:
     """Displacement of each station's targets (3 S T, errors) per unit error, before and after; each error's group."""
-    adjustment = information.adjustment
+    adjustment, construction = information.adjustment, information.construction
     problem, sightings = adjustment.problem, adjustment.sightings
     design = adjustment.solution.system.design
-    count, known = int(problem.use.sum()), len(problem.gauge)
-    priors = slice(design.shape[0] - problem.free.shape[1] - len(information.prior_sigma), None)
+    count, known, params = int(problem.use.sum()), len(problem.gauge), len(information.prior_sigma)
+    priors = design.shape[0] - problem.free.shape[1] - params
     mean = _means(information)
-    values = np.zeros(information.construction.size)
-    _, by_reading, by_value = information.construction.linearised(sightings.raw, values)
+    _, by_reading, by_value = construction.linearised(sightings.raw, np.zeros(construction.size))
     noise = np.einsum("rn,nij->rinj", mean, by_reading).reshape(3 * len(mean), -1) * problem.sigma.ravel()
     parameters = -np.einsum("rn,nij->rij", mean, by_value).reshape(3 * len(mean), -1)
-    estimate = adjustment.factor.covariance_columns(_columns(problem.unknowns.instrument[0], problem.unknowns.size)).T
-    answer = estimate @ design.T
-    space = ResidualSpace.of(adjustment)
+    columns = np.eye(problem.unknowns.size)[:, problem.unknowns.instrument[0]]
+    answer = adjustment.factor.covariance_columns(columns).T @ design.T
     errors = np.zeros((design.shape[0], 0))
-    group: list[str] = []
-    reading = np.zeros((count, 0))
     if left_out:
-        rows = np.hstack([space.signature(e) * [p.prior_sigma for p in e.parameters] for e in left_out])
-        errors, reading = rows, rows[:count]
-        group = [e.name for e in left_out for _ in e.parameters]
+        space = ResidualSpace.of(adjustment)
+        errors = np.hstack([space.signature(e) * [p.prior_sigma for p in e.parameters] for e in left_out])
     used = np.flatnonzero(problem.use.ravel())
-    kept = np.r_[0 : count + known, np.arange(design.shape[0])[priors][: len(information.prior_sigma)]]
+    kept = np.r_[0 : count + known, priors : priors + params]
     before = np.zeros((len(noise), len(kept) + errors.shape[1]))
     before[:, :count] = noise[:, used]
     before[:, count + known : len(kept)] = -parameters * information.prior_sigma
-    before[:, len(kept) :] = noise[:, used] @ reading
+    before[:, len(kept) :] = noise[:, used] @ errors[:count]
     after = before.copy()
     after[:, count + known : len(kept)] = 0.0
     after -= parameters @ np.hstack([answer[:, kept], answer @ errors])
     labels = np.where(used % 3 == 0, RANGE_NOISE, ANGLE_NOISE).tolist() + [LENGTHS] * known
-    labels += [KINDS[p.prior_kind] for p in information.construction.parameters] + group
-    return (before, after), labels
-
-
-def _columns(which: Ints, size: int) -> Floats:
-    pick = np.zeros((size, len(which)))
-    pick[which, np.arange(len(which))] = 1.0
-    return pick
+    labels += [KINDS[p.prior_kind] for p in construction.parameters]
+    return (before, after), labels + [e.name for e in left_out for _ in e.parameters]
 
 
 def _means(information: LayoutInformation) -> Floats:

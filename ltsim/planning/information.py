@@ -16,9 +16,9 @@ from ltsim.arrays import Floats
 from ltsim.errors import NetworkError
 from ltsim.geometry.rigid import rigid_motion
 from ltsim.model.construction import Construction, misalignment
+from ltsim.planning.schema import ParameterEntry
 from ltsim.planning.survey import Survey
-from ltsim.remedies.determining import determining
-from ltsim.remedies.undetermined import Direction, gains, undetermined
+from ltsim.remedies.undetermined import Direction, determining, undetermined
 from ltsim.solve.design import as_dense
 
 
@@ -32,13 +32,7 @@ class LayoutInformation:
 
     @classmethod
     def of(cls, survey: Survey, construction: Construction | None = None) -> LayoutInformation:
-        """The information of a survey; by default for the 16 misalignment parameters.
-
-        Raises
-        ------
-        NetworkError
-            When the survey does not determine its poses and targets.
-        """
+        """The information of a survey, by default for the 16 misalignment parameters; NetworkError for an open one."""
         built = construction or misalignment()
         unseen = np.flatnonzero(~survey.seen.any(axis=0))
         if len(unseen):
@@ -73,21 +67,6 @@ class LayoutInformation:
         """(p,) standard deviation of each instrument parameter [SI]."""
         return np.sqrt(np.diag(self.instrument_covariance))
 
-    def corrections(self) -> Floats:
-        """(m, p): displacement [m] that a prior sigma of each parameter makes all over the working volume, front face.
-
-        Ranges of 1 to 8 m, all azimuths, elevations from -50 to 65 deg; three rows a place. For the G criterion.
-        """
-        axes = np.arange(1.0, 8.5, 1.0), np.arange(12) * np.pi / 6, np.radians(np.linspace(-50, 65, 8))
-        raw = np.stack([axis.ravel() for axis in np.meshgrid(*axes, indexing="ij")], axis=1)
-        _, _, by_value = self.construction.linearised(raw, np.zeros(self.construction.size))
-        return by_value.reshape(-1, self.construction.size) * self.prior_sigma
-
-    @cached_property
-    def gains(self) -> Floats:
-        """(p,) ascending: share of the prior variance removed along each principal combination."""
-        return gains(self.instrument_covariance, self.prior_sigma)[0]
-
     @cached_property
     def undetermined(self) -> list[Direction]:
         """Combinations with a gain under one half, the least known first."""
@@ -95,8 +74,7 @@ class LayoutInformation:
 
     def cures(self) -> list[str]:
         """A sentence for each undetermined combination: what would determine it."""
-        sentences = determining(self.adjustment, self.construction, [self.undetermined])
-        return list(sentences[0])
+        return determining(self.adjustment, self.construction, [self.undetermined])[0]
 
     @cached_property
     def _inner(self) -> Adjustment:
@@ -143,17 +121,17 @@ class LayoutInformation:
         """[m] root mean square point error over all targets, weighted as the survey says."""
         return float(np.sqrt(np.mean(self.survey.weight * self.target_sigma**2)))
 
-    def parameters(self) -> list[dict[str, object]]:
+    def parameters(self) -> list[ParameterEntry]:
         """One row a parameter, in the unit a person reads it in."""
-        rows: list[dict[str, object]] = []
-        for p, sigma, prior in zip(self.construction.parameters, self.instrument_sigma, self.prior_sigma, strict=True):
-            rows.append(
-                {
-                    "name": p.name,
-                    "unit": p.unit,
-                    "sigma": float(sigma / p.factor),
-                    "prior_sigma": float(prior / p.factor),
-                    "gain": float(1.0 - (sigma / prior) ** 2),
-                }
+        return [
+            ParameterEntry(
+                name=p.name,
+                unit=p.unit,
+                sigma=float(sigma / p.factor),
+                prior_sigma=float(prior / p.factor),
+                gain=float(1.0 - (sigma / prior) ** 2),
             )
-        return rows
+            for p, sigma, prior in zip(
+                self.construction.parameters, self.instrument_sigma, self.prior_sigma, strict=True
+            )
+        ]

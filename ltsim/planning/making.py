@@ -9,13 +9,16 @@ import numpy as np
 
 from ltsim.errors import NetworkError, SetupError
 from ltsim.model.construction import Construction
+from ltsim.planning.floor import grid_step
 from ltsim.planning.planner import Option, Plan, Tried, judge, measure
-from ltsim.planning.sights import check_in_sight, with_reachable_sights
+from ltsim.planning.search import Searcher, some_of
+from ltsim.planning.site import Site
 from ltsim.planning.spec import PlanFile
-from ltsim.planning.starts import Layouts, Task, Watch, expected_seconds, gathered, search_one
+from ltsim.planning.starts import Layouts, Problem, Task, expected_seconds, gathered, search_one
 from ltsim.planning.survey import Survey
 from ltsim.planning.tolerances import Demands, holds
 from ltsim.planning.workshop import SIGHTS, objective_of, site_of, ways
+from ltsim.randomness import stream
 from ltsim.recording.recording import OBSERVABLES
 from ltsim.remedies.next_measurement import Progress, quiet
 from ltsim.simulation.physics import planned_construction
@@ -33,22 +36,14 @@ LITTLE = 0.95
 STOPPED = "the search was stopped before it had found a layout"
 
 
-def unsaid(_sentence: str) -> None:
-    """Say nothing."""
-
-
-def unsaved(_survey: Survey) -> None:
-    """Keep nothing."""
-
-
 @dataclass(frozen=True)
 class Follower:
     """Whoever follows the making of a plan."""
 
     progress: Progress = quiet
-    say: Callable[[str], None] = unsaid
+    say: Callable[[str], None] = quiet
     """Hears sentences: how long it may take, the best layout so far."""
-    keep: Callable[[Survey], None] = unsaved
+    keep: Callable[[Survey], None] = quiet
     """Is given the best layout so far."""
 
 
@@ -62,17 +57,13 @@ def make_plan(
 ) -> Plan:
     """Search and explain; the same file gives the same plan whatever the number of jobs.
 
-    Ctrl-C ends the search: the plan is then that of the best layout so far, and says so.
-
-    Raises
-    ------
-    SetupError
-        When no layout keeps the plan's rules.
+    Ctrl-C ends the search: the plan is then that of the best layout so far, and says so. SetupError where no layout
+    keeps the plan's rules.
     """
     _check_size(file, scenario)
     built, heard = construction or planned_construction(scenario), follower or Follower()
     heard.progress("searching layouts", 0.0)
-    search = _Search(file, scenario, built, jobs, heard)
+    search = _Search(Problem(file, scenario, built), jobs, heard)
     best = search.fewest() if file.searches_count else search.at_count()
     heard.progress("judging tolerances and changes", SEARCHING)
     made = judge(search.file, scenario, best.survey, built)
@@ -91,14 +82,21 @@ def make_plan(
 class _Search:
     """The layouts for each way of working, and which of them is the plan."""
 
-    file: PlanFile
-    scenario: Scenario
-    built: Construction
+    problem: Problem
     jobs: int
     heard: Follower
     found: Layouts = field(default_factory=dict)
     tried: list[Tried] = field(default_factory=list)
     stopped: bool = False
+
+    @property
+    def file(self) -> PlanFile:
+        return self.problem.file
+
+    @property
+    def ways(self) -> tuple[list[int], list[int]]:
+        """Numbers of faces and of rounds to choose from."""
+        return ways(self.file, self.problem.scenario)
 
     def _gather(self, tasks: Sequence[Task], share: Callable[[float], float]) -> Layouts:
         """What searches found; who follows hears of the best so far."""
@@ -113,51 +111,56 @@ class _Search:
         def progress(done: float) -> None:
             self.heard.progress("searching layouts", SEARCHING * share(done))
 
-        made = gathered(self.file, self.scenario, tasks, self.built, self.jobs, Watch(progress, keep))
-        self.found |= made.layouts
-        self.stopped |= made.stopped
-        return made.layouts
+        made, stopped = gathered(self.problem, tasks, self.jobs, progress, keep)
+        self.found |= made
+        self.stopped |= stopped
+        return made
 
     def at_count(self) -> Option:
         """The best for a stated number of stations, or what the hours pay for."""
-        count, work = self.file.stations.count or len(self.scenario.stations), self.scenario.work
-        site = site_of(self.file, self.scenario, stations=count, faces=work.faces)
-        file = self.file = with_reachable_sights(self.file, site)
-        faces, settings = ways(file, self.scenario)[0], file.search
+        scenario = self.problem.scenario
+        count, work = self.file.stations.count or len(scenario.stations), scenario.work
+        site = site_of(self.file, scenario, stations=count, faces=work.faces)
+        file = with_reachable_sights(self.file, site)
+        self.problem = replace(self.problem, file=file)
+        faces, settings = self.ways[0], file.search
         own = work.faces if work.faces in faces else faces[-1]
-        pairs = [(n, f) for f in faces for n in sorted({*file.stations.tries, count})]
         tasks = [
             Task(n, f, start)
-            for n, f in pairs
+            for f in faces
+            for n in sorted({*file.stations.tries, count})
             for start in range(settings.starts if (n, f) == (count, own) else settings.starts_of_the_curve)
         ]
         self._estimate(tasks)
         self._gather(tasks, lambda share: share)
         if (count, own) not in self.found and not self.stopped:
-            # The same search again, for its sentence.
-            search_one(file, self.scenario, Task(count, own, 0), self.built)
+            search_one(self.problem, Task(count, own, 0))  # the same search again, for its sentence
         options = self.options(self.found)
         if not options:
             raise SetupError(STOPPED)
-        if file.budget.hours is not None:
-            return _paid(options, file.budget.hours)
-        return min(options, key=lambda o: (len(o.survey.position) != count, o.value))
+        hours = file.budget.hours
+        if hours is None:
+            return min(options, key=lambda o: (len(o.survey.position) != count, o.value))
+        paid = [o for o in options if o.hours <= hours]
+        if not paid:
+            cheapest = min(o.hours for o in options)
+            raise SetupError(f"budget.hours is {hours:g}, but the cheapest way of working takes {cheapest:.1f} hours")
+        return min(paid, key=lambda o: o.value)
 
     def fewest(self) -> Option:
         """One station more at a time until the tolerances are kept; of the ways that keep them the quickest.
 
         Where none keeps them, the one that comes nearest.
         """
-        file, demands = self.file, Demands.of(self.file)
-        if "seen_from" not in file.stations.model_fields_set:
-            alone = 1 if self.scenario.instrument.observables == OBSERVABLES else SIGHTS
-            least = alone if demands.robust == "no" else alone + 1
-            changed = file.stations.model_copy(update={"seen_from": least})
-            file = self.file = file.model_copy(update={"stations": changed})
-        faces = ways(file, self.scenario)[0]
-        first = max(FEWEST, len(file.stations.fixed), 2 if demands.robust == "no" else 3)
+        demands, scenario = Demands.of(self.file), self.problem.scenario
+        alone = demands.robust == "no"
+        if "seen_from" not in self.file.stations.model_fields_set:
+            least = (1 if scenario.instrument.observables == OBSERVABLES else SIGHTS) + (not alone)
+            self.problem = replace(self.problem, file=_seen_from(self.file, least))
+        file, faces = self.file, self.ways[0]
+        first = max(FEWEST, len(file.stations.fixed), 2 if alone else 3)
         counts = range(first, max(first, file.stations.most) + 1)
-        check_in_sight(site_of(file, self.scenario, stations=counts[-1], faces=faces[-1]), file)
+        check_in_sight(site_of(file, scenario, stations=counts[-1], faces=faces[-1]), file)
         judgements: list[tuple[float, Option]] = []
         for k, n in enumerate(counts):
             tasks = [Task(n, f, start) for f in faces for start in range(file.search.starts)]
@@ -167,7 +170,7 @@ class _Search:
             made = self._gather(tasks, lambda share, k=k: 1.0 - 0.5 ** (k + share))  # type: ignore[misc]
             options = self.options({key: self._nearest(found, demands) for key, found in made.items()})
             paid = [o for o in options if o.hours <= (file.budget.hours or np.inf)]
-            results = [(*holds(option.survey, demands, self.built), option) for option in paid]
+            results = [(*holds(option.survey, demands, self.problem.built), option) for option in paid]
             judgements += [(ratio, option) for _, ratio, option in results]
             self.tried.append(Tried(n, min((ratio for _, ratio, _ in results), default=None), bool(options)))
             good = [option for kept, _, option in results if kept]
@@ -183,7 +186,7 @@ class _Search:
         """Of the layouts of several starts the one that comes nearest to the tolerances."""
         if len(found) == 1:
             return found
-        return [min(found, key=lambda one: (holds(one[2], demands, self.built)[1], one[0], one[1]))]
+        return [min(found, key=lambda one: (holds(one[2], demands, self.problem.built)[1], one[0], one[1]))]
 
     def _levels_off(self) -> bool:
         """Two further stations in turn brought next to nothing."""
@@ -198,16 +201,16 @@ class _Search:
         if hours and any(one.found for one in self.tried):
             return f"no layout of {counts[0]} to {counts[-1]} stations was found that takes {hours:g} h at most"
         try:
-            search_one(self.file, self.scenario, Task(counts[-1], ways(self.file, self.scenario)[0][-1], 0), self.built)
+            search_one(self.problem, Task(counts[-1], self.ways[0][-1], 0))
         except (SetupError, NetworkError) as problem:
             return f"{problem}, or give more stations.most"
         return "no layout was found; widen the floor or give more stations.most"
 
     def _estimate(self, tasks: Sequence[Task], what: str = "") -> None:
         """Say how long these searches may take."""
-        if self.heard.say is unsaid:
+        if self.heard.say is quiet:
             return
-        seconds = expected_seconds(self.file, self.scenario, tasks, self.built) / min(self.jobs, len(tasks))
+        seconds = expected_seconds(self.problem, tasks) / min(self.jobs, len(tasks))
         time = f"{max(seconds, 5):.0f} s" if seconds < 90 else f"{seconds / 60:.0f} min"
         count = f"{len(tasks)} search{'es' if len(tasks) > 1 else ''}"
         self.heard.say(f"{count}: about {time}{what}; Ctrl-C ends the search and keeps the best layout so far")
@@ -216,10 +219,11 @@ class _Search:
         """The best layout of every way of working, with each number of repeats; cheapest first."""
         made = []
         for found in layouts.values():
-            survey = min(found, key=lambda one: (one[0], one[1]))[2]
-            for repeats in ways(self.file, self.scenario)[1]:
+            survey = min(found, key=lambda one: one[:2])[2]
+            for repeats in self.ways[1]:
                 repeated = survey.replace(repeats=repeats)
-                made.append(Option(repeated, *measure(repeated, objective_of(self.file, repeated), self.built)))
+                objective = objective_of(self.file, repeated)
+                made.append(Option(repeated, *measure(repeated, objective, self.problem.built)))
         if not made:
             return ()
         made.sort(key=lambda option: (option.hours, option.value))
@@ -228,13 +232,8 @@ class _Search:
         return tuple(replace(o, efficient=bool(o.value < before)) for o, before in zip(made, earlier, strict=True))
 
 
-def _paid(options: Sequence[Option], hours: float) -> Option:
-    """The best way of working that the hours pay for."""
-    paid = [o for o in options if o.hours <= hours]
-    if not paid:
-        cheapest = min(options, key=lambda o: o.hours)
-        raise SetupError(f"budget.hours is {hours:g}, but the cheapest way of working takes {cheapest.hours:.1f} hours")
-    return min(paid, key=lambda o: o.value)
+def _seen_from(file: PlanFile, least: int) -> PlanFile:
+    return file.model_copy(update={"stations": file.stations.model_copy(update={"seen_from": least})})
 
 
 def _check_size(file: PlanFile, scenario: Scenario) -> None:
@@ -250,4 +249,68 @@ def _check_size(file: PlanFile, scenario: Scenario) -> None:
         raise SetupError(
             f"search: a grid of {step:g} mm over {sizes[:, 0].max():g} x {sizes[:, 1].max():g} mm has {count:.2g} "
             f"set-ups, the most is {MOST_SETUPS}; give a larger grid_mm or a smaller floor"
+        )
+
+
+def most_sights(site: Site, step: float, heights: int) -> tuple[int, str]:
+    """The largest number of stations that some layout has in sight of every reflector; the reflector that limits it.
+
+    A lower bound by the greedy placement, which is the truth where some place on the floor sees everything.
+    """
+    placement, names = site.placement(step, heights), site.survey.target_names
+    if not len(placement.position):
+        return 0, names[0]
+    limiting = names[int(np.argmin(placement.seen.mean(axis=0)))]
+    count = len(site.survey.position) - len(site.fixed)
+    enough = (k for k in range(site.least, 0, -1) if not placement.missing(placement.stations(count, k), k))
+    return next(enough, 0), limiting
+
+
+def with_reachable_sights(file: PlanFile, site: Site) -> PlanFile:
+    """The file with a `stations.seen_from` that some layout keeps.
+
+    One that was asked for is not lowered: SetupError says what can be had.
+    """
+    settings, count = file.search, len(site.survey.position)
+    step = grid_step(site.areas, settings.grid_mm)
+    found, limiting = most_sights(site, step, settings.heights)
+    if found >= site.least:
+        return file
+
+    def refused(least: int) -> SetupError | None:
+        """Why the search finds no layout to begin from; None where it does."""
+        searcher = Searcher(site.replace(least=least), step=step, yaws=1, heights=settings.heights)
+        try:
+            searcher.random_layout(stream(settings.seed, "plan", "sights"))
+        except SetupError as problem:
+            return problem
+        return None
+
+    if "seen_from" not in file.stations.model_fields_set and found:
+        while found > 1 and refused(found):
+            found -= 1
+        return _seen_from(file, found)
+    problem = refused(site.least)
+    if problem is None:
+        return file
+    if not found:
+        raise problem
+    raise SetupError(
+        f"stations.seen_from asks that every reflector is seen from {site.least} of {count} stations; {found} is "
+        f"the best that was found, and {limiting} is seen from the fewest places: set stations.seen_from = "
+        f"{found}, move {limiting}, or widen the floor"
+    )
+
+
+def check_in_sight(site: Site, file: PlanFile) -> None:
+    """Raise SetupError, with their names, where points are in sight from no place on the floor, or from too few."""
+    placement = site.placement(grid_step(site.areas, file.search.grid_mm), file.search.heights)
+    if not len(placement.position):
+        raise SetupError("no place on the floor sees three points; widen the floor, or move obstacles")
+    hidden = [site.survey.target_names[t] for t in np.flatnonzero(~placement.seen.any(axis=0))]
+    if hidden:
+        raise SetupError(
+            f"{some_of(hidden)} {'is' if len(hidden) == 1 else 'are'} in sight from none of "
+            f"{len(placement.position)} places on the floor; widen it, move them, or look whether they lie inside an "
+            "obstacle"
         )

@@ -1,22 +1,60 @@
-"""What a layout is good for, as one number: smaller is better."""
+"""What a layout is good for, as one number: smaller is better.
+
+The criteria are standard deviations of one covariance or of many at once, (..., p, p) in units of the prior sigmas, so
+that micrometres and microradians can be averaged; one means that the readings told nothing. The letters of the
+literature are ordered alike: a D-optimal design (largest determinant of the information) has the smallest value here,
+and so on. The A criterion is that of the covariance; the trace of the information matrix is another thing, and no
+measure of precision.
+
+References
+----------
+Atkinson, Donev, Tobias, Optimum Experimental Designs, with SAS (2007), chapter 10.
+"""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 
 from ltsim.arrays import Floats
 from ltsim.effects.effect import Effect
-from ltsim.planning.criteria import CRITERIA, CriterionName
 from ltsim.planning.fast import Reduced
 from ltsim.remedies.detectability import search_noncentrality
 
+CriterionName = Literal["D", "A", "E"]
 INSTRUMENT, TARGETS, DIAGNOSIS = "instrument", "targets", "diagnosis"
 LEAST_IMPROVEMENT = 1e-4
 """Relative improvement under which a sweep of exchanges counts as none."""
+
+
+def d_criterion(covariance: Floats) -> Floats:
+    """Geometric mean (...) of the standard deviations along the principal combinations: det^(1 / 2p).
+
+    The volume of the confidence ellipsoid is proportional to its p-th power.
+    """
+    _, logarithm = np.linalg.slogdet(covariance)
+    return np.exp(0.5 * logarithm / covariance.shape[-1])
+
+
+def a_criterion(covariance: Floats) -> Floats:
+    """Root mean square (...) of the parameters' standard deviations: the expected size of an error."""
+    return np.sqrt(np.trace(covariance, axis1=-2, axis2=-1) / covariance.shape[-1])
+
+
+def e_criterion(covariance: Floats) -> Floats:
+    """Standard deviation (...) of the worst-determined combination of unit length."""
+    return np.sqrt(np.linalg.eigvalsh(covariance)[..., -1])
+
+
+CRITERIA: dict[CriterionName, Callable[[Floats], Floats]] = {
+    "D": d_criterion,
+    "A": a_criterion,
+    "E": e_criterion,
+}
 
 
 @dataclass(frozen=True)

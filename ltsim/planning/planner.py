@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ltsim.arrays import Floats
 from ltsim.errors import NetworkError
 from ltsim.model.construction import Construction
 from ltsim.planning.changes import Changes, reflector_changes
@@ -20,7 +19,7 @@ from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import Survey
 from ltsim.planning.tolerances import Demands, Kept, every_loss, judged
 from ltsim.planning.workshop import fixed_of, objective_of, site_of, survey_of
-from ltsim.results import Columns, Result, by_row
+from ltsim.results import Columns, Result
 from ltsim.scene.visibility import Visibility, aimed_normals, visibility
 from ltsim.simulation.physics import planned_construction
 from ltsim.simulation.scenario import Scenario
@@ -107,30 +106,21 @@ class Plan(Result):
 
     def _stations(self) -> Columns:
         survey = self.chosen.survey
-        x, y, z = (survey.position / MILLIMETRE).T.tolist()
+        places = (survey.position / MILLIMETRE).T.tolist()
         return {
             "station": list(survey.station_names),
-            "x_mm": x,
-            "y_mm": y,
-            "z_mm": z,
+            **dict(zip(("x_mm", "y_mm", "z_mm"), places, strict=True)),
             "yaw_deg": np.degrees(survey.yaw).tolist(),
             "reflectors_seen": survey.seen.sum(axis=1).tolist(),
         }
 
     def _options(self) -> Columns:
-        return by_row(
-            [
-                {
-                    "stations": len(option.survey.position),
-                    "faces": len(option.survey.faces),
-                    "repeats": option.survey.repeats,
-                    "hours": option.hours,
-                    "value": option.value,
-                    "efficient": option.efficient,
-                }
-                for option in self.options
-            ]
-        )
+        return {
+            "stations": [len(option.survey.position) for option in self.options],
+            "faces": [len(option.survey.faces) for option in self.options],
+            "repeats": [option.survey.repeats for option in self.options],
+            **{name: [getattr(option, name) for option in self.options] for name in ("hours", "value", "efficient")},
+        }
 
 
 def judge(file: PlanFile, scenario: Scenario, survey: Survey, construction: Construction | None = None) -> Plan:
@@ -168,18 +158,11 @@ def measure(survey: Survey, objective: Objective, built: Construction) -> tuple[
 
 
 def evaluated(site: Site, survey: Survey, objective: Objective, built: Construction) -> Evaluated:
-    """Everything that is known of a layout before measuring.
-
-    Raises
-    ------
-    NetworkError
-        When it does not determine its poses and targets.
-    """
+    """Everything that is known of a layout before measuring; NetworkError where poses or targets stay open."""
     table = sight_table(site, survey)
     survey = survey.replace(seen=table.visible)
     information = LayoutInformation.of(survey, built)
-    allowed = bool(site.allowed(survey.position).all())
-    allowed &= bool(site.joined(survey.position[None], survey.seen[None])[0])
+    allowed = site.allowed(survey.position).all() and site.joined(survey.position[None], survey.seen[None])[0]
     value, qualities = measure(survey, objective, built)
     compared = survey.is_whole and survey.seen.all() and len(survey.position) > 1
     expected = Predictor.of(information).expected() if compared else None
@@ -188,15 +171,9 @@ def evaluated(site: Site, survey: Survey, objective: Objective, built: Construct
 
 def sight_table(site: Site, survey: Survey) -> Visibility:
     """Who sees whom, with fixed nests aimed at the layout's stations."""
-    aimed = site.of_layout(survey).aimed
-    normal: Floats = aimed_normals(survey.position, survey.points)[0]
+    normal, aimed = aimed_normals(survey.position, survey.points)[0], site.of_layout(survey).aimed
     return visibility(
-        survey.position,
-        survey.points,
-        site.limits,
-        nest_normal=normal,
-        reaimed=~aimed,
-        obstacles=site.obstacles,
+        survey.position, survey.points, site.limits, nest_normal=normal, reaimed=~aimed, obstacles=site.obstacles
     )
 
 
@@ -204,17 +181,11 @@ def _reference(file: PlanFile, scenario: Scenario, site: Site, built: Constructi
     """The scenario's own layout, worked in the same way; none in a hall that the plan itself describes."""
     if file.workshop is not None:
         return None
-    own = survey_of(scenario).replace(
-        faces=way.faces,
-        repeats=way.repeats,
-        seconds_per_pointing=way.seconds_per_pointing,
-        seconds_per_move=way.seconds_per_move,
-        air=way.air,
-    )
+    work = ("faces", "repeats", "seconds_per_pointing", "seconds_per_move", "air")
+    own = survey_of(scenario).replace(**{name: getattr(way, name) for name in work})
     count = len(own.position)
     least = count if file.stations.seen_from == "all" else min(file.stations.seen_from, count)
     try:
-        where = site.replace(survey=own, least=least, play=0.0)
-        return evaluated(where, own, objective_of(file, own), built)
+        return evaluated(site.replace(survey=own, least=least, play=0.0), own, objective_of(file, own), built)
     except NetworkError:
         return None

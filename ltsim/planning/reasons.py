@@ -10,7 +10,7 @@ from ltsim.planning.objective import DIAGNOSIS, INSTRUMENT, TARGETS, Objective
 from ltsim.planning.planner import Evaluated, Option, Plan, Tried, measure
 from ltsim.planning.tolerances import sentences, verdict
 from ltsim.planning.workshop import objective_of
-from ltsim.units import DEGREE, MICROMETRE
+from ltsim.units import MICROMETRE
 
 CRITERION_WORDS = {
     "D": "in the geometric mean of all combinations (D)",
@@ -22,36 +22,32 @@ CRITERION_WORDS = {
 def reasons(plan: Plan) -> list[str]:
     """The sentences, the answer first."""
     found = [*_headline(plan), *_tolerances(plan), *_against_reference(plan), *_what_each_station_does(plan)]
-    found += [*_air(plan), *_yaw(plan), *_limits(plan), *_curve(plan)]
-    found += [*_undetermined(plan), *_search(plan)]
-    return found
+    return [*found, *_air(plan), *_limits(plan), *_curve(plan), *_undetermined(plan), *_search(plan)]
 
 
-def _quality_words(plan: Plan, qualities: dict[str, float]) -> str:
-    words = []
-    for name, value in qualities.items():
-        if name == INSTRUMENT:
-            where = CRITERION_WORDS[plan.objective.criterion]
-            words.append(f"instrument parameters known to {value:.3f} of their prior sigma {where}")
-        elif name == TARGETS:
-            words.append(f"targets known to {value / MICROMETRE:.1f} um (root mean square)")
-        elif name == DIAGNOSIS:
-            words.append(f"effects detectable from {value:.2f} of their plausible size (geometric mean)")
-    return ", ".join(words)
+def _quality_words(plan: Plan) -> str:
+    said = {
+        INSTRUMENT: "instrument parameters known to {:.3f} of their prior sigma "
+        + CRITERION_WORDS[plan.file.goal.criterion],
+        TARGETS: "targets known to {:.1f} um (root mean square)",
+        DIAGNOSIS: "effects detectable from {:.2f} of their plausible size (geometric mean)",
+    }
+    factor = {TARGETS: 1.0 / MICROMETRE}
+    return ", ".join(said[name].format(factor.get(name, 1.0) * value) for name, value in plan.chosen.qualities.items())
 
 
 def _headline(plan: Plan) -> list[str]:
-    work = f"{plan.chosen.survey.words}; {_quality_words(plan, plan.chosen.qualities)}."
+    work = f"{plan.chosen.survey.words}; {_quality_words(plan)}"
     if plan.kept is not None:
-        return [f"{verdict(plan.demands, plan.kept, plan.losses)}.", work]
+        return [f"{verdict(plan.demands, plan.kept, plan.losses)}.", f"{work}."]
     sigma = plan.chosen.information.target_sigma
     worst = int(np.argmax(sigma))
     name = plan.chosen.survey.target_names[worst]
-    return [f"{work[:-1]}; no tolerance is asked for, the worst point is {name} ({_shown(TARGETS, sigma[worst])})."]
+    return [f"{work}; no tolerance is asked for, the worst point is {name} ({_shown(TARGETS, sigma[worst])})."]
 
 
 def _tolerances(plan: Plan) -> list[str]:
-    return [] if plan.kept is None else [*_numbers(plan), *sentences(plan.demands, plan.losses)]
+    return [] if plan.kept is None else [*_numbers(plan), *sentences(plan.losses)]
 
 
 def _numbers(plan: Plan) -> list[str]:
@@ -90,34 +86,33 @@ def _air(plan: Plan) -> list[str]:
 
 
 def _against_reference(plan: Plan) -> list[str]:
+    """How the plan compares with the scenario's own layout."""
     reference, chosen = plan.reference, plan.chosen
     if plan.file.workshop is not None:
         return []
     if reference is None:
         return ["The scenario's own layout does not determine its poses and targets; the plan's does."]
-    sentences = []
+    found = []
     if not np.isfinite(reference.value):
         lost = reference.table.lost(reference.survey.station_names, reference.survey.target_names)
         why = f" ({lost[0]}{', and more' if len(lost) > 1 else ''})" if lost else ""
-        sentences.append(f"The scenario's own layout does not keep the plan's rules{why}.")
-    for name, value in chosen.qualities.items():
-        if name in reference.qualities:
-            factor = reference.qualities[name] / value
-            word = "better" if factor >= 1 else "worse"
-            count = len(reference.survey.position)
-            sentences.append(
-                f"That is {max(factor, 1 / factor):.2f} times {word} for {name} than the scenario's own layout of "
-                f"{count} stations, worked in the same way ({_shown(name, reference.qualities[name])} there)."
-            )
-    sentences += _parameters(reference, chosen)
+        found.append(f"The scenario's own layout does not keep the plan's rules{why}.")
+    for name in [name for name in chosen.qualities if name in reference.qualities]:
+        factor = reference.qualities[name] / chosen.qualities[name]
+        found.append(
+            f"That is {max(factor, 1 / factor):.2f} times {'better' if factor >= 1 else 'worse'} for {name} than the "
+            f"scenario's own layout of {len(reference.survey.position)} stations, worked in the same way "
+            f"({_shown(name, reference.qualities[name])} there)."
+        )
+    found += _parameters(reference, chosen)
     if reference.expected is not None and chosen.expected is not None:
         a, b = reference.expected, chosen.expected
-        sentences.append(
+        found.append(
             f"Expected improvement by the paper's criteria, for errors of the size the maker guarantees: distance "
             f"{b.distance_improvement[0]:.0f} % (there {a.distance_improvement[0]:.0f} %), coordinate "
             f"{b.coordinate_improvement[0]:.0f} % (there {a.coordinate_improvement[0]:.0f} %)."
         )
-    return sentences
+    return found
 
 
 def _shown(name: str, value: float) -> str:
@@ -126,98 +121,61 @@ def _shown(name: str, value: float) -> str:
 
 def _parameters(reference: Evaluated, chosen: Evaluated) -> list[str]:
     """The parameters that gain most and those that lose."""
-    before, after = reference.information.parameters(), chosen.information.parameters()
-    ratio = [float(str(b["sigma"])) / float(str(a["sigma"])) for a, b in zip(after, before, strict=True)]
-    order = np.argsort(ratio)[::-1]
-
-    def words(i: int) -> str:
-        a, b = after[i], before[i]
-        return f"{a['name']} {float(str(b['sigma'])):.3g} to {float(str(a['sigma'])):.3g} {a['unit']}"
-
-    gained = [words(i) for i in order[:4] if ratio[i] > 1.05]
-    lost = [words(i) for i in order[::-1][:3] if ratio[i] < 0.95]
-    sentences = []
-    if gained:
-        sentences.append(f"Parameters that gain most (sigma): {'; '.join(gained)}.")
-    if lost:
-        sentences.append(f"Parameters known less well than there: {'; '.join(lost)}.")
-    return sentences
+    pairs = list(zip(reference.information.parameters(), chosen.information.parameters(), strict=True))
+    pairs.sort(key=lambda pair: pair[0].sigma / pair[1].sigma, reverse=True)
+    words = [(b.sigma / a.sigma, f"{a.name} {b.sigma:.3g} to {a.sigma:.3g} {a.unit}") for b, a in pairs]
+    gained = [text for ratio, text in words[:4] if ratio > 1.05]
+    lost = [text for ratio, text in words[::-1][:3] if ratio < 0.95]
+    found = [f"Parameters that gain most (sigma): {'; '.join(gained)}."] if gained else []
+    return found + ([f"Parameters known less well than there: {'; '.join(lost)}."] if lost else [])
 
 
 def _what_each_station_does(plan: Plan) -> list[str]:
     """What is lost without a station, and which parameter it serves most."""
-    chosen = plan.chosen
-    sentences = []
-    for s, name in enumerate(chosen.survey.station_names):
-        left = chosen.survey.without(s)
+    survey, now, qualities = plan.chosen.survey, plan.chosen.information, plan.chosen.qualities
+    objective, found = Objective({INSTRUMENT: 1.0}, plan.objective.criterion), []
+    for s, name in enumerate(survey.station_names):
+        left = survey.without(s)
         try:
-            information = LayoutInformation.of(left, chosen.information.construction)
+            without = LayoutInformation.of(left, now.construction)
         except NetworkError as problem:
-            sentences.append(f"Without {name} the network falls apart: {problem}.")
+            found.append(f"Without {name} the network falls apart: {problem}.")
             continue
-        if INSTRUMENT in chosen.qualities:
-            objective = Objective({INSTRUMENT: 1.0}, plan.objective.criterion)
-            value, now = measure(left, objective, information.construction)[0], chosen.qualities[INSTRUMENT]
+        if INSTRUMENT in qualities:
+            worse = measure(left, objective, now.construction)[0] / qualities[INSTRUMENT]
         else:
-            value, now = information.target_rms, chosen.information.target_rms
-        ratio = information.instrument_sigma / chosen.information.instrument_sigma
-        worst = int(np.argmax(ratio))
-        place = chosen.survey.position[s]
-        sentences.append(
-            f"{name} at ({place[0]:.2f}, {place[1]:.2f}) m: without it the quality is {100 * (value / now - 1):.0f} % "
-            f"worse, most for {information.construction.names[worst]} (sigma {100 * (ratio[worst] - 1):.0f} % larger)."
+            worse = without.target_rms / now.target_rms
+        ratio = without.instrument_sigma / now.instrument_sigma
+        most = int(np.argmax(ratio))
+        x, y, _ = survey.position[s]
+        found.append(
+            f"{name} at ({x:.2f}, {y:.2f}) m: without it the quality is {100 * (worse - 1):.0f} % worse, most for "
+            f"{now.construction.names[most]} (sigma {100 * (ratio[most] - 1):.0f} % larger)."
         )
-    return sentences
-
-
-def _yaw(plan: Plan) -> list[str]:
-    """What the turns of the stations are worth."""
-    chosen = plan.chosen
-    equal = LayoutInformation.of(
-        chosen.survey.replace(yaw=np.full(len(chosen.survey.yaw), float(chosen.survey.yaw[0]))),
-        chosen.information.construction,
-    )
-    ratio = equal.instrument_sigma / chosen.information.instrument_sigma
-    worst = int(np.argmax(ratio))
-    if ratio[worst] < 1.1:
-        return []
-    turns = ", ".join(
-        f"{name} {yaw / DEGREE:.0f}" for name, yaw in zip(chosen.survey.station_names, chosen.survey.yaw, strict=True)
-    )
-    return [
-        f"The base is turned between stations ({turns} deg): at equal turns "
-        f"{equal.construction.names[worst]} would have a sigma {ratio[worst]:.1f} times as large."
-    ]
+    return found
 
 
 def _limits(plan: Plan) -> list[str]:
     """Rules that hold the layout: the floor's edge, the elevation limits, the spacing."""
     survey, site = plan.chosen.survey, plan.site
-    sentences = []
+    names, found = survey.station_names, []
     gap = np.linalg.norm(survey.position[:, None, :2] - survey.position[None, :, :2], axis=2)
-    close = [
-        f"{survey.station_names[i]} and {survey.station_names[j]}"
-        for i, j in np.argwhere(np.triu(gap < 1.02 * site.spacing, 1))
-    ]
+    close = [f"{names[i]} and {names[j]}" for i, j in np.argwhere(np.triu(gap < 1.02 * site.spacing, 1))]
     if close:
-        sentences.append(f"The least distance of {site.spacing:g} m holds {', '.join(close)} apart.")
-    edge = []
-    for name, place in zip(survey.station_names, survey.position, strict=True):
-        moved = place + 0.03 * np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]])
-        if not site.allowed(moved).all():
-            edge.append(name)
+        found.append(f"The least distance of {site.spacing:g} m holds {', '.join(close)} apart.")
+    steps = 0.03 * np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]])
+    edge = [n for n, place in zip(names, survey.position, strict=True) if not site.allowed(place + steps).all()]
     if edge:
         verb = "stands" if len(edge) == 1 else "stand"
-        sentences.append(f"{', '.join(edge)} {verb} at the edge of the allowed floor; more room there may help.")
-    if site.least < len(survey.position):
+        found.append(f"{', '.join(edge)} {verb} at the edge of the allowed floor; more room there may help.")
+    if site.least < len(names):
         least = survey.seen.sum(axis=0).min()
-        sentences.append(f"Every reflector is seen from at least {least} station{'s' if least > 1 else ''}.")
-    if not survey.seen.all():
-        missing = int((~survey.seen).sum())
-        lost = plan.chosen.table.lost(survey.station_names, survey.target_names)
-        more = "; and more" if missing > 3 else ""
-        sentences.append(f"{missing} pairs do not see each other: {'; '.join(lost[:3])}{more}.")
-    return sentences
+        found.append(f"Every reflector is seen from at least {least} station{'s' if least > 1 else ''}.")
+    lost = plan.chosen.table.lost(names, survey.target_names)
+    if lost:
+        more = "; and more" if len(lost) > 3 else ""
+        found.append(f"{len(lost)} pairs do not see each other: {'; '.join(lost[:3])}{more}.")
+    return found
 
 
 def _same_way(plan: Plan, option: Option) -> bool:
@@ -235,49 +193,46 @@ def fewest(plan: Plan) -> Option | None:
 
 
 def _curve(plan: Plan) -> list[str]:
-    sentences = []
-    few, goal = fewest(plan), " ".join(plan.chosen.qualities)
-    reference = plan.reference
+    """Fewer stations that are enough, and what a better layout costs."""
+    found, few, reference = [], fewest(plan), plan.reference
     if few is not None and reference is not None and len(few.survey.position) < len(reference.survey.position):
-        sentences.append(
+        goal = " ".join(plan.chosen.qualities)
+        found.append(
             f"{len(few.survey.position)} stations are enough to match the {len(reference.survey.position)} of the "
             f"scenario's own layout ({_shown(goal, few.value)} against {_shown(goal, _own_value(plan))}) in "
             f"{few.hours:.1f} h."
         )
-    now = next((o for o in plan.options if o.survey is plan.chosen.survey or _is_chosen(plan, o)), None)
+    count = len(plan.chosen.survey.position)
+    now = next((o for o in plan.options if len(o.survey.position) == count and _same_way(plan, o)), None)
     dearer = [o for o in plan.options if o.efficient and now is not None and o.value < 0.95 * now.value]
     if now is not None and dearer:
-        next_ = min(dearer, key=lambda o: o.hours)
-        faces = "both faces" if len(next_.survey.faces) == 2 else "one face"
-        change = next_.hours - now.hours
-        time = f"{60 * change:.0f} min more" if change > 0 else f"{-60 * change:.0f} min less"
-        sentences.append(
-            f"{now.value / next_.value:.1f} times better still with {len(next_.survey.position)} stations, {faces}, "
-            f"{next_.survey.repeats} round{'s' if next_.survey.repeats > 1 else ''}: {time}."
+        best = min(dearer, key=lambda o: o.hours)
+        faces = "both faces" if len(best.survey.faces) == 2 else "one face"
+        rounds = f"{best.survey.repeats} round{'s' if best.survey.repeats > 1 else ''}"
+        change = best.hours - now.hours
+        time = f"{abs(60 * change):.0f} min {'more' if change > 0 else 'less'}"
+        found.append(
+            f"{now.value / best.value:.1f} times better still with {len(best.survey.position)} stations, {faces}, "
+            f"{rounds}: {time}."
         )
-    return sentences
+    return found
 
 
 def _own_value(plan: Plan) -> float:
+    """The objective of the scenario's own layout."""
     if plan.reference is None:
         return float("inf")
     survey = plan.reference.survey
     return measure(survey, objective_of(plan.file, survey), plan.chosen.information.construction)[0]
 
 
-def _is_chosen(plan: Plan, option: Option) -> bool:
-    same = len(option.survey.position) == len(plan.chosen.survey.position)
-    return same and _same_way(plan, option)
-
-
 def _undetermined(plan: Plan) -> list[str]:
     information = plan.chosen.information
-    sentences = []
+    found = []
     for direction, cure in zip(information.undetermined, information.cures(), strict=True):
         terms = " ".join(f"{v:+.2f} {n}" for n, v in direction.coefficients(information.construction.names).items())
-        advice = f"; cure: {cure}" if cure else ""
-        sentences.append(f"Not determined (gain {direction.gain:.2f}): {terms}{advice}.")
-    return sentences
+        found.append(f"Not determined (gain {direction.gain:.2f}): {terms}{f'; cure: {cure}' if cure else ''}.")
+    return found
 
 
 def _search(plan: Plan) -> list[str]:

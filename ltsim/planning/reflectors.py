@@ -12,7 +12,6 @@ import numpy as np
 
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.errors import SetupError
-from ltsim.geometry.rotations import cross_matrix
 from ltsim.model.construction import Construction
 from ltsim.planning.fast import Reduced, Reducer
 from ltsim.planning.objective import LEAST_IMPROVEMENT, Objective
@@ -49,20 +48,14 @@ class PlaceTable:
         slots = np.arange(count)
         only = seen.copy()
         only[:, kept:] = False
-        base, length = (
-            a[0] for a in reducer.schur(reducer.blocks(survey.position, survey.yaw, slots, only), slots[None])
-        )
-        t, v = reducer.rows(survey.position, survey.yaw, slots)
-        shape = (count, kept + len(places), 3 * len(survey.faces))
-        weight = np.sqrt(survey.repeats) * seen[:, kept:, None, None]
-        t, v = t.reshape(*shape, 3)[:, kept:] * weight, v.reshape(*shape, -1)[:, kept:] * weight
-        turned = t @ cross_matrix(places[None] - survey.position[:, None])
-        size = len(base)
-        x = np.zeros((len(places), count, shape[2], size))
+        alone = reducer.blocks(survey.position, survey.yaw, slots, only)
+        base, length = (block[0] for block in reducer.eliminated(alone, slots[None])[:2])
+        t, x = (part[:, kept:] for part in reducer.rows(survey.position, survey.yaw, slots, seen))
+        rows = np.zeros((len(places), count, t.shape[2], len(base)))
         for s in range(count):
-            x[:, s, :, 6 * s : 6 * s + 3], x[:, s, :, 6 * s + 3 : 6 * s + 6] = -t[s], turned[s]
-            x[:, s, :, size - v.shape[3] :] = v[s]
-        rows = x.reshape(len(places), -1, size)
+            rows[:, s, :, 6 * s : 6 * s + 6] = x[s, ..., :6]
+            rows[:, s, :, len(base) - x.shape[3] + 6 :] = x[s, ..., 6:]
+        rows = rows.reshape(len(places), -1, len(base))
         basis = np.linalg.qr(np.swapaxes(t, 0, 1).reshape(len(places), -1, 3))[0]
         left = rows - basis @ (np.swapaxes(basis, 1, 2) @ rows)
         whole = reducer.blocks(survey.position, survey.yaw, slots, seen)
@@ -154,17 +147,9 @@ class Choice:
 def choose_reflectors(
     site: Site, survey: Survey, stays: Bools, objective: Objective, construction: Construction
 ) -> Survey:
-    """The survey with its movable reflectors at the best of the site's places (and where they are).
+    """The survey with its movable reflectors (not `stays` (T,)) at the best of the site's places and their own.
 
-    Parameters
-    ----------
-    stays : (T,) bool
-        Targets that stay.
-
-    Raises
-    ------
-    SetupError
-        When too few places are in sight.
+    Raises SetupError where too few places are in sight.
     """
     if site.nests is None:
         return survey

@@ -6,13 +6,21 @@ from typing import Any, ClassVar, Literal
 
 from pydantic import Field
 
+from ltsim.arrays import Floats
 from ltsim.calibration.schema import Combination
 from ltsim.recording.result_file import Entry, Finite, Known, ResultFile, Vector
-from ltsim.recording.result_table import ResultTable, numbers, texts
+from ltsim.results import Table, columns_of, numbers, texts
 
 Qualities = dict[str, Known]
 
-STATIONS = ResultTable(
+
+def rounded(place: Floats, decimals: int) -> Vector:
+    """A place (3,) as a result file has it."""
+    x, y, z = (round(float(v), decimals) for v in place)
+    return x, y, z
+
+
+STATIONS = Table(
     "stations.csv",
     "where the tripod goes",
     (
@@ -21,7 +29,7 @@ STATIONS = ResultTable(
         *numbers(sigma_x_um="expected standard deviation", sigma_y_um="as x", sigma_z_um="as x"),
     ),
 )
-REFLECTORS = ResultTable(
+REFLECTORS = Table(
     "reflectors.csv",
     "reflectors and how well they become known",
     (
@@ -32,16 +40,7 @@ REFLECTORS = ResultTable(
         *texts(seen_from="stations that see it"),
     ),
 )
-TRADEOFF = ResultTable(
-    "tradeoff.csv",
-    "ways of working, each with the best layout found for it",
-    (
-        *numbers(stations="how many", faces="1 or 2", repeats="rounds", pointings="how many", hours="of work"),
-        *numbers(value="objective, smaller is better"),
-        *texts(efficient="True where nothing as cheap is better"),
-    ),
-)
-PARAMETERS = ResultTable(
+PARAMETERS = Table(
     "parameters.csv",
     "how well the instrument becomes known",
     (
@@ -50,7 +49,7 @@ PARAMETERS = ResultTable(
         *numbers(gain="share of the prior variance that the data remove"),
     ),
 )
-VISIBILITY = ResultTable(
+VISIBILITY = Table(
     "visibility.csv",
     "which station sees which target",
     (
@@ -58,33 +57,12 @@ VISIBILITY = ResultTable(
         *numbers(distance_mm="between them", elevation_deg="of the beam", incidence_deg="on the reflector"),
     ),
 )
-EFFECTS = ResultTable(
-    "effects.csv",
-    "smallest effects that would be found",
-    (
-        *texts(effect="id", parameter="name", unit="of the sizes"),
-        *numbers(best="at the best place", typical="at a place in the middle", worst="at the worst place"),
-        *texts(worst_at="which that is"),
-        *numbers(plausible="sigma of what is to be expected", visible="median share of its signature that is left"),
-    ),
-)
-NEXT = ResultTable(
-    "next.csv",
-    "proposals of further measurements, the best first",
-    (
-        *texts(kind="of measurement"),
-        *numbers(minutes="of work", sharper="mean factor on the sigmas of the instrument's parameters"),
-        *texts(serves="the parameter it serves most"),
-        *numbers(serves_factor="factor on that one's sigma"),
-        *texts(tells_apart="effects that it tells from the first", decides="True where all are told apart", do="words"),
-    ),
-)
-NOMINALS = ResultTable(
+NOMINALS = Table(
     "nominals.csv",
     "every point in the hall's axes, for the tracker's software",
     (*texts(name="of the point"), *numbers(x_mm="place", y_mm="as x_mm", z_mm="as x_mm")),
 )
-WORK = ResultTable(
+WORK = Table(
     "work-order.csv",
     "every pointing in the order of the work, with what the tracker should show",
     (
@@ -94,10 +72,9 @@ WORK = ResultTable(
         *numbers(azimuth_deg="expected", elevation_deg="expected", distance_mm="expected"),
     ),
 )
-TABLES = (NOMINALS, WORK, STATIONS, REFLECTORS, TRADEOFF, PARAMETERS, VISIBILITY, EFFECTS)
 
 
-class PlaceEntry(Entry):
+class StationEntry(Entry):
     """A place for a tripod."""
 
     name: str
@@ -106,11 +83,6 @@ class PlaceEntry(Entry):
     """Centre of the head, in the workshop's frame."""
     yaw_deg: Finite
     """Direction of azimuth zero, counter-clockwise from x."""
-
-
-class StationEntry(PlaceEntry):
-    """Where a tripod goes."""
-
     sigma_position_um: tuple[Known, ...] = ()
     """Expected, of each coordinate."""
     reflectors_seen: int = 0
@@ -164,21 +136,26 @@ class ImprovementEntry(Entry):
     """Of the mean."""
 
 
-class LayoutEntry(Entry):
-    """A layout with what is known of it before measuring."""
+class WorkEntry(Entry):
+    """A way of working."""
 
-    allowed: bool = True
-    """It keeps the plan's rules."""
-    hours: Finite
-    """What the work takes."""
-    pointings: int = 0
-    """How many."""
     faces: int = 1
     """One face or both."""
     repeats: int = 1
     """How many rounds."""
+    pointings: int = 0
+    """How many."""
+    hours: Finite
+    """What the work takes."""
     quality: Qualities = Field(default_factory=dict)
     """Each that the goal weighs; smaller is better."""
+
+
+class LayoutEntry(WorkEntry):
+    """A layout with what is known of it before measuring."""
+
+    allowed: bool = True
+    """It keeps the plan's rules."""
     stations: tuple[StationEntry, ...]
     """Where the tripods go."""
     reflectors: tuple[ReflectorEntry, ...] = ()
@@ -193,26 +170,16 @@ class LayoutEntry(Entry):
     """Which station does not see which reflector, and why."""
 
 
-class OptionEntry(Entry):
+class OptionEntry(WorkEntry):
     """One way of working and the best layout found for it."""
 
     stations: int
     """How many."""
-    faces: int
-    """One face or both."""
-    repeats: int
-    """How many rounds."""
-    pointings: int
-    """How many."""
-    hours: Finite
-    """What the work takes."""
     value: Known = None
     """Its quality as one number; smaller is better."""
-    quality: Qualities = Field(default_factory=dict)
-    """Each that the goal weighs."""
     efficient: bool = False
     """Nothing cheaper is as good."""
-    layout: tuple[PlaceEntry, ...] = ()
+    layout: tuple[StationEntry, ...] = ()
     """Where the tripods go."""
 
 
@@ -231,7 +198,7 @@ class DetectableSize(Entry):
     """At the median one."""
     worst: Known = None
     """At the worst one."""
-    worst_at: str | None = None
+    worst_at: str = ""
     """Which that is."""
     plausible: Finite = 0.0
     """A bad but plausible size."""
@@ -253,8 +220,8 @@ class AlikeEntry(Entry):
 class ChangeEntry(Entry):
     """One reflector moved, added or left out; `quality` is a factor on the plan's objective."""
 
-    do: str
-    """`move`, `add` or `remove`."""
+    do: Literal["move", "add", "remove"]
+    """What is done."""
     words: str = ""
     """What to do and what it brings, for a person."""
     reflector: str = ""
@@ -264,13 +231,22 @@ class ChangeEntry(Entry):
     position_mm: Vector | None = None
     """Of that place."""
     gain_um: Finite
-    """Fall of the point error of all other targets, root mean square."""
+    """Fall of the point error of all other targets, root mean square, inner constraints; negative: it rises."""
     quality: Finite
-    """Factor on the plan's objective; smaller is better."""
+    """Factor on the plan's objective, where that is targets alone on the error of all other targets; smaller is better.
+    """
     serves: str = ""
     """The parameter, or the target, that gains most, or loses most where a reflector is left out."""
     serves_factor: Finite = 1.0
     """Factor on that one's standard deviation."""
+
+    @property
+    def deed(self) -> str:
+        """What to do, with the place in metres."""
+        if self.position_mm is None:
+            return f"leave out {self.reflector}"
+        place = f"{self.place} ({', '.join(f'{v / 1000:.2f}' for v in self.position_mm)}) m"
+        return f"move {self.reflector} to {place}" if self.reflector else f"add a reflector at {place}"
 
 
 class LossEntry(Entry):
@@ -382,3 +358,23 @@ class NextFile(ResultFile):
     """What to do first, in a sentence."""
     proposals: tuple[ProposalEntry, ...] = Field(min_length=1)
     """The best first."""
+
+
+TRADEOFF = Table(
+    "tradeoff.csv",
+    "ways of working, each with the best layout found for it",
+    columns_of(OptionEntry, "stations faces repeats pointings hours value efficient"),
+)
+EFFECTS = Table("effects.csv", "smallest effects that would be found", columns_of(DetectableSize))
+NEXT = Table(
+    "next.csv",
+    "proposals of further measurements, the best first",
+    columns_of(
+        ProposalEntry,
+        "kind minutes sharper serves serves_factor tells_apart decides do",
+        tells_apart={"kind": "text"},
+        decides={"kind": "text"},
+    ),
+)
+TABLES = (NOMINALS, WORK, STATIONS, REFLECTORS, TRADEOFF, PARAMETERS, VISIBILITY, EFFECTS)
+"""Beside plan.json."""

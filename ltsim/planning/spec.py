@@ -2,30 +2,40 @@
 
 from __future__ import annotations
 
-import difflib
-from importlib.resources import files
-from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from ltsim.effects import CATALOGUE
 from ltsim.effects.air import Air
-from ltsim.errors import SetupError, as_setup_error
 from ltsim.planning.floor import Floor
-from ltsim.planning.hall import TABLES, USUAL_HEIGHT_MM, hall_scenario, with_points
-from ltsim.planning.points import Point, read_points
-from ltsim.recording.files import shown
-from ltsim.recording.settings import checked, read_toml
-from ltsim.recording.setup import NonNegative, Positive, Section, Vector
-from ltsim.simulation.builtin import builtin_names
-from ltsim.simulation.scenario import Scenario, load_scenario
+from ltsim.recording.setup import Finite, NonNegative, Positive, Section, Vector
 from ltsim.simulation.sections import Instrument, Smr, Work, Workshop
 
-FORMAT = "ltsim-plan/1"
 WALLS = "walls"
 """Names the walls of the room among the bodies that can hold nests."""
 Few = Annotated[int, Field(ge=2, le=40)]
+
+
+class Point(Section):
+    """A point to measure; with ``points = "points.csv"`` the file has these keys as its columns.
+
+    The file is a list of coordinates in any dialect that is read: ``Name;X [m];Y [m];Z [m]`` does as well.
+    """
+
+    name: str
+    """Its name."""
+    x_mm: Finite
+    """Place in the hall's axes."""
+    y_mm: Finite
+    """As x_mm."""
+    z_mm: Finite
+    """As x_mm."""
+    group: str = ""
+    """Points that a tolerance names together."""
+    weight: NonNegative = 1.0
+    """How much its squared error counts among those of the others."""
+    tolerance_mm: Positive | None = None
+    """Largest error that it may have, at the goal's level."""
 
 
 class Stations(Section):
@@ -228,115 +238,3 @@ class PlanFile(Section):
     def listed(self) -> tuple[Point, ...]:
         """The points, once their file is read."""
         return () if isinstance(self.points, str) else self.points
-
-
-def plan_names() -> tuple[str, ...]:
-    """Built-in plan files, then scenarios, which are plans with all settings at their defaults."""
-    folder = files("ltsim.planning") / "builtin"
-    own = sorted(f.name.removesuffix(".toml") for f in folder.iterdir() if f.name.endswith(".toml"))
-    return (*own, *(name for name in builtin_names() if name not in own))
-
-
-def plan_text(name: str) -> str:
-    """The commented file of a built-in plan, to print and edit."""
-    path = files("ltsim.planning") / "builtin" / f"{name}.toml"
-    if not path.is_file():
-        raise SetupError(f"{shown(name)}: there is no built-in plan of this name; did you mean {_near(name)}?")
-    return path.read_text(encoding="utf-8")
-
-
-def load_plan(name_or_path: str | Path) -> tuple[PlanFile, Scenario]:
-    """A plan file, a built-in plan, or a scenario taken as a plan; with its scenario (raises SetupError)."""
-    name = str(name_or_path)
-    built = files("ltsim.planning") / "builtin" / f"{name}.toml"
-    path = Path(str(built)) if built.is_file() else Path(name)
-    if not path.is_file():
-        if name in builtin_names():
-            return PlanFile(scenario=name), load_scenario(name)
-        raise SetupError(f"{shown(name)}: there is no such file, and no built-in plan; did you mean {_near(name)}?")
-    data = _read(path)
-    if data.get("format") == "ltsim-scenario/1":
-        return PlanFile(scenario=name), load_scenario(path)
-    made = plan_from(data, path)
-    made = made.model_copy(update=_given(made, path))
-    scenario = _scenario(made, data, path)
-    _check(made, scenario, path)
-    return made, scenario
-
-
-def _given(made: PlanFile, path: Path) -> dict[str, Any]:
-    """What the file leaves to others: the points of its list, and defaults that follow from other keys."""
-    points = read_points(path.parent / made.points) if isinstance(made.points, str) else made.points
-    changes: dict[str, Any] = {"points": points}
-    if made.workshop is not None and made.floor.height_mm is None:
-        changes["floor"] = made.floor.model_copy(update={"height_mm": USUAL_HEIGHT_MM})
-    if points and not {"instrument", "targets", "diagnosis"} & made.goal.model_fields_set:
-        changes["goal"] = made.goal.model_copy(update={"instrument": 0.0, "targets": 1.0})
-    return changes
-
-
-def _scenario(made: PlanFile, data: dict[str, Any], path: Path) -> Scenario:
-    """The scenario that a plan file names, or that of its own tables."""
-    points = made.listed
-    own = [name for name in TABLES if name in data]
-    if made.workshop is None and own:
-        raise SetupError(f"{path}: [{own[0]}] goes with a [workshop] of the plan's own; the scenario states its own")
-    if made.workshop is not None:
-        if "scenario" in data:
-            raise SetupError(f"{path}: it should have either scenario or [workshop], not both")
-        return hall_scenario(made, data, points, path)
-    beside = path.parent / made.scenario
-    return with_points(load_scenario(beside if beside.is_file() else made.scenario), points, path)
-
-
-def _near(name: str) -> str:
-    known = plan_names()
-    return ", ".join(difflib.get_close_matches(name, known, n=3, cutoff=0.4) or known)
-
-
-def _read(path: Path) -> dict[str, Any]:
-    with as_setup_error():
-        return read_toml(path, "plan")
-
-
-def plan_from(data: dict[str, Any], file: object) -> PlanFile:
-    """Check the tables of a plan; `file` is named in errors."""
-    with as_setup_error():
-        return checked(data, PlanFile, "plan", file)
-
-
-def _check(made: PlanFile, scenario: Scenario, file: object) -> None:
-    """Names that exist, counts that fit together."""
-
-    def known(key: str, wanted: tuple[str, ...], names: tuple[str, ...]) -> None:
-        for name in wanted:
-            if name not in names:
-                near = (
-                    ", ".join(difflib.get_close_matches(name, names, n=3, cutoff=0.4) or names[:8]) or "none is named"
-                )
-                raise SetupError(f"{file}: {key} names '{shown(name)}', which does not exist; did you mean {near}?")
-
-    known("stations.fixed", made.stations.fixed, tuple(scenario.stations))
-    known("reflectors.on", made.reflectors.on, (WALLS, *(o.name for o in scenario.workshop.obstacles if o.name)))
-    known("reflectors.keep", made.reflectors.keep, scenario.target_names)
-    known("goal.effects", made.goal.effects, tuple(effect.name for effect in CATALOGUE))
-    groups = {point.group for point in made.listed if point.group}
-    known("reflectors.movable", made.reflectors.movable, (*sorted(groups), *(point.name for point in made.listed)))
-    known("goal.tolerances", tuple(t.group for t in made.goal.tolerances if t.group), tuple(sorted(groups)))
-    if made.goal.tolerances and not made.listed:
-        raise SetupError(f"{file}: goal.tolerances stands without points; give points as a list or a file")
-    given = [f"budget.{key}" for key in ("faces", "repeats") if getattr(made.budget, key) is not None]
-    if given and not made.chooses:
-        raise SetupError(
-            f"{file}: {' and '.join(given)} without budget.hours chooses nothing; give the hours that the work may "
-            "take, or say how it is done as [work] faces and repeats of the scenario"
-        )
-    if made.goal.diagnosis and not made.goal.effects:
-        raise SetupError(f"{file}: goal.diagnosis is weighed, but goal.effects names no effect to look for")
-    count = made.stations.count or len(scenario.stations)
-    if isinstance(made.stations.seen_from, int) and made.stations.seen_from > count:
-        raise SetupError(f"{file}: stations.seen_from is {made.stations.seen_from}, but there are {count} stations")
-    own = [p.name for p in made.reflectors.places] + [s.name for s in made.reflectors.surfaces]
-    for name in own:
-        if own.count(name) > 1 or name in scenario.target_names:
-            raise SetupError(f"{file}: reflectors has the name '{shown(name)}' twice, or a target has it")

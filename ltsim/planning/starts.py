@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from signal import SIG_IGN, SIGINT, signal
@@ -14,12 +15,14 @@ import numpy as np
 from ltsim.arrays import Floats
 from ltsim.errors import NetworkError, SetupError
 from ltsim.model.construction import Construction
+from ltsim.planning.floor import grid_step
 from ltsim.planning.reflectors import choose_reflectors
-from ltsim.planning.search import Layout, Searcher, unheard, unkept
-from ltsim.planning.site import Site, grid_step
+from ltsim.planning.search import Layout, Searcher
+from ltsim.planning.site import Site
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import Survey
 from ltsim.planning.workshop import objective_of, site_of, staying
+from ltsim.remedies.next_measurement import quiet
 from ltsim.simulation.physics import planned_construction
 from ltsim.simulation.scenario import Scenario
 from ltsim.workers import Notes, followed, parallel
@@ -30,10 +33,15 @@ SAYS = 5.0
 """[s] between two words on the best layout so far."""
 WORTH = 0.01
 """By how much, relative, a layout must be better to be worth a word."""
+SAMPLE = 48
+"""Set-ups that are tried for an estimate."""
+SWEEPS, MOVES = 3.0, 14.0
+"""Rounds of exchanges, and of moves off the grid, that a search usually takes."""
 
+Found = tuple[float, Survey]
+"""Value and survey of a layout."""
 Layouts = dict[tuple[int, int], list[tuple[float, int, Survey]]]
 """Value, start and survey of each layout, by number of stations and of faces."""
-Found = tuple[int, tuple[float, Survey] | None]
 
 
 @dataclass(frozen=True)
@@ -45,56 +53,64 @@ class Task:
     start: int
 
 
-def unseen(_survey: Survey, _value: float) -> None:
-    """Keep nothing."""
-
-
 @dataclass(frozen=True)
-class Watch:
-    """Whoever follows a search."""
+class Problem:
+    """What is searched: a plan file with its scenario, and the construction whose parameters are meant."""
 
-    share: Callable[[float], None] = unheard
-    """Hears the share of the whole that is done."""
-    keep: Callable[[Survey, float], None] = unseen
-    """Is given the best layout so far and its value, from a thread of its own."""
+    file: PlanFile
+    scenario: Scenario
+    built: Construction
 
+    def site(self, task: Task) -> Site:
+        """The freedom of a search."""
+        return site_of(self.file, self.scenario, stations=task.stations, faces=task.faces)
 
-@dataclass(frozen=True)
-class Gathered:
-    """What searches found."""
-
-    layouts: Layouts
-    stopped: bool = False
-    """Somebody pressed Ctrl-C: what was found by then is here."""
+    def searcher(
+        self, site: Site, tell: Callable[[float], None] = quiet, keep: Callable[[Layout], None] = quiet
+    ) -> Searcher:
+        """The search on a site for the file's objective."""
+        settings, objective = self.file.search, objective_of(self.file, site.survey)
+        step = grid_step(site.areas, settings.grid_mm)
+        return Searcher(site, objective, self.built, step, settings.yaws, settings.heights, tell, keep)
 
 
 def gathered(
-    file: PlanFile, scenario: Scenario, tasks: Sequence[Task], built: Construction, jobs: int, watch: Watch
-) -> Gathered:
-    """The layouts that searches found; Ctrl-C ends them with the best so far."""
-    done: dict[int, tuple[float, Survey]] = {}
+    problem: Problem,
+    tasks: Sequence[Task],
+    jobs: int,
+    share: Callable[[float], None],
+    keep: Callable[[Survey, float], None],
+) -> tuple[Layouts, bool]:
+    """The layouts that searches found, and whether Ctrl-C ended them: these are then the best so far.
+
+    `share` hears the share of the whole that is done; `keep` is given the best layout so far and its value, from a
+    thread of its own.
+    """
+    done: dict[int, Found] = {}
     # A construction holds functions that cannot travel; workers build the scenario's own.
-    own = built if jobs == 1 else None
+    own = problem.built if jobs == 1 else None
     stopped, told, last = False, np.inf, -np.inf
 
-    def best_so_far(notes: Notes) -> dict[int, tuple[float, Survey]]:
+    def best_so_far(notes: Notes) -> dict[int, Found]:
         """Of each search that goes on, as its process noted it."""
         rows = {number: np.load(path) for number in range(len(tasks)) if (path := _note(notes, number)).is_file()}
-        return {k: (float(row[0, 0]), _placed(file, scenario, tasks[k], row[1:])) for k, row in rows.items()}
+        return {
+            k: (float(row[0, 0]), _moved(problem.site(tasks[k]), row[1:, :3], row[1:, 3])) for k, row in rows.items()
+        }
 
-    def look(share: float) -> None:
+    def look(done_share: float) -> None:
         nonlocal told, last
-        watch.share(share)
-        if watch.keep is unseen or monotonic() - last < SAYS:
+        share(done_share)
+        if monotonic() - last < SAYS:
             return
         last = monotonic()
         value, survey = min((best_so_far(notes) | done).values(), key=lambda one: one[0], default=(np.inf, None))
         if survey is not None and value < told * (1 - WORTH):
             told = value
-            watch.keep(survey, value)
+            keep(survey, value)
 
-    with followed(len(tasks), lambda share: look(share)) as notes:
-        work = ((file, scenario, task, own, notes, number) for number, task in enumerate(tasks))
+    with followed(len(tasks), lambda done_share: look(done_share)) as notes:
+        work = ((problem.file, problem.scenario, task, own, notes, number) for number, task in enumerate(tasks))
         try:
             for number, layout in parallel(_task, work, min(jobs, len(tasks)), ordered=False):
                 done |= {number: layout} if layout is not None else {}
@@ -104,22 +120,16 @@ def gathered(
     for number, (value, survey) in sorted(done.items()):
         task = tasks[number]
         found.setdefault((task.stations, task.faces), []).append((value, task.start, survey))
-    return Gathered(found, stopped)
+    return found, stopped
 
 
 def _note(notes: Notes, number: int) -> Path:
     return notes.path.with_name(f"{number}.npy")
 
 
-def _placed(file: PlanFile, scenario: Scenario, task: Task, rows: Floats) -> Survey:
-    """The survey of noted stations (S, 4): places and turns."""
-    site = site_of(file, scenario, stations=task.stations, faces=task.faces)
-    return _moved(site, Layout(rows[:, :3], rows[:, 3], np.nan))
-
-
 def _task(
     file: PlanFile, scenario: Scenario, task: Task, built: Construction | None, notes: Notes, number: int
-) -> Found:
+) -> tuple[int, Found | None]:
     """One start's layout; None where the rules allow none, or ranges from so few stations determine none."""
     if built is None:  # in a process of its own: Ctrl-C is for the one that gathers
         signal(SIGINT, SIG_IGN)
@@ -130,9 +140,9 @@ def _task(
         np.save(half, np.concatenate([np.full((1, 4), layout.value), rows]))
         half.replace(_note(notes, number))
 
-    made = built or planned_construction(scenario)
+    problem = Problem(file, scenario, built or planned_construction(scenario))
     try:
-        return number, search_one(file, scenario, task, made, partial(notes.write, number), keep)
+        return number, search_one(problem, task, partial(notes.write, number), keep)
     except (SetupError, NetworkError):
         return number, None
     finally:
@@ -140,77 +150,49 @@ def _task(
 
 
 def search_one(
-    file: PlanFile,
-    scenario: Scenario,
-    task: Task,
-    built: Construction,
-    tell: Callable[[float], None] = unheard,
-    keep: Callable[[Layout], None] = unkept,
-) -> tuple[float, Survey]:
+    problem: Problem, task: Task, tell: Callable[[float], None] = quiet, keep: Callable[[Layout], None] = quiet
+) -> Found:
     """One start: stations, then reflectors where they are free, and stations again."""
-    site = site_of(file, scenario, stations=task.stations, faces=task.faces)
-    objective = objective_of(file, site.survey)
-    settings = file.search
-    stays = staying(file, scenario)
-
-    rounds = 1 if stays.all() else 1 + ROUNDS
-
-    def searcher(where: Site, number: int = 0) -> Searcher:
-        return Searcher(
-            where, objective, built, grid_step(where.areas, settings.grid_mm), settings.yaws, settings.heights,
-            lambda share: tell((number + share) / rounds), unkept if number else keep,
-        )  # fmt: skip
-
-    found = searcher(site).from_start(settings.seed, task.start)
-    survey = _moved(site, found)
-    for number in range(1, rounds):
-        survey = choose_reflectors(site, survey, stays, objective, built)
-        count = int(stays.sum())
-        stays = np.arange(len(survey.points)) < count
+    site, stays, seed = problem.site(task), staying(problem.file, problem.scenario), problem.file.search.seed
+    rounds, done = 1 if stays.all() else 1 + ROUNDS, 0
+    searcher = problem.searcher(site, lambda share: tell((done + share) / rounds), keep)
+    found = searcher.from_start(seed, task.start)
+    survey = _moved(site, found.position, found.yaw)
+    while done < rounds - 1:
+        done += 1
+        survey = choose_reflectors(site, survey, stays, searcher.objective, problem.built)
+        stays = np.arange(len(survey.points)) < stays.sum()
         site = site.replace(survey=survey, aimed=np.full(len(survey.points), bool(site.aimed.any())))
-        again = searcher(site, number).from_start(settings.seed, 0)
-        survey, found = _moved(site, again), again
+        found = replace(searcher, site=site, keep=quiet).from_start(seed, 0)
+        survey = _moved(site, found.position, found.yaw)
     return found.value, survey
 
 
-SAMPLE = 48
-"""Set-ups that are tried for an estimate."""
-SWEEPS, MOVES = 3.0, 14.0
-"""Rounds of exchanges, and of moves off the grid, that a search usually takes."""
+def _moved(site: Site, position: Floats, yaw: Floats) -> Survey:
+    return site.survey.replace(position=position, yaw=yaw, seen=site.seen(position))
 
 
-def expected_seconds(file: PlanFile, scenario: Scenario, tasks: Sequence[Task], built: Construction) -> float:
+def expected_seconds(problem: Problem, tasks: Sequence[Task]) -> float:
     """How long searches will take, one after the other, from a sample of what they do."""
-    total, each = 0.0, {}
-    for task in tasks:
-        key = task.stations, task.faces
-        if key not in each:
-            each[key] = _seconds_of_one(file, scenario, task, built)
-        total += each[key]
-    return total
+    ways = Counter((task.stations, task.faces) for task in tasks)
+    return sum(count * _seconds_of_one(problem, Task(*way, 0)) for way, count in ways.items())
 
 
-def _seconds_of_one(file: PlanFile, scenario: Scenario, task: Task, built: Construction) -> float:
-    site, settings = site_of(file, scenario, stations=task.stations, faces=task.faces), file.search
-    step = grid_step(site.areas, settings.grid_mm)
-    work = Searcher(site, objective_of(file, site.survey), built, step, settings.yaws, settings.heights)
-    places = site.places(step, settings.heights)
+def _seconds_of_one(problem: Problem, task: Task) -> float:
+    site = problem.site(task)
+    work = problem.searcher(site)
+    places = site.places(work.step, work.heights)
     if not len(places):
         return 0.0
     some = places[np.linspace(0, len(places) - 1, SAMPLE).astype(int)]
-    began = monotonic()
+    times = [monotonic()]
     seen = site.seen(some)
-    looked = (monotonic() - began) / SAMPLE
-    began = monotonic()
+    times.append(monotonic())
     pool = work.pool(some, np.zeros(SAMPLE), 0, seen)
-    built_one = (monotonic() - began) / SAMPLE
-    began = monotonic()
+    times.append(monotonic())
     work.replacements(pool.take(np.arange(task.stations)), 0, pool, anywhere=True)
-    valued = (monotonic() - began) / SAMPLE
-    setups, free = len(places) * settings.yaws, task.stations - len(site.fixed)
-    exchanges = len(places) * looked + setups * (built_one + SWEEPS * free * valued)
-    return exchanges + MOVES * free * 24 * (looked + built_one + valued)
-
-
-def _moved(site: Site, layout: Layout) -> Survey:
-    return site.survey.replace(position=layout.position, yaw=layout.yaw, seen=site.seen(layout.position))
+    times.append(monotonic())
+    looked, built, valued = np.diff(times) / SAMPLE
+    setups, free = len(places) * work.yaws, task.stations - len(site.fixed)
+    exchanges = len(places) * looked + setups * (built + SWEEPS * free * valued)
+    return float(exchanges + MOVES * free * 24 * (looked + built + valued))

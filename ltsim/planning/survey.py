@@ -128,26 +128,21 @@ class Survey:
         return np.asarray(rank * len(self.faces) + number)
 
     def _empty(self) -> Recording:
-        axes = (
-            np.arange(len(self.position)),
-            np.arange(1, self.repeats + 1),
-            np.sort(self.faces),
-            np.arange(len(self.points)),
-        )
+        rounds, faces = np.arange(1, self.repeats + 1), np.sort(self.faces)
+        axes = np.arange(len(self.position)), rounds, faces, np.arange(len(self.points))
         station, repeat, face, target = (axis.ravel() for axis in np.meshgrid(*axes, indexing="ij"))
         order = np.lexsort((self.turn(station, target, face), repeat, station))
         order = order[self.seen[station[order], target[order]]]
-        station, repeat, face, target = station[order], repeat[order], face[order], target[order]
-        time = np.arange(len(station)) * self.seconds_per_pointing + station * self.seconds_per_move
+        station, repeat, face, target = (axis[order].astype(np.int64) for axis in (station, repeat, face, target))
         return Recording(
             setup=self.setup,
             stations=self.station_names,
             targets=self.target_names,
-            station=station.astype(np.int64),
-            target=target.astype(np.int64),
-            face=face.astype(np.int64),
-            repeat=repeat.astype(np.int64),
-            time=time.astype(np.float64),
+            station=station,
+            target=target,
+            face=face,
+            repeat=repeat,
+            time=np.arange(len(station)) * self.seconds_per_pointing + station * self.seconds_per_move,
             readings=np.full((len(station), 3), np.nan),
         )
 
@@ -160,6 +155,17 @@ class Survey:
             yaw=self.yaw[keep],
             seen=self.seen[keep],
             rank=None if self.rank is None else self.rank[keep],
+        )
+
+    def only(self, targets: Bools) -> Survey:
+        """The survey with some of its targets only."""
+        if targets.all():
+            return self
+        return self.replace(
+            target_names=tuple(n for n, k in zip(self.target_names, targets, strict=True) if k),
+            points=self.points[targets],
+            seen=self.seen[:, targets],
+            rank=None if self.rank is None else np.argsort(np.argsort(self.rank[:, targets], axis=1), axis=1),
         )
 
     def replace(self, **changes: Any) -> Survey:

@@ -19,6 +19,7 @@ from ltsim.units import MILLIMETRE
 LOOSE = 10.0
 """Points without a tolerance count as if theirs were so many times the widest one."""
 LEAST_WEIGHT = 1e-6
+MOST_NAMED = 5
 SIGHT = "the sight"
 """How the name of a lost sight begins."""
 
@@ -79,6 +80,8 @@ class Kept:
 
     lost: str
     """What is lost; empty for the whole layout."""
+    tolerance: Mapping[str, float]
+    """[m]: by point."""
     radius: Mapping[str, float]
     """[m]: of the points that have a tolerance and a place."""
     ratio: float
@@ -93,34 +96,62 @@ class Kept:
         """All tolerances are kept."""
         return self.ratio <= 1.0
 
+    @property
+    def of_sight(self) -> bool:
+        """A sight is lost, not a station."""
+        return self.lost.startswith(SIGHT)
+
+    @property
+    def over(self) -> list[str]:
+        """Points with a place whose errors are too large."""
+        return [name for name, value in self.radius.items() if value > self.tolerance[name]]
+
+    @property
+    def worst_words(self) -> str:
+        """The worst point with its numbers."""
+        return self.numbers(self.worst) if self.worst in self.radius else self.worst or "every point"
+
+    @property
+    def margin(self) -> str:
+        """How much of a tolerance is left, or how far it is missed."""
+        if not np.isfinite(self.ratio):
+            return "seen from nowhere"
+        left = 100 * (1 - self.ratio)
+        return f"margin {left:.0f} %" if left >= 0 else f"{-left:.0f} % too large"
+
+    @property
+    def remains(self) -> str:
+        """What remains of the tolerances."""
+        if self.good:
+            return f"all tolerances hold; {self.worst_words} comes nearest"
+        verb, more = "is" if len(self.unseen) == 1 else "are", len(self.unseen) - MOST_NAMED
+        named = ", ".join(self.unseen[:MOST_NAMED]) + (f" and {more} more" if more > 0 else "")
+        unseen = [f"{named} {verb} seen from nowhere"] if self.unseen else []
+        if not self.over:
+            return unseen[0] if unseen else "nothing is determined"
+        worst = max(self.over, key=lambda name: self.radius[name] / self.tolerance[name])
+        others = f", {len(self.over) - 1} more too" if len(self.over) > 1 else ""
+        return ", ".join([*unseen, f"{self.numbers(worst)} is too large{others}"])
+
+    def numbers(self, name: str) -> str:
+        """A point with its error and its tolerance."""
+        return f"{name} with {self.radius[name] / MILLIMETRE:.3g} of {self.tolerance[name] / MILLIMETRE:.3g} mm"
+
 
 def judged(survey: Survey, demands: Demands, built: Construction, lost: str = "") -> Kept:
     """How a survey stands to the demands; points that nobody sees are left out of the network and named."""
     seen: Bools = np.asarray(survey.seen.any(axis=0))
     unseen = tuple(n for n, s in zip(survey.target_names, seen, strict=True) if not s and n in demands.tolerance)
     try:
-        information = LayoutInformation.of(only(survey, seen), built)
+        information = LayoutInformation.of(survey.only(seen), built)
     except NetworkError:
-        return Kept(lost, {}, np.inf, "", unseen)
+        return Kept(lost, demands.tolerance, {}, np.inf, "", unseen)
     names = information.survey.target_names
     every = dict(zip(names, radius(information.target_covariance, demands.level).tolist(), strict=True))
     found = {name: every[name] for name in demands.tolerance if name in every}
     ratios = {name: value / demands.tolerance[name] for name, value in found.items()}
-    worst = max(ratios, key=lambda name: ratios[name], default="")
-    return Kept(lost, found, np.inf if unseen or not ratios else ratios[worst], unseen[0] if unseen else worst, unseen)
-
-
-def only(survey: Survey, targets: Bools) -> Survey:
-    """The survey with some of its targets only."""
-    if targets.all():
-        return survey
-    rank = None if survey.rank is None else np.argsort(np.argsort(survey.rank[:, targets], axis=1), axis=1)
-    return survey.replace(
-        target_names=tuple(n for n, k in zip(survey.target_names, targets, strict=True) if k),
-        points=survey.points[targets],
-        seen=survey.seen[:, targets],
-        rank=rank,
-    )
+    worst = unseen[0] if unseen else max(ratios, key=lambda name: ratios[name], default="")
+    return Kept(lost, demands.tolerance, found, np.inf if unseen or not ratios else ratios[worst], worst, unseen)
 
 
 def after_losses(survey: Survey, demands: Demands, built: Construction, kind: str) -> Iterator[Kept]:
@@ -155,71 +186,31 @@ def holds(survey: Survey, demands: Demands, built: Construction) -> tuple[bool, 
 
 def reached(demands: Demands, kept: Kept, losses: Sequence[Kept]) -> bool:
     """The goal is reached: all tolerances are kept, after any one loss too where that is asked for."""
-    return kept.good and all(loss.good for loss in _asked(demands, losses))
-
-
-def _asked(demands: Demands, losses: Sequence[Kept]) -> list[Kept]:
-    """Losses that must not break a tolerance."""
-    wanted = {"no": (), "sight": (True,), "station": (False,)}[demands.robust]
-    return [loss for loss in losses if loss.lost.startswith(SIGHT) in wanted]
+    asked = [loss for loss in losses if demands.robust == ("sight" if loss.of_sight else "station")]
+    return kept.good and all(loss.good for loss in asked)
 
 
 def verdict(demands: Demands, kept: Kept, losses: Sequence[Kept]) -> str:
     """Reached or not, the worst point and its margin, and the worst of it with any one station lost."""
-    count, share = len(demands.tolerance), f"{100 * demands.level:g} %"
-    over = sum(value > demands.tolerance[name] for name, value in kept.radius.items()) + len(kept.unseen)
-    what = f"all {count} tolerances" if kept.good else f"{count - over} of {count} tolerances"
-    words = f"{what} kept at {share}, worst {_worst(demands, kept)} ({_margin(kept)})"
-    worst = max((loss for loss in losses if not loss.lost.startswith(SIGHT)), key=lambda loss: loss.ratio, default=None)
+    count = len(demands.tolerance)
+    what = f"all {count}" if kept.good else f"{count - len(kept.over) - len(kept.unseen)} of {count}"
+    words = f"{what} tolerances kept at {100 * demands.level:g} %, worst {kept.worst_words} ({kept.margin})"
+    worst = max((loss for loss in losses if not loss.of_sight), key=lambda loss: loss.ratio, default=None)
     if worst is not None:
         lost = "all kept too" if worst.good else f"not kept without {worst.lost}"
-        left = f"worst {_worst(demands, worst)} ({_margin(worst)})" if worst.radius else "nothing is determined"
+        left = f"worst {worst.worst_words} ({worst.margin})" if worst.radius else "nothing is determined"
         words += f"; with any one station lost {lost}, {left}"
     return f"{'Reached' if reached(demands, kept, losses) else 'Not reached'}: {words}"
 
 
-def _margin(kept: Kept) -> str:
-    """How much of a tolerance is left, or how far it is missed."""
-    if not np.isfinite(kept.ratio):
-        return "seen from nowhere"
-    left = 100 * (1 - kept.ratio)
-    return f"margin {left:.0f} %" if left >= 0 else f"{-left:.0f} % too large"
-
-
-def sentences(demands: Demands, losses: Sequence[Kept]) -> list[str]:
+def sentences(losses: Sequence[Kept]) -> list[str]:
     """What remains when a station or a sight is lost."""
-    stations = [loss for loss in losses if not loss.lost.startswith(SIGHT)]
-    found = [f"Without {loss.lost} {_remains(demands, loss)}." for loss in stations]
-    sights = [loss for loss in losses if loss.lost.startswith(SIGHT)]
+    found = [f"Without {loss.lost} {loss.remains}." for loss in losses if not loss.of_sight]
+    sights = [loss for loss in losses if loss.of_sight]
     broken = sorted((loss for loss in sights if not loss.good), key=lambda loss: -loss.ratio)
-    if sights and not broken:
-        found.append(f"Any one of {len(sights)} sights of these points may be blocked: the tolerances hold.")
-    elif broken:
+    if broken:
         more = f", and {len(broken) - 1} more of {len(sights)}" if len(broken) > 1 else f", alone of {len(sights)}"
-        found.append(f"Blocking {broken[0].lost} breaks a tolerance ({_remains(demands, broken[0])}){more}.")
+        found.append(f"Blocking {broken[0].lost} breaks a tolerance ({broken[0].remains}){more}.")
+    elif sights:
+        found.append(f"Any one of {len(sights)} sights of these points may be blocked: the tolerances hold.")
     return found
-
-
-def _remains(demands: Demands, kept: Kept) -> str:
-    if kept.good:
-        return f"all tolerances hold; {_worst(demands, kept)} comes nearest"
-    verb = "is" if len(kept.unseen) == 1 else "are"
-    unseen = f"{_listed(kept.unseen)} {verb} seen from nowhere" if kept.unseen else ""
-    over = [name for name, value in kept.radius.items() if value > demands.tolerance[name]]
-    if not over:
-        return unseen or "nothing is determined"
-    worst = max(over, key=lambda name: kept.radius[name] / demands.tolerance[name])
-    words = f"{_point(demands, kept, worst)} is too large" + (f", {len(over) - 1} more too" if len(over) > 1 else "")
-    return f"{unseen}, {words}" if unseen else words
-
-
-def _worst(demands: Demands, kept: Kept) -> str:
-    return _point(demands, kept, kept.worst) if kept.worst in kept.radius else kept.worst or "every point"
-
-
-def _point(demands: Demands, kept: Kept, name: str) -> str:
-    return f"{name} with {kept.radius[name] / MILLIMETRE:.3g} of {demands.tolerance[name] / MILLIMETRE:.3g} mm"
-
-
-def _listed(names: Sequence[str], most: int = 5) -> str:
-    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")

@@ -43,8 +43,16 @@ class Tape:
     """A distance along the floor, from under the head to under a point, or straight from the head to a reflector."""
 
     to: str
+    place: Floats
+    """(3,) [m]: of the point."""
     metres: float
-    floor: bool = True
+    floor: bool
+
+    @classmethod
+    def of(cls, to: str, place: Floats, station: Floats, *, floor: bool) -> Tape:
+        """From an instrument at `station` (3,) [m]."""
+        gap = place - station
+        return cls(to, place, float(np.linalg.norm(gap[:2] if floor else gap)), floor)
 
 
 @dataclass(frozen=True)
@@ -77,86 +85,68 @@ def settings_of(plan: Plan) -> tuple[Setting, ...]:
     found = []
     for s, name in enumerate(recording.stations):
         rows = np.flatnonzero(recording.station == s)
-        place = survey.position[survey.station_names.index(name)]
-        yaw = float(survey.yaw[survey.station_names.index(name)])
-        first = list(dict.fromkeys(recording.target[rows].tolist()))
-        limit = {t: TRUST * np.sqrt(2.0) * float(error[rows[recording.target[rows] == t][0]]) for t in first}
-        again = [first[i] for i in np.unique(np.linspace(0, len(first) - 1, COMMON).round().astype(int))]
+        at = survey.station_names.index(name)
+        place, seen = survey.position[at], survey.seen[at]
+        order = list(dict.fromkeys(recording.target[rows].tolist()))
+        again = [order[i] for i in np.unique(np.linspace(0, len(order) - 1, COMMON).round().astype(int))]
+        limit = {t: TRUST * np.sqrt(2.0) * float(error[rows[recording.target[rows] == t][0]]) for t in again}
         found.append(
             Setting(
                 name=name,
                 height=float(place[2]),
-                tapes=_tapes(plan, place, survey.seen[survey.station_names.index(name)]),
-                towards=_towards(plan, place, yaw, survey.seen[survey.station_names.index(name)]),
-                order=tuple(recording.targets[t] for t in first),
-                again={recording.targets[t]: limit[t] for t in again},
+                tapes=_tapes(plan, place, seen),
+                towards=_towards(plan, place, float(survey.yaw[at]), seen),
+                order=tuple(recording.targets[t] for t in order),
+                again={recording.targets[t]: value for t, value in limit.items()},
                 minutes=len(rows) * survey.seconds_per_pointing / 60.0,
             )
         )
     return tuple(found)
 
 
-@dataclass(frozen=True)
-class _Mark:
-    """What a distance can be taken to."""
+def _marks(plan: Plan, place: Floats, seen: Bools) -> list[Tape]:
+    """What a station can be taped to, along the floor first; of what is far the nearest: there are never too few.
 
-    name: str
-    place: Floats
-    """(3,) [m]."""
-    floor: bool
-    """Along the floor, else straight to the reflector."""
-
-    def length(self, place: Floats) -> float:
-        """[m] from an instrument."""
-        gap = self.place - place
-        return float(np.linalg.norm(gap[:2] if self.floor else gap))
-
-
-def _marks(plan: Plan, place: Floats, seen: Bools) -> list[_Mark]:
-    """Marks of a station, those with a free way first, the others after: a list is never without three.
-
-    Along the floor: points that can be plumbed and corners of the room; else straight to any reflector in sight.
+    Along the floor: points that can be plumbed and corners of the room, if the way is free; else straight to any
+    reflector in sight.
     """
     survey, obstacles = plan.chosen.survey, plan.site.obstacles
+    targets = list(zip(survey.target_names, survey.points, strict=True))
     wide, deep = np.array(plan.scenario.workshop.size_mm[:2]) * MILLIMETRE
     corners = [(f"room corner ({x:g} m, {y:g} m)", np.array([x, y, 0.0])) for x in (0.0, wide) for y in (0.0, deep)]
-    low = [(survey.target_names[t], survey.points[t]) for t in np.flatnonzero(survey.points[:, 2] <= REACH)]
-    level = [_Mark(name, there, True) for name, there in (*low, *corners)]
+    plumbed = [*((name, point) for name, point in targets if point[2] <= REACH), *corners]
+    level = [Tape.of(name, point, place, floor=True) for name, point in plumbed]
     if obstacles is not None:
         ends = np.array([[*mark.place[:2], ANKLE] for mark in level])
-        free = ~obstacles.blocked(np.tile([*place[:2], ANKLE], (len(ends), 1)), ends)
-        level = [mark for mark, good in zip(level, free, strict=True) if good]
-    straight = [_Mark(survey.target_names[t], survey.points[t], False) for t in np.flatnonzero(seen)]
-    near = [mark for mark in (*level, *straight) if NEAR < mark.length(place) < TAPE]
-    if len({mark.name for mark in near}) >= 3:
-        return near
-    every = [mark for mark in (*level, *straight) if mark.length(place) > NEAR]
-    return sorted(every, key=lambda mark: mark.length(place))[:MOST_MARKS]
+        blocked = obstacles.blocked(np.tile([*place[:2], ANKLE], (len(ends), 1)), ends)
+        level = [mark for mark, hidden in zip(level, blocked, strict=True) if not hidden]
+    straight = [Tape.of(*targets[t], place, floor=False) for t in np.flatnonzero(seen)]
+    every = sorted((mark for mark in (*level, *straight) if mark.metres > NEAR), key=lambda mark: mark.metres)
+    near = [mark for mark in every if mark.metres < TAPE]
+    enough = len({mark.to for mark in near}) >= 3
+    return sorted(near if enough else every[:MOST_MARKS], key=lambda mark: not mark.floor)[:MOST_MARKS]
 
 
 def _tapes(plan: Plan, place: Floats, seen: Bools) -> tuple[Tape, ...]:
     """Three distances that cross well, are short and meet in one point only, the station's."""
-    marks = sorted(_marks(plan, place, seen), key=lambda mark: (not mark.floor, mark.length(place)))[:MOST_MARKS]
+    marks = _marks(plan, place, seen)
 
-    def worth(three: tuple[_Mark, ...]) -> float:
+    def worth(three: tuple[Tape, ...]) -> float:
         way = np.array([mark.place[:2] - place[:2] for mark in three])
         way /= np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-9)
         crossing = min(abs(a[0] * b[1] - a[1] * b[0]) for a, b in combinations(way, 2))
-        longest, straight = max(mark.length(place) for mark in three), sum(not mark.floor for mark in three)
+        longest, straight = max(mark.metres for mark in three), sum(not mark.floor for mark in three)
         return float(crossing - BORED * longest - STRAIGHT * straight)
 
-    groups = [three for three in combinations(marks, 3) if len({mark.name for mark in three}) == 3]
-    for three in sorted(groups, key=worth, reverse=True):
-        if meet(three, place):
-            return tuple(Tape(mark.name, mark.length(place), mark.floor) for mark in three)
-    return tuple(Tape(mark.name, mark.length(place), mark.floor) for mark in marks[:3])
+    groups = [three for three in combinations(marks, 3) if len({mark.to for mark in three}) == 3]
+    good = (three for three in sorted(groups, key=worth, reverse=True) if meet(three, place))
+    return next(good, tuple(marks[:3]))
 
 
-def meet(three: Sequence[_Mark], place: Floats) -> bool:
+def meet(three: Sequence[Tape], place: Floats) -> bool:
     """Whether three distances, read to the centimetre, give the place within `PLAY` and no other one."""
-    height = place[2]
-    flat = [np.sqrt(max(round(m.length(place), 2) ** 2 - (0.0 if m.floor else (m.place[2] - height) ** 2), 0.0))
-            for m in three]  # fmt: skip
+    rise = np.array([0.0 if mark.floor else mark.place[2] - place[2] for mark in three])
+    flat = np.sqrt(np.maximum(np.array([round(mark.metres, 2) for mark in three]) ** 2 - rise**2, 0.0))
     at = np.array([mark.place[:2] for mark in three])
 
     def misses(there: Floats) -> Floats:

@@ -14,14 +14,12 @@ from ltsim.model.construction import misalignment
 from ltsim.model.measurement import sightings_of
 from ltsim.planning.floor import ground_of
 from ltsim.planning.objective import DIAGNOSIS, INSTRUMENT, TARGETS, Objective
-from ltsim.planning.outlines import Area
 from ltsim.planning.site import Site
-from ltsim.planning.spec import WALLS, PlanFile, Surface
+from ltsim.planning.spec import WALLS, PlanFile
 from ltsim.planning.survey import Survey
 from ltsim.planning.tolerances import importance
 from ltsim.recording.recording import OBSERVABLES, Recording
-from ltsim.scene.meshes import walls
-from ltsim.scene.nests import nest_places
+from ltsim.scene.meshes import nest_places, walls
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.sections import Placing
 from ltsim.simulation.simulator import simulate
@@ -30,16 +28,17 @@ from ltsim.units import MILLIMETRE
 
 LEANING = 1e-3
 """Cosine deficit of an instrument's axis that a plan of upright stations may neglect (2.6 deg)."""
+RANGES = ("distance",)
+SIGHTS = 3
+"""Stations whose ranges place a reflector."""
+EXACT = Placing(station_mm=0.0, yaw_deg=0.0, tilt_deg=0.0, target_mm=0.0, gauge_mm=0.0)
 
 
 def survey_of(scenario: Scenario) -> Survey:
     """The scenario as a survey: its layout as planned, its set-up, its order and its clock.
 
-    Raises
-    ------
-    SetupError
-        When a station leans (a plan knows upright ones only), there is more than one tracker, or its ranges are not
-        recorded.
+    Raises SetupError when a station leans (a plan knows upright ones only), there is more than one tracker, or its
+    ranges are not recorded.
     """
     if scenario.instruments:
         named = ", ".join(scenario.instruments)
@@ -50,7 +49,7 @@ def survey_of(scenario: Scenario) -> Survey:
     lean = 1.0 - layout.rotation[:, 2, 2]
     if lean.max() > LEANING:
         raise SetupError(f"station {layout.stations[int(lean.argmax())]} leans; a plan knows upright stations only")
-    recording, _ = simulate(scenario.model_copy(update={"placing": _EXACT}), 0)
+    recording, _ = simulate(scenario.model_copy(update={"placing": EXACT}), 0)
     return Survey(
         setup=recording.setup,
         station_names=layout.stations,
@@ -69,33 +68,22 @@ def survey_of(scenario: Scenario) -> Survey:
     )
 
 
-RANGES = ("distance",)
-SIGHTS = 3
-"""Stations whose ranges place a reflector."""
-_EXACT = Placing(station_mm=0.0, yaw_deg=0.0, tilt_deg=0.0, target_mm=0.0, gauge_mm=0.0)
-
-
 def _rank(recording: Recording, layout: Layout) -> Ints:
     """(S, T): place of each target in each station's first round; targets not seen come last."""
     count = len(layout.targets)
     first = np.full((len(layout.stations), count), np.inf)
-    names = [layout.targets.index(name) for name in recording.targets]
-    stations = [layout.stations.index(name) for name in recording.stations]
-    np.minimum.at(
-        first,
-        (np.array(stations)[recording.station], np.array(names)[recording.target]),
-        recording.time,
-    )
+    target = np.array([layout.targets.index(name) for name in recording.targets])[recording.target]
+    station = np.array([layout.stations.index(name) for name in recording.stations])[recording.station]
+    np.minimum.at(first, (station, target), recording.time)
     return np.asarray(np.argsort(np.argsort(first, axis=1, kind="stable"), axis=1, kind="stable"), dtype=np.int64)
 
 
 def site_of(plan: PlanFile, scenario: Scenario, *, stations: int, faces: int, repeats: int = 1) -> Site:
     """The freedom of a plan with a number of stations and a way of measuring."""
-    survey = survey_of(scenario)
-    mm = MILLIMETRE
-    levels = survey.position[:, 2]
-    layout = planned(scenario)
+    survey, layout, mm = survey_of(scenario), planned(scenario), MILLIMETRE
+    levels, moves = survey.position[:, 2], plan.budget.minutes_per_move
     areas, keep_outs = ground_of(plan.floor, scenario.workshop.size_mm, (float(levels.min()), float(levels.max())))
+    longest = max(np.linalg.norm(area.outline[:, None] - survey.points[:, :2], axis=2).max() for area in areas)
     places, names = candidate_places(plan, scenario)
     wanted = plan.stations.seen_from
     least = stations if wanted == "all" else min(wanted, stations)
@@ -108,11 +96,9 @@ def site_of(plan: PlanFile, scenario: Scenario, *, stations: int, faces: int, re
             faces=tuple(range(1, faces + 1)),
             repeats=repeats,
             importance=importance(plan),
-            air=plan.air if plan.air.counts(_longest(areas, survey.points)) else None,
+            air=plan.air if plan.air.counts(float(longest)) else None,
             seconds_per_pointing=plan.budget.seconds_per_pointing or survey.seconds_per_pointing,
-            seconds_per_move=survey.seconds_per_move
-            if plan.budget.minutes_per_move is None
-            else 60.0 * plan.budget.minutes_per_move,
+            seconds_per_move=survey.seconds_per_move if moves is None else 60.0 * moves,
         ),
         areas=areas,
         keep_outs=keep_outs,
@@ -127,11 +113,6 @@ def site_of(plan: PlanFile, scenario: Scenario, *, stations: int, faces: int, re
         nest_names=names,
         reflector_spacing=plan.reflectors.spacing_mm * mm,
     )
-
-
-def _longest(areas: Sequence[Area], points: Floats) -> float:
-    """Longest range [m] from a corner of the floor to a point."""
-    return max(float(np.linalg.norm(area.outline[:, None] - points[None, :, :2], axis=2).max()) for area in areas)
 
 
 def ways(plan: PlanFile, scenario: Scenario) -> tuple[list[int], list[int]]:
@@ -168,7 +149,9 @@ def candidate_places(plan: PlanFile, scenario: Scenario) -> tuple[Floats | None,
         points.append(_on_body(plan, scenario, body))
         names += [f"{body}-{i}" for i in range(1, len(points[-1]) + 1)]
     for surface in plan.reflectors.surfaces:
-        points.append(_on_surface(surface))
+        steps = np.linspace(0, 1, surface.rows), np.linspace(0, 1, surface.columns)
+        up, across = (share.reshape(-1, 1) for share in np.meshgrid(*steps, indexing="ij"))
+        points.append(surface.origin_mm + up * np.array(surface.up_mm) + across * np.array(surface.across_mm))
         names += [f"{surface.name}-{r + 1}-{c + 1}" for r in range(surface.rows) for c in range(surface.columns)]
     if not points:
         return None, ()
@@ -184,13 +167,6 @@ def _on_body(plan: PlanFile, scenario: Scenario, body: str) -> Floats:
     reach, apart = plan.reflectors.reach_mm * MILLIMETRE, plan.reflectors.apart_mm * MILLIMETRE
     found = nest_places(triangles, reach, apart, obstacles_of(scenario), closed=body != WALLS)
     return np.asarray(np.round(found / MILLIMETRE))
-
-
-def _on_surface(surface: Surface) -> Floats:
-    """Places (rows x columns, 3) [mm] in rows from the origin upwards."""
-    r, c = np.meshgrid(np.linspace(0, 1, surface.rows), np.linspace(0, 1, surface.columns), indexing="ij")
-    across, up = np.array(surface.across_mm), np.array(surface.up_mm)
-    return np.array(surface.origin_mm) + r.reshape(-1, 1) * up + c.reshape(-1, 1) * across
 
 
 def staying(plan: PlanFile, scenario: Scenario) -> Bools:

@@ -254,6 +254,8 @@ class Target(Section):
     """Covariance xx, xy, xz, yy, yz, zz of the known coordinates, in place of `known_sigma_mm`."""
     known_axes: Axes = "xyz"
     """Which of the coordinates are known."""
+    in_plan: bool = False
+    """Adjusted in plan only: whatever stands for its height means nothing, and none is written."""
     approximate_mm: Vector | None = None
     """A start value without weight."""
     datum: bool = False

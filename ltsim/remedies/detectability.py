@@ -30,6 +30,8 @@ from ltsim.effects import BASELINE, CATALOGUE
 from ltsim.effects.effect import Effect, NoiseEffect, Parameter
 
 P = TypeVar("P")
+ALIKE = 0.9
+"""Share of a signature that another effect explains, from which on the two are called alike."""
 LEVEL = 0.05
 """False-alarm rate of a whole search."""
 BATCH = 512
@@ -95,18 +97,16 @@ class Seen:
 
     def table(self) -> list[MinimalSize]:
         """One row a parameter."""
-        return [row for law in dict.fromkeys(self.parameters) for row in self._law_table(law)]
-
-    def _law_table(self, law: tuple[Parameter, ...]) -> list[MinimalSize]:
-        at = [k for k, own in enumerate(self.parameters) if own == law]
-        visible = float(np.median([self.visible[k] for k in at]))
         rows = []
-        for j, p in enumerate(law):
-            size = np.array([self.sizes[k][j] for k in at])
-            typical = float(np.quantile(size, 0.5, method="higher"))
-            worst = self.places[at[int(np.argmax(size))]]
-            row = (self.name, p.name, p.unit, float(size.min()), typical, float(size.max()), p.prior_sigma)
-            rows.append(MinimalSize(*row, visible, worst))
+        for law in dict.fromkeys(self.parameters):
+            at = [k for k, own in enumerate(self.parameters) if own == law]
+            visible = float(np.median([self.visible[k] for k in at]))
+            for j, p in enumerate(law):
+                size = np.array([self.sizes[k][j] for k in at])
+                typical = float(np.quantile(size, 0.5, method="higher"))
+                worst = self.places[at[int(np.argmax(size))]]
+                row = (self.name, p.name, p.unit, float(size.min()), typical, float(size.max()), p.prior_sigma)
+                rows.append(MinimalSize(*row, visible, worst))
         return rows
 
 
@@ -116,35 +116,27 @@ def _noise_information(space: ResidualSpace, places: Sequence[NoiseEffect]) -> l
     P projects off the adjustment; D is the change of the whitened variances per unit, by central differences over a
     tenth of the plausible size.
     """
-    problem, sightings = space.adjustment.problem, space.sightings
-    changes = []
+    problem, changes = space.adjustment.problem, []
     for effect in places:
-        for i, p in enumerate(effect.parameters):
-            step = np.zeros(len(effect.parameters))
-            step[i] = 0.1 * p.prior_sigma
-            upper = effect.variance(sightings, problem.sigma, step)
-            changes.append(((upper - problem.sigma**2) / (problem.sigma**2 * step[i]))[problem.use])
+        steps = np.diag([0.1 * p.prior_sigma for p in effect.parameters])
+        for step in steps:
+            upper = effect.variance(space.sightings, problem.sigma, step)
+            changes.append(((upper - problem.sigma**2) / (problem.sigma**2 * step.sum()))[problem.use])
     stack = np.array(changes)
     count = stack.shape[1]
     spread = np.empty_like(stack)
     for low in range(0, count, BATCH):
-        high = min(low + BATCH, count)
-        units = np.zeros((space.size, high - low))
-        units[np.arange(low, high), np.arange(high - low)] = 1.0
-        spread[:, low:high] = stack @ space.project(units)[:count] ** 2
+        units = np.eye(space.size, min(BATCH, count - low), -low)
+        spread[:, low : low + BATCH] = stack @ space.project(units)[:count] ** 2
     edges = np.cumsum([0, *(len(effect.parameters) for effect in places)])
     return [0.5 * stack[a:b] @ spread[a:b].T for a, b in pairwise(edges)]
 
 
 def examine(space: ResidualSpace, places: Sequence[Effect], *, columns: bool = True) -> Seen | None:
-    """What is left of one effect at each of the places where it is sought; None where the network lacks what it needs.
+    """What is left of one effect at all the places where a search would try it; None where the network lacks its needs.
 
-    Parameters
-    ----------
-    places : sequence of Effect
-        All that a search would try; at most `MOST_PLACES` of them are looked at.
-    columns : bool
-        Whether what is left of each place is kept, as `Seen.columns`: as many vectors as the network has readings.
+    At most `MOST_PLACES` of them are looked at. With `columns` what is left of each place is kept, as `Seen.columns`:
+    as many vectors as the network has readings.
     """
     some = thinned(places)
     noises = [effect for effect in some if isinstance(effect, NoiseEffect)]
@@ -161,10 +153,7 @@ def examine(space: ResidualSpace, places: Sequence[Effect], *, columns: bool = T
 def seen_from(found: Sequence[tuple[Effect, Floats, float, int, Floats]], sought: int) -> Seen:
     """What is left of one effect from its places: information (q, q), visible share, rank, columns (m, r) of each.
 
-    Parameters
-    ----------
-    sought : int
-        Number of places that a search tries.
+    `sought` is the number of places that a search tries.
     """
     kept, information, visible, spent, left = zip(*found, strict=True)
     needed = [search_noncentrality(max(dof, 1), sought) for dof in spent]
@@ -184,12 +173,7 @@ def _left(space: ResidualSpace, whole: Floats, *, columns: bool) -> tuple[Floats
 def information_left(gram: Floats, norm: Floats, visible: float) -> tuple[Floats, float, int]:
     """Information (q, q), visible share and rank from the Gram matrix of what is left of unit columns.
 
-    Parameters
-    ----------
-    norm : (q,) float
-        Lengths of the columns.
-    visible : float
-        Share of a squared length that is rounding.
+    `norm` (q,) are the lengths of the columns, `visible` the share of a squared length that is rounding.
     """
     share = np.diag(gram)
     information = gram * np.outer(norm, norm)
@@ -216,20 +200,76 @@ def _place(effect: Effect) -> str:
     return " ".join(parts)
 
 
-def baseline_information(adjustment: Adjustment, effect_parameters: Sequence[str]) -> Floats:
-    """Information (q, q) on instrument parameters from the readings alone, all others estimated with their priors."""
-    problem = adjustment.problem
-    at = [adjustment.construction.index(name) for name in effect_parameters]
-    block = adjustment.instrument_covariance[np.ix_(at, at)]
-    information = np.linalg.inv(block) - np.diag(1.0 / problem.prior_sigma[0][at] ** 2)
-    return np.asarray(information, dtype=np.float64)
-
-
 def examine_baseline(adjustment: Adjustment, effect: Effect) -> Seen:
     """Minimal detectable size of a term of the ordinary calibration, beside the other terms with their priors.
 
-    It is estimated, not tested; this is the size its estimate must have to be told from zero.
+    It is estimated from the readings, not tested; this is the size its estimate must have to be told from zero.
     """
-    information = baseline_information(adjustment, [p.name for p in effect.parameters])
+    at = [adjustment.construction.index(p.name) for p in effect.parameters]
+    block, prior = adjustment.instrument_covariance[np.ix_(at, at)], adjustment.problem.prior_sigma[0][at]
+    information = np.linalg.inv(block) - np.diag(1.0 / prior**2)
     sizes = _smallest(information, noncentrality(len(information)))
     return Seen(effect.name, (effect.parameters,), ("",), (sizes,), (1.0,), ())
+
+
+def likeness(first: Seen, second: Seen) -> float:
+    """Share of the first effect's visible signature that the second explains: median over the first's places.
+
+    The second may take any of its places and shapes, as it may in a diagnosis.
+    """
+    if not any(b.shape[1] for b in second.columns):
+        return 0.0
+    rivals = np.hstack([b for b in second.columns if b.shape[1]])
+    starts = np.cumsum([0, *(b.shape[1] for b in second.columns if b.shape[1])])[:-1]
+    shares = []
+    for own in first.columns:
+        if own.shape[1]:
+            overlap = (rivals.T @ own) ** 2
+            shares.append(float(np.add.reduceat(overlap.sum(axis=1), starts).max()) / own.shape[1])
+    return float(np.median(shares)) if shares else 0.0
+
+
+@dataclass(frozen=True)
+class Detectability:
+    """Every catalogued effect in one layout."""
+
+    effects: tuple[Seen, ...]
+    silent: tuple[str, ...]
+    """Effects that leave no trace anywhere in this layout, or need what the layout does not state."""
+    names: tuple[str, ...]
+    alike: Floats
+    """(e, e): row effect explained by column effect, 0 to 1, for those with a signature (`names`)."""
+
+    def table(self) -> list[MinimalSize]:
+        """One row a parameter of every effect."""
+        return [row for seen in self.effects for row in seen.table()]
+
+    def confusable(self, share: float = ALIKE) -> list[tuple[str, str, float]]:
+        """Pairs (effect, what it would be taken for, share explained), the most alike first."""
+        first, second = np.nonzero((self.alike > share) & ~np.eye(len(self.names), dtype=bool))
+        pairs = [(self.names[i], self.names[j], float(self.alike[i, j])) for i, j in zip(first, second, strict=True)]
+        return sorted(pairs, key=lambda pair: -pair[2])
+
+
+def detectability(adjustment: Adjustment, catalogue: Sequence[type[Effect] | Effect]) -> Detectability:
+    """Examine every effect of a catalogue in a layout (at its nominal adjustment).
+
+    Terms that the construction estimates count as such; all others are signatures on top of it.
+    """
+    space = ResidualSpace.of(adjustment)
+    estimated = set(adjustment.construction.names)
+    found: list[Seen] = []
+    silent: list[str] = []
+    for entry in catalogue:
+        kind = entry if isinstance(entry, type) else type(entry)
+        if kind.parameters and {p.name for p in kind.parameters} <= estimated:
+            found.append(examine_baseline(adjustment, kind()))
+            continue
+        seen = examine(space, kind.candidates(adjustment.sightings))
+        if seen is None or not seen.found_anywhere:
+            silent.append(kind.name)
+        if seen is not None:
+            found.append(seen)
+    signed = [seen for seen in found if any(b.size for b in seen.columns)]
+    alike = np.array([[likeness(a, b) for b in signed] for a in signed]).reshape(len(signed), -1)
+    return Detectability(tuple(found), tuple(silent), tuple(s.name for s in signed), alike)

@@ -51,13 +51,7 @@ class Network:
 
     @cached_property
     def adjustment(self) -> Adjustment:
-        """The adjustment that this network would have.
-
-        Raises
-        ------
-        NetworkError
-            When the pointings leave a pose undetermined.
-        """
+        """The adjustment that this network would have; NetworkError where the pointings leave a pose undetermined."""
         return Adjustment.planned(self.recording, self.state, self.construction)
 
     def parameter_covariance(self) -> tuple[Floats, Floats]:
@@ -78,10 +72,7 @@ class Network:
     ) -> Network:
         """Further pointings at `target` (k,), all later than the rest; an instrument reads what it has read so far.
 
-        Parameters
-        ----------
-        time : float or (k,) float, optional, [s]
-            Of the first of them, or of each; default right after the last one made.
+        `time` [s] is that of the first of them, or of each; default right after the last one made.
         """
         recording, count, step = self.recording, len(target), self.seconds_per_pointing
         when = np.asarray(recording.time.max(initial=-step) + step if time is None else time)
@@ -114,27 +105,19 @@ class Network:
         known = recording.station_setup(recording.stations[like])
         fresh = known.model_copy(update={"position_mm": None, "yaw_deg": None, "over": None})
         setup = recording.setup.model_copy(update={"stations": {**recording.setup.stations, name: fresh}})
-        grown = replace(
-            state,
-            position=np.vstack([state.position, position]),
-            rotation=np.concatenate([state.rotation, rotation[None]]),
-        )
-        return replace(
-            self, recording=recording.replace(setup=setup, stations=(*recording.stations, name)), state=grown
-        )
+        places, turns = np.vstack([state.position, position]), np.concatenate([state.rotation, rotation[None]])
+        grown = recording.replace(setup=setup, stations=(*recording.stations, name))
+        return replace(self, recording=grown, state=replace(state, position=places, rotation=turns))
 
     def with_targets(self, names: Sequence[str], points: Floats) -> Network:
         """Further reflectors at `points` (k, 3), not measured yet."""
-        recording = self.recording.replace(targets=(*self.recording.targets, *names))
-        return replace(
-            self, recording=recording, state=replace(self.state, points=np.vstack([self.state.points, points]))
-        )
+        grown = self.recording.replace(targets=(*self.recording.targets, *names))
+        return replace(self, recording=grown, state=replace(self.state, points=np.vstack([self.state.points, points])))
 
     def with_length(self, first: int, second: int, sigma_mm: float) -> Network:
         """The distance between two targets calibrated; the same network where it is known already."""
         recording, rows = self.recording, GaugeRows.of(self.recording)
-        known = {frozenset(pair) for pair in zip(rows.first.tolist(), rows.second.tolist(), strict=True)}
-        if {first, second} in known:
+        if {first, second} in (set(pair) for pair in zip(rows.first.tolist(), rows.second.tolist(), strict=True)):
             return self
         length = float(np.linalg.norm(self.state.points[first] - self.state.points[second])) / MILLIMETRE
         # `from` is a keyword: the alias goes in through a mapping.

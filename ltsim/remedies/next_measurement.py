@@ -1,4 +1,8 @@
-"""What to measure next: the remedy that tells most about the instrument, or that decides between explanations."""
+"""What to measure next: the remedy that tells most about the instrument, or that decides between explanations.
+
+The expected evidence between two explanations is what the best instance of the rival, at any of its places and shapes,
+leaves of the true signature: a difference of chi-square. Nobody knows which of the two is true; the smaller counts.
+"""
 
 from __future__ import annotations
 
@@ -10,23 +14,31 @@ import numpy as np
 
 from ltsim.adjustment import adjust
 from ltsim.adjustment.adjustment import Adjustment
+from ltsim.adjustment.residual_space import ResidualSpace
+from ltsim.arrays import Floats
+from ltsim.effects import find_effect
+from ltsim.effects.effect import Effect, NoiseEffect
 from ltsim.effects.signature import Signature
+from ltsim.errors import ModelError
 from ltsim.model.construction import stated_construction
 from ltsim.recording.exchange import RecordingSource, recording_of
-from ltsim.remedies.deciding import DECISIVE, Explanation, Rivals, explanation, space_of
+from ltsim.remedies.detectability import thinned
 from ltsim.remedies.network import Network
 from ltsim.remedies.remedy import (
     EFFORT,
     Remedy,
+    advice,
     further_pointings,
     further_stations,
     known_length,
+    listed,
     other_ways,
     returns,
 )
-from ltsim.remedies.words import advice, listed
 from ltsim.results import Columns, Result
 
+DECISIVE = 10.0
+"""Expected difference of chi-square from which two explanations count as told apart."""
 FINALISTS = 24
 """Further places whose evidence is computed in full: those that tell most about the instrument."""
 MOVE = 1200.0
@@ -36,8 +48,90 @@ Progress = Callable[[str, float], None]
 """Told what is being done and which share of it is done."""
 
 
-def quiet(_what: str, _share: float) -> None:
-    """No progress is shown."""
+def quiet(*_told: object) -> None:
+    """Nobody is told."""
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """An effect at the place and with the shape that fit a recording best, and its size (q,) [SI]."""
+
+    effect: Effect
+    values: Floats
+
+
+def space_of(adjustment: Adjustment, beside: Sequence[Signature] = ()) -> ResidualSpace:
+    """The residual space of an adjustment with effects `beside` estimated too."""
+    return ResidualSpace.of(adjustment).beside(beside)
+
+
+def explanation(space: ResidualSpace, name: str) -> Explanation:
+    """The effect called `name` where, and with the shape with which, it fits the residuals best.
+
+    Raises ModelError when there is no such effect, or it leaves no trace in this recording.
+    """
+    kind = find_effect(name)
+    if issubclass(kind, NoiseEffect):
+        raise ModelError(f"{name} is a change of the noise; only effects that shift readings can be told apart here")
+    best: Explanation | None = None
+    least = float(space.residual @ space.residual)
+    for effect in kind.candidates(space.sightings):
+        values, left = _fitted(space, effect, space.residual)
+        if left < least:
+            least, best = left, Explanation(effect, values)
+    if best is None:
+        raise ModelError(f"{name} leaves no trace in this recording; no size of it can be taken from it")
+    return best
+
+
+def _fitted(space: ResidualSpace, effect: Effect, residual: Floats) -> tuple[Floats, float]:
+    """Size (q,) of an effect that fits a projected vector best, and the square of what it leaves."""
+    left = space.project(space.signature(effect))
+    if not np.isfinite(left).all() or not left.any():
+        return np.zeros(len(effect.parameters)), float(residual @ residual)
+    values = np.asarray(np.linalg.lstsq(left, residual, rcond=1e-6)[0], dtype=np.float64)
+    return values, float(np.sum((residual - left @ values) ** 2))
+
+
+@dataclass(frozen=True)
+class Rivals:
+    """Two explanations, with all that could stand in for either."""
+
+    first: Explanation
+    second: Explanation
+    stand_ins: tuple[list[tuple[float, Effect]], list[tuple[float, Effect]]]
+    """Every instance of the second and what it leaves of the first in the recording as it is, the least
+    first; then the other way round. More pointings never leave less.
+    """
+
+    @classmethod
+    def of(cls, space: ResidualSpace, first: Explanation, second: Explanation) -> Rivals:
+        """As a recording leaves them."""
+        return cls(first, second, (_stand_ins(space, first, second.effect), _stand_ins(space, second, first.effect)))
+
+    @property
+    def now(self) -> float:
+        """Evidence in the recording as it is."""
+        return min(found[0][0] for found in self.stand_ins)
+
+    def evidence(self, space: ResidualSpace) -> float:
+        """Expected difference of chi-square in a longer recording, whichever of the two holds."""
+        least = []
+        for truth, stand_ins in zip((self.first, self.second), self.stand_ins, strict=True):
+            signature = space.project(space.signature(truth.effect) @ truth.values)
+            smallest = float(signature @ signature)
+            for before, effect in stand_ins:
+                if before >= smallest:
+                    break
+                smallest = min(smallest, _fitted(space, effect, signature)[1])
+            least.append(smallest)
+        return min(least)
+
+
+def _stand_ins(space: ResidualSpace, truth: Explanation, rival: Effect) -> list[tuple[float, Effect]]:
+    signature = space.project(space.signature(truth.effect) @ truth.values)
+    instances = [rival, *thinned(type(rival).candidates(space.sightings))]
+    return sorted(((_fitted(space, effect, signature)[1], effect) for effect in instances), key=lambda pair: pair[0])
 
 
 @dataclass(frozen=True)
@@ -100,10 +194,11 @@ class NextMeasurement(Result):
         if not self.between:
             return best.remedy.words
         apart = best.tells_apart or self.between[1:]
-        values = {"first": self.between[0], "others": listed(apart), "then": _numbers(best.evidence, apart)}
+        now, then = (listed([f"{values[name]:.0f}" for name in apart]) for values in (self.evidence_now, best.evidence))
+        values = {"first": self.between[0], "others": listed(apart), "then": then}
         if not best.tells_apart:
             return advice("undecided", needed=DECISIVE, **values)
-        said = advice("decided", do=best.remedy.words, now=_numbers(self.evidence_now, apart), **values)
+        said = advice("decided", do=best.remedy.words, now=now, **values)
         left = [name for name in self.between[1:] if name not in apart]
         return said + (advice("left open", others=listed(left)) if left else "")
 
@@ -122,10 +217,6 @@ class NextMeasurement(Result):
             "serves": [p.serves for p in self.proposals],
             "tells_apart": [" ".join(p.tells_apart) for p in self.proposals],
         }
-
-
-def _numbers(evidence: dict[str, float], names: Sequence[str]) -> str:
-    return listed([f"{evidence[name]:.0f}" for name in names])
 
 
 def next_measurement(
@@ -190,17 +281,10 @@ def deciding(
     first_is_enough: bool = False,
     progress: Progress = quiet,
 ) -> NextMeasurement:
-    """Rank remedies by the evidence that they bring between explanations of an adjusted recording.
+    """Rank remedies by the evidence that they bring between explanations of an adjusted recording, two or more.
 
-    Parameters
-    ----------
-    adjustment : Adjustment
-    explanations : sequence of Explanation
-        Two or more; each is to be told from the first. Those that the recording tells from it already are left aside.
-    beside : sequence of Signature
-        What has been found already beside them.
-    first_is_enough : bool
-        Look no further than the first remedy that decides; it is the best of all.
+    Each is to be told from the first; those that the recording tells from it already are left aside. `beside` has been
+    found already beside them. With `first_is_enough` the first remedy that decides, the best of all, ends the search.
     """
     network, (first, *others) = Network.of(adjustment), explanations
     space = space_of(network.adjustment, beside)

@@ -21,13 +21,13 @@ from ltsim.model.measurement import State
 from ltsim.recording.recording import Recording
 from ltsim.recording.setup import Limits
 from ltsim.remedies.network import Network
-from ltsim.remedies.words import advice, listed
 from ltsim.scene.visibility import SightLimits, visibility
 from ltsim.units import DEGREE, MILLIMETRE
 
 Kind = Literal["pointings", "return", "station", "survey", "length", "reflectors"]
 EFFORT: tuple[Kind, ...] = get_args(Kind)
 """Kinds of remedies, the one that asks least of a person first."""
+SET_UPS = ("return", "station")
 
 CLOSING = 3
 """Targets measured again before leaving a station."""
@@ -49,6 +49,47 @@ NEAR = np.array([[1.2, a * DEGREE, e * DEGREE] for a, e in ((0, 40), (90, -30), 
 """Range [m], azimuth, elevation [rad] of near reflectors."""
 NEST = 300.0
 """[s] to mount a nest."""
+ADVICE = {
+    # from the last station, before it is left
+    "other face here": "measure all targets from {station} in the other face as well",
+    "close here": "measure the first {count} targets of {station} again before leaving it",
+    "reverse here": "measure all targets of {station} again in the reverse order",
+    "look again": "measure {targets} from {station} {count} more times, without touching the reflector",
+    "to and fro": "measure all targets of {station} {count} more times, to and fro",
+    "unmeasured": "measure from {station} the targets it has not measured ({targets})",
+    # a further set-up
+    "turned": "set up once more at {station}, the base turned by {turn:.0f} degrees, and measure all targets",
+    "new station": "add station {station} at ({place[0]:.2f}, {place[1]:.2f}, {place[2]:.2f}) m, "
+    "yaw {yaw:.0f} deg ({frame}), and measure all targets",
+    # the whole work in another way
+    "other face": "measure every target in both faces",
+    "close": "measure the first {count} targets again before leaving each station",
+    "reverse": "measure every station's targets again in the reverse order",
+    # other things than pointings
+    "length": "calibrate a length of about {length:.0f} m, such as that between {targets}",
+    "near": "add reflectors at 1 to 1.5 m from two stations and measure them from all",
+    "other face and near": "measure in both faces, and add reflectors at 1 to 1.5 m from two stations",
+    # what it brings
+    "decided": "{do}: expected chi-square between {first} and {others} from {now} to {then}",
+    "left open": "; nothing that was tried tells it from {others} as well",
+    "undecided": "nothing that was tried tells {first} from {others} (expected chi-square {then}, {needed:.0f} would); "
+    "an independent measurement of the cause would",
+    "cause": "an independent measurement of its cause",
+    "determined": "{do} (gain {now:.2f} to {then:.2f})",
+    "determined already": "use the network method: it determines this from the same recording (gain {then:.2f})",
+    "not determined": "none of the measurements that were tried shows it; only a tighter guarantee would",
+}
+"""Every sentence of advice, once: what to do, and what it would bring."""
+
+
+def advice(key: str, **values: object) -> str:
+    """A sentence of the table with its values."""
+    return ADVICE[key].format(**values)
+
+
+def listed(names: list[str] | tuple[str, ...]) -> str:
+    """Names with `and`."""
+    return " and ".join(names)
 
 
 @dataclass(frozen=True)
@@ -66,20 +107,16 @@ class Remedy:
     @property
     def place(self) -> Floats | None:
         """(3,) [m] of a further set-up, on the floor plan."""
-        return self._plan.place(self.network.state.position[-1]) if self._sets_up else None
+        network = self.network
+        plan = FloorPlan.of(network.recording, network.state)
+        return plan.place(network.state.position[-1]) if self.kind in SET_UPS else None
 
     @property
     def yaw(self) -> float | None:
         """[rad] of a further set-up, on the floor plan."""
-        return self._plan.yaw(self.network.state.rotation[-1]) if self._sets_up else None
-
-    @property
-    def _sets_up(self) -> bool:
-        return self.kind in ("return", "station")
-
-    @property
-    def _plan(self) -> FloorPlan:
-        return FloorPlan.of(self.network.recording, self.network.state)
+        network = self.network
+        plan = FloorPlan.of(network.recording, network.state)
+        return plan.yaw(network.state.rotation[-1]) if self.kind in SET_UPS else None
 
 
 @dataclass(frozen=True)
@@ -191,28 +228,27 @@ def _set_up(kind: Kind, words: str, grown: Network, target: Ints, seconds_per_mo
 def other_ways(network: Network) -> Iterator[Remedy]:
     """The whole work with something more at each station: both faces first, where one is used, then another order."""
     recording = network.recording
-    target, face = recording.target, recording.face
-
-    def other_face(rows: Ints) -> list[tuple[int, int]]:
-        seen = set(zip(target[rows].tolist(), face[rows].tolist(), strict=True))
-        return sorted((t, 3 - f) for t, f in seen if (t, 3 - f) not in seen)
-
-    def closing(rows: Ints) -> list[tuple[int, int]]:
-        return [(t, int(face[rows[0]])) for t in _first_visits(target[rows])[:CLOSING].tolist()]
-
-    def reverse(rows: Ints) -> list[tuple[int, int]]:
-        return list(zip(target[rows[::-1]].tolist(), face[rows[::-1]].tolist(), strict=True))
-
     step, work = network.seconds_per_pointing, float(np.ptp(recording.time))
-    for key, more in (("other face", other_face), ("close", closing), ("reverse", reverse)):
+    for key in ("other face", "close", "reverse"):
         made = []
         for s in np.unique(recording.station):
             rows = _visit(recording, s)
-            made += [(s, t, f, recording.time[rows[-1]] + step * (i + 1)) for i, (t, f) in enumerate(more(rows))]
+            last = recording.time[rows[-1]]
+            made += [(s, t, f, last + step * i) for i, (t, f) in enumerate(_more(recording, rows, key), 1)]
         if made:
             station, targets, faces, time = (np.array(column) for column in zip(*made, strict=True))
             grown = network.with_pointings(station, targets, faces, time)
             yield Remedy("survey", advice(key, count=CLOSING), work + len(made) * step, grown)
+
+
+def _more(recording: Recording, rows: Ints, key: str) -> list[tuple[int, int]]:
+    """Target and face of the further pointings of a visit that another way of working makes."""
+    made = list(zip(recording.target[rows].tolist(), recording.face[rows].tolist(), strict=True))
+    if key == "other face":
+        return sorted({(t, 3 - f) for t, f in made} - set(made))
+    if key == "close":
+        return [(t, made[0][1]) for t in _first_visits(recording.target[rows])[:CLOSING].tolist()]
+    return made[::-1]
 
 
 def other_face(network: Network) -> Remedy | None:

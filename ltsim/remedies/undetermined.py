@@ -1,4 +1,4 @@
-"""Which combinations of parameters a recording does not determine.
+"""Which combinations of parameters a recording does not determine, and what further measurement would.
 
 In units of the prior sigmas the parameters' covariance has eigenvalues between 0 and 1: one minus an eigenvalue is
 the gain, the share of the prior variance along that combination which the readings removed. A combination with a
@@ -7,12 +7,17 @@ gain under one half is called undetermined: it was known better before than the 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from ltsim.adjustment.adjustment import Adjustment
 from ltsim.arrays import Floats
+from ltsim.errors import NetworkError
+from ltsim.model.construction import Construction
+from ltsim.remedies.network import Network
+from ltsim.remedies.remedy import Remedy, advice, known_length, near_reflectors, other_face, returns
 
 DETERMINED = 0.5
 """Least gain of a determined combination."""
@@ -20,6 +25,8 @@ SILENT = 0.01
 """Combinations with less gain than this are alike: any rotation among them is as good, a simple one is shown."""
 SHOWN = 0.1
 """Smallest coefficient that is named."""
+MATERIAL = 0.05
+"""Least rise of a gain that is worth a measurement."""
 
 
 @dataclass(frozen=True)
@@ -46,11 +53,7 @@ def gains(covariance: Floats, prior_sigma: Floats) -> tuple[Floats, Floats]:
 def undetermined(covariance: Floats, prior_sigma: Floats) -> list[Direction]:
     """Combinations with a gain under one half, the least known first.
 
-    Parameters
-    ----------
-    covariance : (p, p) float
-        After the adjustment, priors included.
-    prior_sigma : (p,) float
+    `covariance` (p, p) is that after the adjustment, priors included.
     """
     gain, vectors = gains(covariance, prior_sigma)
     silent = gain < SILENT
@@ -82,3 +85,54 @@ def simple_rotation(vectors: Floats, steps: int = 200) -> Floats:
             break
         before = total
     return vectors @ rotation
+
+
+def determining(
+    adjustment: Adjustment, construction: Construction, directions: Sequence[Sequence[Direction]]
+) -> list[list[str]]:
+    """For each instrument's undetermined directions a sentence: what would determine them.
+
+    The first remedy that lifts a gain above one half is named, else the one that lifts it most. `construction` is the
+    one whose parameters are meant; `directions` has one sequence an instrument.
+    """
+    if not any(directions):
+        return [[] for _ in directions]
+    network = Network.of(adjustment, construction)
+    now = _gains_along(network, directions)
+    tried = [(r.words, _gains_along(r.network, directions)) for r in _worth_a_thought(network)]
+    return [
+        [_sentence(d, now[i][k], [(words, gain[i][k]) for words, gain in tried]) for k, d in enumerate(own)]
+        for i, own in enumerate(directions)
+    ]
+
+
+def _worth_a_thought(network: Network) -> Iterator[Remedy]:
+    """Remedies for a whole survey, the cheapest first."""
+    both = other_face(network)
+    yield from [both] if both else []
+    yield from known_length(network)
+    yield from returns(network, 0.0, [0])
+    yield from near_reflectors(network)
+
+
+def _gains_along(network: Network, directions: Sequence[Sequence[Direction]]) -> list[list[float]]:
+    """Gain along each direction of each instrument in a network; none in one too poor to be solved."""
+    try:
+        covariance, prior = network.parameter_covariance()
+    except NetworkError:
+        return [[0.0 for _ in own] for own in directions]
+    return [
+        [float(1.0 - (d.vector / sigma) @ block @ (d.vector / sigma)) for d in own]
+        for block, sigma, own in zip(covariance, prior, directions, strict=True)
+    ]
+
+
+def _sentence(direction: Direction, now: float, tried: Sequence[tuple[str, float]]) -> str:
+    """What determines one direction: remedies with the gains that they reach; `now` is the network's own gain."""
+    if now >= DETERMINED > direction.gain:
+        return advice("determined already", then=now)
+    enough = [pair for pair in tried if pair[1] >= DETERMINED]
+    words, then = enough[0] if enough else max(tried, key=lambda pair: pair[1], default=("", now))
+    if then - now < MATERIAL:
+        return advice("not determined")
+    return advice("determined", do=words, now=direction.gain, then=then)

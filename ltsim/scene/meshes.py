@@ -1,4 +1,4 @@
-"""Obstacles: what stands between a station and a target, and where no station can stand.
+"""Obstacles: what stands between a station and a target, where no station can stand, and where nests can be mounted.
 
 Embree (the extra `cad`) casts the rays in single precision; rays that pass close to an edge, where it may err either
 way, are cast again here in double precision. Without it all are, which takes long only for large CAD files.
@@ -16,6 +16,7 @@ import trimesh
 
 from ltsim.arrays import Bools, Floats
 from ltsim.geometry.rotations import about_z, perpendicular
+from ltsim.randomness import stream
 
 GRAZE = 1e-4
 """Width [m] of the bundle around a ray whose members must agree; single precision errs by 1e-6 at 10 m."""
@@ -23,6 +24,15 @@ END = 1e-6
 CHUNK = 2_000_000
 SIDES = 64
 """Of a cylinder: 0.1 % more than its diameter at the corners."""
+FOOT = 0.025
+"""[m] from the middle of a nest to the rim of its foot."""
+UNEVEN = 0.002
+"""[m] that the surface may deviate from a plane under the foot."""
+STEEPEST = -0.5
+"""Height of the normal under which a face looks down too much: nobody hangs a nest under a body."""
+DENSE = 12.0
+"""Places that are drawn for every square of the wanted distance, before the near ones are dropped."""
+MOST_DRAWN = 20_000
 
 
 @dataclass(frozen=True)
@@ -54,7 +64,9 @@ class Obstacles:
         beam = way / length[:, None]
         if self._rays is None:
             return native_hits(self.triangles, origins, beam, length) > 0
-        votes = np.stack([self._cast(origins + shift, beam, length) for shift in (0.0 * beam, *_bundle(beam))], axis=1)
+        side, other = (GRAZE * way for way in perpendicular(beam))
+        bundle = (0.0 * beam, side, -side, other, -other)
+        votes = np.stack([self._cast(origins + shift, beam, length) for shift in bundle], axis=1)
         hit: Bools = votes[:, 0].copy()
         doubtful = np.flatnonzero(np.any(votes != votes[:, :1], axis=1))
         hit[doubtful] = native_hits(self.triangles, origins[doubtful], beam[doubtful], length[doubtful]) > 0
@@ -82,12 +94,6 @@ class Obstacles:
         feet = points.copy()
         feet[:, 2] = np.minimum(self.floor + GRAZE, points[:, 2] - GRAZE)
         return self.holds(points) | self.blocked(points, feet)
-
-
-def _bundle(beam: Floats) -> list[Floats]:
-    """Offsets (n, 3) [m] to four parallel rays around each beam (n, 3)."""
-    side, other = (GRAZE * way for way in perpendicular(beam))
-    return [side, -side, other, -other]
 
 
 def native_hits(triangles: Floats, origins: Floats, beam: Floats, length: Floats) -> np.ndarray:
@@ -124,18 +130,17 @@ def placed(triangles: Floats, position: Floats, yaw: float) -> Floats:
 
 def box(size: Floats) -> Floats:
     """Triangles (12, 3, 3) of a box of edges (3,) [m] that stands on z = 0, centred over the origin."""
-    mesh = trimesh.creation.box(extents=size)
-    triangles: Floats = np.array(mesh.triangles, dtype=np.float64)
-    triangles[:, :, 2] += 0.5 * size[2]
-    return triangles
+    return _standing(trimesh.creation.box(extents=size), float(size[2]))
 
 
 def cylinder(diameter: float, height: float) -> Floats:
     """Triangles (m, 3, 3) of an upright cylinder [m] that stands on z = 0 over the origin; its flat sides touch it."""
-    mesh = trimesh.creation.cylinder(radius=0.5 * diameter / np.cos(np.pi / SIDES), height=height, sections=SIDES)
-    triangles: Floats = np.array(mesh.triangles, dtype=np.float64)
-    triangles[:, :, 2] += 0.5 * height
-    return triangles
+    radius = 0.5 * diameter / np.cos(np.pi / SIDES)
+    return _standing(trimesh.creation.cylinder(radius=radius, height=height, sections=SIDES), height)
+
+
+def _standing(mesh: trimesh.Trimesh, height: float) -> Floats:
+    return np.array(mesh.triangles, dtype=np.float64) + [0.0, 0.0, 0.5 * height]
 
 
 def walls(size: Floats) -> Floats:
@@ -148,3 +153,58 @@ def walls(size: Floats) -> Floats:
 def together(parts: Iterable[Floats], floor: float = 0.0) -> Obstacles:
     """Obstacles of several sets of triangles."""
     return Obstacles(np.concatenate([np.zeros((0, 3, 3)), *parts]), floor)
+
+
+def nest_places(
+    body: Floats, reach: float, apart: float, around: Obstacles | None = None, *, closed: bool = True
+) -> Floats:
+    """Places (P, 3) [m] of reflectors on the surfaces of a body, triangles (m, 3, 3) [m].
+
+    Their centres are `reach` [m] over the surface, at least `apart` [m] from each other, and in nothing of what stands
+    `around`. The outer side of a `closed` body is found, whatever way its triangles are wound; of an open surface it is
+    that of the normals.
+    """
+    drawn, normal = _drawn(body, apart)
+    own = Obstacles(body)
+    if closed:
+        normal[own.holds(drawn + reach * normal)] *= -1.0
+    places = drawn + reach * normal
+    good = normal[:, 2] > STEEPEST
+    good &= ~(closed & own.holds(places))
+    if around is not None:
+        good &= ~around.holds(places)
+    good[good] = _flat(own, places[good], normal[good], reach)
+    return _spread(places[good], apart)
+
+
+def _drawn(body: Floats, apart: float) -> tuple[Floats, Floats]:
+    """Points spread evenly by chance over triangles, and their normals (n, 3)."""
+    cross = np.cross(body[:, 1] - body[:, 0], body[:, 2] - body[:, 0])
+    size = np.linalg.norm(cross, axis=1)
+    area = 0.5 * float(size.sum())
+    rng = stream(0, "nests")
+    count = int(np.clip(DENSE * area / apart**2, 200, MOST_DRAWN))
+    face = rng.choice(len(body), size=count, p=size / size.sum())
+    root, share = np.sqrt(rng.random(count))[:, None], rng.random(count)[:, None]
+    a, b, c = np.moveaxis(body[face], 1, 0)
+    return (1 - root) * a + root * (1 - share) * b + root * share * c, cross[face] / size[face, None]
+
+
+def _flat(own: Obstacles, places: Floats, normal: Floats, reach: float) -> Bools:
+    """(n,): around the foot of a nest the surface lies where the nest needs it."""
+    side, other = perpendicular(normal)
+    good = np.ones(len(places), dtype=bool)
+    for shift in (side, -side, other, -other):
+        rim = places + FOOT * shift
+        good &= own.blocked(rim, rim - (reach + UNEVEN) * normal)
+        good &= ~own.blocked(rim, rim - (reach - UNEVEN) * normal)
+    return good
+
+
+def _spread(places: Floats, apart: float) -> Floats:
+    """Those that keep their distance from the ones before them."""
+    kept: list[int] = []
+    for i, place in enumerate(places):
+        if not kept or np.linalg.norm(places[kept] - place, axis=1).min() >= apart:
+            kept.append(i)
+    return places[kept]

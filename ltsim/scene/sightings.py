@@ -131,9 +131,8 @@ class Sightings:
     def unit_vectors(self) -> tuple[Floats, Floats, Floats]:
         """Beam, left and up (n, 3) each, in the network frame."""
         turn = self.rotation[self.station]
-        beam, left, up = unit_vectors(self.azimuth, self.elevation)
-        network = tuple(np.einsum("nij,nj->ni", turn, v) for v in (beam, left, up))
-        return network[0], network[1], network[2]
+        beam, left, up = (np.einsum("nij,nj->ni", turn, v) for v in unit_vectors(self.azimuth, self.elevation))
+        return beam, left, up
 
     @cached_property
     def slot_responses(self) -> dict[str, Floats]:
@@ -245,15 +244,15 @@ class Sightings:
             "repeat": self.repeat.astype(np.float64),
             "approach-azimuth": self.approach[:, 0],
             "approach-elevation": self.approach[:, 1],
-            "move-distance": self.move[:, 0],
-            "move-azimuth": self.move[:, 1],
-            "move-elevation": self.move[:, 2],
             "wound-azimuth": self.wound,
-            "last-distance": last[:, 0],
-            "last-azimuth": last[:, 1],
-            "last-elevation": last[:, 2],
             "lapse": np.where(came, self.time - self.time[self.previous], 0.0),
         }
+        changing = dict(zip(("distance", "azimuth", "elevation"), zip(last.T, self.move.T, strict=True), strict=True))
+        for name, column in self.covariates.items():
+            x = np.nan_to_num(column)
+            changing[name] = np.where(came, x[self.previous], x), np.where(came, x - x[self.previous], 0.0)
+        for name, (before, move) in changing.items():
+            known |= {f"last-{name}": before, f"move-{name}": move, f"work-{name}": self._summed(np.abs(move))}
         return {name: np.nan_to_num(values) for name, values in (dict(self.covariates) | known).items()}
 
     @cached_property

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,9 @@ from numpy.typing import NDArray
 from ltsim.arrays import Bools, Floats, Ints, as_floats
 from ltsim.errors import ModelError
 from ltsim.units import DEGREE
+
+if TYPE_CHECKING:
+    from ltsim.scene.meshes import Obstacles  # loads trimesh
 
 DOWN = np.array([0.0, 0.0, -1.0])
 TOUCH = 1e-9
@@ -36,29 +39,19 @@ class Reason(IntEnum):
     @property
     def words(self) -> str:
         """What a person reads; empty for a pair that sees each other."""
-        return _WORDS[self]
+        return WORDS[self]
 
 
-_WORDS = {
-    Reason.VISIBLE: "",
-    Reason.STATION_INSIDE: "station inside an obstacle",
-    Reason.RANGE: "out of range",
-    Reason.BELOW: "below the elevation limit",
-    Reason.ABOVE: "above the elevation limit",
-    Reason.SHADOW: "in the shadow cone",
-    Reason.ACCEPTANCE: "turned beyond the reflector's acceptance",
-    Reason.OBSTACLE: "hidden by an obstacle",
-}
-
-
-class Blocker(Protocol):
-    """What may stand in the way; `scene.meshes.Obstacles` is one."""
-
-    def blocked(self, origins: Floats, ends: Floats) -> Bools:
-        """(n,): something stands between origins and ends (n, 3) [m]."""
-
-    def encloses(self, points: Floats) -> Bools:
-        """(n,): an instrument at points (n, 3) [m] would stand inside something, head or tripod."""
+WORDS = (
+    "",
+    "station inside an obstacle",
+    "out of range",
+    "below the elevation limit",
+    "above the elevation limit",
+    "in the shadow cone",
+    "turned beyond the reflector's acceptance",
+    "hidden by an obstacle",
+)
 
 
 @dataclass(frozen=True)
@@ -133,28 +126,18 @@ def visibility(
     rotation: Floats | None = None,
     nest_normal: Floats | None = None,
     reaimed: Bools | None = None,
-    obstacles: Blocker | None = None,
+    obstacles: Obstacles | None = None,
 ) -> Visibility:
-    """Tables of who sees whom.
+    """Tables of who sees whom, from origins of instruments (S, 3) [m] to points (T, 3) [m].
 
     Parameters
     ----------
-    position : (S, 3) float, [m]
-        Origins of the instruments.
-    points : (T, 3) float, [m]
-    limits : SightLimits
     rotation : (S, 3, 3) float, optional
         Instrument frames to the network frame; upright where not given.
     nest_normal : (T, 3) float, optional
         Where open faces look; rows of NaN are unknown and accept every beam.
     reaimed : (T,) bool, optional
         Reflectors that are turned to the station; all are where not given.
-    obstacles : Blocker, optional
-
-    Raises
-    ------
-    ModelError
-        For arrays of other shapes, or a target at a station's origin.
     """
     position, points = as_floats(position, (-1, 3), "position"), as_floats(points, (-1, 3), "points")
     sight = points - position[:, None, :]
@@ -196,7 +179,7 @@ def _incidence(beam: Floats, nest_normal: Floats | None, reaimed: Bools | None) 
     return np.where(reaimed, 0.0, np.arccos(np.clip(cosine, -1.0, 1.0)))
 
 
-def _add_obstacles(reason: NDArray[np.int8], position: Floats, points: Floats, obstacles: Blocker) -> None:
+def _add_obstacles(reason: NDArray[np.int8], position: Floats, points: Floats, obstacles: Obstacles) -> None:
     """Enter pairs that something hides; rays are cast only for pairs that nothing else separates."""
     inside = obstacles.encloses(position)
     pairs = np.argwhere((reason == Reason.VISIBLE) & ~inside[:, None])
@@ -206,14 +189,10 @@ def _add_obstacles(reason: NDArray[np.int8], position: Floats, points: Floats, o
 
 
 def aimed_normals(position: Floats, points: Floats) -> tuple[Floats, Floats]:
-    """Where fixed reflectors should look to serve all stations: the axis of the narrowest cone around them.
+    """Where fixed reflectors should look to serve all stations (T, 3), and the half-angle (T,) [rad] around them.
 
-    Returns
-    -------
-    normal : (T, 3) float
-        Unit vectors.
-    half_angle : (T,) float, [rad]
-        Half-angle of that cone; a target can serve all stations when the acceptance is larger.
+    That is the axis of the narrowest cone around the stations; a target can serve all of them when the reflector's
+    acceptance is larger.
     """
     back = position - points[:, None, :]
     back /= np.linalg.norm(back, axis=2, keepdims=True)

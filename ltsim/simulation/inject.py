@@ -21,8 +21,8 @@ from ltsim.geometry.polar import wrap
 from ltsim.model.measurement import State
 from ltsim.recording.recording import Recording
 from ltsim.results import Columns, Result
-from ltsim.simulation.lengths import certified_by
 from ltsim.simulation.physics import shape_of
+from ltsim.simulation.simulator import certified_by
 from ltsim.units import MICROMETRE, MICRORADIAN
 
 FORMAT = "ltsim-injection/1"

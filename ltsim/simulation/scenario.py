@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from itertools import chain
 from pathlib import Path
-from typing import Any, Literal, NoReturn
+from typing import Any, Literal
 
+import numpy as np
 from pydantic import Field
 
+from ltsim.arrays import Floats
 from ltsim.errors import ModelError, SetupError, as_setup_error
 from ltsim.recording.files import check_name, shown
 from ltsim.recording.settings import above, checked, read_toml, to_toml
-from ltsim.recording.setup import Material, NonNegative, Reflector, Section, Vector
+from ltsim.recording.setup import Material, NonNegative, Reflector, Section
 from ltsim.recording.specification import sheet_names, stated_by
 from ltsim.results import Result
 from ltsim.simulation.builtin import builtin_names, builtin_path
@@ -30,11 +33,18 @@ from ltsim.simulation.sections import (
     Work,
     Workshop,
 )
-from ltsim.simulation.subset import in_use
 
 FORMAT = "ltsim-scenario/1"
 AIR = "air_temperature_c"
 """The one column of temperatures that a simulated recording has."""
+LEAST = 3
+"""Targets, those of the gauge among them."""
+MOST_LISTED = 12
+SPELLED_OUT = (
+    "format", "title", "reference_radius_mm", "workshop", "placing", "instrument", "smr", "cmm", "work", "instruments",
+    "gauge",
+)  # fmt: skip
+"""What a scenario's file states with all defaults."""
 NONE = "none"
 """As a changed value it takes a key of the scenario out: ``gauge = "none"``."""
 
@@ -121,7 +131,7 @@ def scenario_from(data: Mapping[str, Any], file: Path) -> Scenario:
     with as_setup_error():
         scenario = checked(_with_presets(data, file), Scenario, "scenario", file)
     _check(scenario, file)
-    return _with_files_beside(in_use(scenario, file), file)
+    return _with_files_beside(_in_use(scenario, file), file)
 
 
 def changed(scenario: Scenario, changes: Mapping[str, Any], file: Path, where: str = "") -> Scenario:
@@ -185,6 +195,73 @@ def _with_preset(instrument: Any, file: Path) -> Any:
         raise SetupError(f"{file}: instrument.preset: {problem}") from None
 
 
+def _in_use(scenario: Scenario, file: Path) -> Scenario:
+    """The scenario without the stations and reflectors that ``work.stations`` and ``work.targets`` leave out.
+
+    Effects lose the places that are left out, trackers that then stand nowhere go too.
+
+    Raises
+    ------
+    SetupError
+        When more is asked for than there is, or fewer than three targets are left.
+    """
+    work = scenario.work
+    for key in ("stations", "targets"):
+        wanted, there = getattr(work, key), len(getattr(scenario, key))
+        if wanted is not None and wanted > there:
+            raise SetupError(
+                f"{file}: work.{key} is {wanted}, but the scenario holds {there}: add some, or ask for fewer"
+            )
+    stations = dict(list(scenario.stations.items())[: work.stations])
+    targets = scenario.targets if work.targets is None else _spread(scenario.targets, work.targets)
+    gauge = scenario.gauge.targets if scenario.gauge else ()
+    if len(targets) + len(gauge) < LEAST:
+        least = LEAST - len(gauge)
+        raise SetupError(f"{file}: work.targets is {work.targets}, expected at least {least} of the reflectors")
+    if len(stations) == len(scenario.stations) and len(targets) == len(scenario.targets):
+        return scenario
+    used = {station.instrument for station in stations.values()}
+    return scenario.model_copy(
+        update={
+            "stations": stations,
+            "targets": targets,
+            "instruments": {name: i for name, i in scenario.instruments.items() if name in used},
+            "lengths": tuple(bar for bar in scenario.lengths if {bar.from_, bar.to} <= {*targets}),
+            "effects": tuple(_effects(scenario.effects, {*stations}, {*targets, *gauge})),
+        }
+    )
+
+
+def _effects(entries: Sequence[EffectEntry], stations: set[str], targets: set[str]) -> Iterator[EffectEntry]:
+    """The entries at places that are in use."""
+    for entry in entries:
+        here = {
+            "stations": tuple(name for name in entry.stations if name in stations),
+            "targets": tuple(name for name in entry.targets if name in targets),
+        }
+        if all(bool(left) == bool(getattr(entry, kind)) for kind, left in here.items()):
+            yield entry.model_copy(update=here)
+
+
+def _spread(targets: Mapping[str, Target], count: int) -> dict[str, Target]:
+    """So many targets in the file's order: each next one is that farthest from those taken (Gonzalez 1985)."""
+    places = np.array([t.position_mm for t in targets.values()], dtype=np.float64).reshape(-1, 3)
+    taken = set(spread_order(places)[:count])
+    return {name: target for i, (name, target) in enumerate(targets.items()) if i in taken}
+
+
+def spread_order(places: Floats) -> list[int]:
+    """Places (n, 3) in the order in which they fill the room, the one farthest from their middle first."""
+    order: list[int] = []
+    gap = np.linalg.norm(places - places.mean(axis=0), axis=1) if len(places) else np.zeros(0)
+    for _ in range(len(places)):
+        order.append(int(np.argmax(gap)))
+        reach = np.linalg.norm(places - places[order[-1]], axis=1)
+        gap = reach if len(order) == 1 else np.minimum(gap, reach)
+        gap[order] = -1.0
+    return order
+
+
 def _with_files_beside(scenario: Scenario, file: Path) -> Scenario:
     """CAD files are named from the folder of the scenario, or lie in it."""
     obstacles = tuple(
@@ -201,81 +278,95 @@ def _beside(name: str, folder: Path) -> Path:
     return copied if copied.is_file() and not named.is_file() else named
 
 
-Refuse = Callable[[str, str], NoReturn]
-
-
 def _check(scenario: Scenario, file: Path) -> None:
     """What no single key can tell: names, places inside the room, effects that name what exists."""
-
-    def refuse(key: str, message: str) -> NoReturn:
-        raise SetupError(f"{file}: {key} {message}")
-
-    _check_names(scenario, file, refuse)
-    _check_instruments(scenario, refuse)
-    _check_places(scenario, refuse)
-    _check_lengths(scenario, refuse)
-    for i, entry in enumerate(scenario.effects):
-        for kind, wanted, known in (
-            ("stations", entry.stations, tuple(scenario.stations)),
-            ("targets", entry.targets, scenario.target_names),
-        ):
-            for name in wanted:
-                if name not in known:
-                    refuse(f"effects.{i + 1}.{kind}", f"names '{shown(name)}', which is not one of {_listed(known)}")
+    for problem in chain(
+        _wrong_names(scenario, file),
+        _wrong_instruments(scenario),
+        _wrong_places(scenario),
+        _wrong_lengths(scenario),
+        _wrong_effects(scenario),
+    ):
+        raise SetupError(f"{file}: {problem}")
 
 
-def _check_names(scenario: Scenario, file: Path, refuse: Refuse) -> None:
+def _unlisted(key: str, name: str, known: Collection[str], none: str = "") -> Iterator[str]:
+    """A sentence where a name is not among those that are known; `none` stands for an empty list."""
+    if name not in known:
+        listed = ", ".join([*known][:MOST_LISTED]) + (" ..." if len(known) > MOST_LISTED else "")
+        yield f"{key} names '{shown(name)}', which is not one of {listed or none}"
+
+
+def _wrong_names(scenario: Scenario, file: Path) -> Iterator[str]:
     names = scenario.target_names
     if not scenario.stations:
-        refuse("stations", "is empty, expected at least one table [stations.NAME]")
-    if len(names) < 3:
-        refuse("targets", f"holds {len(names)} reflectors with the gauge's, expected at least 3")
+        yield "stations is empty, expected at least one table [stations.NAME]"
+    if len(names) < LEAST:
+        yield f"targets holds {len(names)} reflectors with the gauge's, expected at least {LEAST}"
     for name in names:
         if names.count(name) > 1:
-            refuse("gauge.targets", f"names '{shown(name)}' twice, or it is a target of the mesh too")
+            yield f"gauge.targets names '{shown(name)}' twice, or it is a target of the mesh too"
     for kind, listed in (("station", scenario.stations), ("target", names), ("instrument", scenario.instruments)):
         for name in listed:
             with as_setup_error():
                 check_name(name, kind, file=file)
 
 
-def _check_instruments(scenario: Scenario, refuse: Refuse) -> None:
+def _wrong_instruments(scenario: Scenario) -> Iterator[str]:
     """Stations of known trackers, trackers that stand somewhere, and one construction for all."""
     used = {name: station.instrument for name, station in scenario.stations.items() if station.instrument is not None}
     for station, name in used.items():
-        if name not in scenario.instruments:
-            known = f"one of {_listed(scenario.instruments)}" if scenario.instruments else "declared"
-            refuse(f"stations.{station}.instrument", f"names '{shown(name)}', which is not {known}")
+        if not scenario.instruments:
+            yield f"stations.{station}.instrument names '{shown(name)}', which is not declared"
+        yield from _unlisted(f"stations.{station}.instrument", name, scenario.instruments)
     for name in scenario.instruments:
         if name not in used.values():
-            refuse(f"instruments.{shown(name)}", "stands nowhere; name it as the instrument of a station")
+            yield f"instruments.{shown(name)} stands nowhere; name it as the instrument of a station"
     if "" not in scenario.trackers and scenario.instrument != Instrument():
-        refuse("instrument", "is stated but stands nowhere: every station names an instrument of its own")
+        yield "instrument is stated but stands nowhere: every station names an instrument of its own"
     designs = {name: (i.construction, i.harmonics, i.degree) for name, i in scenario.trackers.items()}
     (first, one), *others = designs.items()
     for name, other in others:
         if other != one:
             found = " and ".join(f"{table_name(n)} '{designs[n][0]}'" for n in (first, name))
-            refuse("instruments", f"hold different constructions ({found}); one recording has one, with one order")
+            yield f"instruments hold different constructions ({found}); one recording has one, with one order"
 
 
-def _check_lengths(scenario: Scenario, refuse: Refuse) -> None:
+def _wrong_places(scenario: Scenario) -> Iterator[str]:
+    size = scenario.workshop.size_mm
+    placed = {f"stations.{name}": station.position_mm for name, station in scenario.stations.items()}
+    placed |= {f"targets.{name}": target.position_mm for name, target in scenario.targets.items()}
+    placed |= {"gauge": scenario.gauge.position_mm} if scenario.gauge else {}
+    for key, place in placed.items():
+        if any(not -1.0 <= x <= high + 1.0 for x, high in zip(place, size, strict=True)):
+            room = " x ".join(f"{x:g}" for x in size)
+            where = f"outside the workshop of {room} mm whose corner is the origin"
+            yield f"{key}.position_mm is {list(place)}, {where}"
+    for name, target in scenario.targets.items():
+        if target.nest_normal is not None and not any(target.nest_normal):
+            yield f"targets.{name}.nest_normal is a vector without length"
+
+
+def _wrong_lengths(scenario: Scenario) -> Iterator[str]:
     """Lengths between two reflectors, of stated materials, as warm as a number or the air."""
-    for i, length in enumerate(scenario.lengths):
+    for i, length in enumerate(scenario.lengths, 1):
         for key, name in (("from", length.from_), ("to", length.to)):
-            if name not in scenario.targets:
-                refuse(
-                    f"lengths.{i + 1}.{key}", f"names '{shown(name)}', which is not one of {_listed(scenario.targets)}"
-                )
+            yield from _unlisted(f"lengths.{i}.{key}", name, scenario.targets)
         if length.from_ == length.to:
-            refuse(f"lengths.{i + 1}", f"goes from '{shown(length.to)}' to itself, expected two different targets")
-        if length.material is not None and length.material not in scenario.materials:
-            known = _listed(scenario.materials) or "none, and a table [materials.NAME] states one"
-            refuse(f"lengths.{i + 1}.material", f"names '{shown(length.material)}', which is not one of {known}")
+            yield f"lengths.{i} goes from '{shown(length.to)}' to itself, expected two different targets"
+        if length.material is not None:
+            stated = "none, and a table [materials.NAME] states one"
+            yield from _unlisted(f"lengths.{i}.material", length.material, scenario.materials, stated)
         if isinstance(length.measured_at_c, str) and length.measured_at_c != AIR:
-            refuse(
-                f"lengths.{i + 1}.measured_at_c", f"is '{shown(length.measured_at_c)}', expected a number or '{AIR}'"
-            )
+            yield f"lengths.{i}.measured_at_c is '{shown(length.measured_at_c)}', expected a number or '{AIR}'"
+
+
+def _wrong_effects(scenario: Scenario) -> Iterator[str]:
+    for i, entry in enumerate(scenario.effects, 1):
+        for name in entry.stations:
+            yield from _unlisted(f"effects.{i}.stations", name, scenario.stations)
+        for name in entry.targets:
+            yield from _unlisted(f"effects.{i}.targets", name, scenario.target_names)
 
 
 def table_name(name: str) -> str:
@@ -283,45 +374,10 @@ def table_name(name: str) -> str:
     return f"instruments.{name}" if name else "instrument"
 
 
-def _check_places(scenario: Scenario, refuse: Refuse) -> None:
-    size = scenario.workshop.size_mm
-
-    def check(key: str, place: Vector) -> None:
-        if any(not -1.0 <= x <= high + 1.0 for x, high in zip(place, size, strict=True)):
-            room = " x ".join(f"{x:g}" for x in size)
-            refuse(key, f"is {list(place)}, outside the workshop of {room} mm whose corner is the origin")
-
-    for name, station in scenario.stations.items():
-        check(f"stations.{name}.position_mm", station.position_mm)
-    for name, target in scenario.targets.items():
-        check(f"targets.{name}.position_mm", target.position_mm)
-        if target.nest_normal is not None and not any(target.nest_normal):
-            refuse(f"targets.{name}.nest_normal", "is a vector without length")
-    if scenario.gauge is not None:
-        check("gauge.position_mm", scenario.gauge.position_mm)
-
-
-def _listed(names: Iterable[str], most: int = 12) -> str:
-    known = list(names)
-    return ", ".join(known[:most]) + (" ..." if len(known) > most else "")
-
-
 def scenario_to_toml(scenario: Scenario) -> str:
     """The text of a file that `load_scenario` turns into the same scenario, every setting spelled out."""
-    table: dict[str, Any] = {"format": scenario.format, "title": scenario.title}
-    if scenario.reference_radius_mm is not None:
-        table["reference_radius_mm"] = scenario.reference_radius_mm
-    for name in ("workshop", "placing", "instrument", "smr", "cmm", "work"):
-        table[name] = getattr(scenario, name).model_dump(by_alias=True, exclude_none=True)
-    if scenario.instruments:
-        named = scenario.instruments.items()
-        table["instruments"] = {name: i.model_dump(by_alias=True, exclude_none=True) for name, i in named}
-    if scenario.gauge is not None:
-        table["gauge"] = scenario.gauge.model_dump(by_alias=True, exclude_none=True)
-    for kind in ("reflectors", "materials", "stations", "targets"):
-        entries: dict[str, Section] = getattr(scenario, kind)
-        table[kind] = {n: e.model_dump(by_alias=True, exclude_defaults=True) for n, e in entries.items()}
-    for kind in ("lengths", "effects"):
-        if listed := getattr(scenario, kind):
-            table[kind] = [e.model_dump(by_alias=True, exclude_defaults=True) for e in listed]
-    return to_toml(table)
+    whole = scenario.model_dump(by_alias=True, exclude_none=True)
+    brief = scenario.model_dump(by_alias=True, exclude_defaults=True)
+    table: dict[str, Any] = {name: whole[name] for name in SPELLED_OUT if name in whole}
+    table |= {kind: brief.get(kind, {}) for kind in ("reflectors", "materials", "stations", "targets")}
+    return to_toml(table | {kind: brief[kind] for kind in ("lengths", "effects") if kind in brief})

@@ -3,26 +3,37 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Literal
+from itertools import combinations
+from typing import Any, Literal
 
 import numpy as np
 
 from ltsim.arrays import Floats
 from ltsim.effects.effect import Effect, Mistake, NoiseEffect
-from ltsim.effects.resolution import quantised
+from ltsim.effects.noise import quantised
 from ltsim.geometry.polar import wrap
 from ltsim.recording.lengths import KnownLengths
 from ltsim.recording.recording import OBSERVABLES, REFLECTOR_COLUMN, Recording
-from ltsim.recording.setup import Instrument, Limits, Prior, Setup, Station, Target
-from ltsim.simulation.balls import balls_of
+from ltsim.recording.setup import (
+    Gauge,
+    GaugeDistance,
+    Instrument,
+    LengthUse,
+    Limits,
+    Prior,
+    Setup,
+    Station,
+    Target,
+    Vector,
+)
 from ltsim.simulation.draws import Normal, Population, effect_laws
-from ltsim.simulation.fieldwork import Fieldwork, fieldwork
-from ltsim.simulation.gauge import nominal_points
-from ltsim.simulation.lengths import certified_by, exact_lengths
+from ltsim.simulation.fieldwork import Fieldwork, balls_of, fieldwork
+from ltsim.simulation.gauge import length_sigma, nominal_points
 from ltsim.simulation.physics import instrument_law, resolution_of, stated_noise
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.sections import Instrument as Tracker
 from ltsim.simulation.truth import AppliedEffect, TrackerTruth, Truth
+from ltsim.units import MICROMETRE, MILLIMETRE
 
 Geometry = Literal["shared", "per-trial"]
 """All trials share one placing of stations and targets, or each has its own."""
@@ -189,25 +200,23 @@ def _setup(work: Fieldwork) -> Setup:
 
 def _data_sheet(tracker: Tracker) -> Instrument:
     """What its maker states of a tracker."""
-    limits = tracker.limits
     return Instrument(
         construction="steering-mirror" if tracker.construction == "steering-mirror" else "source-in-head",
         corrected=tracker.corrected,
         noise=tracker.noise,
         prior=_stated(tracker),
-        limits=Limits(elevation_min_deg=limits.elevation_min_deg, elevation_max_deg=limits.elevation_max_deg),
+        limits=Limits(**tracker.limits.model_dump(include=set(Limits.model_fields))),
     )
 
 
 def _stated(tracker: Tracker) -> Prior:
     """The prior as its maker states it, right or wrong."""
-    kinds = tracker.prior.model_dump(exclude={"parameters"})
-    single = {name: tracker.prior_factor * value for name, value in tracker.prior.parameters.items()}
-    wider = {name: tracker.prior_factor * value for name, value in kinds.items()}
-    return tracker.prior.model_copy(update={**wider, "parameters": single})
+    kinds = tracker.prior.model_dump()
+    single = {name: tracker.prior_factor * value for name, value in kinds.pop("parameters").items()}
+    return Prior(**{name: tracker.prior_factor * value for name, value in kinds.items()}, parameters=single)
 
 
-def _rounded(place: tuple[float, float, float], step: float) -> tuple[float, float, float]:
+def _rounded(place: Vector, step: float) -> Vector:
     x, y, z = (step * round(value / step) for value in place)
     return x, y, z
 
@@ -217,10 +226,9 @@ def _targets(work: Fieldwork) -> dict[str, Target]:
     scenario, s = work.scenario, work.sightings
     known = {}
     for i, name in enumerate(s.target_names):
-        normal = tuple(round(float(x), 4) for x in s.nest_normal[i])
         own = scenario.targets[name].reflector if name in scenario.targets else None
         known[name] = Target(
-            nest_normal=(normal[0], normal[1], normal[2]) if np.all(np.isfinite(normal)) else None,
+            nest_normal=tuple(s.nest_normal[i].round(4).tolist()) if np.isfinite(s.nest_normal[i]).all() else None,
             reaimed=bool(s.reaimed[i]),
             reflector=own or scenario.smr.reflector,
         )
@@ -249,9 +257,66 @@ def _truth(work: Fieldwork, instrument: Floats, values: tuple[Floats, ...], seed
         effects=tuple(AppliedEffect(e, v) for e, v in zip(work.effects, values, strict=True)),
         noise_factor=scenario.instrument.noise_factor,
         trackers=tuple(
-            TrackerTruth(name, scenario.stations_of(name), tracker.noise_factor)
+            TrackerTruth(name=name, stations=scenario.stations_of(name), noise_factor=tracker.noise_factor)
             for name, tracker in trackers.items()
             if scenario.instruments
         ),
         nominal=nominal,
+    )
+
+
+def exact_lengths(recording: Recording, work: Fieldwork) -> Recording:
+    """The recording with certificates that are free of error: the lengths between the reflectors where they stand."""
+    blank = with_stated(recording, work.scenario)
+    known, points = KnownLengths.of(blank), work.sightings.points
+    certified = np.linalg.norm(points[known.first] - points[known.second], axis=1) / known.factor
+    return certified_by(blank, certified, _sigmas(blank, work.scenario, certified))
+
+
+def certified_by(recording: Recording, length: Floats, sigma: Floats | None = None) -> Recording:
+    """The recording with other certificates: lengths (g,) [m] at calibration, and their sigmas [m] if they change."""
+    if recording.setup.gauge is None:
+        return recording
+    lines = []
+    for i, (line, value) in enumerate(zip(recording.gauge.distance, length.tolist(), strict=True)):
+        stated = {"length_mm": round(value / MILLIMETRE, 12)}
+        if sigma is not None:
+            stated["sigma_mm"] = max(round(float(sigma[i]) / MILLIMETRE, 6), 1e-6)
+        lines.append(line.model_copy(update=stated))
+    gauge = recording.gauge.model_copy(update={"distance": tuple(lines)})
+    return recording.replace(setup=recording.setup.model_copy(update={"gauge": gauge}))
+
+
+def with_stated(recording: Recording, scenario: Scenario) -> Recording:
+    """The recording with what is stated of its known lengths besides the lengths themselves, which are 1 mm."""
+    gauge, warm = scenario.gauge, scenario.workshop.temperature_c
+    if gauge is None and not scenario.lengths:
+        return recording
+    lines = tuple(line for line in _lines(scenario) if {line.from_, line.to} <= set(recording.targets))
+    own: dict[str, Any] = {}
+    if gauge is not None:
+        warm = warm if gauge.measured_at_c is None else gauge.measured_at_c
+        own = gauge.model_dump(include=set(Gauge.model_fields) - {"distance", "measured_at_c"})
+    stated = Gauge(measured_at_c=warm, materials=scenario.materials or None, distance=lines, **own)
+    return recording.replace(setup=recording.setup.model_copy(update={"gauge": stated}))
+
+
+def _lines(scenario: Scenario) -> Iterator[GaugeDistance]:
+    """One line a length, its length and sigma 1 mm: the pairs of the gauge, then the scale bars."""
+    blank = {"length_mm": 1.0, "sigma_mm": 1.0}
+    for a, b in combinations(scenario.gauge.targets if scenario.gauge else (), 2):
+        yield GaugeDistance.model_validate({"from": a, "to": b, **blank})
+    for length in scenario.lengths:
+        use = length.model_dump(include=set(LengthUse.model_fields))
+        yield GaugeDistance.model_validate({"from": length.from_, "to": length.to, **use, **blank})
+
+
+def _sigmas(recording: Recording, scenario: Scenario, certified: Floats) -> Floats:
+    """Standard deviations (g,) [m] of the certificates."""
+    bars = {frozenset((bar.from_, bar.to)): bar.sigma_um for bar in scenario.lengths}
+    gauge = scenario.gauge.sigma_um if scenario.gauge else None
+    stated = [bars.get(frozenset((line.from_, line.to)), gauge) for line in recording.gauge.distance]
+    by_machine = length_sigma(scenario.cmm, certified)
+    return np.array(
+        [own if um is None else um * MICROMETRE for um, own in zip(stated, by_machine.tolist(), strict=True)]
     )

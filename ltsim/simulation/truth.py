@@ -35,13 +35,15 @@ class AppliedEffect:
     values: Floats
 
 
-@dataclass(frozen=True)
-class TrackerTruth:
-    """One of the trackers of a recording: where it stood, and its drawn noise over the stated one."""
+class TrackerTruth(Section):
+    """An instrument with a name."""
 
     name: str
-    stations: tuple[str, ...]
-    noise_factor: float = 1.0
+    """As the set-up names it."""
+    stations: tuple[str, ...] = ()
+    """Where it stood."""
+    noise_factor: Finite = 1.0
+    """How many times the stated noise its true one is."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -95,43 +97,25 @@ class Truth(Result):
 
     def to_json(self) -> dict[str, Any]:
         """The contents of a truth file."""
+        trackers = {"instruments": [tracker.model_dump(mode="json") for tracker in self.trackers]}
         content: dict[str, Any] = {
             "format": get_args(Format)[0],
             "title": self.title,
             "seed": self.seed,
             "trial": self.trial,
             "construction": self.construction,
-            "parameters": [
-                _parameter_to_json(name, value / FACTOR[self.units[name]], self.units[name])
-                for name, value in self.instrument.items()
-            ],
+            "parameters": [_number(name, value, self.units[name]) for name, value in self.instrument.items()],
             "effects": [_effect_to_json(applied) for applied in self.effects],
-            **self._instruments_to_json(),
+            **(trackers if self.trackers else {"noise_factor": self.noise_factor}),
             "stations": [
-                {
-                    "name": name,
-                    "position_mm": (self.position[i] / MILLIMETRE).tolist(),
-                    "rotation_quaternion": quaternion(self.rotation[i]).tolist(),
-                }
-                for i, name in enumerate(self.stations)
+                _point(name, place) | {"rotation_quaternion": quaternion(turn).tolist()}
+                for name, place, turn in zip(self.stations, self.position, self.rotation, strict=True)
             ],
-            "targets": [
-                {"name": name, "position_mm": (self.points[i] / MILLIMETRE).tolist()}
-                for i, name in enumerate(self.targets)
-            ],
+            "targets": [_point(*own) for own in zip(self.targets, self.points, strict=True)],
         }
         if self.nominal is not None:
-            content["nominal"] = [
-                {"name": name, "position_mm": (self.nominal[i] / MILLIMETRE).tolist()}
-                for i, name in enumerate(self.targets)
-            ]
+            content["nominal"] = [_point(*own) for own in zip(self.targets, self.nominal, strict=True)]
         return content
-
-    def _instruments_to_json(self) -> dict[str, Any]:
-        if not self.trackers:
-            return {"noise_factor": self.noise_factor}
-        named = [{"name": t.name, "stations": [*t.stations], "noise_factor": t.noise_factor} for t in self.trackers]
-        return {"instruments": named}
 
     @classmethod
     def from_json(cls, content: Mapping[str, Any], file: object = "truth") -> Truth:
@@ -161,7 +145,7 @@ class Truth(Result):
             units={p.flat_name: p.unit for p in table.parameters},
             effects=tuple(_effect_from_json(e, file) for e in table.effects),
             noise_factor=table.noise_factor,
-            trackers=tuple(TrackerTruth(t.name, t.stations, t.noise_factor) for t in table.instruments),
+            trackers=table.instruments,
             nominal=np.array(nominal) * MILLIMETRE if nominal else None,
         )
 
@@ -187,17 +171,6 @@ class _InstrumentNumber(_Number):
     def flat_name(self) -> str:
         """As of `Construction.names_of`."""
         return f"{self.name}@{self.instrument}" if self.instrument else self.name
-
-
-class _Tracker(Section):
-    """An instrument with a name."""
-
-    name: str
-    """As the set-up names it."""
-    stations: tuple[str, ...] = ()
-    """Where it stood."""
-    noise_factor: Finite = 1.0
-    """How many times the stated noise its true one is."""
 
 
 class _Effect(Section):
@@ -250,7 +223,7 @@ class TruthFile(Section):
     """Physics beyond them."""
     noise_factor: Finite = 1.0
     """How many times the stated noise the true one is, of an instrument without a name."""
-    instruments: tuple[_Tracker, ...] = ()
+    instruments: tuple[TrackerTruth, ...] = ()
     """The instruments, where they have names."""
     stations: tuple[_Pose, ...] = Field(min_length=1)
     """True poses."""
@@ -260,22 +233,25 @@ class TruthFile(Section):
     """Points as a measuring machine gave them."""
 
 
-def _parameter_to_json(flat_name: str, value: float, unit: str) -> dict[str, Any]:
+def _number(flat_name: str, value: float, unit: str) -> dict[str, Any]:
+    """A parameter [SI] in its unit; `flat_name` as of `Construction.names_of`."""
     name, _, instrument = flat_name.partition("@")
-    return {"name": name, "value": value, "unit": unit} | ({"instrument": instrument} if instrument else {})
+    whose = {"instrument": instrument} if instrument else {}
+    return {"name": name, "value": value / FACTOR[unit], "unit": unit, **whose}
+
+
+def _point(name: str, position: Floats) -> dict[str, Any]:
+    return {"name": name, "position_mm": (position / MILLIMETRE).tolist()}
 
 
 def _effect_to_json(applied: AppliedEffect) -> dict[str, Any]:
-    effect = applied.effect
+    effect, values = applied.effect, applied.values.tolist()
     return {
         "effect": effect.name,
         "stations": list(effect.stations),
         "targets": list(effect.targets),
         "shape": shape_of(effect),
-        "parameters": [
-            {"name": p.name, "value": float(v) / p.factor, "unit": p.unit}
-            for p, v in zip(effect.parameters, applied.values, strict=True)
-        ],
+        "parameters": [_number(p.name, v, p.unit) for p, v in zip(effect.parameters, values, strict=True)],
     }
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from ltsim.adjustment import Adjustment, adjust
-from ltsim.effects.made import names
+from ltsim.effects.verbs import names
 from ltsim.errors import ModelError, option
 from ltsim.model.construction import ideal, stated_construction
 from ltsim.recording.coordinates import Coordinates, holds_coordinates, read_coordinates

@@ -21,7 +21,7 @@ from ltsim.planning.planner import sight_table
 from ltsim.planning.site import Site
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import Survey
-from ltsim.planning.tolerances import Demands, after_losses, judged, only, radius, verdict
+from ltsim.planning.tolerances import Demands, after_losses, judged, radius, verdict
 from ltsim.planning.workshop import site_of
 from ltsim.recording.files import write_texts
 from ltsim.recording.settings import to_toml
@@ -128,7 +128,7 @@ class Board:
         }
         seen = np.asarray(survey.seen.any(axis=0))
         try:
-            information = LayoutInformation.of(only(survey, seen), self.construction)
+            information = LayoutInformation.of(survey.only(seen), self.construction)
             covariance = information.target_covariance
         except LtsimError as problem:
             return found | {"problem": f"{problem}"}

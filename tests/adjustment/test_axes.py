@@ -14,6 +14,7 @@ from ltsim.errors import RecordError
 from ltsim.geometry.rotations import from_rotation_vector
 from ltsim.recording.recording import Recording
 from ltsim.recording.setup import Station, Target
+from ltsim.units import ARCSECOND
 from tests.networks import STATIONS, YAWS, network
 
 TURN, SHIFT = from_rotation_vector(np.array([0.2, -0.4, 2.2])), np.array([120.0, -40.0, 7.0])
@@ -58,6 +59,23 @@ def test_three_targets_span_the_axes_exactly(recording: Recording) -> None:
         np.testing.assert_allclose(sigma[recording.targets.index("T01")], 0.0, atol=1e-9)
         assert sigma[recording.targets.index("T20")][0] > 1e-6
     assert "axes in which coordinates of the datum's targets are stated" in adjust_network(named).frame
+
+
+def test_axes_are_known_as_well_as_the_coordinates_that_give_them_fit(recording: Recording) -> None:
+    names = list(recording.targets[:12])
+    rough, fine = (
+        adjust_network(in_axes_of_points(recording, hall(recording, names, noise=n), "h")) for n in (3e-3, 3e-4)
+    )
+    assert rough.axes is not None
+    assert fine.axes is not None
+    for one, noise in ((rough, 3.0), (fine, 0.3)):  # the noise is a sine: its rms is 0.7 of its height
+        assert np.array(one.axes.sigma_position_mm) == pytest.approx(noise / np.sqrt(2 * 12), rel=0.4)
+    lever = np.linalg.norm(np.ptp(rough.points[:12], axis=0)) / 2
+    turn = 2.1 / np.sqrt(12) / (1e3 * lever) / ARCSECOND
+    assert np.all(np.array(rough.axes.sigma_rotation_arcsec) > 0.5 * turn)
+    assert np.all(np.array(rough.axes.sigma_rotation_arcsec) < 6 * turn)
+    assert "which leaves the axes uncertain by" in rough.notes[0]
+    assert adjust_network(recording).axes is None
 
 
 def test_a_drawing_fits_roughly_and_a_wrong_name_is_left_out(recording: Recording) -> None:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from ltsim.adjustment import adjust
+from ltsim.adjustment.occupations import moved_tripods
 from ltsim.recording import read
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -40,13 +41,27 @@ def test_a_network_held_by_a_point_in_plan_and_one_in_space_agrees_with_gama():
     assert ours.sigma0 == pytest.approx(theirs.aposteriori, rel=5e-8)
     assert ours.chi2 == pytest.approx(theirs.square_sum, rel=5e-8)
     here = published.coordinates_of(ours, theirs.names)[0][np.arange(len(theirs.names)), theirs.axis]
-    assert np.abs(here - theirs.value).max() < 2.5e-6  # at the same sum of squares, to the printed digit
+    assert np.abs(here - theirs.value).max() < 2.5e-6  # 1e-4 of their sigmas, where Gama stopped: it prints 1e-5 m
 
 
 def test_a_network_in_plan_has_the_sigma0_of_an_independent_adjustment():
     found = adjust(read(DATA / "field" / "praha_hrad1010.gkf"))
     assert found.solution.converged
+    assert found.open_heights.all()
+    assert np.isnan(found.target_covariance[:, 2]).all()
+    assert np.isfinite(found.target_covariance[:, :2, :2]).all()
     assert found.sigma0 == pytest.approx(0.97, abs=0.005)
+
+
+def test_a_local_tie_names_the_tripod_of_the_second_day_and_places_what_directions_see():
+    found = adjust(read(DATA / "field" / "wark_control.csv"))
+    moved = moved_tripods(found)
+    assert moved is not None
+    assert ("WAN3", "target", "2015-03-16") in {(one.mark, one.role, one.day) for one in moved.found}
+    assert not found.lost_targets
+    assert np.flatnonzero(found.open_heights).tolist() == [found.recording.targets.index("WARK")]
+    without = found.recording.select(found.recording.target != found.recording.targets.index("WARK"))
+    assert adjust(without).dof == 562
 
 
 def test_gama_stopped_short_where_the_coordinates_differ(experiment):

@@ -41,6 +41,7 @@ def test_every_effect_file_is_in_the_catalogue(module: str) -> None:
     catalogue = {entry if isinstance(entry, type) else type(entry) for entry in effects.CATALOGUE}
     missing = [cls.__name__ for cls in effects_in(module) if cls not in catalogue]
     assert not missing, f"ltsim/effects/{module}.py: add {', '.join(missing)} to GROUPS"
+    assert len(effects_in(module)) <= 1, f"ltsim/effects/{module}.py: one file, one effect"
 
 
 def test_catalogue_names_each_effect_once() -> None:

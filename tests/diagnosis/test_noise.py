@@ -7,7 +7,7 @@ import pytest
 
 from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.diagnosis.noise import NoiseBank, noise_hypotheses, repeat_means
+from ltsim.diagnosis.noise import EACH_TARGET, NoiseBank, noise_hypotheses, repeat_means
 from ltsim.diagnosis.prior import PRIOR
 from ltsim.laws.scatter import BOTH_FACES, NoisePattern
 from ltsim.model.construction import misalignment
@@ -36,7 +36,8 @@ def scattered(space, pair, *, shared):
 
 def evidence_of(bank, residual, redundancy):
     """Log evidence of each family."""
-    return dict(zip(bank.families, bank.family_evidence(residual[:, None], redundancy)[:, 0], strict=True))
+    names = (*bank.families, EACH_TARGET)
+    return dict(zip(names, bank.family_evidence(residual[:, None], redundancy)[:, 0], strict=True))
 
 
 @pytest.mark.parametrize("shared", [True, False])

@@ -15,7 +15,7 @@ from ltsim.diagnosis.words import law_sentence
 from ltsim.effects.station_settling import StationSettling
 from ltsim.model.construction import misalignment
 from ltsim.randomness import stream
-from ltsim.remedies.deciding import DECISIVE
+from ltsim.remedies.next_measurement import DECISIVE
 from tests.networks import network, with_effect
 
 # --- separate ---------------------------------------------------------------------------------------------------------

@@ -19,10 +19,10 @@ from ltsim.diagnosis.evidence import (
 )
 from ltsim.diagnosis.exact import Exact
 from ltsim.diagnosis.hypotheses import MISFIT, Found, Hypothesis, Ranking
-from ltsim.diagnosis.laws_tried import panels
 from ltsim.diagnosis.noise import NoiseBank, noise_hypotheses
-from ltsim.diagnosis.prior import AT_INSTRUMENTS, AT_SET_UPS, AT_TARGETS, KINDS, LAWS, PRIOR, log_share, rows
+from ltsim.diagnosis.prior import AT_TARGETS, KINDS, PLACES, PRIOR, log_share, rows
 from ltsim.diagnosis.probe import Probe
+from ltsim.diagnosis.space import panels
 from ltsim.effects import find_effect
 from ltsim.effects.signature import Tunable
 from ltsim.laws.carriers import CARRIERS
@@ -57,7 +57,7 @@ def alone(space: ResidualSpace, law: Tunable, residual: np.ndarray, extension: n
 
 def test_priors_sum_to_one_over_everything(space, made):
     """Every kind of explanation, every card, law and change of the noise that is tried, at every place."""
-    for table in (PRIOR, LAWS, KINDS, AT_SET_UPS, AT_INSTRUMENTS, AT_TARGETS):
+    for table in (PRIOR, PLACES, KINDS, AT_TARGETS):
         assert sum(table.values()) == pytest.approx(1.0, abs=1e-12)
     assert sum(part for _, part in rows()) == pytest.approx(1.0, abs=1e-12)
     assert np.exp(LOG_WEIGHTS).sum() == pytest.approx(1.0)
@@ -66,7 +66,7 @@ def test_priors_sum_to_one_over_everything(space, made):
     cards = Cards.of(space, card_hypotheses(space.sightings))
     families = cards.family_evidence(np.zeros(len(cards.effects))) + log_share("named", len(cards.families))
     noise = NoiseBank.of(space, noise_hypotheses(space.sightings))
-    nothing = noise._by_family(np.zeros((len(noise.hypotheses), 1)))
+    nothing = np.append(noise._by_family(np.zeros((len(noise.hypotheses), 1))), noise._share_of_unknown)
     assert laws == pytest.approx(PRIOR["law"])
     assert np.exp(families).sum() == pytest.approx(PRIOR["named"])
     assert np.exp(nothing).sum() == pytest.approx(PRIOR["noise"] + PRIOR["scatter"])

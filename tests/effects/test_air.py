@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -158,10 +157,10 @@ def test_wide_layer_is_a_gradient() -> None:
 )
 def test_integrated_ray_is_converged_and_agrees_with_first_order(effect: AirLayer | HeatPlume) -> None:
     step = np.array([0.05])
-    at: Any = FLOOR if isinstance(effect, AirLayer) else effect._centre(SCENE)
+    kelvin = effect.field(SCENE)
 
     def field(points: Floats) -> tuple[Floats, Floats]:
-        warm, gradient = effect.temperature(points, at)
+        warm, gradient = kelvin(points)
         return step[0] * warm, step[0] * gradient
 
     coarse, fine = bent(SCENE, field), bent(SCENE, field, steps=256)

@@ -16,8 +16,7 @@ import pytest
 from ltsim.effects import GROUPS
 from ltsim.effects.backlash import Backlash
 from ltsim.effects.beam_tilt import BeamTilt
-from ltsim.effects.card import PARTS, Card
-from ltsim.effects.catalogue import ADDED, SHIPPED, Catalogue
+from ltsim.effects.catalogue import ADDED, PARTS, SHIPPED, Card, Catalogue
 from ltsim.effects.effect import Effect, Parameter, Stage
 from ltsim.errors import ModelError
 

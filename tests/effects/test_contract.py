@@ -45,8 +45,9 @@ def test_the_card_has_all_parts(kind: type[Effect]) -> None:
     card = card_of(kind)
     assert all(text.endswith(".") for _, text in card.parts())
     assert not card.title.endswith(".")
-    assert re.search(r"\d", card.size) or issubclass(kind, Mistake)
-    assert re.search(r"validated|empirical", card.status)
+    told = dict(card.parts())
+    assert re.search(r"\d", told["Size"]) or issubclass(kind, Mistake)
+    assert re.search(r"validated|empirical", told["Status"])
 
 
 @EVERY

@@ -3,8 +3,7 @@ from __future__ import annotations
 import numpy as np
 from hypothesis import given, strategies as st
 
-from ltsim.effects.noise import white_noise_sigma
-from ltsim.effects.resolution import quantised
+from ltsim.effects.noise import quantised, white_noise_sigma
 from ltsim.simulation.scenario import load_scenario
 from ltsim.simulation.simulator import fieldwork, measure
 from ltsim.units import ARCSECOND

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 import ltsim as lt
+from experiments.virtual_bench import MIDDLE, BenchTest, measure_bench
 from ltsim.cli.main import run
-from ltsim.effects.smr_incidence import PAPER_TABLE
+from ltsim.effects.reflectors import PAPER_TABLE
 from ltsim.errors import RecordError
 from ltsim.evaluation.schema import BENCH
-from ltsim.simulation.bench import MIDDLE, BenchTest, measure_bench
 from ltsim.units import DEGREE, MICROMETRE
 from tests.conftest import ROOT
 

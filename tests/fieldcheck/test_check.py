@@ -22,7 +22,6 @@ from ltsim.errors import NetworkError, RecordError
 from ltsim.evaluation.two_face import two_face
 from ltsim.fieldcheck import Check, check, check_file
 from ltsim.fieldcheck.check import best_bump
-from ltsim.fieldcheck.faces import Mpe
 from ltsim.fieldcheck.visit import Visit
 from ltsim.fieldcheck.words import plain
 from ltsim.model.construction import misalignment, steering_mirror
@@ -82,7 +81,7 @@ def test_a_bump_is_dated_within_its_gap() -> None:
     found = check(moved(clean.replace(setup=start), 0, 305.0, [40e-6, -30e-6, 10e-6, 0.0, 12e-6, 20e-6]))
     assert kinds(found) == {("S1", "bump")}
     item = next(item for item in found.items if item.kind == "bump")
-    assert item.between == (300.0, 310.0)
+    assert item.between_s == (300.0, 310.0)
     assert item.rows == (31, 32)
     assert item.p_value is not None
     assert item.p_value < 1e-6
@@ -137,6 +136,23 @@ def test_a_tripod_that_sinks_evenly_drifts_and_was_not_moved() -> None:
         assert found.sentence.startswith("no-go: S1 drifts in 36 min: shifted by")
 
 
+def test_scatter_of_a_target_is_no_drift_of_the_station() -> None:
+    """Poses of a robot, each watched without a break: they settle and scatter by themselves."""
+    one = visits(4).select(np.arange(6))
+    poses, shots = np.repeat(np.arange(6), 20), np.tile(np.arange(20), 6)
+    rng = stream(3, "poses")
+    settling = rng.standard_normal((6, 3))[poses] * (shots / 20)[:, None] * 12
+    shaken = rng.standard_normal((120, 3)) * np.array([1, 2, 2, 3, 6, 12])[poses][:, None]
+    recording = one.select(poses).replace(repeat=shots + 1, time=10.0 * np.arange(120))
+    readings = recording.readings + (settling + shaken) * recording.sigma()
+    found = check(recording.with_readings(readings))
+    assert not kinds(found) & {("S1", "drift"), ("S1", "instrument-drift"), ("S1", "bump")}
+    closure = next(item for item in found.items if item.kind == "closure")
+    assert recording.targets[5] in closure.targets
+    assert recording.targets[0] not in closure.targets
+    assert "it belongs to the targets" in found.sentence
+
+
 def test_what_was_not_measured_again_has_no_value() -> None:
     """Two targets near each other on both faces: they tell no turn about the line through them, and no drift."""
     recording = visits(4)
@@ -181,8 +197,8 @@ def test_beyond_the_guarantee_and_beyond_a_limit() -> None:
     found = check(recording.with_readings(readings))
     assert kinds(found) == {("S1", "two-face")}
     assert "the two faces differ beyond noise and guarantee at 28 of 28 pairs" in found.sentence
-    assert check(recording, mpe=Mpe(50e-6, 10e-6)).passed
-    tight = check(recording, mpe=Mpe(1e-6, 0.1e-6))
+    assert check(recording, mpe=(50, 10)).passed
+    tight = check(recording, mpe=(1, 0.1))
     assert ("S1", "two-face") in kinds(tight)
     assert "beyond the limit" in tight.sentence
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import ltsim as lt
+from ltsim.adjustment.doubt import doubts
 from ltsim.calibration import adjust_network, calibrate_network
 from ltsim.errors import LtsimError
 from ltsim.fieldcheck import check
@@ -84,10 +85,12 @@ def agreed(way: Break, seed: int) -> str:
     recording, state = workshop()
     broken = way(seen(recording, state.points, seed), state.points, stream(seed, way.__name__))
     said = words(adjust_network, broken)
-    if not said:  # noise bends a line: there is a solution, and its sigmas are doubted aloud; check does not say so yet
-        doubt = adjust_network(broken).verdict.sentence
+    if not said:  # noise bends a line: there is a solution, and its sigmas are doubted aloud
+        (doubt,) = doubts(adjust_network(broken).adjustment)
         assert way is on_a_line
         assert "hold its pose so weakly" in doubt
+        assert "hold its pose so weakly" in calibrate_network(broken, advise=False).verdict.sentence
+        assert any(item.sentence == doubt and not item.passed for item in check(broken).items)
         return doubt
     assert words(lambda r: calibrate_network(r, advise=False), broken) == said
     if way is clockwise:  # what is understood is mended by a diagnosis, and said
@@ -122,3 +125,19 @@ def test_a_pointing_to_the_zenith_is_named_by_all_verbs() -> None:
 @pytest.mark.parametrize("way", WAYS)
 def test_all_verbs_say_the_same_of_three_hundred_degenerate_networks(way: Break, seed: int) -> None:
     agreed(way, seed)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_slip_of_a_metre_in_a_small_network_is_named_and_does_not_make_it_singular(seed: int) -> None:
+    """29 pointings determine everything: one that is 1.02 m too long or too high is told, and nothing is refused."""
+    recording, state = workshop()
+    whole, rng = seen(recording, state.points, 1), stream(seed, "slip")
+    few = whole.select((whole.station < 3) & np.isin(whole.target, rng.choice(28, 10, replace=False)))
+    few = few.select(np.arange(min(len(few), 29)))
+    readings, row = few.readings.copy(), int(rng.integers(len(few)))
+    readings[row, 2 * (seed % 2)] += 1.02 / (readings[row, 0] if seed % 2 else 1.0)
+    broken = few.with_readings(readings)
+    assert not words(adjust_network, broken)
+    found = check(broken)
+    assert not found.passed
+    assert any(row + 1 in item.rows for item in found.items if not item.passed)

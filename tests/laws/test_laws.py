@@ -12,10 +12,10 @@ import pytest
 from ltsim.adjustment import adjust
 from ltsim.effects.motions import station_design
 from ltsim.laws.carriers import CARRIERS, carrier_designs
-from ltsim.laws.drivers import Driver, simple, smooth
+from ltsim.laws.drivers import Driver, amounts, simple, smooth
 from ltsim.laws.law import Law
 from ltsim.laws.names import name_of
-from ltsim.laws.offered import general_drivers, moves, products, sights, waves
+from ltsim.laws.offered import FOLLOWED, drivers_of, group_drivers, moves
 from ltsim.laws.places import LEAST_GROUP, branches
 from ltsim.laws.sizes import sizes_of
 from ltsim.model.construction import misalignment
@@ -45,14 +45,44 @@ def test_drivers_have_columns_of_unit_size_and_words_of_the_interface(sightings)
         "face",
         "target",
     }
-    drivers = [*general_drivers(sightings), *products(sightings), *sights(sightings), *list(waves(sightings))[::50]]
+    kinds = {**drivers_of(sightings), **{f"group {k}": d for k, d in group_drivers(sightings).items()}}
+    drivers = [d for kind, some in kinds.items() for d in some[:: 50 if kind == "wave" else 3 if "room" in kind else 1]]
     for driver in drivers:
         columns = driver.columns(sightings)
         assert columns.shape == (len(sightings), driver.size)
         assert np.isfinite(columns).all()
         assert set(driver.told) <= words | set(sightings.covariates)
         spread = np.sqrt(((columns * driver.spreads[0]) ** 2).sum(axis=1).mean())
-        assert 0.2 < spread < 2.0, driver
+        assert 0.2 < spread < 2.5, driver
+
+
+def test_what_a_law_may_follow_is_closed_under_the_operators(sightings):
+    """Of what is pointed at and of each further column: the value before, the change, the work done."""
+    rng = stream(3, "load")
+    load = rng.uniform(0.0, 50.0, len(sightings))
+    loaded = replace(sightings, covariates={"press_load_kn": load})
+    before = loaded.previous
+    there = before >= 0
+    followed = {f for kind in ("memory", "lag") for d in drivers_of(loaded)[kind] for f in d.covariates}
+    for name in ("azimuth", "elevation", "distance", "press_load_kn"):
+        assert {f"{how}-{name}" for how in ("last", "move", "work")} <= followed
+    quantities = loaded.quantities
+    np.testing.assert_allclose(quantities["last-press_load_kn"][there], load[before[there]])
+    np.testing.assert_allclose(quantities["move-press_load_kn"][there], (load - load[before])[there])
+    rows = np.flatnonzero(sightings.station == 1)
+    rows = rows[np.argsort(sightings.time[rows], kind="stable")]
+    done = np.append(0.0, np.cumsum(np.abs(np.diff(load[rows]))))
+    np.testing.assert_allclose(quantities["work-press_load_kn"][rows], done)
+    assert simple("work-press_load_kn", "power").told == ("press_load_kn",)
+    assert simple("work-azimuth", "power").told == ("approach",)
+    assert set(FOLLOWED) - {"station", "last-target"} <= set(quantities)
+
+
+def test_amounts_are_those_of_the_target_measured_before(sightings):
+    found = amounts("last-target", len(sightings.target_names)).columns(sightings)
+    rows = sightings.previous >= 0
+    np.testing.assert_array_equal(np.argmax(found[rows], axis=1), sightings.target[sightings.previous[rows]])
+    assert not found[~rows].any()
 
 
 def test_carriers_show_mainly_in_the_readings_that_they_name(sightings):

@@ -10,9 +10,9 @@ import pytest
 from ltsim.adjustment import adjust
 from ltsim.errors import ModelError
 from ltsim.laws.columns import SIMPLE
-from ltsim.laws.drivers import CONSTANT, SEVERAL, Driver, across_the_room, pieces, simple, smooth
-from ltsim.laws.offered import FOLLOWED, general_drivers, products, sights, waves
-from ltsim.laws.words import EXAMPLES, PARITIES, describe, read_driver, read_law
+from ltsim.laws.drivers import CONSTANT, Driver, across_the_room, amounts, pieces, simple, smooth
+from ltsim.laws.offered import FOLLOWED, drivers_of
+from ltsim.laws.words import EXAMPLES, OWNERS, PARITIES, describe, read_driver, read_law
 from ltsim.recording import Recording
 from tests.networks import network
 
@@ -34,19 +34,16 @@ def every() -> list[Driver]:
     clocks = [simple("station-time", function, 480.0) for function in ("decay", "relaxing", "saturated")]
     clocks.append(simple("move-azimuth", "fading", 0.5))
     found = [simple("press_load_kn" if f == "power" else "elevation", f, k) for f, k in named.items()]
-    found += [CONSTANT, Driver("visits", constant=5), Driver("wave", ("azimuth",), constant=1.0), *edges, *clocks]
+    found += [CONSTANT, amounts("station", 5), Driver("wave", ("azimuth",), constant=1.0), *edges, *clocks]
     found += [
         Driver(kind, (name,), constant=2 * np.pi / 45.0) for kind in ("wave", "cycle") for name in ("time", "circle")
     ]
     found += [Driver("wave", (name,), constant=2 * np.pi / 0.4) for name in ("x", "hall_temperature_c")]
-    found += [smooth(name) for name in ("circle", "hall_temperature_c")] + [simple(name, "power") for name in PARITIES]
-    found += [simple("distance", "power", -1.0), pieces([simple("time", "step", 600.0), simple("time", "ramp", 900.0)])]
-    found += [
-        *(Driver(kind, SEVERAL[kind], constant=0.2, around=("T03",)) for kind in ("near", "towards")),
-        Driver("past", ("distance", "x"), constant=2.5),
-        Driver("through", ("distance", "y"), constant=-1.5),
+    found += [smooth(name) for name in ("circle", "hall_temperature_c")] + [
+        simple(name, "power") for name in PARITIES if name not in OWNERS
     ]
-    found += [Driver("lagging", ("hall_temperature_c",), constant=1200.0), Driver("late", SEVERAL["late"], constant=28)]
+    found += [simple("distance", "power", -1.0), pieces([simple("time", "step", 600.0), simple("time", "ramp", 900.0)])]
+    found += [Driver("lagging", ("hall_temperature_c",), constant=1200.0), amounts("last-target", 28)]
     found += [simple("press_load_kn", "power").for_each(("T01", "T02", "T04"))]
     found += across_the_room([simple("press_load_kn", "power"), pieces(edges[:1] * 2)], 2)
     return [*found, Driver("product", factors=(simple("face", "power"), smooth("distance", 4)))]
@@ -67,11 +64,9 @@ def test_every_driver_is_read_as_it_is_told(recording: Recording, clock: bool) -
 def test_what_a_diagnosis_may_tell_of_a_recording_is_read(recording: Recording) -> None:
     sightings = adjust(recording).sightings
     assert set(FOLLOWED) <= set(sightings.quantities)
+    tried = drivers_of(sightings)
     for driver in [
-        *general_drivers(sightings),
-        *products(sightings),
-        *sights(sightings),
-        *list(waves(sightings))[::25],
+        d for kind, some in tried.items() for d in some[:: 25 if kind == "wave" else 1] if kind not in ("room", "clock")
     ]:
         read = read_driver(describe(driver), recording)
         assert describe(read) == describe(driver)

@@ -13,7 +13,7 @@ from ltsim.effects.air import Air
 from ltsim.geometry.rigid import rigid_motion
 from ltsim.model.construction import misalignment
 from ltsim.planning.information import LayoutInformation
-from ltsim.planning.spec import load_plan
+from ltsim.planning.loading import load_plan
 from ltsim.planning.workshop import site_of
 from tests.planning.fixtures import survey
 from tests.planning.test_hall import HALL, points_csv

@@ -10,12 +10,13 @@ import pytest
 from ltsim.arrays import Floats
 from ltsim.errors import SetupError
 from ltsim.model.construction import misalignment
-from ltsim.planning.changes import Change, reflector_changes
+from ltsim.planning.changes import reflector_changes
 from ltsim.planning.information import LayoutInformation
+from ltsim.planning.loading import load_plan
 from ltsim.planning.objective import INSTRUMENT, TARGETS, Objective
 from ltsim.planning.planner import measure
 from ltsim.planning.reflectors import choose_reflectors
-from ltsim.planning.spec import load_plan
+from ltsim.planning.schema import ChangeEntry
 from ltsim.planning.survey import Survey
 from ltsim.planning.workshop import fixed_of, site_of, staying
 from tests.planning.test_hall import HALL, points_csv
@@ -31,13 +32,13 @@ def wall_places() -> tuple[Floats, tuple[str, ...]]:
     return places, tuple(f"P{i}" for i in range(len(places)))
 
 
-def changed(survey: Survey, change: Change) -> Survey:
+def changed(survey: Survey, change: ChangeEntry) -> Survey:
     """The survey with a change made by hand."""
     keep = [i for i, name in enumerate(survey.target_names) if name != change.reflector]
     points = survey.points[keep]
     names = tuple(survey.target_names[i] for i in keep)
-    if change.position is not None:
-        points, names = np.vstack([points, change.position]), (*names, change.place)
+    if change.position_mm is not None:
+        points, names = np.vstack([points, 1e-3 * np.array(change.position_mm)]), (*names, change.place)
     return survey.replace(target_names=names, points=points, seen=np.ones((len(survey.position), len(names)), bool))
 
 
@@ -54,7 +55,7 @@ def test_a_change_brings_what_it_promises(weights: dict[str, float]) -> None:
     where = site(nests=places, nest_names=names, reflector_spacing=0.5)
     objective = Objective(weights)
     found = reflector_changes(where, where.survey, STAYS, objective, misalignment())
-    assert {change.what for change in found.told} == {"move", "add", "remove"}
+    assert {change.do for change in found.told} == {"move", "add", "remove"}
     before = measure(where.survey, objective, misalignment())[0]
     for change in found.told[::3]:
         made = changed(where.survey, change)
@@ -65,7 +66,7 @@ def test_a_change_brings_what_it_promises(weights: dict[str, float]) -> None:
             assert change.quality == pytest.approx(measure(made, objective, misalignment())[0] / before, rel=1e-6)
         else:
             assert change.quality == pytest.approx(1 - 1e-6 * gain / point_error(where.survey, common), rel=1e-4)
-    moves = [change.quality for change in found.told if change.what == "move"]
+    moves = [change.quality for change in found.told if change.do == "move"]
     assert moves == sorted(moves)
     assert moves[-1] < 1.0
 
@@ -110,9 +111,12 @@ def test_points_of_a_list_are_moved_only_where_they_are_called_movable(tmp_path:
         for change in found.told:
             assert change.reflector == "" or change.reflector.startswith("W")
             assert change.serves in survey.target_names
-            if change.position is not None:
-                assert np.linalg.norm(survey.points - change.position, axis=1).min() >= where.reflector_spacing
-    places = [change.place for change in found.told if change.what == "move"]
+            if change.position_mm is not None:
+                assert (
+                    np.linalg.norm(survey.points - 1e-3 * np.array(change.position_mm), axis=1).min()
+                    >= where.reflector_spacing
+                )
+    places = [change.place for change in found.told if change.do == "move"]
     assert len(places) == len(set(places)), "each place is told once"
 
 

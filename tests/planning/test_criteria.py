@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ltsim.planning.criteria import a_criterion, d_criterion, e_criterion, g_criterion, i_criterion
+from experiments.criteria import g_criterion, i_criterion
+from ltsim.planning.objective import a_criterion, d_criterion, e_criterion
 
 RNG = np.random.default_rng(3)
 DESIGN = RNG.normal(size=(40, 5)) * [1.0, 3.0, 0.2, 1.0, 0.5]

@@ -11,11 +11,8 @@ import ltsim as lt
 from ltsim.cli.main import run
 from ltsim.errors import SetupError
 from ltsim.planning.files import plan_file
-from ltsim.planning.floor import Floor, ground_of
-from ltsim.planning.outlines import fault, inside
-from ltsim.planning.points import read_points
-from ltsim.planning.site import may_stand
-from ltsim.planning.spec import load_plan
+from ltsim.planning.floor import Floor, fault, ground_of, inside, may_stand
+from ltsim.planning.loading import load_plan, read_points
 from ltsim.planning.tolerances import radius
 from ltsim.planning.work_order import settings_of
 from ltsim.scene.meshes import cylinder, together

@@ -15,11 +15,12 @@ from ltsim.errors import SetupError
 from ltsim.planning import starts
 from ltsim.planning.files import plan_file, planned_scenario, write_plan
 from ltsim.planning.information import LayoutInformation
+from ltsim.planning.loading import load_plan, plan_names, plan_text
 from ltsim.planning.making import Follower, make_plan
 from ltsim.planning.planner import Plan
 from ltsim.planning.reasons import fewest
 from ltsim.planning.search import Searcher
-from ltsim.planning.spec import PlanFile, Search, load_plan, plan_names, plan_text
+from ltsim.planning.spec import PlanFile, Search
 from ltsim.planning.workshop import survey_of
 from ltsim.simulation.scenario import changed, load_scenario, scenario_to_toml
 from ltsim.simulation.workshop import visibility_of

@@ -9,10 +9,9 @@ from ltsim.arrays import Floats
 from ltsim.effects.station_weather import StationWeather
 from ltsim.errors import SetupError
 from ltsim.model.construction import misalignment
-from ltsim.planning.criteria import a_criterion, d_criterion
+from ltsim.planning.floor import Area, inside
 from ltsim.planning.information import LayoutInformation
-from ltsim.planning.objective import DIAGNOSIS, INSTRUMENT, TARGETS, Objective
-from ltsim.planning.outlines import Area, inside
+from ltsim.planning.objective import DIAGNOSIS, INSTRUMENT, TARGETS, Objective, a_criterion, d_criterion
 from ltsim.planning.reflectors import choose_reflectors
 from ltsim.planning.search import Searcher
 from ltsim.planning.site import Site
@@ -60,7 +59,7 @@ def test_a_search_beats_the_layout_it_did_not_know_and_keeps_the_rules(found) ->
 
 def test_no_single_station_of_the_grid_improves_it(found) -> None:  # type: ignore[no-untyped-def]
     work = searcher(site())
-    here = work._joined([work.pool(found.position[s : s + 1], found.yaw[s : s + 1], s) for s in range(3)])
+    here = work.layout(found.position, found.yaw)
     for slot in range(3):
         assert work.best_replacement(here, slot, work.table(slot))[1] > found.value * (1 - 1e-3)
 

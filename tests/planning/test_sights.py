@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from ltsim.errors import SetupError
-from ltsim.planning.sights import most_sights, with_reachable_sights
+from ltsim.planning.loading import load_plan
+from ltsim.planning.making import most_sights, with_reachable_sights
 from ltsim.planning.site import Site
-from ltsim.planning.spec import PlanFile, Stations, load_plan
+from ltsim.planning.spec import PlanFile, Stations
 from ltsim.planning.workshop import site_of
 from ltsim.scene.visibility import SightLimits
 from tests.planning.test_hall import HALL, points_csv

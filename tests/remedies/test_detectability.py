@@ -16,9 +16,8 @@ from ltsim.effects.range_step import RangeStep
 from ltsim.effects.station_weather import StationWeather
 from ltsim.effects.transit_offset import TransitOffset
 from ltsim.model.construction import misalignment
-from ltsim.planning.detectability import detectability, likeness
 from ltsim.planning.information import LayoutInformation
-from ltsim.remedies.detectability import LEVEL, examine, search_noncentrality
+from ltsim.remedies.detectability import LEVEL, detectability, examine, likeness, search_noncentrality
 from tests.planning.fixtures import survey
 
 INFORMATION = LayoutInformation.of(survey())

@@ -11,8 +11,7 @@ from ltsim.adjustment import adjust
 from ltsim.calibration import calibrate_network
 from ltsim.model.construction import misalignment
 from ltsim.remedies.network import Network
-from ltsim.remedies.remedy import known_length, near_reflectors, other_ways, returns
-from ltsim.remedies.words import ADVICE
+from ltsim.remedies.remedy import ADVICE, known_length, near_reflectors, other_ways, returns
 from tests.networks import drawn, network
 
 

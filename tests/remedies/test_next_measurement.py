@@ -14,11 +14,10 @@ from ltsim.diagnosis import diagnose
 from ltsim.diagnosis.separate import open_question
 from ltsim.errors import ModelError
 from ltsim.model.construction import ideal, misalignment
-from ltsim.planning.criteria import d_criterion
+from ltsim.planning.objective import d_criterion
 from ltsim.recording import Recording, write
-from ltsim.remedies.deciding import Rivals, explanation, space_of
 from ltsim.remedies.network import Network
-from ltsim.remedies.next_measurement import deciding, next_measurement
+from ltsim.remedies.next_measurement import Rivals, deciding, explanation, next_measurement, space_of
 from ltsim.remedies.remedy import (
     FloorPlan,
     further_pointings,

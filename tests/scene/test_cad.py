@@ -11,7 +11,7 @@ import trimesh
 
 import ltsim as lt
 from ltsim.errors import SetupError
-from ltsim.planning.spec import load_plan
+from ltsim.planning.loading import load_plan
 from ltsim.scene.cad import UPRIGHT, read_mesh
 from ltsim.simulation.workshop import bodies_of
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from ltsim.arrays import Floats
-from ltsim.scene.meshes import box, cylinder, together, walls
-from ltsim.scene.nests import nest_places
+from ltsim.scene.meshes import box, cylinder, nest_places, together, walls
 
 SIZE = np.array([2.5, 1.5, 2.2])
 

@@ -6,8 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ltsim.simulation.scenario import changed, load_scenario
-from ltsim.simulation.subset import spread_order
+from ltsim.simulation.scenario import changed, load_scenario, spread_order
 
 FILE = Path("changed.toml")
 

@@ -15,8 +15,8 @@ import ltsim as lt
 from ltsim.cli.main import run
 from ltsim.errors import SetupError
 from ltsim.planning.information import LayoutInformation
+from ltsim.planning.loading import load_plan
 from ltsim.planning.planner import sight_table
-from ltsim.planning.spec import load_plan
 from ltsim.planning.tolerances import judged
 from ltsim.scene.visibility import Reason
 from ltsim.viewer.board import Board

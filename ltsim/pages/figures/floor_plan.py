@@ -30,8 +30,7 @@ from ltsim.pages.style import (
     styled,
 )
 from ltsim.pages.workshop import Workshop
-from ltsim.planning.floor import Floor, FloorArea
-from ltsim.planning.outlines import distance
+from ltsim.planning.floor import Floor, FloorArea, distance
 from ltsim.units import DEGREE, MILLIMETRE
 
 TURNS = np.radians([0, 180, 90, 270])

@@ -153,9 +153,9 @@ def _course(ax: Axes, check: Check) -> None:
         ax.plot(setup.visit.recording.time / scale, size, ".", ms=4, color=CYCLE[i % len(CYCLE)], label=label)
     marked = False
     for item in check.items:
-        if item.between is not None:
-            ax.axvspan(item.between[0] / scale, item.between[1] / scale, color=RED, alpha=0.35, lw=0)
-            ax.axvline(item.between[0] / scale, color=RED, lw=1.0, label=None if marked else "moved")
+        if item.between_s is not None:
+            ax.axvspan(item.between_s[0] / scale, item.between_s[1] / scale, color=RED, alpha=0.35, lw=0)
+            ax.axvline(item.between_s[0] / scale, color=RED, lw=1.0, label=None if marked else "moved")
             marked = True
     quiet_axis(ax)
     ax.set_title("What each pointing misses")

@@ -33,7 +33,7 @@ from ltsim.pages.workshop import Sights, Workshop, assemble
 from ltsim.recording import Recording, Setup
 from ltsim.recording.result_file import check_source, companion, read_result
 from ltsim.simulation.truth import Truth, read_truth
-from ltsim.units import FACTOR, MILLIMETRE
+from ltsim.units import FACTOR
 
 SETTLED = ("", "converged", "not stated")
 """How a fit may have ended that nobody need worry about."""
@@ -127,7 +127,7 @@ def _facts(content: CalibrationFile, *, agrees: bool) -> list[Fact]:
         Fact("degrees of freedom", str(fit.dof)),
         Fact("readings that do not fit", str(len(content.outliers)), "bad" if content.outliers else "plain"),
     ]
-    if content.correction is not None:
+    if content.correction is not None and content.correction.uncorrected_um > 0:
         expected = f"{number(content.correction.corrected_um, 2)} um, sigma"
         facts.append(Fact("expected error of a new point, corrected", expected))
     return facts
@@ -229,10 +229,10 @@ def workshop_of(
         recording.setup if recording is not None else Setup(),
         title=(recording.setup.title if recording is not None else "") or "Calibrated network",
         stations=stations,
-        position=np.array([s.position_mm for s in content.stations], dtype=np.float64) * MILLIMETRE,
+        position=np.array([s.position for s in content.stations]),
         rotation=Rotation.from_quat([s.rotation_quaternion for s in content.stations]).as_matrix(),
         targets=names,
-        points=points,
+        points=np.nan_to_num(points),
         sights=_sights(residuals, stations, names),
         covariance=_covariance(sigma),
     )

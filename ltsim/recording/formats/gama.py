@@ -297,7 +297,7 @@ def _in_plan(network: _Network) -> None:
         network.targets[name]["values"].setdefault("z", 0.0)
         network.targets[name]["held"] = True
     network.notes.append(
-        f'{len(flat)} points are adjusted in plan only (adj="xy"): their heights are held and mean nothing, and '
+        f'{len(flat)} points are adjusted in plan only (adj="xy"): they have no heights, and '
         f"{len(network.observed) - len(kept)} observations that need heights are left out, as Gama does"
     )
     network.observed = kept
@@ -367,6 +367,7 @@ def _target(name: str, network: _Network, together: Merged) -> Target:
         known_axes=fixed or "xyz",
         known_sigma_mm=point.get("sigma", FIXED_MM) if fixed else Target().known_sigma_mm,
         known_covariance_mm2=point.get("covariance") if fixed else None,
+        in_plan=point.get("held", False),
         approximate_mm=None if fixed == "xyz" else _coordinates(point),
         datum=bool(datum),
         datum_axes=datum or "xyz",  # type: ignore[arg-type]

@@ -1,19 +1,4 @@
-"""Incidence-angle error of the reflector: the range depends on how the open face is turned to the beam.
-
-Exact: a table over the signed incidence, -30 to +30 deg in steps of 7.5 deg, as a roundness table and an
-interferometer give it. Off the plane in which the table was taken, even(alpha) + odd(alpha) cos(chi - chi_0). First
-order, for the search: Delta_d = (c1 cos chi + s1 sin chi) sin(alpha) + c2 alpha^2 + (c3 cos 3 chi + s3 sin 3 chi)
-sin^3(alpha), each by its size at 30 deg; the threefold term comes from the three mirrors. A re-aimed reflector faces
-the beam: the value at zero, the same for all, is left.
-
-Size: about 3 um in the middle, up to 13 um at the edge of the negative side, no symmetry; a good reflector 1.3 um.
-Like: beam-offset (linear form, 0.84 / 0), range zero of one station (0.51).
-Separate by: two faces; one station with the reflectors re-aimed; a log of how each reflector was turned.
-Valid: to 30 deg; beyond, the beam is lost. One reflector carried to all nests with its mark held alike.
-Source: Sensors 2021, 21, 7479, doi:10.3390/s21227479, sections 2.2 and 3.1, fig. 9 (size, asymmetry); Sabatke et al.
-2009, Proc. SPIE 7461 (polarisation in a retroreflector and an absolute meter); the terms are a series in alpha and chi.
-Status: the table is met at its own angles; first order validated against the geometry of the sightings.
-"""
+"""Errors of a reflector itself."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -29,9 +14,14 @@ from ltsim.scene.sightings import Sightings
 from ltsim.units import DEGREE, MICROMETRE
 
 TABLE_ANGLES = np.arange(-30.0, 30.1, 7.5) * DEGREE
+
+
 EDGE = 30.0 * DEGREE
+
+
 PAPER_TABLE = tuple(x * MICROMETRE for x in (13.0, 8.6, 4.9, 3.4, 2.9, 3.1, 3.6, 5.8, 8.2))
 """Range error (reading - truth) [m] at `TABLE_ANGLES`: size and asymmetry of the paper's fig. 9."""
+
 
 _SIZE = 5 * MICROMETRE
 
@@ -42,7 +32,23 @@ def _edge_parameter(name: str, meaning: str) -> Parameter:
 
 @dataclass(frozen=True)
 class SmrIncidence(Effect):
-    """Range error of reflectors that are not turned to the station."""
+    """Incidence-angle error of the reflector: the range depends on how the open face is turned to the beam.
+
+    Exact: a table over the signed incidence, -30 to +30 deg in steps of 7.5 deg, as a roundness table and an
+    interferometer give it. Off the plane in which the table was taken, even(alpha) + odd(alpha) cos(chi - chi_0). First
+    order, for the search: Delta_d = (c1 cos chi + s1 sin chi) sin(alpha) + c2 alpha^2 + (c3 cos 3 chi + s3 sin 3 chi)
+    sin^3(alpha), each by its size at 30 deg; the threefold term comes from the three mirrors. A re-aimed reflector
+    faces the beam: the value at zero, the same for all, is left.
+
+    Size: about 3 um in the middle, up to 13 um at the edge of the negative side, no symmetry; a good reflector 1.3 um.
+    Like: beam-offset (linear form, 0.84 / 0), range zero of one station (0.51).
+    Separate by: two faces; one station with the reflectors re-aimed; a log of how each reflector was turned.
+    Valid: to 30 deg; beyond, the beam is lost. One reflector carried to all nests with its mark held alike.
+    Source: Sensors 2021, 21, 7479, doi:10.3390/s21227479, sections 2.2 and 3.1, fig. 9 (size, asymmetry); Sabatke et
+    al. 2009, Proc. SPIE 7461 (polarisation in a retroreflector and an absolute meter); the terms are a series in alpha
+    and chi.
+    Status: the table is met at its own angles; first order validated against the geometry of the sightings.
+    """
 
     table: tuple[float, ...] = ()
     """[m]: range error (reading - truth) at `TABLE_ANGLES`; empty: the first-order form alone."""

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ltsim.effects.smr_incidence import PAPER_TABLE, TABLE_ANGLES
+from experiments.virtual_bench import FULL_TURN, MIDDLE, BenchTest, measure_bench, vertex_table
+from ltsim.effects.reflectors import PAPER_TABLE, TABLE_ANGLES
 from ltsim.errors import SetupError
 from ltsim.evaluation.bench import as_vertex, evaluate_bench
-from ltsim.simulation.bench import FULL_TURN, MIDDLE, BenchTest, measure_bench, vertex_table
 from ltsim.units import MICROMETRE
 
 PAPER = np.array(PAPER_TABLE) - PAPER_TABLE[MIDDLE]

@@ -1,0 +1,148 @@
+"""Tripods that were set up again: a mark on whose second day instrument or target stood beside where they stood before.
+
+All set-ups over a mark, and all targets on it, count as one point. An occupation is what stood there on one day as
+instrument, or as target; a shift of its own joins the adjustment where that explains far more than the noise found
+does, one after the other.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import special
+
+from ltsim.adjustment.adjustment import Adjustment
+from ltsim.arrays import Bools, Floats
+from ltsim.notation import with_sigma
+from ltsim.recording.recording import Recording
+from ltsim.units import MILLIMETRE
+
+DAY_COLUMN = "date"
+DAY = 86_400.0
+LEVEL = 0.001
+"""Chance of one occupation named by noise as large as found."""
+DISAGREES = 0.05
+"""Level of the global test: a network that agrees has no tripod that stood elsewhere."""
+MOST = 6
+SEEN = 1e-3
+"""Share of a shift that must show in the residuals."""
+
+
+@dataclass(frozen=True)
+class Occupation:
+    """What stood over a mark on one day.
+
+    `sign` (n,): +1 for pointings to it, -1 for those from it, which see the contrary shift.
+    """
+
+    mark: str
+    role: str
+    day: str
+    sign: Floats
+
+
+@dataclass(frozen=True)
+class Shifts:
+    """Occupations that stood elsewhere, by their shifts (k, 3) and covariance (k, 3, 3) [m], and the fit with them."""
+
+    found: tuple[Occupation, ...]
+    values: Floats
+    covariance: Floats
+    chi2: float
+    dof: int
+
+    def sentence(self, adjustment: Adjustment) -> str:
+        """Who stood where, and what the network is like without them."""
+        named = []
+        for one, value, covariance in zip(self.found, self.values, self.covariance, strict=True):
+            size = float(np.linalg.norm(value))
+            sigma = float(np.sqrt(value @ covariance @ value)) / size
+            parts = ", ".join(f"{axis} {v / MILLIMETRE:+.1f}" for axis, v in zip("xyz", value, strict=True))
+            told = with_sigma(size / MILLIMETRE, sigma / MILLIMETRE, "mm")
+            named.append(f"{one.mark} as {one.role} on {one.day} by {told} ({parts})")
+        before = f"{adjustment.chi2:.1f}/{adjustment.dof}"
+        return (
+            f"tripods that stood beside where they stood otherwise: {'; '.join(named)}; with places of their own "
+            f"chi2/dof falls from {before} to {self.chi2:.1f}/{self.dof}"
+        )
+
+
+def days_of(recording: Recording) -> tuple[str, ...]:
+    """The day of each pointing as it is written, or counted by the clock; empty where neither tells days apart."""
+    if DAY_COLUMN in recording.labels:
+        return recording.labels[DAY_COLUMN]
+    if not recording.has_clock or np.ptp(recording.time) < DAY:
+        return ()
+    return tuple(f"day {int(day) + 1}" for day in (recording.time - recording.time.min()) // DAY)
+
+
+def occupations(recording: Recording, marks: tuple[str, ...]) -> list[Occupation]:
+    """The occupations of all marks that were occupied on several days; `marks` (S,) under the stations."""
+    days = np.array(days_of(recording))
+    if len(set(days.tolist())) < 2:
+        return []
+    found = []
+    from_mark, to_mark = np.array(marks)[recording.station], np.array(recording.targets)[recording.target]
+    for mark in dict.fromkeys(name for name in marks if name):
+        roles = (("instrument", from_mark == mark, -1.0), ("target", to_mark == mark, 1.0))
+        own = [
+            Occupation(mark, role, day, sign * (rows & (days == day)))
+            for role, rows, sign in roles
+            for day in dict.fromkeys(days[rows].tolist())
+        ]
+        if len({one.day for one in own}) > 1:
+            found += own
+    return found
+
+
+def moved_tripods(adjustment: Adjustment) -> Shifts | None:
+    """The occupations that stood elsewhere; None where none did, or where the readings agree without."""
+    chi2, dof = adjustment.chi2, adjustment.dof
+    if not adjustment.solution.converged or dof < 1 or special.chdtrc(dof, chi2) > DISAGREES:
+        return None
+    some = occupations(adjustment.recording, adjustment.problem.marks.names)
+    left = {i: _left(adjustment, one) for i, one in enumerate(some)}
+    rest = adjustment.projection.project(adjustment.solution.system.residual[:, None])[:, 0]
+    basis, chosen = np.zeros((len(rest), 0)), list[int]()
+    while left and len(chosen) < MOST:
+        drops = {i: _explained(columns, basis, rest) for i, columns in left.items()}
+        best = max(drops, key=lambda i: drops[i][0])
+        drop, added = drops[best]
+        rank = added.shape[1]
+        ratio = (drop / max(rank, 1)) / max((chi2 - drop) / max(dof - rank, 1), 1e-30)
+        if rank < 3 or dof <= rank or not special.fdtrc(rank, dof - rank, ratio) * len(some) < LEVEL:
+            break
+        basis, rest = np.hstack([basis, added]), rest - added @ (added.T @ rest)
+        chi2, dof = chi2 - drop, dof - rank
+        chosen.append(best)
+        del left[best]
+    if not chosen:
+        return None
+    columns = np.hstack([_left(adjustment, some[i]) for i in chosen])
+    whole = np.linalg.pinv(columns.T @ columns)
+    residual = adjustment.projection.project(adjustment.solution.system.residual[:, None])[:, 0]
+    values = (whole @ (columns.T @ residual)).reshape(-1, 3)
+    spread = np.stack([whole[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] for k in range(len(chosen))]) * chi2 / dof
+    return Shifts(tuple(some[i] for i in chosen), values, spread, chi2, dof)
+
+
+def _left(adjustment: Adjustment, one: Occupation) -> Floats:
+    """What the adjustment leaves (m, 3) of a shift of an occupation, whitened."""
+    problem = adjustment.problem
+    rows = np.zeros((len(adjustment.solution.system.residual), 3))
+    design = problem.model.linearised(adjustment.state).by_target * one.sign[:, None, None]
+    used: Bools = problem.use
+    rows[: int(used.sum())] = design[used] / problem.sigma[used][:, None]
+    left = adjustment.projection.project(rows)
+    share = np.linalg.norm(left, axis=0) > SEEN * np.linalg.norm(rows, axis=0)
+    return np.asarray(np.where(share, left, 0.0))
+
+
+def _explained(columns: Floats, basis: Floats, rest: Floats) -> tuple[float, Floats]:
+    """Fall of chi-square by some columns beside a basis, and what they add to it."""
+    own = columns - basis @ (basis.T @ columns)
+    left, size, _ = np.linalg.svd(own, full_matrices=False)
+    added = left[:, size > SEEN * max(float(np.linalg.norm(columns, axis=0).max()), 1e-30)]
+    amount = added.T @ rest
+    return float(amount @ amount), added

@@ -1,0 +1,156 @@
+"""The space that is searched: carriers x drivers x places, and how the prior is shared among them.
+
+A law has the odds of its place, of the kind of its carrier and of its driver, multiplied; each is shared evenly among
+all of its kind that the recording offers, and the whole is normalised to the prior of laws without a card.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ltsim.adjustment.residual_space import ResidualSpace
+from ltsim.arrays import Floats
+from ltsim.diagnosis.panel import Cells, Panel
+from ltsim.diagnosis.prior import AT_TARGETS, KINDS, PLACES, PRIOR
+from ltsim.laws.carriers import Carrier, carrier_designs
+from ltsim.laws.columns import LOW, MODES
+from ltsim.laws.drivers import Driver
+from ltsim.laws.offered import COST, DEPTHS, drivers_of, group_drivers, local_drivers, moves, waves
+from ltsim.laws.places import Place, branches, corners_of, each, together, trackers_of
+
+MOST_PLACES = 400
+"""Set-ups, or targets, up to whose number each is tried on its own."""
+GROUPED = range(12, 101)
+"""Numbers of targets with which groups of them are tried: few make hardly a group, of many there are too many."""
+FINE = 4
+"""Pointings of a set-up for each coefficient of a fine curve; with fewer a coarse one is tried."""
+ROOM = 2
+"""Pointings at a place for each coefficient of a law: half of what they say goes to what is estimated anyhow."""
+AT_A_TIME = ("constant", "sign", "curve", "decay", "memory", "lag")
+"""Kinds of drivers of one instrument, and of one set-up."""
+ONLY = {"product": ("reading",), "room": ("target",)}
+"""Kinds of carriers that alone have such drivers: of others the space would be large and hardly physical."""
+Drivers = Mapping[str, Sequence[Driver]]
+
+
+def panels(space: ResidualSpace) -> list[Panel]:
+    """All panels of a recording; their priors sum to that of laws without a card."""
+    made = _Maker(space)
+    for place, where, drivers in _places(space):
+        made.ask(place, where, drivers)
+    return made.panels()
+
+
+def _places(space: ResidualSpace) -> list[tuple[str, tuple[Place, ...], Drivers]]:
+    """Kinds of places, the places, and the drivers that are tried there."""
+    s = space.sightings
+    everywhere = (Place((), (), np.arange(len(s))),)
+    stations = tuple(Place((name,), (), rows) for name, rows in each(_few(s.station_names), s.station))
+    targets = tuple(Place((), (name,), rows) for name, rows in each(_few(s.target_names), s.target))
+    some = len(s.target_names) in GROUPED
+    groups = tuple(together(s, branches(s) | corners_of(s))) if some else ()
+    stay = float(np.median([len(place.rows) for place in stations] or [0]))
+    general = drivers_of(s)
+    there = general if stay > FINE * MODES else drivers_of(s, LOW)
+    swings = list(waves(s, ("station-time",), among=len(s.station_names)))
+    return [
+        ("everywhere", everywhere, {kind: some for kind, some in general.items() if kind != "clock"}),
+        ("set-up", stations, {kind: there[kind] for kind in AT_A_TIME} | {"wave": swings}),
+        ("instrument", trackers_of(s, space.adjustment.recording.instruments), {k: general[k] for k in AT_A_TIME}),
+        ("target", targets, {"constant": general["constant"], "clock": local_drivers(s)}),
+        ("group", groups, group_drivers(s) if groups else {}),
+    ]
+
+
+def _few(names: tuple[str, ...]) -> tuple[str, ...]:
+    """Names of which each is tried on its own: none where there is one, or too many."""
+    return names if 1 < len(names) <= MOST_PLACES else ()
+
+
+class _Maker:
+    """Panels in the making: laws that are alike but for their place are scored together."""
+
+    def __init__(self, space: ResidualSpace) -> None:
+        self._s = space.sightings
+        self._sigma, self._use = space.sigma, space.use
+        self._known: dict[tuple[str, int], list[tuple[Carrier, Floats]]] = {}
+        self._asked: dict[tuple[tuple[Carrier, ...], tuple[Driver, ...]], list[tuple[tuple[Place, ...], float]]] = {}
+        for carrier, design in carrier_designs(self._s).values():
+            weights = np.where(self._use[:, :, None], design / self._sigma[:, :, None], 0.0)
+            sized = at_noise(carrier, weights)
+            self._known.setdefault((carrier.kind, len(carrier.ways)), []).append((sized, sized.size * weights))
+
+    def ask(self, place: str, places: tuple[Place, ...], offered: Drivers) -> None:
+        """Ask for panels at some places, of carriers and of the drivers that move them."""
+        kinds = AT_TARGETS if place in ("target", "group") else KINDS
+        for (kind, ways), known in self._known.items():
+            carriers = sum(len(some) for (other, _), some in self._known.items() if other == kind)
+            for name, drivers in offered.items():
+                if kind not in kinds or kind not in ONLY.get(name, (kind,)):
+                    continue
+                moved = [d for d in drivers if moves(kind, d, self._s) and (name != "wave" or _swings(kind, d))]
+                weight = PLACES[place] * kinds[kind] * COST ** DEPTHS[name] / carriers
+                self._share(tuple(c for c, _ in known), moved, places, weight, ways)
+
+    def _share(
+        self,
+        carriers: tuple[Carrier, ...],
+        drivers: Sequence[Driver],
+        places: tuple[Place, ...],
+        weight: float,
+        ways: int,
+    ) -> None:
+        """Share a weight for each carrier evenly among drivers and the places that have room for them."""
+        alike: dict[tuple[int, int], list[Driver]] = {}
+        for driver in drivers:
+            alike.setdefault((driver.size, len(driver.spreads)), []).append(driver)
+        fit = {k: tuple(p for p in places if len(p.rows) >= ROOM * k[0] * ways) for k in alike}
+        count = sum(len(some) * scales * len(fit[k, scales]) for (k, scales), some in alike.items())
+        for size, same in alike.items():
+            if fit[size]:
+                self._asked.setdefault((carriers, tuple(same)), []).append((fit[size], weight / count))
+
+    def panels(self) -> list[Panel]:
+        """What was asked for: the same carriers and drivers at all their places in one panel."""
+        weights = {c: w for known in self._known.values() for c, w in known}
+        whole = sum(
+            prior * len(some) * len(carriers) * sum(len(d.spreads) for d in drivers)
+            for (carriers, drivers), wanted in self._asked.items()
+            for some, prior in wanted
+        )
+        cells: dict[tuple[int, ...], Cells] = {}
+        found = []
+        for (carriers, drivers), wanted in self._asked.items():
+            places = tuple(place for some, _ in wanted for place in some)
+            same = tuple(id(place) for place in places)
+            if same not in cells:
+                cells[same] = Cells.of(places, len(self._s))
+            columns = [d.columns(self._s, moving=carriers[0].kind == "target") for d in drivers]
+            share = np.concatenate([np.full(len(some), prior / whole) for some, prior in wanted])
+            found.append(
+                Panel(
+                    carriers,
+                    drivers,
+                    places,
+                    cells[same],
+                    weights=np.stack([weights[c] for c in carriers], axis=2, dtype=np.float32),
+                    columns=np.hstack(columns, dtype=np.float32)[cells[same].order],
+                    log_prior=np.log(PRIOR["law"] * share),
+                )
+            )
+        return found
+
+
+def _swings(kind: str, wave: Driver) -> bool:
+    """Whether a kind of carrier is tried with a wave: a reading in anything, what is built or stands in time."""
+    return kind == "reading" or wave.covariates[0] in ("time", "station-time")
+
+
+def at_noise(carrier: Carrier, weights: Floats) -> Carrier:
+    """The carrier with a plausible size that at least reaches the noise: nobody models what no reading feels."""
+    strength = np.sqrt(np.mean(np.sum(weights**2, axis=1), axis=1))
+    felt = float(np.median(strength[strength > 0])) if (strength > 0).any() else 0.0
+    return replace(carrier, size=max(carrier.size, 1.0 / felt)) if felt > 0 else carrier

@@ -1,0 +1,232 @@
+"""Plan files read: their lists of points, the scenario that they name or the hall that they describe themselves."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Mapping, Sequence
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ltsim.arrays import Floats
+from ltsim.effects import CATALOGUE
+from ltsim.errors import RecordError, SetupError, as_setup_error
+from ltsim.planning.floor import grid_step, ground_of, may_stand, over
+from ltsim.planning.site import FEWEST, Placement
+from ltsim.planning.spec import WALLS, PlanFile, Point
+from ltsim.recording.coordinates import Points, read_points as read_coordinates
+from ltsim.recording.files import comma_number, shown
+from ltsim.recording.settings import checked, read_toml
+from ltsim.scene.visibility import visibility
+from ltsim.simulation.builtin import builtin_names
+from ltsim.simulation.scenario import FORMAT, Scenario, load_scenario, scenario_from
+from ltsim.simulation.sections import Station, Target
+from ltsim.simulation.workshop import obstacles_of, planned, sight_limits
+from ltsim.units import MILLIMETRE
+
+TABLES = ("workshop", "instrument", "smr", "work")
+"""Tables of a scenario that a plan file may hold itself."""
+USUAL_HEIGHT_MM = (1400.0, 1800.0)
+"""Centre of the head on a usual stand."""
+SAME_MM = 0.1
+"""Within which a point of a list is the scenario's target of its name."""
+BEGIN = 4
+"""Stations to begin from, where the plan does not say how many."""
+BUILT_IN = files("ltsim.planning") / "builtin"
+
+
+def plan_names() -> tuple[str, ...]:
+    """Built-in plan files, then scenarios, which are plans with all settings at their defaults."""
+    own = sorted(f.name.removesuffix(".toml") for f in BUILT_IN.iterdir() if f.name.endswith(".toml"))
+    return (*own, *(name for name in builtin_names() if name not in own))
+
+
+def plan_text(name: str) -> str:
+    """The commented file of a built-in plan, to print and edit."""
+    path = BUILT_IN / f"{name}.toml"
+    if not path.is_file():
+        near = _near(name, plan_names())
+        raise SetupError(f"{shown(name)}: there is no built-in plan of this name; did you mean {near}?")
+    return path.read_text(encoding="utf-8")
+
+
+def load_plan(name_or_path: str | Path) -> tuple[PlanFile, Scenario]:
+    """A plan file, a built-in plan, or a scenario taken as a plan; with its scenario (raises SetupError)."""
+    name = str(name_or_path)
+    built = BUILT_IN / f"{name}.toml"
+    path = Path(str(built)) if built.is_file() else Path(name)
+    if not path.is_file():
+        if name in builtin_names():
+            return PlanFile(scenario=name), load_scenario(name)
+        near = _near(name, plan_names())
+        raise SetupError(f"{shown(name)}: there is no such file, and no built-in plan; did you mean {near}?")
+    with as_setup_error():
+        data = read_toml(path, "plan")
+        if data.get("format") == FORMAT:
+            return PlanFile(scenario=name), load_scenario(path)
+        made = checked(data, PlanFile, "plan", path)
+    made = made.model_copy(update=_given(made, path))
+    scenario = _scenario(made, data, path)
+    _check_names(made, scenario, path)
+    _check_counts(made, scenario, path)
+    return made, scenario
+
+
+def _near(name: str, known: Sequence[str]) -> str:
+    """The names that are most like one that does not exist."""
+    return ", ".join(difflib.get_close_matches(name, known, n=3, cutoff=0.4) or known[:8]) or "none is named"
+
+
+def _given(made: PlanFile, path: Path) -> dict[str, Any]:
+    """What the file leaves to others: the points of its list, and defaults that follow from other keys."""
+    points = read_points(path.parent / made.points) if isinstance(made.points, str) else made.points
+    changes: dict[str, Any] = {"points": points}
+    if made.workshop is not None and made.floor.height_mm is None:
+        changes["floor"] = made.floor.model_copy(update={"height_mm": USUAL_HEIGHT_MM})
+    if points and not {"instrument", "targets", "diagnosis"} & made.goal.model_fields_set:
+        changes["goal"] = made.goal.model_copy(update={"instrument": 0.0, "targets": 1.0})
+    return changes
+
+
+def _scenario(made: PlanFile, data: dict[str, Any], path: Path) -> Scenario:
+    """The scenario that a plan file names, or that of its own tables."""
+    points = made.listed
+    own = [name for name in TABLES if name in data]
+    if made.workshop is None and own:
+        raise SetupError(f"{path}: [{own[0]}] goes with a [workshop] of the plan's own; the scenario states its own")
+    if made.workshop is not None:
+        if "scenario" in data:
+            raise SetupError(f"{path}: it should have either scenario or [workshop], not both")
+        return _hall_scenario(made, data, points, path)
+    beside = path.parent / made.scenario
+    return _with_points(load_scenario(beside if beside.is_file() else made.scenario), points, path)
+
+
+def _check_names(made: PlanFile, scenario: Scenario, file: object) -> None:
+    """Names that exist, and new ones that do not."""
+    groups = sorted({point.group for point in made.listed if point.group})
+    obstacles = [obstacle.name for obstacle in scenario.workshop.obstacles if obstacle.name]
+    for key, wanted, names in (
+        ("stations.fixed", made.stations.fixed, list(scenario.stations)),
+        ("reflectors.on", made.reflectors.on, [WALLS, *obstacles]),
+        ("reflectors.keep", made.reflectors.keep, scenario.target_names),
+        ("goal.effects", made.goal.effects, [effect.name for effect in CATALOGUE]),
+        ("reflectors.movable", made.reflectors.movable, [*groups, *(point.name for point in made.listed)]),
+        ("goal.tolerances", [t.group for t in made.goal.tolerances if t.group], groups),
+    ):
+        for name in wanted:
+            if name not in names:
+                near = _near(name, names)
+                raise SetupError(f"{file}: {key} names '{shown(name)}', which does not exist; did you mean {near}?")
+    own = [p.name for p in made.reflectors.places] + [s.name for s in made.reflectors.surfaces]
+    for name in own:
+        if own.count(name) > 1 or name in scenario.target_names:
+            raise SetupError(f"{file}: reflectors has the name '{shown(name)}' twice, or a target has it")
+
+
+def _check_counts(made: PlanFile, scenario: Scenario, file: object) -> None:
+    """Settings that fit together."""
+    if made.goal.tolerances and not made.listed:
+        raise SetupError(f"{file}: goal.tolerances stands without points; give points as a list or a file")
+    given = [f"budget.{key}" for key in ("faces", "repeats") if getattr(made.budget, key) is not None]
+    if given and not made.chooses:
+        raise SetupError(
+            f"{file}: {' and '.join(given)} without budget.hours chooses nothing; give the hours that the work may "
+            "take, or say how it is done as [work] faces and repeats of the scenario"
+        )
+    if made.goal.diagnosis and not made.goal.effects:
+        raise SetupError(f"{file}: goal.diagnosis is weighed, but goal.effects names no effect to look for")
+    count, seen_from = made.stations.count or len(scenario.stations), made.stations.seen_from
+    if isinstance(seen_from, int) and seen_from > count:
+        raise SetupError(f"{file}: stations.seen_from is {seen_from}, but there are {count} stations")
+
+
+def read_points(path: Path) -> tuple[Point, ...]:
+    """The points of a list of coordinates in any dialect, with the keys of a point as further columns; SetupError."""
+    known = list(Point.model_fields)[4:]
+    with as_setup_error():
+        found = read_coordinates(path)
+        for name in found.further:
+            if name not in known:
+                wanted = f"expected name, x, y, z and, optional, {', '.join(known)}"
+                raise RecordError(f"has the column '{shown(name)}' too many; {wanted}", file=path)
+        return tuple(_point(found, i, path) for i in range(len(found.names)))
+
+
+def _point(found: Points, i: int, path: Path) -> Point:
+    where: dict[str, Any] = {"file": path, "row": found.lines[i]}
+
+    def further(column: str, usual: float | None) -> float | None:
+        text = found.further[column][i] if column in found.further else ""
+        if not text:
+            return usual
+        value = comma_number(text, column=column, **where)
+        if not (value > 0 or (value == 0 and column == "weight")):
+            raise RecordError(f"found {value:g}, expected a positive number", column=column, **where)
+        return value
+
+    place = dict(zip(("x_mm", "y_mm", "z_mm"), (found.points[i] / MILLIMETRE).round(9).tolist(), strict=True))
+    missing = next((column for column, value in place.items() if not math.isfinite(value)), None)
+    if missing:
+        raise RecordError("found nothing, expected a number", column=missing, **where)
+    group = found.further["group"][i] if "group" in found.further else ""
+    rest = {"weight": further("weight", 1.0), "tolerance_mm": further("tolerance_mm", None)}
+    return Point.model_validate({"name": found.names[i], "group": group, **place, **rest})
+
+
+def _hall_scenario(made: PlanFile, data: Mapping[str, Any], points: Sequence[Point], file: Path) -> Scenario:
+    """The scenario of the tables of a plan file, as the file gives them, and its points; raises SetupError."""
+    table: dict[str, Any] = {"format": FORMAT, "title": made.title}
+    table |= {name: data[name] for name in TABLES if name in data}
+    table["work"] = {"order": "as-listed", **data.get("work", {})}
+    wide, deep, _ = made.workshop.size_mm if made.workshop else (0.0, 0.0, 0.0)
+    table["stations"] = {"S1": {"position_mm": [wide / 2, deep / 2, USUAL_HEIGHT_MM[0]], "yaw_deg": 0.0}}
+    table["targets"] = {p.name: {"position_mm": [p.x_mm, p.y_mm, p.z_mm]} for p in points}
+    scenario = scenario_from(table, file)
+    count = made.stations.count or BEGIN
+    places = _begin(made, scenario, count)
+    stations = {
+        f"S{i}": Station(position_mm=tuple(np.round(place / MILLIMETRE, 1).tolist()), yaw_deg=0.0)
+        for i, place in enumerate(places, 1)
+    }
+    return scenario.model_copy(update={"stations": stations})
+
+
+def _with_points(scenario: Scenario, points: Sequence[Point], file: object) -> Scenario:
+    """A scenario with further targets; points that are its targets already stay what they are."""
+    for point in points:
+        there = scenario.targets.get(point.name)
+        place = np.array([point.x_mm, point.y_mm, point.z_mm])
+        if there is not None and np.abs(np.array(there.position_mm) - place).max() < SAME_MM:
+            continue
+        if point.name in scenario.target_names:
+            raise SetupError(f"{file}: points has the name '{point.name}', which is a target elsewhere in the scenario")
+    own = scenario.targets
+    added = {p.name: Target(position_mm=(p.x_mm, p.y_mm, p.z_mm)) for p in points if p.name not in own}
+    return scenario.model_copy(update={"targets": {**own, **added}})
+
+
+def _begin(made: PlanFile, scenario: Scenario, count: int) -> Floats:
+    """Places (count, 3) [m] one after the other where they see most of what few others see."""
+    heights = (USUAL_HEIGHT_MM[0] * MILLIMETRE, USUAL_HEIGHT_MM[1] * MILLIMETRE)
+    areas, keep_outs = ground_of(made.floor, scenario.workshop.size_mm, heights)
+    obstacles, points = obstacles_of(scenario), planned(scenario).points
+    grid = np.concatenate([over(area, grid_step(areas, made.search.grid_mm), 1) for area in areas])
+    grid = grid[may_stand(areas, keep_outs, obstacles, grid)]
+    if not len(grid):
+        raise SetupError(
+            "the floor has no place where a tripod may stand; widen it, move obstacles, or give a smaller grid_mm"
+        )
+    seen = visibility(grid, points, sight_limits(scenario, scenario.instrument), obstacles=obstacles).visible
+    useful = seen.sum(axis=1) >= FEWEST
+    if not useful.any():
+        raise SetupError("no place on the floor sees three points; widen the floor, or move obstacles")
+    spacing, none = made.stations.spacing_mm * MILLIMETRE, np.zeros(len(points), dtype=np.int64)
+    placement = Placement(grid[useful], seen[useful], spacing, np.zeros((0, 3)), none)
+    chosen = placement.stations(count, 1)
+    if len(chosen) < count:
+        raise SetupError(f"the floor has no room for {count} tripods {spacing:g} m apart; ask for fewer, or widen it")
+    return placement.position[chosen]

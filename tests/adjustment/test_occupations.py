@@ -1,0 +1,99 @@
+"""Tripods set up again on another day, and points that directions alone place."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ltsim.adjustment import adjust
+from ltsim.adjustment.occupations import moved_tripods
+from ltsim.calibration import adjust_network
+from ltsim.fieldcheck import check
+from ltsim.geometry.polar import to_polar
+from ltsim.randomness import stream
+from ltsim.recording import Recording
+from ltsim.recording.setup import EXACT_LEVEL_ARCSEC, Instrument, Noise, Setup, Station
+
+PILLARS = np.array([[0, 0, 0], [90, 5, 2], [60, 80, -3], [-20, 60, 4], [30, 35, 1]], dtype=np.float64)
+DAYS = ("2026-05-04", "2026-05-05")
+SPIRE = np.array([45.0, 130.0, 25.0])
+
+
+def local_tie(seed: int, shift: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Recording:
+    """Five pillars, each occupied on both days, all others sighted twice; P4's target stands off [mm] on the second."""
+    rng = stream(seed, "local-tie")
+    rows = [
+        (day, pillar, other, repeat)
+        for day in range(2)
+        for pillar in range(5)
+        for repeat in (1, 2)
+        for other in (*range(5), 5)
+        if other != pillar
+    ]
+    day, pillar, other, repeat = np.array(rows).T
+    points = np.vstack([PILLARS, SPIRE])
+    goal = points[other] + ((day == 1) & (other == 3))[:, None] * np.array(shift) * 1e-3
+    readings = to_polar(goal - points[pillar])
+    readings[:, 1] -= rng.uniform(-3, 3, 10)[5 * day + pillar]
+    noise = Noise(distance_mm=0.1, distance_ppm=0.0, azimuth_arcsec=1.0, elevation_arcsec=1.0)
+    names = [f"P{p + 1}" for p in range(5)]
+    over = {"levelled": True, "levelling_sigma_arcsec": EXACT_LEVEL_ARCSEC}
+    recording = Recording(
+        setup=Setup(
+            instrument=Instrument(noise=noise),
+            stations={f"{name}/{d + 1}": Station(over=name, **over) for d in range(2) for name in names},
+        ),
+        stations=tuple(f"{name}/{d + 1}" for d in range(2) for name in names),
+        targets=(*names, "SPIRE"),
+        station=(5 * day + pillar).astype(np.int64),
+        target=other.astype(np.int64),
+        face=np.ones(len(rows), dtype=np.int64),
+        repeat=repeat.astype(np.int64),
+        time=np.arange(float(len(rows))),
+        readings=readings,
+        labels={"date": tuple(DAYS[d] for d in day)},
+        has_clock=False,
+    )
+    noisy = readings + recording.sigma() * rng.standard_normal(readings.shape)
+    noisy[other == 5] *= np.array([np.nan, 1.0, np.nan])
+    return recording.with_readings(noisy)
+
+
+def test_no_tripod_of_a_sound_network_is_named() -> None:
+    assert [moved_tripods(adjust(local_tie(seed))) for seed in range(12)] == [None] * 12
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_tripod_beside_its_mark_on_the_second_day_is_named_with_its_size(seed: int) -> None:
+    found = adjust(local_tie(seed, (1.5, 1.0, 0.0)))
+    moved = moved_tripods(found)
+    assert moved is not None
+    assert [(one.mark, one.role, one.day) for one in moved.found] == [("P4", "target", DAYS[1])]
+    turned = found.state.points[1, :2] / np.linalg.norm(PILLARS[1, :2])
+    across = np.array([-turned[1], turned[0]])
+    east = PILLARS[1, :2] / np.linalg.norm(PILLARS[1, :2])
+    expected = np.array([1.5, 1.0]) @ east * turned + np.array([1.5, 1.0]) @ [-east[1], east[0]] * across
+    spread = 1e3 * np.sqrt(np.diag(moved.covariance[0])[:2])
+    assert np.all(np.abs(1e3 * moved.values[0, :2] - expected) < 4 * spread)
+    assert moved.chi2 < 1.3 * moved.dof
+    assert f"P4 as target on {DAYS[1]} by 1." in found_sentence(found)
+    assert any(item.kind == "mistake" and "P4" in item.targets for item in check(found.recording).items)
+
+
+def found_sentence(found: object) -> str:
+    """The doubts of an adjustment in one text."""
+    from ltsim.adjustment.doubt import doubts
+
+    return " ".join(doubts(found))  # type: ignore[arg-type]
+
+
+def test_a_point_of_directions_alone_has_a_place_in_plan_and_no_height() -> None:
+    calibration = adjust_network(local_tie(1))
+    rows = {row[0]: row[1:] for row in calibration.table("targets").rows}
+    spire = np.array(rows["SPIRE"], dtype=np.float64)
+    turn = np.arctan2(*calibration.points[1, 1::-1]) - np.arctan2(*PILLARS[1, 1::-1])
+    plan = SPIRE[:2] @ [[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]]
+    assert np.all(np.abs(spire[:2] - 1e3 * plan) < 5 * spire[3:5])
+    assert np.isnan(spire[[2, 5]]).all()
+    assert not calibration.lost_targets
+    assert "in plan alone, as no reading tells their height: SPIRE" in calibration.notes

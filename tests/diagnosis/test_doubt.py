@@ -1,0 +1,107 @@
+"""What comes before a law: wrong readings, noise that is not as stated; and a cause that nobody listed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ltsim.adjustment import adjust
+from ltsim.adjustment.residual_space import ResidualSpace
+from ltsim.diagnosis import diagnose
+from ltsim.diagnosis.outside import log_likeness
+from ltsim.diagnosis.stray import stray_readings
+from ltsim.model.construction import misalignment
+from ltsim.randomness import stream
+from tests.diagnosis.test_diagnose import concealing, workshop
+
+
+def changed(recording, row, column, sigmas):
+    """A recording with one reading that is off."""
+    readings = recording.readings.copy()
+    readings[row, column] += sigmas * recording.sigma()[row, column]
+    return recording.with_readings(readings)
+
+
+def space_of(recording):
+    return ResidualSpace.of(adjust(recording, misalignment()))
+
+
+@pytest.mark.parametrize(("row", "column"), [(40, 0), (91, 1), (150, 2)])
+def test_one_wrong_reading_is_left_out_and_told_before_any_law(row, column):
+    recording = changed(workshop(2)[0], row, column, 15.0)
+    space = space_of(recording)
+    use, (found,) = stray_readings(space, space.use)
+    assert list(zip(*np.nonzero(use != space.use), strict=True)) == [(row, column)]
+    assert found.rows == [row]
+    assert found.observables == (("distance", "azimuth", "elevation")[column],)
+    arm = 1.0 if column == 0 else space.sightings.range_[row]
+    assert found.size == pytest.approx(15.0 * recording.sigma()[row, column] * arm, rel=0.25)
+    told = diagnose(recording).findings
+    assert [f.effect for f in told] == ["outlier"]
+
+
+def test_a_target_that_moved_is_no_wrong_reading():
+    """Several readings of it are off, however large each is."""
+    recording, _ = concealing("target-moved", 3, [1e-5, 1e-5, -1e-5], targets=("T07",), time=2500.0)
+    space = space_of(recording)
+    use, found = stray_readings(space, space.use)
+    assert not found
+    np.testing.assert_array_equal(use, space.use)
+
+
+def test_noise_that_is_stated_wrong_is_told_as_that_and_nothing_else():
+    """By a factor of its own in each observable."""
+    recording, _ = workshop(4)
+    for stated in (np.array([0.3, 0.4, 0.5]), np.array([3.0, 2.0, 4.0])):
+        expected = adjust(recording, misalignment()).problem.model.predict(adjust(recording, misalignment()).state)
+        noisy = recording.with_readings(expected + stated * (recording.readings - expected))
+        found = diagnose(noisy).findings
+        assert [f.effect for f in found] == ["noise-level"]
+
+
+def test_noise_that_differs_from_target_to_target_is_one_finding():
+    recording, _ = workshop(5)
+    times = np.exp(stream(5, "poses").normal(0.0, 1.2, len(recording.targets)))[recording.target]
+    more = stream(6, "scatter").standard_normal((len(recording), 3)) * recording.sigma() * times[:, None]
+    found = diagnose(recording.with_readings(recording.readings + more)).findings
+    assert found[0].effect == "unknown"
+    assert found[0].driver == "target"
+    assert len(found) <= 2
+
+
+def test_a_weak_effect_leaves_its_cause_in_doubt_and_a_strong_one_ends_it():
+    recording, _ = workshop(1)
+    space = space_of(recording)
+    rows = int(space.use.sum())
+    redundancy = space.redundancy
+    rng = stream(8, "likeness")
+    law = rng.standard_normal(space.size)
+    law[rows:] = 0.0
+    law /= np.linalg.norm(law)
+    weak, strong = (log_likeness(space, size * law, space.residual, redundancy) for size in (8.0, 400.0))
+    assert -1.0 < weak < 1.0  # as likely as the law itself
+    assert strong < -4.0
+    wrong = space.residual + np.append(1.5 * rng.standard_normal(rows), np.zeros(space.size - rows))
+    assert log_likeness(space, 40.0 * law, wrong, redundancy) > 20.0  # something else is left behind
+
+
+def test_a_name_is_less_certain_than_the_place_that_the_readings_show():
+    recording, _ = concealing("range-cyclic", 3, [1e-6, 1e-6], wavelength=0.31)
+    (finding,) = diagnose(recording).findings
+    assert finding.effect == "range-cyclic"
+    assert 0.7 < finding.evidence.probability < 0.95
+    assert "unknown" in [other.effect for other in finding.equivalents]
+
+
+def test_a_known_length_that_is_wrong_is_told_as_that_and_not_as_physics():
+    recording, _ = workshop(2)
+    first, *others = recording.gauge.distance
+    wrong = first.model_copy(update={"length_mm": first.length_mm + 0.3})
+    gauge = recording.gauge.model_copy(update={"distance": (wrong, *others)})
+    changed_ = recording.replace(setup=recording.setup.model_copy(update={"gauge": gauge}))
+    found = diagnose(changed_)
+    assert found.verdict == "mismatch"
+    assert [f.carrier for f in found.findings] == ["known length"]
+    assert set(found.findings[0].where.targets) == {first.from_, first.to}
+    (size,) = found.findings[0].parameters
+    assert size.value == pytest.approx(0.3, abs=4 * size.sigma + 0.02)
