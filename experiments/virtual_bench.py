@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ltsim.arrays import Floats
-from ltsim.effects.reflectors import PAPER_TABLE, TABLE_ANGLES
+from ltsim.effects.smr_incidence import PAPER_TABLE, TABLE_ANGLES
 from ltsim.errors import SetupError
 from ltsim.evaluation.bench import BenchRecord, along_beam
 from ltsim.randomness import stream

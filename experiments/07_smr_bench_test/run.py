@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from experiments.common import Made, Options, tell, write_figure, write_table
 from experiments.virtual_bench import MIDDLE, BenchTest, measure_bench, vertex_table
 from ltsim.arrays import Floats
-from ltsim.effects.reflectors import TABLE_ANGLES
+from ltsim.effects.smr_incidence import TABLE_ANGLES
 from ltsim.evaluation.bench import BenchResult, as_vertex, evaluate_bench
 from ltsim.pages.style import CYCLE, new_figure, quiet_axis, styled
 from ltsim.randomness import stream

@@ -216,7 +216,7 @@ def bench(file: BenchTable, *, out: Out = None, force: Force = False, terminal: 
 
 def show_bench(terminal: Terminal, found: BenchFile) -> None:
     """The table, what explains it, and the line for a scenario."""
-    from ltsim.effects.reflectors import TABLE_ANGLES
+    from ltsim.effects.smr_incidence import TABLE_ANGLES
     from ltsim.units import DEGREE
 
     off = f"{words(found.eccentricity_forward)} forward, {words(found.eccentricity_side)} to the side"

@@ -302,9 +302,11 @@ def public_options(function: str, wanted: list[str]) -> list[Public]:
     tree = ast.parse((Path(lt.__file__).parent / f"{lt._HOME[function].replace('.', '/')}.py").read_text("utf-8"))
     node = next(n for n in tree.body if isinstance(n, ast.FunctionDef) and n.name == function)
     meanings = dict(_meanings(inspect.cleandoc(ast.get_docstring(node) or "")))
+    named = {ast.unparse(n.targets[0]): n.value for n in tree.body if isinstance(n, ast.Assign)}
     found = []
-    for argument, value in zip(node.args.kwonlyargs, node.args.kw_defaults, strict=True):
+    for argument, stated in zip(node.args.kwonlyargs, node.args.kw_defaults, strict=True):
         name, kind = argument.arg, ast.unparse(argument.annotation or ast.Constant("str"))
+        value = named.get(stated.id) if isinstance(stated, ast.Name) else stated
         if (wanted and name not in wanted) or name in PROGRAMS or not isinstance(value, ast.Constant | ast.Tuple):
             continue
         of, text = meanings[name]

@@ -44,6 +44,7 @@ from ltsim.effects.range_step import RangeStep
 from ltsim.effects.refractivity_drift import RefractivityDrift
 from ltsim.effects.smr_centring import SmrCentring
 from ltsim.effects.smr_dihedral import SmrDihedral
+from ltsim.effects.smr_incidence import SmrIncidence
 from ltsim.effects.smr_offset import SmrOffset
 from ltsim.effects.station_bump import StationBump
 from ltsim.effects.station_levelling import StationLevelling
@@ -106,7 +107,7 @@ GROUPS: dict[str, tuple[type[Effect], ...]] = {
         RangeDrift,
     ),
     "air": (AirGradient, AirLayer, HeatPlume, Turbulence),
-    "reflector": (SmrCentring, SmrDihedral, Window, SmrOffset, NestLift, TargetMoved),
+    "reflector": (SmrCentring, SmrIncidence, SmrDihedral, Window, SmrOffset, NestLift, TargetMoved),
     "time and heat": (IndexDrift, AzimuthDrift, StationSettling, MeshExpansion, GaugeScale, GaugeShape),
     "system and gross": (StationLevelling, TimingLag, StationBump, TargetSwap, Outlier, WrongUnit, FaceConfusion),
     "noise": (NoiseLevel, StationNoise),

@@ -20,7 +20,7 @@ from ltsim.effects.range_drift import RangeDrift
 from ltsim.effects.station_bump import StationBump
 from ltsim.errors import NetworkError
 from ltsim.fieldcheck.faces import Faces
-from ltsim.fieldcheck.items import Family, Item, two_sided
+from ltsim.fieldcheck.items import Family, Item, Kind, two_sided
 from ltsim.fieldcheck.network import NETWORK_TESTS, items_of_network
 from ltsim.fieldcheck.visit import Explained, Visit
 from ltsim.fieldcheck.words import (
@@ -46,6 +46,7 @@ TESTS = 6
 """Tests of one set-up."""
 
 
+Words = Callable[[Recording, Explained, bool], str]
 OWN_DOF = 6.0
 """Degrees of freedom from which a target shows a scatter of its own."""
 
@@ -152,9 +153,8 @@ def _set_up(whole: Recording, station: int, family: Family, mpe: tuple[float, fl
     if faces is not None:
         limit = "noise and guarantee" if mpe is None else "the limit"
         sentence, targets, worst = face_sentence(faces, recording, limit)
-        items.append(
-            Item.of(name, "two-face", not targets, sentence, targets=targets, rows=tuple(rows[worst].tolist()))
-        )
+        pair = tuple(rows[worst].tolist())
+        items.append(Item.of(name, "two-face", not targets, sentence, targets=targets, rows=pair))
     visit = Visit.of(recording, construction)
     if visit.dof < 1:
         return SetUp(name, tuple(items), faces, None, rows)
@@ -174,9 +174,9 @@ def _judged(visit: Visit, construction: Construction, family: Family, rows: Ints
     items = [_of_gross(visit, gross, rows), _of_bump(visit, bump, rows, family)]
     if bump is not None:
         visit = visit.without(bump.design(visit.sightings))
-    drift = _drift(visit, family)
+    drift = _drift(visit, family, "drift", _creep(visit), drift_sentence)
     steady = visit if drift.passed else visit.without(_creep(visit))
-    return [*items, drift, _instrument_drift(steady, family)], visit
+    return [*items, drift, _drift(steady, family, "instrument-drift", _zeros(steady), instrument_sentence)], visit
 
 
 def _own_scatter(visit: Visit, family: Family) -> Floats | None:
@@ -281,20 +281,17 @@ def _creep(visit: Visit) -> Floats:
     return np.asarray(station_design(sightings) * (sightings.station_time / duration)[:, None, None])
 
 
-def _drift(visit: Visit, family: Family) -> Item:
-    explained = visit.explained(_creep(visit))
-    p = family.adjusted(visit.p_value(explained))
-    passed = p >= family.level
-    return Item.of(visit.recording.stations[0], "drift", passed, drift_sentence(visit.recording, explained, passed), p)
-
-
-def _instrument_drift(visit: Visit, family: Family) -> Item:
+def _zeros(visit: Visit) -> Floats:
+    """Change (n, 3, 2) of the readings per second and unit by even drifts of the range zero and the vertical index."""
     laws, sightings = [RangeDrift(law="visit"), IndexDrift(law="visit")], _by_runs(visit)
-    explained = visit.explained(np.concatenate([law.design(sightings) for law in laws], axis=2))
+    return np.concatenate([law.design(sightings) for law in laws], axis=2)
+
+
+def _drift(visit: Visit, family: Family, kind: Kind, design: Floats, words: Words) -> Item:
+    explained = visit.explained(design)
     p = family.adjusted(visit.p_value(explained))
     passed = p >= family.level
-    sentence = instrument_sentence(visit.recording, explained, passed)
-    return Item.of(visit.recording.stations[0], "instrument-drift", passed, sentence, p)
+    return Item.of(visit.recording.stations[0], kind, passed, words(visit.recording, explained, passed), p)
 
 
 def _closure(visit: Visit, family: Family) -> Item:

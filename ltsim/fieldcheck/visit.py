@@ -163,8 +163,8 @@ class Visit:
         own = np.sum(self.by_target**2, axis=2) + np.sum(self.by_instrument**2, axis=2)
         redundancy = np.where(self.weight > 0, 1.0 - own, 0.0).sum(axis=1)
         target, count = self.recording.target, len(self.recording.targets)
-        chi2 = np.bincount(target, np.sum(self.whitened**2, axis=1), count)
-        return chi2, np.bincount(target, redundancy, count)
+        sums = [np.bincount(target, one, count) for one in (np.sum(self.whitened**2, axis=1), redundancy)]
+        return np.asarray(sums[0], dtype=np.float64), np.asarray(sums[1], dtype=np.float64)
 
     def miss(self, row: int) -> float:
         """How far [m] a pointing lands from the mean of the other pointings to its target."""

@@ -8,7 +8,7 @@ from ltsim.arrays import Floats
 from ltsim.effects import BASELINE
 from ltsim.effects.effect import Effect
 from ltsim.effects.noise import white_noise_sigma
-from ltsim.effects.reflectors import SmrIncidence
+from ltsim.effects.smr_incidence import SmrIncidence
 from ltsim.effects.verbs import effect_from as effect_from, shape_of as shape_of
 from ltsim.errors import ModelError, SetupError
 from ltsim.model.construction import Construction, construction, dh, misalignment

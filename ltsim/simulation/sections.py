@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Field, StrictBool, model_validator
 
 from ltsim.effects.noise import PAPER_ANGLE_ARCSEC, PAPER_DISTANCE_UM
-from ltsim.effects.reflectors import PAPER_TABLE, TABLE_ANGLES
+from ltsim.effects.smr_incidence import PAPER_TABLE, TABLE_ANGLES
 from ltsim.recording.setup import (
     Finite,
     LengthUse,

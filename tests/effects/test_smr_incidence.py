@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ltsim.arrays import Floats
-from ltsim.effects.reflectors import EDGE, PAPER_TABLE, TABLE_ANGLES, SmrIncidence
+from ltsim.effects.smr_incidence import EDGE, PAPER_TABLE, TABLE_ANGLES, SmrIncidence
 from ltsim.scene.sightings import Sightings
 from ltsim.units import DEGREE, MICROMETRE
 

@@ -11,7 +11,7 @@ import pytest
 import ltsim as lt
 from experiments.virtual_bench import MIDDLE, BenchTest, measure_bench
 from ltsim.cli.main import run
-from ltsim.effects.reflectors import PAPER_TABLE
+from ltsim.effects.smr_incidence import PAPER_TABLE
 from ltsim.errors import RecordError
 from ltsim.evaluation.schema import BENCH
 from ltsim.units import DEGREE, MICROMETRE

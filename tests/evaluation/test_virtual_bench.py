@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from experiments.virtual_bench import FULL_TURN, MIDDLE, BenchTest, measure_bench, vertex_table
-from ltsim.effects.reflectors import PAPER_TABLE, TABLE_ANGLES
+from ltsim.effects.smr_incidence import PAPER_TABLE, TABLE_ANGLES
 from ltsim.errors import SetupError
 from ltsim.evaluation.bench import as_vertex, evaluate_bench
 from ltsim.units import MICROMETRE

@@ -1,4 +1,4 @@
-"""Errors of a reflector itself."""
+"""Error of the reflector by the direction from which it is seen."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
