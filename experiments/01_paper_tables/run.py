@@ -14,7 +14,7 @@ from ltsim.campaigns.spec import Campaign, Cell, cells_of, load_campaign
 from ltsim.evaluation.clouds import in_first_frame, on_points
 from ltsim.evaluation.criteria import coordinate_differences, distance_differences, pair_distances
 from ltsim.evaluation.verification import coordinate_errors, distance_errors
-from ltsim.pages.figures import Distribution, distributions
+from ltsim.pages.figures.campaign import Distribution, distributions
 from ltsim.simulation.gauge import nominal_points
 from ltsim.units import MICROMETRE
 

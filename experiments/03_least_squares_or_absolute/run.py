@@ -27,7 +27,7 @@ from ltsim.campaigns.truth import Block, Truth
 from ltsim.effects.effect import Effect
 from ltsim.evaluation.clouds import on_points
 from ltsim.model.construction import Construction, misalignment
-from ltsim.pages.figures import Swept, by_factor
+from ltsim.pages.figures.campaign import Swept, by_factor
 from ltsim.randomness import stream
 from ltsim.recording.recording import Recording
 from ltsim.units import MICROMETRE

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from experiments.common import ERROR, NEW_POINTS, Made, Options, beside, campaign, swept, write_figure
-from ltsim.pages.figures import by_factor, by_setting
+from ltsim.pages.figures.campaign import by_factor, by_setting
 
 HERE = Path(__file__).resolve().parent
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pandas as pd
 
 from experiments.common import ERROR, NEW_POINTS, Made, Options, campaign, swept, write_figure
-from ltsim.pages.figures import by_factor
+from ltsim.pages.figures.campaign import by_factor
 
 HERE = Path(__file__).resolve().parent
 AXIS = "true noise over that of the specification"

@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from experiments.common import ERROR, NEW_POINTS, Made, Options, campaign, swept, write_figure
-from ltsim.pages.figures import Swept, by_factor
+from ltsim.pages.figures.campaign import Swept, by_factor
 
 HERE = Path(__file__).resolve().parent
 DRIFTS = (0.0, 0.25, 0.5, 1.0)

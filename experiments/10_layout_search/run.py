@@ -15,7 +15,7 @@ from ltsim.arrays import Floats
 from ltsim.geometry.alignment import align
 from ltsim.model.construction import misalignment
 from ltsim.pages.figures.floor_plan import floor_plan
-from ltsim.pages.planned import from_scenario
+from ltsim.pages.workshop import from_scenario
 from ltsim.planning.files import plan_file, with_layout
 from ltsim.planning.improvement import Predictor
 from ltsim.planning.information import LayoutInformation

@@ -24,7 +24,7 @@ from ltsim.effects import BASELINE
 from ltsim.evaluation.two_face import TwoFace, TwoFaceComparison, compare_two_face, two_face
 from ltsim.geometry.polar import from_polar
 from ltsim.model.construction import Construction, misalignment
-from ltsim.pages.figures.history import history_figure
+from ltsim.pages.figures.parameters import history_figure
 from ltsim.recording import Recording
 from ltsim.recording.setup import Noise
 

@@ -12,8 +12,8 @@ from ltsim.campaigns.calibrators import calibrator_of
 from ltsim.campaigns.cloud_kernels import rigid_fit
 from ltsim.campaigns.spec import Method
 from ltsim.campaigns.truth import truth_of
-from ltsim.pages.figures.reflector_changes import reflector_changes
-from ltsim.pages.planned import from_scenario
+from ltsim.pages.figures.plan import reflector_changes
+from ltsim.pages.workshop import from_scenario
 from ltsim.planning.files import plan_file, planned_scenario
 from ltsim.planning.loading import load_plan
 from ltsim.planning.making import make_plan

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from experiments.common import ERROR, NEW_POINTS, Made, Options, campaign, swept, write_figure, write_table
-from ltsim.pages.figures import by_factor
+from ltsim.pages.figures.campaign import by_factor
 
 HERE = Path(__file__).resolve().parent
 

@@ -11,7 +11,7 @@ from scipy import stats
 from experiments.common import Made, Options, Row, campaign, write_figure, write_table
 from ltsim.arrays import Floats
 from ltsim.campaigns.statistics import NORMAL_95, Checked
-from ltsim.pages.figures import Swept, by_factor
+from ltsim.pages.figures.campaign import Swept, by_factor
 
 HERE = Path(__file__).resolve().parent
 CONSTRUCTIONS = {

@@ -54,33 +54,34 @@ def calibrate(
     Parameters
     ----------
     recording : Recording, str or Path
-    method : str
-        `network` (rigorous adjustment), `distance` or `distance-l1` (the paper's objective over what the readings
-        determine, least squares or least absolute deviations), `equation-9` or `equation-9-l1` (its own minimum).
-    construction : str or Construction, optional
-        `misalignment` (source in the head, 16 parameters), `steering-mirror` (21) or `dh` (the paper's
-        Denavit-Hartenberg chain, 78); by default what the set-up states.
+    method : {`network`, `distance`, `distance-l1`, `equation-9`, `equation-9-l1`}
+        Rigorous network adjustment; the paper's distance objective over what the readings determine, least squares or
+        least absolute deviations (`l1`); or its own minimum, which fits the rest to the noise (`equation-9`).
+    construction : {`misalignment`, `dh`, `steering-mirror`} or Construction, optional
+        Misalignments of a source in the head (16), of a steering mirror (21), or the paper's Denavit-Hartenberg chain
+        (78); by default what the set-up states.
     robust, noise_from_data, datum
         As of `adjust`; with method `network` only.
     parameters : str or sequence of str, optional
-        The only parameters to estimate: their names, or what several begin with (`azimuth-eccentricity`); with
-        ``@NAME`` those of one instrument. The others are held at zero.
+        The only parameters to estimate: their names, or what several begin with (`azimuth-eccentricity`);
+        ``NAME@INSTRUMENT`` is that of one instrument. The others are held at zero.
     without : str or sequence of str
         Parameters to hold at zero.
     hold : mapping of str to float, optional
-        Parameters to hold at a value, in the parameter's unit.
+        Parameters to hold at a value, each in its unit; several can be given.
     prior : Calibration, History, str or Path, optional
-        What earlier calibrations found, with its covariance, as the prior, or `"none"`: nothing is known beforehand,
-        and what is applied is chosen by the readings alone. Method `network` only.
-    harmonics, degree : int, optional
-        Orders of a D-H chain's error functions; 2 by default.
+        What earlier calibrations found, with its covariance, in place of what the set-up knows, or `none`: nothing is
+        known beforehand, and what is applied is chosen by the readings alone. Method `network` only.
+    harmonics : int, optional
+        Order of a D-H chain's joint errors, 0 to 4; default 2.
+    degree : int, optional
+        Degree of a D-H chain's range errors, 0 to 9; default 2.
     box : float, optional
         Bound on every parameter in prior sigmas, with the methods `equation-9` and `equation-9-l1`.
     with_effects : str, Effect or sequence of them
-        Effects to estimate too: objects (`lt.Effect(...)`, or of a class of your own), or in words, `NAME` or
-        `NAME:WHERE,...`, with stations, targets, and constants as `law=visit` in the effect's units. What is not said,
-        the readings choose. Or laws in the words of a diagnosis,
-        `CARRIER ~ DRIVER` or `CARRIER ~ DRIVER:WHERE,...`. Method `network` only.
+        Effects of the catalogue to estimate too, `NAME` or `NAME:WHERE,...`, with stations, targets, and constants as
+        `law=visit` in the effect's units; what is not said, the readings choose. Or laws as a diagnosis tells them,
+        `vertical index ~ time:S3`. Several can be given; from Python as objects too. Method `network` only.
     advise : bool
         Say which further measurements would determine what is not determined.
 

@@ -216,18 +216,24 @@ def recover(
     ----------
     source : Scenario, str or Path
     trials : int
-    method, construction, with_effects
-        Of ltsim's calibrator, as of `calibrate`; the construction is by default the scenario's.
+        How many recordings to simulate.
+    method, with_effects
+        Of ltsim's calibrator, as of `calibrate`.
+    construction : str, optional
+        Of ltsim's calibrator; by default that of the scenario.
     calibrator : callable or str, optional
-        One of your own, checked in place of ltsim's: a function that takes a recording and gives value, sigma (or None)
-        and unit of each parameter by name, or a command ``'CMD {recording} {out}'`` that writes them as JSON. Effects
-        are named ``head-sag:sag``. ltsim's own result of the same recordings stands beside it.
+        One of your own, checked beside ltsim's: a command ``CMD {recording} {out}`` that reads a recording and writes
+        parameters as JSON; in Python also a function that takes a recording and gives value, sigma (or None) and unit
+        of each parameter by name. Effects are named ``head-sag:sag``.
     tolerance : mapping of str to str, optional
-        ``{"beam-tilt": "2 urad"}``: 95 % of the errors lie within it. Only the parameters that it names are checked.
-    errors : str, optional
-        `drawn` from the prior, or as the scenario has them `stated`; default the latter where it states any.
-    seed, jobs : int
-        Trial N is ``lt.simulate(source, seed=seed, trial=N, geometry="per-trial")``; functions run in this process.
+        Within which 95 % of a parameter's errors should lie, as `2 urad` for `beam-tilt`; only such parameters are
+        checked then.
+    errors : {`drawn`, `stated`}, optional
+        Errors drawn from the prior, or as the scenario states them; default stated where it does.
+    seed : int
+        Root of all draws. Trial N is that of `simulate` with this seed and places of its own (`per-trial`).
+    jobs : int
+        Processes to work with; functions run in this one.
     progress : callable
         Told of every trial that is done.
 

@@ -40,7 +40,7 @@ def campaign(
     force : bool
         Begin anew in a folder that holds a campaign; its rows are lost.
     changes : mapping, optional
-        Other values of keys of the file (``{"trials": 200}``) or of the scenario (``{"work.faces": 2}``).
+        Other values of keys of the file, as 200 for `trials`, or of the scenario, as 2 for `work.faces`.
 
     Returns
     -------

@@ -89,7 +89,7 @@ def compare(
     calibrate : bool
         Estimate the instrument's constants in each recording.
     robust : bool
-        Leave out readings that do not belong.
+        Leave out readings that do not belong, each tested again at the end.
     level : float
         Probability that any point is told to have moved when none did.
 

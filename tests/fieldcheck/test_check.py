@@ -25,7 +25,7 @@ from ltsim.fieldcheck.check import best_bump
 from ltsim.fieldcheck.visit import Visit
 from ltsim.fieldcheck.words import plain
 from ltsim.model.construction import misalignment, steering_mirror
-from ltsim.pages.figures.check import check_figure
+from ltsim.pages.figures.points import check_figure
 from ltsim.pages.style import svg
 from ltsim.randomness import stream
 from ltsim.recording import Hints, Recording, read, write

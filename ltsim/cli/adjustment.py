@@ -1,21 +1,33 @@
-"""A calibration, criteria and a recording in words."""
+"""`ltsim adjust`, `calibrate`, `correct`, `evaluate`, `verify`: what a recording says of network and instrument."""
 
 from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Any
 
+import typer
+
+import ltsim as lt
 from ltsim.chances import AGREES, p_is, two_sided
+from ltsim.cli.options import CalibrationFile, FramedReading, OptionalCalibrationFile, Out, Reading, Source
+from ltsim.cli.places import Force, claim, claim_recording
 from ltsim.cli.terminal import Terminal
 from ltsim.notation import aligned, number, with_sigma
+from ltsim.units import ARCSECOND, MICROMETRE
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from ltsim.calibration import Calibration
     from ltsim.calibration.schema import KnownEntry
+    from ltsim.evaluation import Criteria
+    from ltsim.recording import Recording
 
+Corrected = Annotated[Path, typer.Option("--out", metavar="REC2", help="Folder of the corrected recording.")]
+Nominal = Annotated[
+    Path, typer.Option("--nominal", metavar="FILE", help="Points of the targets: target,x_mm,y_mm,z_mm.")
+]
 METHODS = {
     "adjustment": "network adjustment without instrument parameters",
     "network": "network adjustment",
@@ -28,6 +40,177 @@ MOST_SHOWN = 12
 MOST_KNOWN = 12
 CONSPICUOUS = 3.0
 """w from which a level is shown among the known values."""
+
+
+def adjust(
+    source: Source,
+    *,
+    out: Out = None,
+    reading: FramedReading,
+    force: Force = False,
+    terminal: Terminal,
+    **options: Any,
+) -> None:
+    """Adjust the network of a recording without instrument parameters: targets, stations, outliers.
+
+    Writes calibration.json, targets.csv and residuals.csv to --out.
+
+    Example: ltsim adjust my-recording --robust --noise-from-data --out adjusted
+    """
+    claim_results(out, adjusted=True, force=force)
+    recording = reading.open(source, terminal)
+    with terminal.busy("adjusting"):
+        found = lt.adjust(recording, **options)
+    finish(terminal, found, out)
+
+
+def calibrate(
+    source: Source,
+    *,
+    out: Out = None,
+    reading: FramedReading,
+    force: Force = False,
+    terminal: Terminal,
+    **options: Any,
+) -> None:
+    """Find the instrument's parameters from a recording, with uncertainty, and say what it cannot tell.
+
+    Writes calibration.json, targets.csv and residuals.csv to --out.
+
+    Example: ltsim calibrate my-recording --out my-calibration
+    """
+    claim_results(out, adjusted=False, force=force)
+    recording = reading.open(source, terminal)
+    with terminal.busy("calibrating"):
+        found = lt.calibrate(recording, **options)
+    finish(terminal, found, out)
+
+
+def correct(
+    source: Source,
+    calibration: CalibrationFile,
+    out: Corrected,
+    *,
+    reading: FramedReading,
+    force: Force = False,
+    terminal: Terminal,
+) -> None:
+    """Write the recording that an ideal tracker would have made, by a calibration of the instrument.
+
+    Readings stay in the axes of each set-up; with --frame whatever is computed from them later is in those of FILE.
+
+    Example: ltsim correct my-recording --calibration my-calibration --out corrected
+    """
+    import numpy as np
+
+    from ltsim.geometry.polar import wrap
+
+    claim_recording(out, force=force)
+    recording = reading.of(source)
+    terminal.notes(recording.notes)
+    found = calibration_of(terminal, calibration)
+    if not found.names:
+        terminal.notes(["this calibration holds no instrument parameters; nothing changes"])
+    if found.effects:
+        beside = ", ".join(effect.effect for effect in found.effects)
+        terminal.notes([f"estimated beside the calibration and not taken out of the readings: {beside}"])
+    corrected = lt.correct(recording, found, again=force)
+    lt.write(corrected, out)
+    change = corrected.readings - recording.readings
+    change[:, 1:] = wrap(change[:, 1:])
+    largest = np.nanmax(np.abs(change), axis=0, initial=0.0) / [MICROMETRE, ARCSECOND, ARCSECOND]
+    keys = ("distance_um", "azimuth_arcsec", "elevation_arcsec")
+    terminal.answer({"pointings": len(recording), "largest_change": dict(zip(keys, largest.tolist(), strict=True))})
+    terminal.say(
+        f"{len(recording)} pointings corrected by up to {largest[0]:.1f} um in distance, "
+        f"{largest[1]:.2f} arcsec in azimuth, {largest[2]:.2f} arcsec in elevation"
+    )
+    terminal.say(f"written to {out}")
+
+
+def evaluate(
+    source: Source,
+    calibration: OptionalCalibrationFile = None,
+    out: Out = None,
+    *,
+    reading: Reading,
+    force: Force = False,
+    terminal: Terminal,
+) -> None:
+    """How far the stations disagree about distances and coordinates, before and after a calibration.
+
+    Writes criteria.json to --out. Without a calibration there is no "after".
+
+    Example: ltsim evaluate my-recording --calibration my-calibration
+    """
+    from ltsim.calibration.result import gross_rows
+    from ltsim.evaluation.criteria import CriteriaFile
+
+    claim(out, CriteriaFile, force=force)
+    recording = reading.open(source, terminal)
+    gross = gross_rows(recording)
+    if gross.any():
+        rows = ", ".join(str(i + 1) for i in gross.nonzero()[0][:12])
+        terminal.notes([f"{gross.sum()} pointings miss their target by far and are left out (rows {rows})"])
+    found = None if calibration is None else calibration_of(terminal, calibration)
+    show_criteria(terminal, lt.evaluate(recording, found), recording, out)
+
+
+def verify(
+    source: Source,
+    nominal: Nominal,
+    calibration: CalibrationFile,
+    out: Out = None,
+    *,
+    reading: Reading,
+    force: Force = False,
+    terminal: Terminal,
+) -> None:
+    """Apply a calibration to another recording and compare with nominal points, before and after (eq. 13, 14).
+
+    Writes criteria.json to --out.
+
+    Example: ltsim verify laboratory --nominal cmm.csv --calibration my-calibration
+    """
+    from ltsim.evaluation.criteria import CriteriaFile
+
+    claim(out, CriteriaFile, force=force)
+    recording = reading.open(source, terminal)
+    found = calibration_of(terminal, calibration)
+    show_criteria(terminal, lt.verify(recording, nominal, found), recording, out)
+
+
+def claim_results(out: Path | None, *, adjusted: bool, force: bool) -> None:
+    """Make sure that a calibration, or a network `adjusted` without parameters, replaces nothing else."""
+    from ltsim.calibration.schema import RESIDUALS, TARGETS, CalibrationFile
+
+    names = (TARGETS.file, RESIDUALS.file)
+    claim(out, CalibrationFile, names, force=force, own=lambda found: (found.method == "adjustment") == adjusted)
+
+
+def finish(terminal: Terminal, calibration: Calibration, out: Path | None) -> None:
+    """Write, then show."""
+    from ltsim.calibration.files import calibration_file, write_calibration
+
+    content = calibration_file(calibration) if out is None else write_calibration(calibration, out)
+    terminal.answer(content.content())
+    show_calibration(terminal, calibration)
+    terminal.notes(calibration.notes)
+    terminal.written(out)
+
+
+def show_criteria(terminal: Terminal, criteria: Criteria, recording: Recording, out: Path | None) -> None:
+    """Write and print criteria."""
+    from ltsim.evaluation.criteria import CriteriaFile
+    from ltsim.recording.result_file import SourceEntry, write_result
+
+    content = CriteriaFile.model_validate({"recording": SourceEntry.of(recording), **criteria.as_json()})
+    if out is not None:
+        write_result(out, content, {})
+    terminal.answer(content.content())
+    terminal.say(criteria.table().text())
+    if out is not None:
+        terminal.say(f"\nwritten to {out}")
 
 
 def calibration_of(terminal: Terminal, path: Path) -> Calibration:
