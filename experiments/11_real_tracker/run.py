@@ -348,7 +348,6 @@ def diagnoses(out: Path) -> None:
             before, after = content["fit"]["before"], content["fit"]["after"]
             rows.append({"noise": label, "epoch": name, "verdict": content["verdict"],
                          "chi2/dof": f"{before['chi2'] / before['dof']:.2f} to {after['chi2'] / after['dof']:.2f}",
-                         "held out": f"{before['held_out_rms']:.2f} to {after['held_out_rms']:.2f}",
                          "findings": "; ".join(in_words(f) for f in content["findings"])})  # fmt: skip
     show_table(out / "diagnoses.csv", rows)
 
