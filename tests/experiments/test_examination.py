@@ -27,7 +27,7 @@ hall_of, known, law, made, tracker, score, clusters, network = (
     import_module(PLACE + name) for name in ("hall", "known", "law", "make", "tracker", "score", "clusters", "network")
 )
 PLAN = """seed = 5
-laws = ["lengths", "ranges"]
+laws = ["boxes"]
 clean = 1
 catalogued = { 200 = 1 }
 """

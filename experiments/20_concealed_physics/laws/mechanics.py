@@ -1,4 +1,4 @@
-"""Fresh laws about mechanics: bearings, stands, floors, and what stands on them."""
+"""Used laws about mechanics: bearings, stands, floors, and what stands on them."""
 
 from ..law import OUT, UP, Change, Draw, Hall, law, leans, level, moves, np, reads, scatters, shifts, varies
 

@@ -1,4 +1,4 @@
-"""Fresh laws about heat: in the hall, in its floor and roof, in stands and in trackers."""
+"""Used laws about heat: in the hall, in its floor and roof, in stands and in trackers."""
 
 from ..law import OUT, UP, Change, Draw, Hall, law, leans, level, moves, np, reads, shifts, varies
 

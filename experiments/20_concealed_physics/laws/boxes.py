@@ -1,4 +1,4 @@
-"""Fresh laws about boxes: electronics, encoders, supplies and firmware."""
+"""Used laws about boxes: electronics, encoders, supplies and firmware."""
 
 from ..law import Change, Draw, Hall, law, leans, level, np, reads, scatters, varies
 

@@ -1,4 +1,4 @@
-"""Fresh laws about people: how they place balls, walk, write down and file."""
+"""Used laws about people: how they place balls, walk, write down and file."""
 
 from ..law import UP, Change, Draw, Hall, gauge, law, leans, moves, np, reads, scatters
 

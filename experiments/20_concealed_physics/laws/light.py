@@ -1,4 +1,4 @@
-"""Fresh laws about light: beams, detectors, reflectors and the air between them."""
+"""Used laws about light: beams, detectors, reflectors and the air between them."""
 
 from ..law import Change, Draw, Hall, law, moves, np, reads, scatters, varies
 
