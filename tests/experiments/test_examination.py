@@ -84,7 +84,7 @@ def test_a_third_party_makes_answers_and_scores_without_ltsim(root: Path, tmp_pa
 
 def test_a_truth_that_was_changed_is_not_scored(tmp_path: Path) -> None:
     main = import_module(PLACE + "__main__")
-    (tmp_path / "plan.toml").write_text('seed = 5\nlaws = ["lengths"]\nclean = 1\n')
+    (tmp_path / "plan.toml").write_text('seed = 5\nlaws = ["boxes"]\nclean = 1\n')
     made.make(made.read_plan(tmp_path / "plan.toml"), tmp_path)
     (tmp_path / made.TRUTH).write_text((tmp_path / made.TRUTH).read_text().replace("clean", "dirty"))
     with pytest.raises(SystemExit, match="sealed"):
@@ -148,7 +148,11 @@ def test_a_catalogued_cause_does_what_the_catalogue_says(name: str, tmp_path: Pa
 
 @pytest.mark.parametrize(
     ("name", "strength"),
-    [("compressor", 200), ("floor-panel-gives-under-the-crew", 200), ("one-bar-has-been-dropped", 6)],
+    [
+        ("air-typed-in-once-a-set-up", 200),
+        ("person-at-a-near-nest-tips-the-stand", 200),
+        ("bar-was-dropped-after-calibration", 6),
+    ],
 )
 def test_strength_is_what_the_adjustment_is_left_with(name: str, strength: int, tmp_path: Path) -> None:
     """Without noise the law leaves its strength in the chi-square of ltsim's adjustment."""
