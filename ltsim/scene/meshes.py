@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -70,6 +71,19 @@ class Obstacles:
         hit: Bools = votes[:, 0].copy()
         doubtful = np.flatnonzero(np.any(votes != votes[:, :1], axis=1))
         hit[doubtful] = native_hits(self.triangles, origins[doubtful], beam[doubtful], length[doubtful]) > 0
+        return hit
+
+    def blocked_near(self, origins: Floats, ends: Floats, play: float) -> Bools:
+        """(n,): something hides `ends` from an instrument that stands off `origins` by up to `play` [m], all (n, 3) [m].
+
+        Rays start at the corners of a square round that circle, across the sight: an edge of a body is not missed.
+        """
+        sight = ends - origins
+        side, other = perpendicular(sight / np.linalg.norm(sight, axis=1, keepdims=True))
+        hit = np.zeros(len(origins), dtype=bool)
+        for across, up in product((-play, play), repeat=2):
+            left = np.flatnonzero(~hit)
+            hit[left] = self.blocked(origins[left] + across * side[left] + up * other[left], ends[left])
         return hit
 
     def _cast(self, origins: Floats, beam: Floats, length: Floats) -> Bools:
