@@ -97,8 +97,8 @@ def _triangles(path: Path, _changed: int) -> Floats:
         content, suffix = _as_glb(path, content), ".glb"
     if suffix == ".gltf" and (others := re.findall(rb'"uri"\s*:\s*"(?!data:)([^"]*)"', content)):
         raise SetupError(
-            f"{path}: keeps its surfaces in other files ({others[0].decode(errors='replace')}); export it as .glb, or as "
-            ".gltf with everything in it"
+            f"{path}: keeps its surfaces in other files ({others[0].decode(errors='replace')}); export it as .glb, or "
+            "as .gltf with everything in it"
         )
     try:
         loaded: Any = trimesh.load(BytesIO(content), file_type=suffix[1:], force="mesh", skip_materials=True)

@@ -74,7 +74,7 @@ class Obstacles:
         return hit
 
     def blocked_near(self, origins: Floats, ends: Floats, play: float) -> Bools:
-        """(n,): something hides `ends` from an instrument that stands off `origins` by up to `play` [m], all (n, 3) [m].
+        """(n,): something hides `ends` (n, 3) [m] from an instrument up to `play` [m] off `origins` (n, 3) [m].
 
         Rays start at the corners of a square round that circle, across the sight: an edge of a body is not missed.
         """
@@ -83,8 +83,19 @@ class Obstacles:
         hit = np.zeros(len(origins), dtype=bool)
         for across, up in product((-play, play), repeat=2):
             left = np.flatnonzero(~hit)
-            hit[left] = self.blocked(origins[left] + across * side[left] + up * other[left], ends[left])
+            start = origins[left] + across * side[left] + up * other[left]
+            hit[left] = self._met(start, ends[left])  # at such a distance single precision is enough
         return hit
+
+    def _met(self, origins: Floats, ends: Floats) -> Bools:
+        """(n,): a triangle lies between, to the precision of the rays in use."""
+        if not len(self.triangles) or not len(origins):
+            return np.zeros(len(origins), dtype=bool)
+        length = np.linalg.norm(ends - origins, axis=1)
+        beam = (ends - origins) / length[:, None]
+        if self._rays is None:
+            return np.asarray(native_hits(self.triangles, origins, beam, length) > 0)
+        return self._cast(origins, beam, length)
 
     def _cast(self, origins: Floats, beam: Floats, length: Floats) -> Bools:
         """First hit of single-precision rays, before the end."""
