@@ -24,7 +24,7 @@ import ltsim as lt
 from experiments.common import Made, Options, Row, spread_out, tell, write_figure, write_table
 from ltsim.diagnosis.schema import Finding
 from ltsim.effects.signature import Tunable
-from ltsim.errors import ModelError
+from ltsim.errors import LtsimError, ModelError
 from ltsim.laws.law import Law
 from ltsim.pages.style import MARKERS, new_figure, styled
 from ltsim.recording import Hints, Recording
@@ -92,7 +92,7 @@ def one(network: Row, kind: str, strength: float, trial: int, seed: int) -> Row:
     start, cause = time.perf_counter(), truth.causes[0].cause
     try:
         told = lt.diagnose(made, held_out=False).findings
-    except (ArithmeticError, ValueError) as error:  # a diagnosis that breaks down has found nothing
+    except (ArithmeticError, ValueError, LtsimError) as error:  # a diagnosis that breaks down has found nothing
         told, row["failed"] = (), f"{type(error).__name__}: {error}"
     fresh = [f for f in told if new(f, before, strength)]
     here = [f for f in fresh if placed(cause, f, recording)]
@@ -142,13 +142,13 @@ def curves(table: list[Row]) -> Figure:
 def table_of(rows: list[Row], strengths: list[float]) -> list[Row]:
     """All networks by strength, then each network and each kind at all strengths."""
     seen, found = [r for r in rows if not r["hidden"]], []
-    for strength in strengths:
+    for strength in (s for s in strengths if any(r["strength"] == s for r in seen)):
         found += rates([r for r in seen if r["strength"] == strength], strength, "all")
     for column in ("file", "kind"):
         for name in dict.fromkeys(r[column] for r in seen):
             for chosen in (100, "all"):
                 some = [r for r in seen if r[column] == name and chosen in ("all", r["strength"])]
-                found += rates(some, chosen, name)
+                found += rates(some, chosen, name) if some else []
     return found
 
 
@@ -157,20 +157,22 @@ def run(given: Options) -> Made:
         sys.exit("skipped: the recordings are not beside the checkout (../shared/recordings)")
     settings, rows, start = tomllib.loads((HERE / "config.toml").read_text(encoding="utf-8")), [], time.perf_counter()
     (given.out / "rows").mkdir(parents=True, exist_ok=True)
-    for trial, network in product(range(given.trials or settings["trials"]), settings["network"]):
-        kept, said = given.out / "rows" / f"{network['site']}-{trial}.json", f"{network['file']}, trial {trial}"
+    batches = product(range(given.trials or settings["trials"]), settings["strengths"], settings["network"])
+    for trial, strength, network in batches:
+        said = f"{network['site']}-{strength}-{trial}"
+        kept = given.out / "rows" / f"{said}.json"
         late = "tables" in given.words or time.perf_counter() - start > 60 * settings["minutes"]
         if not (DATA / network["file"]).exists() or (late and not kept.is_file()):
-            tell(f"{said}: left out, {'the time is over' if late else 'it is not there'}")
+            tell(f"{said}: left out, {'the time is over' if late else network['file'] + ' is not there'}")
             continue
         if not kept.is_file():
-            tasks = product([network], settings["kinds"], settings["strengths"], [trial], [settings["seed"]])
+            tasks = product([network], settings["kinds"], [float(strength)], [trial], [settings["seed"]])
             kept.write_text(json.dumps(spread_out(one, list(tasks), given.jobs)), encoding="utf-8")
         rows += (own := json.loads(kept.read_text(encoding="utf-8")))
         minutes = (time.perf_counter() - start) / 60
         tell(f"{said}: {sum(not row['hidden'] for row in own)} injections, {minutes:.1f} min")
     write_table(given.out / "rows.csv", rows)
-    table = table_of(rows, settings["strengths"])
+    table = table_of(rows, sorted(settings["strengths"]))
     write_table(given.out / "table.csv", table)
     write_figure(given.out / "curves.svg", styled(curves)(table))
     return Made(settings["seed"], given.trials)
