@@ -1,0 +1,178 @@
+"""Causes put into real recordings of others: what share is found, placed and told rightly, and what is told falsely.
+
+    python -m experiments 27 [tables]    # goes on where it was broken off; tables: of what is done, nothing is begun
+
+Reads ../shared/recordings beside the checkout; writes figures found.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+import tomllib
+from functools import cache
+from importlib import import_module
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+import ltsim as lt
+from experiments.common import Made, Options, Row, spread_out, tell, write_figure, write_table
+from ltsim.diagnosis.schema import Finding
+from ltsim.effects.signature import Tunable
+from ltsim.errors import LtsimError, ModelError
+from ltsim.laws.law import Law
+from ltsim.pages.style import MARKERS, new_figure, styled
+from ltsim.recording import Hints, Recording
+
+HERE = Path(__file__).resolve().parent
+DATA = HERE.parents[2] / "shared" / "recordings"
+share = import_module("experiments.20_concealed_physics.clusters").share
+MEASURES = {"found": "found", "placed": "place right", "right": "told rightly"}
+SAME = 0.5
+"""Share of several stations or targets in common from which they are the same place."""
+
+
+@cache
+def background(file: str, clockwise: bool) -> tuple[Recording, tuple[Finding, ...]]:
+    """A recording, and what is told of it as it is."""
+    recording = lt.read(DATA / file, hints=Hints(azimuth="clockwise") if clockwise else None)
+    return recording, tuple(lt.diagnose(recording, held_out=False).findings)
+
+
+def place(one: Any, recording: Recording) -> tuple[set[str], set[str]]:
+    """Stations and targets of a finding or a cause; everything where it is confined to none."""
+    instruments = set(getattr(one, "instruments", ()))
+    own = {s for s, i in zip(recording.station, recording.instrument, strict=True)
+           if recording.instruments[i] in instruments}  # fmt: skip
+    stations = set(one.stations) or {recording.stations[s] for s in own} or set(recording.stations)
+    return stations, set(one.targets) or set(recording.targets)
+
+
+def placed(cause: Tunable, told: Finding, recording: Recording) -> bool:
+    """Stations and targets are those of the cause (several: half in common), and an observable of it is named."""
+    pairs = zip(place(cause, recording), place(told.where, recording), strict=True)
+    alike = all(a == b if len(a) < 2 else len(a & b) >= SAME * len(a | b) for a, b in pairs)
+    acts = set(cause.observables)
+    return alike and (not told.where.observables or not acts or bool(acts & set(told.where.observables)))
+
+
+def named(cause: Tunable, told: Finding) -> bool:
+    """An effect by its name or among the equivalents; a law as unknown, with its carrier or its observables."""
+    if not isinstance(cause, Law):
+        return cause.name in (told.effect, *(e.effect for e in told.equivalents))
+    return not told.known and (told.carrier == cause.carrier.name
+                               or set(told.where.observables) == set(cause.observables))  # fmt: skip
+
+
+def new(told: Finding, before: tuple[Finding, ...], strength: float) -> bool:
+    """Nothing of this name, place and observables was told before, or it grew by half of what was put in."""
+    same = [f for f in before if (f.effect, key(f)) == (told.effect, key(told))]
+    return all(told.evidence.chi2_drop - f.evidence.chi2_drop > strength / 2 for f in same)
+
+
+def key(told: Finding) -> Any:
+    return told.where.model_copy(update={"covariates": ()})
+
+
+def one(network: Row, kind: str, strength: float, trial: int, seed: int) -> Row:
+    """One injection, diagnosed once by the default settings; `hidden` where the network shows no such cause."""
+    recording, before = background(network["file"], network.get("clockwise", False))
+    rng = np.random.default_rng([seed, *map(ord, network["file"] + kind), int(strength), trial])
+    words = kind.format(station=rng.choice(recording.stations), unit="min" if recording.has_clock else "rows")
+    row = {"site": network["site"], "file": network["file"], "kind": kind, "strength": strength, "trial": trial}
+    try:
+        made, truth = lt.inject(recording, words, noncentrality=strength, seed=int(rng.integers(2**31)))
+    except ModelError:
+        return row | {"hidden": True}
+    start, cause = time.perf_counter(), truth.causes[0].cause
+    try:
+        told = lt.diagnose(made, held_out=False).findings
+    except (ArithmeticError, ValueError, LtsimError) as error:  # a diagnosis that breaks down has found nothing
+        told, row["failed"] = (), f"{type(error).__name__}: {error}"
+    fresh = [f for f in told if new(f, before, strength)]
+    here = [f for f in fresh if placed(cause, f, recording)]
+    mine = [f for f in fresh if f in here or named(cause, f)]
+    again = [f for f in fresh if f not in mine and any(f.effect == b.effect or key(f) == key(b) for b in before)]
+    where = " ".join([*cause.stations, *cause.targets])
+    largest = truth.causes[0].largest
+    return row | {
+        "hidden": False, "where": where, "found": bool(mine), "placed": bool(here),
+        "right": any(named(cause, f) for f in here), "new": len(fresh), "injected": len(mine), "retold": len(again),
+        "told": "; ".join(f"{f.effect} {' '.join((*f.where.stations, *f.where.targets))}".strip() for f in fresh),
+        **{name: f"{size:.4g}" for name, size in largest.items()}, "seconds": f"{time.perf_counter() - start:.1f}",
+    }  # fmt: skip
+
+
+def rates(rows: list[Row], strength: float | str, network: str) -> list[Row]:
+    """Completeness by injections and reliability by findings, with 95 % intervals that know the sites."""
+    sites, found = [r["site"] for r in rows], []
+    for name, label in MEASURES.items():
+        found.append({"measure": label} | share([r[name] for r in rows], sites))
+    told = [(r["site"], k < r["injected"]) for r in rows for k in range(r["new"])]
+    found.append({"measure": "reliability"} | share([hit for _, hit in told], [site for site, _ in told]))
+    fresh = [(r["site"], k < r["injected"]) for r in rows for k in range(r["new"] - r["retold"])]
+    found.append({"measure": "reliability, without what was told before in other words"}
+                 | share([hit for _, hit in fresh], [site for site, _ in fresh]))  # fmt: skip
+    rounded = [{k: round(v, 3) if isinstance(v, float) else v for k, v in row.items() if k != "laws"} for row in found]
+    return [{"network": network, "strength": strength, **row} for row in rounded]
+
+
+def curves(table: list[Row]) -> Figure:
+    """Shares over strength, all networks together."""
+    figure = new_figure(3.4)
+    panel = figure.subplots()
+    for label, marker in zip((*MEASURES.values(), "reliability"), MARKERS, strict=False):
+        rows = [r for r in table if (r["network"], r["measure"]) == ("all", label) and r["strength"] != "all"]
+        low, middle, high = (np.array([100 * r[k] for r in rows]) for k in ("low", "share", "high"))
+        shift = 1.0 + 0.03 * MARKERS.index(marker)
+        strengths = [shift * r["strength"] for r in rows]
+        panel.errorbar(strengths, middle, [middle - low, high - middle], marker=marker, capsize=2, label=label)
+    panel.set(xscale="log", xlabel="noncentrality after the adjustment", ylabel="share [%], 95 % intervals")
+    panel.set(ylim=(0, 103), xticks=(ticks := sorted({r["strength"] for r in table} - {"all"})), xticklabels=ticks)
+    panel.minorticks_off()
+    panel.legend(loc="lower right")
+    return figure
+
+
+def table_of(rows: list[Row], strengths: list[float]) -> list[Row]:
+    """All networks by strength, then each network and each kind at all strengths."""
+    seen, found = [r for r in rows if not r["hidden"]], []
+    for strength in (s for s in strengths if any(r["strength"] == s for r in seen)):
+        found += rates([r for r in seen if r["strength"] == strength], strength, "all")
+    for column in ("file", "kind"):
+        for name in dict.fromkeys(r[column] for r in seen):
+            for chosen in (100, "all"):
+                some = [r for r in seen if r[column] == name and chosen in ("all", r["strength"])]
+                found += rates(some, chosen, name) if some else []
+    return found
+
+
+def run(given: Options) -> Made:
+    if not DATA.is_dir():
+        sys.exit("skipped: the recordings are not beside the checkout (../shared/recordings)")
+    settings, rows, start = tomllib.loads((HERE / "config.toml").read_text(encoding="utf-8")), [], time.perf_counter()
+    (given.out / "rows").mkdir(parents=True, exist_ok=True)
+    batches = product(range(given.trials or settings["trials"]), settings["strengths"], settings["network"])
+    for trial, strength, network in batches:
+        said = f"{network['site']}-{strength}-{trial}"
+        kept = given.out / "rows" / f"{said}.json"
+        late = "tables" in given.words or time.perf_counter() - start > 60 * settings["minutes"]
+        if not (DATA / network["file"]).exists() or (late and not kept.is_file()):
+            tell(f"{said}: left out, {'the time is over' if late else network['file'] + ' is not there'}")
+            continue
+        if not kept.is_file():
+            tasks = product([network], settings["kinds"], [float(strength)], [trial], [settings["seed"]])
+            kept.write_text(json.dumps(spread_out(one, list(tasks), given.jobs)), encoding="utf-8")
+        rows += (own := json.loads(kept.read_text(encoding="utf-8")))
+        minutes = (time.perf_counter() - start) / 60
+        tell(f"{said}: {sum(not row['hidden'] for row in own)} injections, {minutes:.1f} min")
+    write_table(given.out / "rows.csv", rows)
+    table = table_of(rows, sorted(settings["strengths"]))
+    write_table(given.out / "table.csv", table)
+    write_figure(given.out / "curves.svg", styled(curves)(table))
+    return Made(settings["seed"], given.trials)
