@@ -131,13 +131,13 @@ def summary(values: Floats, digits: int = 2) -> Row:
 
 
 def write_table(path: Path, rows: Sequence[Row]) -> None:
-    """A CSV table; columns in the order in which they first appear."""
+    """A CSV table, numbers with six digits; columns in the order in which they first appear."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    fields = list(dict.fromkeys(key for row in rows for key in row))
     with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.DictWriter(file, fields, lineterminator="\n")
+        writer = csv.DictWriter(file, list(dict.fromkeys(key for row in rows for key in row)), lineterminator="\n")
         writer.writeheader()
-        writer.writerows(rows)
+        for row in rows:
+            writer.writerow({k: float(f"{v:.6g}") if isinstance(v, float) else v for k, v in row.items()})
 
 
 def write_figure(path: Path, figure: Figure) -> None:

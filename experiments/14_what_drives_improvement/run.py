@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from experiments.common import Made, Options, Row, tell, write_table
-from experiments.sobol import Index, sensitivity
+from experiments.sobol import sensitivity
 from ltsim.effects import find_effect
 from ltsim.effects.effect import Effect
 from ltsim.planning.improvement import Predictor
@@ -28,21 +28,6 @@ def effects_of(names: Sequence[str], stations: Sequence[str]) -> list[Effect]:
         kind = find_effect(name)
         found += [kind(stations=(s,)) for s in stations] if kind.scope == "station" else [kind()]
     return found
-
-
-def index_row(scenario: str, index: Index) -> Row:
-    """One line of the table."""
-    return {
-        "scenario": scenario,
-        "output": index.output,
-        "input": index.input,
-        "first": round(index.first, 4),
-        "first_low": round(index.first_interval[0], 4),
-        "first_high": round(index.first_interval[1], 4),
-        "total": round(index.total, 4),
-        "total_low": round(index.total_interval[0], 4),
-        "total_high": round(index.total_interval[1], 4),
-    }
 
 
 def run(given: Options) -> Made:
@@ -67,14 +52,13 @@ def run(given: Options) -> Made:
             after = getattr(expected, f"{kind}_after") / MICROMETRE
             five, middle, most = np.percentile(gain, [5, 50, 95])
             line: Row = {
-                "scenario": name, "criterion": kind, "improvement_p5": round(five, 1),
-                "improvement_median": round(middle, 1), "improvement_p95": round(most, 1),
-                "after_median_um": round(float(np.median(after)), 2),
+                "scenario": name, "criterion": kind, "improvement_p5": five, "improvement_median": middle,
+                "improvement_p95": most, "after_median_um": np.median(after),
             }  # fmt: skip
             spread.append(line)
             tell(str(line))
         found = sensitivity(predictor, ranges, samples=samples, seed=config["seed"])
-        indices += [index_row(name, index) for index in found]
+        indices += [{"scenario": name} | index._asdict() for index in found]
     write_table(given.out / "indices.csv", indices)
     write_table(given.out / "improvement.csv", spread)
     return Made(config["seed"], samples)
