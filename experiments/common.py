@@ -7,6 +7,7 @@ import json
 import platform
 import subprocess
 import sys
+import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import version
@@ -19,6 +20,8 @@ from matplotlib.figure import Figure
 
 import ltsim as lt
 from ltsim.arrays import Floats
+from ltsim.campaigns import spec
+from ltsim.campaigns.spec import Campaign, Cell, load_campaign
 from ltsim.campaigns.statistics import Results
 from ltsim.pages.figures import Mean, Swept
 from ltsim.pages.style import svg
@@ -33,12 +36,23 @@ ERROR = "new_point_error_calibrated_um"
 
 @dataclass(frozen=True)
 class Options:
-    """How an experiment is run: number of trials, processes, folder of the results, further words of the command."""
+    """How an experiment is run: its folder, number of trials, processes, folder of the results, further words."""
 
+    here: Path
     trials: int | None
     jobs: int
     out: Path
     words: tuple[str, ...] = ()
+
+    @property
+    def config(self) -> dict[str, Any]:
+        """Its `config.toml`."""
+        return tomllib.loads((self.here / "config.toml").read_text(encoding="utf-8"))
+
+    @property
+    def changes(self) -> dict[str, Any]:
+        """What the command changes in a campaign file."""
+        return {} if self.trials is None else {"trials": self.trials}
 
 
 @dataclass(frozen=True)
@@ -67,15 +81,21 @@ def spread_out(work: Any, tasks: Sequence[tuple[Any, ...]], jobs: int) -> list[A
     return list(Parallel(n_jobs=jobs, inner_max_num_threads=1, backend="loky")(delayed(work)(*task) for task in tasks))
 
 
-def campaign(file: Path, given: Options, name: str = "", **changes: Any) -> Results:
+def cells_of(given: Options) -> tuple[Campaign, Sequence[Cell]]:
+    """The campaign of an experiment's `config.toml` with its cells."""
+    file = given.here / "config.toml"
+    found, scenarios = load_campaign(file, given.changes)
+    return found, spec.cells_of(found, scenarios, file)[1]
+
+
+def campaign(file: str, given: Options, name: str = "", **changes: Any) -> Results:
     """Run an experiment's campaign file; its rows are kept as Parquet below the results, and `summary.csv` with them.
 
     `changes` are new values of keys of the file, by dotted key with `__` for a dot; `name` is that of their folder.
     """
-    other = {key.replace("__", "."): value for key, value in changes.items()}
-    other |= {} if given.trials is None else {"trials": given.trials}
-    results = lt.campaign(file, out=given.out / (name or file.stem), jobs=given.jobs, force=True, changes=other)
-    folder = given.out / (name or file.stem)
+    folder = given.out / (name or Path(file).stem)
+    other = {key.replace("__", "."): value for key, value in changes.items()} | given.changes
+    results = lt.campaign(given.here / file, out=folder, jobs=given.jobs, force=True, changes=other)
     tables = [factor.name for factor in results.factors if factor.kind == "table"]  # a title stands for them
     results.to_dataframe().drop(columns=tables).to_csv(folder / "summary.csv", index=False, float_format="%.6g")
     tell(f"{folder.name}: {len(results.levels)} cells, {results.manifest.trials} trials")
@@ -159,15 +179,16 @@ def changes() -> str | None:
     return _git("status", "--porcelain", "--", "ltsim", "experiments", "benchmarks", "pyproject.toml")
 
 
-def write_manifest(here: Path, given: Options, made: Made) -> None:
+def write_manifest(given: Options, made: Made) -> None:
     """``manifest.json``: command, seed, trials, versions, commit, and the experiment's files of settings."""
-    words = [here.name[:2], *given.words, *([] if made.trials is None else ["--trials", str(made.trials)])]
-    settings = {f.name: f.read_text(encoding="utf-8") for f in sorted(here.glob("*.toml"))}
-    own = {"seed": made.seed, "trials": made.trials} | {"settings": settings} | dict(made.more)
+    words = [given.here.name[:2], *given.words, *([] if made.trials is None else ["--trials", str(made.trials)])]
+    settings = {f.name: f.read_text(encoding="utf-8") for f in sorted(given.here.glob("*.toml"))}
+    own = {"seed": made.seed, "trials": made.trials, "settings": settings, **made.more}
     folder = made.folder or given.out
     folder.mkdir(parents=True, exist_ok=True)
     text = json.dumps(manifest(" ".join(["python -m experiments", *words]), **own), indent=1) + "\n"
-    (folder / manifest_name(given.words if made.folder is None else ())).write_text(text, encoding="utf-8")
+    steps = given.words if made.folder is None else ()  # steps of a whole have manifests of their own
+    (folder / f"manifest{'-'.join(['', *steps])}.json").write_text(text, encoding="utf-8")
 
 
 def manifest(command: str, **more: Any) -> dict[str, Any]:
@@ -175,11 +196,6 @@ def manifest(command: str, **more: Any) -> dict[str, Any]:
     versions = {"python": platform.python_version()} | {name: version(name) for name in USED}
     made = {"command": command, "versions": versions, "commit": commit(), "uncommitted_changes": bool(changes())}
     return made | more
-
-
-def manifest_name(words: Sequence[str]) -> str:
-    """Steps of a whole have manifests of their own."""
-    return f"manifest{'-'.join(['', *words])}.json"
 
 
 def commit() -> str | None:

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.common import Made, Options, spread_out, stacked, summary, write_figure, write_table
+from experiments.common import Made, Options, cells_of, spread_out, stacked, summary, write_figure, write_table
 from ltsim.arrays import Floats
 from ltsim.campaigns.rows import Prepared, Work
-from ltsim.campaigns.spec import Campaign, Cell, cells_of, load_campaign
+from ltsim.campaigns.spec import Campaign, Cell
 from ltsim.evaluation.clouds import in_first_frame, on_points
 from ltsim.evaluation.criteria import coordinate_differences, distance_differences, pair_distances
 from ltsim.evaluation.verification import coordinate_errors, distance_errors
@@ -19,14 +19,12 @@ from ltsim.pages.figures import Distribution, distributions
 from ltsim.simulation.gauge import nominal_points
 from ltsim.units import MICROMETRE
 
-HERE = Path(__file__).resolve().parent
-
 DRAWN = {
     "workshop": {"noise_factor": 2.8, "error_factor": 0.7, "prior_factor": 1.0},
     "laboratory": {"noise_factor": 2.8, "error_factor": 2.8, "prior_factor": 1.0},
 }
 """The cells whose distributions are drawn: those whose errors give the table's figures."""
-PAPER: dict[str, dict[str, float]] = tomllib.loads((HERE / "paper.toml").read_text(encoding="utf-8"))
+PAPER: dict[str, dict[str, float]] = tomllib.loads(Path(__file__).with_name("paper.toml").read_text(encoding="utf-8"))
 """Tables 3 and 4 [um, %]."""
 Columns = dict[str, Floats]
 
@@ -133,9 +131,7 @@ def figure_rows(columns: Columns, table: str) -> list[Distribution]:
 
 
 def run(given: Options) -> Made:
-    file = HERE / "config.toml"
-    campaign, scenarios = load_campaign(file, {} if given.trials is None else {"trials": given.trials})
-    cells = cells_of(campaign, scenarios, file)[1]
+    campaign, cells = cells_of(given)
     found = spread_out(figures_of, [(campaign, cell) for cell in cells], given.jobs)
     for table, name in (("workshop", "table_3"), ("laboratory", "table_4")):
         rows = [

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pandas as pd
 
 from experiments.common import ERROR, NEW_POINTS, Made, Options, campaign, swept, write_figure
 from ltsim.pages.figures import by_factor
 
-HERE = Path(__file__).resolve().parent
 AXIS = "stated prior over the true one"
 
 
 def run(given: Options) -> Made:
-    results = campaign(HERE / "config.toml", given)
+    results = campaign("config.toml", given)
     write_figure(
         given.out / "new_points.svg",
         by_factor(swept(results, ERROR, "prior_factor", panel="title"), label=NEW_POINTS, axis=AXIS),

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import tomllib
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
@@ -32,8 +30,6 @@ from ltsim.randomness import stream
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.simulator import simulate
 from ltsim.units import DEGREE, MICROMETRE, MILLIMETRE
-
-HERE = Path(__file__).resolve().parent
 
 BLOCK = 50
 MICRO = 1.0 / MICROMETRE
@@ -207,9 +203,9 @@ def curve_rows(plan: Plan, cone: float) -> list[Row]:
 
 def run(given: Options) -> Made:
     """Search under both readings of the shadow cone, then simulate."""
-    config = tomllib.loads((HERE / "config.toml").read_text(encoding="utf-8"))
+    config = given.config
     trials = given.trials or config["trials"]
-    file, base = load_plan(HERE / "plan.toml")
+    file, base = load_plan(given.here / "plan.toml")
     layouts, lots, curve, stations, checks, summaries, reasons = [], [], [], [], [], [], {}
     for cone in config["cones_deg"]:
         workshop = base.workshop.model_copy(update={"shadow_cone_deg": float(cone)})

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 
@@ -18,8 +16,6 @@ from ltsim.planning.workshop import survey_of
 from ltsim.simulation.scenario import load_scenario
 from ltsim.units import MICROMETRE
 
-HERE = Path(__file__).resolve().parent
-
 
 def effects_of(names: Sequence[str], stations: Sequence[str]) -> list[Effect]:
     """The effects that calibration does not know; one of a single station acts on all, each with its own size."""
@@ -32,7 +28,7 @@ def effects_of(names: Sequence[str], stations: Sequence[str]) -> list[Effect]:
 
 def run(given: Options) -> Made:
     """Predict, then take the predictions apart."""
-    config = tomllib.loads((HERE / "config.toml").read_text(encoding="utf-8"))
+    config = given.config
     samples = given.trials or config["samples"]
     indices: list[Row] = []
     spread: list[Row] = []

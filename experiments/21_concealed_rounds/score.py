@@ -131,8 +131,8 @@ def markdown(sets: dict[str, list[Row]]) -> str:
     """Both tables: what is counted, and each recording."""
     counted = {name: dict(totals(rows)) for name, rows in sets.items()}
     lines = ["| | " + " | ".join(sets) + " |", "|---" * (1 + len(sets)) + "|"]
-    for key in dict.fromkeys(key for column in counted.values() for key in column):
-        lines.append(f"| {key} | " + " | ".join(column.get(key, "–") for column in counted.values()) + " |")
+    keys = dict.fromkeys(key for column in counted.values() for key in column)
+    lines += [f"| {key} | " + " | ".join(column.get(key, "–") for column in counted.values()) + " |" for key in keys]
     lines += ["", "| recording | truth | " + " | ".join(f"{n}: told, targets [um] before, after" for n in sets) + " |"]
     lines.append("|---|---" + "|---" * len(sets) + "|")
     for one in zip(*sets.values(), strict=True):
