@@ -107,13 +107,16 @@ def swept(
 ) -> list[Swept]:
     """A statistic of the cells with the levels `only`, for `by_factor`: along one factor, a line a method.
 
-    Errors of new points have a further line: the floor that the noise of the new readings makes.
+    Errors of new points have a further line: the floor that the noise of the new readings makes, by the method whose
+    parameters can be true.
     """
     floor = column.replace("calibrated", "true_parameters") if column.startswith("new_point_error_cal") else ""
-    wanted, rows, first = dict(only or {}), [], results.manifest.methods[0]
-    for s in [*results.spread(column), *(results.spread(floor) if floor else ())]:
+    wanted, rows = dict(only or {}), []
+    floors = results.spread(floor) if floor else []
+    lowest = [min((s for s in floors if s.cell == cell), key=lambda s: s.mean) for cell in {s.cell: 0 for s in floors}]
+    for s in [*results.spread(column), *lowest]:
         here = results.levels[s.cell] | {"method": s.method}
-        if (s.column == floor and s.method != first) or any(here[name] != own for name, own in wanted.items()):
+        if any(here[name] != own for name, own in wanted.items()):
             continue
         line = "noise floor" if s.column == floor else s.method
         where = _words(panel, here[panel]) if panel else ""

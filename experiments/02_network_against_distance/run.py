@@ -17,7 +17,7 @@ def run(given: Options) -> Made:
         by_factor(swept(results, ERROR, "prior_factor", panel="title"), label=NEW_POINTS, axis=AXIS),
     )
     shown = swept(results, "distance_improvement_percent", "prior_factor", panel="title")
-    label = "improvement of the paper's distance criterion [%]"
+    label = "improvement shown [%]"
     write_figure(given.out / "criterion.svg", by_factor(shown, label=label, axis=AXIS))
     # The same draws by both methods, with one prior: differences are known better than either mean.
     rivals = [name for name in results.manifest.methods if name != "network"]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import cycle
+from textwrap import fill
 from typing import Any
 
 import numpy as np
@@ -71,7 +72,7 @@ def by_elevation(rows: list[Row], distance: float) -> Figure:
     elevation = sorted({row["elevation_deg"] for row in rows})
     for k, (shifts, names) in enumerate(lines.items()):
         style = "-" if k < len(CYCLE) else "--"
-        ax.plot(elevation, shifts, color=CYCLE[k % len(CYCLE)], linestyle=style, label=", ".join(names))
+        ax.plot(elevation, shifts, color=CYCLE[k % len(CYCLE)], linestyle=style, label=fill(", ".join(names), 75))
     ax.set_xlabel("elevation [°]")
     ax.set_ylabel(f"shift by one sigma at {distance:g} m [µm]")
     quiet_axis(ax, grid="both")

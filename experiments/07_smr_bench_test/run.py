@@ -55,15 +55,14 @@ def row_of(results: list[BenchResult], table: Floats) -> dict[str, float]:
 
 
 def panel(name: str, table: Floats, results: list[BenchResult]) -> list[Swept]:
-    """The table put in, and the found ones with and without the probe's correction: mean and middle 90 % of trials."""
-    true = np.tile(table - table[MIDDLE], (2, 1))
+    """How far the found tables are from the one put in, with and without the probe: mean and middle 90 % of trials."""
     lines = {
-        "put in": true,
-        "lengths as recorded": np.array([r.uncorrected for r in results]),
-        "eccentricity taken off": np.array([r.table for r in results]),
+        "lengths as recorded": [r.uncorrected for r in results],
+        "eccentricity taken off": [r.table for r in results],
     }
     rows = []
-    for line, found in lines.items():
+    for line, tables in lines.items():
+        found = np.array(tables) - (table - table[MIDDLE])
         mean, (five, ninety_five) = found.mean(axis=0), np.percentile(found, [5, 95], axis=0)
         half = 1.96 * found.std(axis=0) / np.sqrt(len(found))
         columns = np.array([mean, mean - half, mean + half, five, ninety_five]) / MICROMETRE
@@ -87,6 +86,6 @@ def run(given: Options) -> Made:
                     shown += panel(name, table, results)
         tell(f"{name}: done")
     write_table(given.out / "bench.csv", rows)
-    label = "range error less that at 0° [µm]"
+    label = "table found less table put in [µm]"
     write_figure(given.out / "tables.svg", by_factor(shown, label=label, axis="incidence [°]"))
     return Made(seed, trials)

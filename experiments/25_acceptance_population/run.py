@@ -66,7 +66,7 @@ def run(options: Options) -> Made:
     for low, high in pairwise(EDGES):
         mine = (share >= low) & (share < high)
         count = int(mine.sum())
-        words = f"{low:g} to {high:g}" if np.isfinite(high) else f"over {low:g}"
+        words = f"to {high:g}" if np.isfinite(high) else f"over {low:g}"
         row: dict[str, Any] = {"error_over_limit": words, "instruments": count}
         for name, good in passed.items():
             rate = float(good[mine].mean()) if count else float("nan")
@@ -76,7 +76,7 @@ def run(options: Options) -> Made:
             curves.append(Swept(words, name, "", *ends, ends[0], ends[0]))
         rows.append(row)
     write_table(options.out / "population.csv", rows)
-    axis = "largest point error of the instrument over its limit"
+    axis = "largest point error over its limit, in steps"
     write_figure(options.out / "population.svg", by_factor(curves, label="pass every test [%]", axis=axis))
     bad = share > 1.0
     for name, good in passed.items():
