@@ -35,7 +35,8 @@ from benchmarks.peers import (
 from ltsim.adjustment import adjust
 from ltsim.arrays import Floats
 from ltsim.campaigns.distance import BatchDistance
-from ltsim.campaigns.engine import Bench, Engine, recording_of
+from ltsim.campaigns.engine import Engine, recording_of
+from ltsim.campaigns.judge import Judge
 from ltsim.campaigns.rows import run_task, shard_rows, task_of
 from ltsim.campaigns.spec import Campaign
 from ltsim.campaigns.store import Store
@@ -71,17 +72,17 @@ def difference(engine: Engine, block: Block, trial: int, values: Floats, points:
 def peers(trials: int) -> None:
     """The table of solvers."""
     truth = workshop()
-    engine, bench = Engine(truth, misalignment()), Bench(truth)
+    engine, judge = Engine(truth, misalignment()), Judge(truth)
     block = truth.draw(SEED, 0)
     found = engine.calibrate(block)
-    bench.before(block)
-    bench.after(block, found, engine.construction)
+    judge.before(block)
+    judge.after(block, found, engine.construction)
 
     def everything() -> None:
         drawn = truth.draw(SEED, 1)
         fitted = engine.calibrate(drawn)
-        bench.before(drawn)
-        bench.after(drawn, fitted, engine.construction)
+        judge.before(drawn)
+        judge.after(drawn, fitted, engine.construction)
 
     n, (*_, unknowns) = len(truth.recording), engine.network.sizes
     print(f"The paper's workshop: {3 * n} readings, {unknowns} unknowns with the datum; processor time, one core\n")
@@ -139,13 +140,13 @@ def _row(name: str, each: float, batch: float, agreement: float) -> list[str]:
 def parts() -> None:
     """Where the time of a trial goes."""
     truth = workshop()
-    engine, bench = Engine(truth, misalignment()), Bench(truth)
+    engine, judge = Engine(truth, misalignment()), Judge(truth)
     network, block = engine.network, truth.draw(SEED, 0)
     found = engine.calibrate(block)
     x, predicted = network._linear_start(block.deviation, block.gauge_error)
     gradient, cost = np.empty_like(x), np.empty(BLOCK)
     rng = np.random.default_rng(0)
-    judge, raw = bench.judge, bench.judge.clouds(block.deviation)
+    raw = judge.clouds(block.deviation)
     steps: dict[str, Callable[[], object]] = {
         "draw: normal numbers": lambda: rng.standard_normal(block.deviation.shape),
         "draw: exact readings, two Newton steps": lambda: truth._exact(block.values),
@@ -228,7 +229,7 @@ def trials_against_time(short: bool) -> None:
             tasks = [task_of(campaign, scenario, "", 0, shard) for shard in range(shards)]
             store, start = Store(Path(place) / str(shards)), time.perf_counter()
             done = Parallel(n_jobs=2, return_as="generator")(delayed(run_task)(task) for task in tasks)
-            for task, content in zip(tasks, done, strict=True):
+            for task, content in done:
                 store.write_shard(0, task.shard, content)
             wall = time.perf_counter() - start
             rows.append([str(campaign.trials), f"{wall:.2f}", f"{campaign.trials / wall:.0f}"])

@@ -6,8 +6,7 @@ from itertools import combinations
 
 import numpy as np
 
-from ltsim.campaigns.cell import truth_of
-from ltsim.campaigns.truth import Truth
+from ltsim.campaigns.truth import Truth, truth_of
 from ltsim.geometry.polar import to_face, to_polar
 from ltsim.geometry.rotations import about_z
 from ltsim.model.construction import misalignment

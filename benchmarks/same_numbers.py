@@ -29,7 +29,7 @@ simulate paper-workshop-re-aimed --seed 11 --out aimed --truth aimed.json
 adjust rec --out adjusted
 adjust rec --robust --noise-from-data --out adjusted-robust
 adjust rec --datum T01,T02,T05,T12 --out adjusted-datum
-adjust trackers --out adjusted-trackers --points points.csv
+adjust trackers --out adjusted-trackers
 calibrate rec --out calibrated
 calibrate two --out calibrated-two
 calibrate rec --method distance --out calibrated-distance

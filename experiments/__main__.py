@@ -6,8 +6,6 @@ python -m experiments 11 transfer         some steps of one that has steps
 python -m experiments all                 those of all.toml one after another; goes on where it was broken off
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """What the experiments share: options, campaigns and their figures, tables, manifests."""
 
-from __future__ import annotations
-
 import csv
 import json
 import platform
@@ -23,7 +21,7 @@ from ltsim.arrays import Floats
 from ltsim.campaigns import spec
 from ltsim.campaigns.spec import Campaign, Cell, load_campaign
 from ltsim.campaigns.statistics import Results
-from ltsim.pages.figures import Mean, Swept
+from ltsim.pages.figures.campaign import Swept
 from ltsim.pages.style import svg
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -129,12 +127,12 @@ def _words(name: str, level: Any) -> str:
     return level if isinstance(level, str) else f"{name.replace('_', ' ')} {level:g}"
 
 
-def beside(results: Results, column: str, *settings: str) -> list[Mean]:
+def beside(results: Results, column: str, *settings: str) -> list[Swept]:
     """A statistic of cells that have no order, for `by_setting`: a row a combination of levels of these factors."""
     rows = [[s.panel for s in swept(results, column, "method", panel=name)] for name in settings or ("",)]
     found = swept(results, column, "method", panel=settings[0] if settings else "")
     return [
-        Mean(", ".join(words), s.line, s.mean, s.low, s.high, s.five, s.ninety_five)
+        Swept(", ".join(words), s.line, "", s.mean, s.low, s.high, s.five, s.ninety_five)
         for s, words in zip(found, zip(*rows, strict=True), strict=True)
     ]
 

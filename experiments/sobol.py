@@ -9,8 +9,6 @@ References
 Saltelli et al., Comput. Phys. Commun. 181 (2010) 259-270, the estimator of `scipy.stats.sobol_indices`.
 """
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Mapping
 from typing import NamedTuple

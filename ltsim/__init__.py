@@ -10,21 +10,22 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from ltsim import effects as effects, errors as errors
     from ltsim.acceptance.verbs import accept as accept
+    from ltsim.calibration.correct import correct as correct
+    from ltsim.calibration.network import adjust as adjust
     from ltsim.calibration.verbs import (
-        adjust as adjust,
         calibrate as calibrate,
-        correct as correct,
         evaluate as evaluate,
         history as history,
         verify as verify,
     )
     from ltsim.campaigns.injecting import inject as inject, injection_curve as injection_curve
     from ltsim.campaigns.judging import judge as judge
-    from ltsim.campaigns.recovering import recover as recover, recovery_checks as recovery_checks
+    from ltsim.campaigns.recovery import recover as recover
+    from ltsim.campaigns.recovery_checks import recovery_checks as recovery_checks
     from ltsim.campaigns.verbs import campaign as campaign
     from ltsim.diagnosis.verbs import diagnose as diagnose
     from ltsim.effects.verbs import Effect as Effect, add_effect as add_effect, catalogue as catalogue
-    from ltsim.evaluation.verbs import bench as bench
+    from ltsim.evaluation.bench import bench as bench
     from ltsim.fieldcheck.check import check as check
     from ltsim.files import convert as convert, read as read, write as write
     from ltsim.pages.verbs import report as report, view as view
@@ -41,18 +42,21 @@ if TYPE_CHECKING:
 _ROOMS = {
     "files": ("read", "write", "convert"),
     "simulation.verbs": ("scenario", "simulate"),
-    "calibration.verbs": ("adjust", "calibrate", "correct", "evaluate", "verify", "history"),
+    "calibration.correct": ("correct",),
+    "calibration.network": ("adjust",),
+    "calibration.verbs": ("calibrate", "evaluate", "verify", "history"),
     "diagnosis.verbs": ("diagnose",),
     "campaigns.verbs": ("campaign",),
     "campaigns.judging": ("judge",),
-    "campaigns.recovering": ("recover", "recovery_checks"),
+    "campaigns.recovery": ("recover",),
+    "campaigns.recovery_checks": ("recovery_checks",),
     "campaigns.injecting": ("inject", "injection_curve"),
     "planning.verbs": ("plan", "next_measurement", "without_station"),
     "pages.verbs": ("view", "report"),
     "effects.verbs": ("Effect", "add_effect", "catalogue"),
     "tasks.verbs": ("compare", "uncertainty"),
     "acceptance.verbs": ("accept",),
-    "evaluation.verbs": ("bench",),
+    "evaluation.bench": ("bench",),
     "fieldcheck.check": ("check",),
 }
 """The module that holds each public function."""

@@ -78,7 +78,7 @@ def _read_result(file: Path) -> Any:
     """What a command wrote: a calibration or a truth whole, of others what their file says."""
     from ltsim.calibration import read_calibration
     from ltsim.calibration.schema import CalibrationFile
-    from ltsim.evaluation.schema import BenchFile
+    from ltsim.evaluation.bench import BenchFile
     from ltsim.pages.schemas import RESULTS
     from ltsim.simulation.truth import read_truth
 

@@ -8,6 +8,8 @@ import numpy as np
 
 from ltsim.arrays import Floats
 from ltsim.effects.effect import Effect
+from ltsim.evaluation.clouds import measured_points
+from ltsim.evaluation.share_removed import ShareRemoved, cloud_error
 from ltsim.geometry.rotations import about_z
 from ltsim.model.construction import Construction, misalignment
 from ltsim.model.measurement import MeasurementModel, State
@@ -118,3 +120,11 @@ def with_effect(effect: Effect, values: list[float], *, noise: float = 1.0, seed
     exact = model.predict(replace(truth.state, extra=np.array(values)))
     white = stream(seed, "noise").standard_normal(exact.shape)
     return recording.with_readings(exact + noise * recording.sigma() * white)
+
+
+def share_removed(
+    recording: Recording, points: Floats, construction: Construction, *, calibrated: Floats, true_parameters: Floats
+) -> ShareRemoved:
+    """Errors of what the stations measured against true points (T, 3): raw, calibrated, with the true parameters."""
+    sizes = (None, calibrated, true_parameters)
+    return ShareRemoved(*(cloud_error(recording, measured_points(recording, construction, v), points) for v in sizes))

@@ -5,12 +5,12 @@ from functools import cache
 import numpy as np
 from matplotlib.figure import Figure
 
+import ltsim as lt
 from from_code.keys import markdown
 from from_code.pictures import Pictures
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.arrays import Floats
-from ltsim.calibration import adjust_network
 from ltsim.effects import CATALOGUE, Effect, ShapeParameter, card_of
 from ltsim.pages.style import BLUE, INK, ORANGE, WIDTH, quiet_axis, styled, svg, svg_uri
 from ltsim.scene.sightings import Sightings
@@ -76,7 +76,7 @@ def _text(text: str) -> str:
 def _space() -> ResidualSpace:
     """What poses and targets leave of a signature in the paper's workshop, both faces."""
     recording, _ = simulate(load_scenario(SCENARIO), SEED)
-    adjustment = adjust_network(recording).adjustment
+    adjustment = lt.adjust(recording).adjustment
     assert isinstance(adjustment, Adjustment)
     return ResidualSpace.of(adjustment)
 

@@ -1,7 +1,5 @@
 """Where the paper's figures lie: Table 3 in the simulated workshop, Table 4 in the simulated laboratory."""
 
-from __future__ import annotations
-
 import tomllib
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,7 +13,7 @@ from ltsim.campaigns.spec import Campaign, Cell
 from ltsim.evaluation.clouds import in_first_frame, on_points
 from ltsim.evaluation.criteria import coordinate_differences, distance_differences, pair_distances
 from ltsim.evaluation.verification import coordinate_errors, distance_errors
-from ltsim.pages.figures import Distribution, distributions
+from ltsim.pages.figures.campaign import Distribution, distributions
 from ltsim.simulation.gauge import nominal_points
 from ltsim.units import MICROMETRE
 
@@ -75,9 +73,10 @@ def figures_of(campaign: Campaign, cell: Cell) -> dict[tuple[str, str], Columns]
     """Columns of a cell by table and method: the workshop's criteria, the laboratory's by its measuring machine."""
     ready = Prepared(campaign, cell.scenario, cell.judge)
     parts: dict[tuple[str, str], list[Columns]] = {}
-    for here, block, numbers in ready.blocks(0, campaign.trials):
+    for here, calibrators, block in ready.blocks(0, campaign.trials):
+        numbers = block.trials
         wanted = np.flatnonzero(numbers < campaign.trials)
-        work = Work(campaign, here.bench, block, ready.elsewhere, wanted, wanted[:0])
+        work = Work(campaign, here, block, ready.elsewhere, wanted, wanted[:0])
         assert work.new_points is not None
         assert cell.judge is not None
         there, elsewhere, _ = work.new_points
@@ -85,11 +84,11 @@ def figures_of(campaign: Campaign, cell: Cell) -> dict[tuple[str, str], Columns]
         true = (room.state.points, room.recording.targets, cell.judge.cmm, campaign.seed, "nominal")
         nominal = {i: nominal_points(*true, int(numbers[i])) for i in wanted}
         names = here.truth.recording.stations
-        for method, calibrator in zip(campaign.methods, here.calibrators, strict=True):
+        for method, calibrator in zip(campaign.methods, calibrators, strict=True):
             found = calibrator.calibrate(block, wanted)
-            for table, bench, own in (("workshop", here.bench, block), ("laboratory", there, elsewhere)):
-                raw = bench.judge.clouds(own.deviation)
-                corrected = bench.judge.clouds(own.deviation, calibrator.construction, found.values)
+            for table, judge, own in (("workshop", here, block), ("laboratory", there, elsewhere)):
+                raw = judge.clouds(own.deviation)
+                corrected = judge.clouds(own.deviation, calibrator.construction, found.values)
                 before, after = (
                     [
                         workshop_figures(clouds[..., i], names)

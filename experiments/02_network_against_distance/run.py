@@ -1,11 +1,9 @@
 """The paper's method and the network adjustment on the same trials, judged by what only a simulation knows."""
 
-from __future__ import annotations
-
 import pandas as pd
 
 from experiments.common import ERROR, NEW_POINTS, Made, Options, campaign, swept, write_figure
-from ltsim.pages.figures import by_factor
+from ltsim.pages.figures.campaign import by_factor
 
 AXIS = "stated prior over the true one"
 

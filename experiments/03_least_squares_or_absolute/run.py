@@ -1,7 +1,5 @@
 """Least squares and least absolute deviations of the paper's objective, clean and with outliers."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -27,7 +25,7 @@ from ltsim.campaigns.truth import Block, Truth
 from ltsim.effects.effect import Effect
 from ltsim.evaluation.clouds import on_points
 from ltsim.model.construction import Construction, misalignment
-from ltsim.pages.figures import Swept, by_factor
+from ltsim.pages.figures.campaign import Swept, by_factor
 from ltsim.randomness import stream
 from ltsim.recording.recording import Recording
 from ltsim.units import MICROMETRE
@@ -92,11 +90,11 @@ def errors_of(campaign: Campaign, cell: Cell, percent: float) -> dict[str, dict[
     """Columns by method, with a share of outliers."""
     ready = Prepared(campaign, cell.scenario, cell.judge)
     parts: dict[str, list[dict[str, Floats]]] = {}
-    for here, clean, numbers in ready.blocks(0, campaign.trials):
+    for here, calibrators, clean in ready.blocks(0, campaign.trials):
         block = with_outliers(here.truth, clean, percent, campaign.seed)
-        wanted = np.flatnonzero(numbers < campaign.trials)
-        work = Work(campaign, here.bench, block, ready.elsewhere, wanted, wanted[:0])
-        named = {method.title: own for method, own in zip(campaign.methods, here.calibrators, strict=True)}
+        wanted = np.flatnonzero(block.trials < campaign.trials)
+        work = Work(campaign, here, block, ready.elsewhere, wanted, wanted[:0])
+        named = {method.title: own for method, own in zip(campaign.methods, calibrators, strict=True)}
         for title, calibrator in (named | {"network, outliers removed": WithoutOutliers(here.truth)}).items():
             columns = work.columns(calibrator)
             parts.setdefault(title, []).append({name: own[wanted] for name, own in columns.items()})

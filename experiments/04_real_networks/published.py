@@ -1,7 +1,5 @@
 """What others published about the recordings beside the checkout: GNU Gama's results, the scanner's true parameters."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree.ElementTree import Element

@@ -6,8 +6,6 @@ Reads ../shared/recordings beside the checkout; writes only figures found: rows 
 the file.
 """
 
-from __future__ import annotations
-
 import sys
 import time
 from pathlib import Path
@@ -18,10 +16,9 @@ from scipy.optimize import least_squares
 
 from experiments.common import Made, Options, run_steps, show_table
 from ltsim.adjustment import Adjustment, adjust
-from ltsim.adjustment.precision import ellipsoids
 from ltsim.adjustment.verdict import verdict
 from ltsim.calibration import calibrate_network
-from ltsim.calibration.choice import Choice
+from ltsim.calibration.known import Choice
 from ltsim.effects import BASELINE
 from ltsim.geometry.polar import from_polar
 from ltsim.geometry.rotations import from_rotation_vector
@@ -162,7 +159,7 @@ WAYS: dict[str, dict[str, object]] = {
 def state_of(found: Adjustment) -> dict[str, object]:
     """The figures of an adjustment."""
     recording = found.recording
-    spread = ellipsoids(found.target_covariance).axes[:, 0]
+    spread = np.sqrt(np.linalg.eigvalsh(np.nan_to_num(found.target_covariance))[:, 2])
     return {
         "set_ups": len(recording.stations), "targets": len(recording.targets), "pointings": len(recording),
         "converged": found.solution.converged, "left_out": int(found.rejected.sum()), "dof": found.dof,

@@ -1,9 +1,7 @@
 """Gauges of 0 to 6 reflectors; harmonics up to order 2, 3 and 4 fitted to truths that go beyond the second."""
 
-from __future__ import annotations
-
 from experiments.common import ERROR, NEW_POINTS, Made, Options, beside, campaign, swept, write_figure
-from ltsim.pages.figures import by_factor, by_setting
+from ltsim.pages.figures.campaign import by_factor, by_setting
 
 
 def run(given: Options) -> Made:

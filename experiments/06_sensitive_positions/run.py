@@ -1,7 +1,5 @@
 """Where a unit of each error moves a point the most, and which heights of the reflectors make the best calibration."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import cycle
 from textwrap import fill
@@ -24,7 +22,7 @@ from experiments.common import (
 )
 from ltsim.arrays import Floats
 from ltsim.model.construction import misalignment
-from ltsim.pages.figures import Mean, by_setting
+from ltsim.pages.figures.campaign import Swept, by_setting
 from ltsim.pages.style import CYCLE, new_figure, quiet_axis, styled
 from ltsim.simulation.scenario import Scenario, load_scenario
 from ltsim.units import DEGREE, MICROMETRE
@@ -85,7 +83,7 @@ def run(given: Options) -> Made:
     rows = sensitivity_rows(load_scenario("paper-workshop"))
     write_table(given.out / "sensitivity.csv", rows)
     write_figure(given.out / "sensitivity.svg", by_elevation(rows, RANGE_M))
-    means: list[Mean] = []
+    means: list[Swept] = []
     errors: dict[str, Any] = {}
     for heights in DESIGNS:
         title = ", ".join(f"{height / 1000:g}" for height in heights) + " m"

@@ -1,17 +1,15 @@
 """The reflector on the roundness table: what the probe and the interferometer tell apart, and what 13 um can mean."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
+from ltsim.pages.figures.by_factor import Swept, by_factor
 
 from experiments.common import Made, Options, tell, write_figure, write_table
 from experiments.virtual_bench import MIDDLE, BenchTest, measure_bench, vertex_table
 from ltsim.arrays import Floats
 from ltsim.effects.smr_incidence import TABLE_ANGLES
 from ltsim.evaluation.bench import BenchResult, as_vertex, evaluate_bench
-from ltsim.pages.figures import Swept, by_factor
 from ltsim.randomness import stream
 from ltsim.units import DEGREE, MICROMETRE
 

@@ -1,11 +1,9 @@
 """Noise, faces and reflectors: what each does to a calibration, judged on held-out points."""
 
-from __future__ import annotations
-
 import pandas as pd
 
 from experiments.common import ERROR, NEW_POINTS, Made, Options, campaign, swept, write_figure
-from ltsim.pages.figures import by_factor
+from ltsim.pages.figures.campaign import by_factor
 
 AXIS = "true noise over that of the specification"
 

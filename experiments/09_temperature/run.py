@@ -1,11 +1,9 @@
 """Parameters found at 27 C, applied at 20 C: how much the instrument may change before they stop to help."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from experiments.common import ERROR, NEW_POINTS, Made, Options, campaign, swept, write_figure
-from ltsim.pages.figures import Swept, by_factor
+from ltsim.pages.figures.campaign import Swept, by_factor
 
 DRIFTS = (0.0, 0.25, 0.5, 1.0)
 """Of the prior, 9.7 urad and 14 um, over 7 K: a share of 0.25 is 0.35 urad and 0.5 um per kelvin."""

@@ -1,7 +1,5 @@
 """How much better than the paper's layout can five stations stand, and how few would do? Checked by simulation."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,7 +11,7 @@ from ltsim.arrays import Floats
 from ltsim.evaluation.clouds import on_points
 from ltsim.model.construction import misalignment
 from ltsim.pages.figures.floor_plan import floor_plan
-from ltsim.pages.planned import from_scenario
+from ltsim.pages.workshop import from_scenario
 from ltsim.planning.files import plan_file, with_layout
 from ltsim.planning.improvement import Predictor
 from ltsim.planning.information import LayoutInformation

@@ -1,7 +1,5 @@
 """The epochs of the DESY girder tests as recordings: reading, noise found from them, pairs that do not belong."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import dataclass
 from itertools import combinations

@@ -1,7 +1,5 @@
 """What leaving out terms is worth that held-out targets speak against: on simulated trackers."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from itertools import product
 

@@ -5,8 +5,6 @@
 Reads ../shared/recordings beside the checkout; writes figures found.
 """
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -22,7 +20,7 @@ from ltsim.effects import BASELINE
 from ltsim.evaluation.two_face import TwoFace, TwoFaceComparison, compare_two_face, two_face
 from ltsim.geometry.polar import from_polar
 from ltsim.model.construction import misalignment
-from ltsim.pages.figures.history import history_figure
+from ltsim.pages.figures.parameters import history_figure
 from ltsim.recording import Recording
 from ltsim.recording.setup import Noise
 
@@ -276,7 +274,6 @@ def diagnoses(out: Path) -> None:
             before, after = content["fit"]["before"], content["fit"]["after"]
             rows.append({"noise": label, "epoch": name, "verdict": content["verdict"],
                          "chi2/dof": f"{before['chi2'] / before['dof']:.2f} to {after['chi2'] / after['dof']:.2f}",
-                         "held out": f"{before['held_out_rms']:.2f} to {after['held_out_rms']:.2f}",
                          "findings": "; ".join(in_words(f) for f in content["findings"])})  # fmt: skip
     show_table(out / "diagnoses.csv", rows)
 

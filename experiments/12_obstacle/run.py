@@ -1,11 +1,9 @@
 """A machine on the floor: what it does to sight, information and plan."""
 
-from __future__ import annotations
-
 from experiments.common import Made, Options, Row, tell, write_figure, write_table
 from ltsim.errors import NetworkError
 from ltsim.pages.figures.floor_plan import floor_plan
-from ltsim.pages.planned import from_scenario
+from ltsim.pages.workshop import from_scenario
 from ltsim.planning.files import plan_file, planned_scenario
 from ltsim.planning.information import LayoutInformation
 from ltsim.planning.loading import load_plan

@@ -1,7 +1,5 @@
 """Does the proposed measurement decide a diagnosis that was left open? It is simulated, added, and diagnosed again."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

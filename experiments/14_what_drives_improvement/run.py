@@ -1,7 +1,5 @@
 """Which errors decide how much calibration improves the paper's criteria? Sobol indices."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,17 +1,15 @@
 """Does a hall get better by what its plan says of single reflectors? Every change told, simulated many times."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from experiments.common import Made, Options, Row, batches, spread_out, tell, write_figure, write_table
 from ltsim.arrays import Floats
 from ltsim.campaigns.calibrators import calibrator_of
-from ltsim.campaigns.cell import truth_of
 from ltsim.campaigns.cloud_kernels import rigid_fit
 from ltsim.campaigns.spec import Method
-from ltsim.pages.figures.reflector_changes import reflector_changes
-from ltsim.pages.planned import from_scenario
+from ltsim.campaigns.truth import truth_of
+from ltsim.pages.figures.plan import reflector_changes
+from ltsim.pages.workshop import from_scenario
 from ltsim.planning.files import plan_file, planned_scenario
 from ltsim.planning.loading import load_plan
 from ltsim.planning.making import make_plan

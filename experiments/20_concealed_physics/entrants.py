@@ -1,7 +1,5 @@
 """Who answers: ltsim, what else a user would take, or any program; each is given the folder of a recording alone."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import json

@@ -3,8 +3,6 @@
 What a law may use is listed in RULES.md: time, order, distance, ... of each pointing, and a few things that are drawn.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

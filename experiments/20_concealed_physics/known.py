@@ -4,8 +4,6 @@ A parameter is a correction (truth less reading), so a reading changes by its ne
 target or a station, or an added variance.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import reduce

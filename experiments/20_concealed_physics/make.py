@@ -1,7 +1,5 @@
 """Recordings with something hidden in them, and the truth, sealed apart from them with its sha256."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import tomllib

@@ -1,9 +1,8 @@
 """What a network's least squares leaves of a cause, and how far off its targets come out; linear about the truth."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
@@ -29,7 +28,7 @@ class Network:
     """Orthonormal columns that span the design."""
 
     @classmethod
-    def of(cls, hall: Hall) -> Network:
+    def of(cls, hall: Hall) -> Self:
         """The equations of a hall."""
         design = _design(hall)
         return cls(hall, design, hall.pointings.readings(), np.linalg.qr(design)[0])

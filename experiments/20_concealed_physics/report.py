@@ -3,8 +3,6 @@
 Shares and quantiles have 95 % intervals that know that recordings of one law are alike.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """One answer against the truth of its recording. RULES.md says in words what each function here counts as right."""
 
-from __future__ import annotations
-
 import csv
 import json
 import re

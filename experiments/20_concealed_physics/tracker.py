@@ -16,9 +16,8 @@ face the raw readings are (d, a + pi, pi - e), and the signs of the faces follow
 Source: Muralikrishnan et al. 2009, J. Res. NIST 114, 21-35 (which errors); Loser and Kyle 1998 (beam and axes).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -106,7 +105,7 @@ class Change:
     lengths: Array | None = None
     """(g,) Added to the known lengths [m] that the certificate states."""
 
-    def scaled(self, factor: float) -> Change:
+    def scaled(self, factor: float) -> Self:
         """The same at another size."""
         return replace(self, **{name: factor * part for name, part in self.parts.items()})
 
@@ -115,10 +114,10 @@ class Change:
         """What it has, by name."""
         return {name: part for name, part in vars(self).items() if part is not None}
 
-    def __add__(self, other: Change) -> Change:
+    def __add__(self, other: Self) -> Self:
         """Both."""
         names = self.parts.keys() | other.parts.keys()
-        return Change(**{n: self.parts.get(n, 0.0) + other.parts.get(n, 0.0) for n in sorted(names)})
+        return type(self)(**{n: self.parts.get(n, 0.0) + other.parts.get(n, 0.0) for n in sorted(names)})
 
 
 NOTHING = Change()

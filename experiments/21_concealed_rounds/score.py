@@ -1,7 +1,5 @@
 """Diagnoses of concealed recordings against the truth, once that is open."""
 
-from __future__ import annotations
-
 import json
 from collections import Counter
 from collections.abc import Sequence

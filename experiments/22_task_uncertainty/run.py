@@ -1,16 +1,13 @@
 """Is the uncertainty of a task what it is said to be? Predicted against the spread of simulated measurements."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
 
 from experiments.common import Made, Options, batches, spread_out, tell, write_table
 from ltsim.arrays import Floats
-from ltsim.campaigns.cell import truth_of
 from ltsim.campaigns.engine import Engine
-from ltsim.campaigns.truth import BLOCK, Truth
+from ltsim.campaigns.truth import BLOCK, Truth, truth_of
 from ltsim.model.construction import misalignment
 from ltsim.simulation.scenario import Scenario, load_scenario
 from ltsim.simulation.sections import EffectEntry

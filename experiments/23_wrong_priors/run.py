@@ -1,9 +1,7 @@
 """What calibration makes of new points when the stated prior is wrong by a factor of 0.1 to 1000."""
 
-from __future__ import annotations
-
 from experiments.common import ERROR, NEW_POINTS, Made, Options, campaign, swept, write_figure, write_table
-from ltsim.pages.figures import by_factor
+from ltsim.pages.figures.campaign import by_factor
 
 
 def run(given: Options) -> Made:

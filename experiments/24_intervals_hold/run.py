@@ -1,7 +1,5 @@
 """Whether 95 % intervals hold, for every construction, order of harmonics and number of instruments."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -10,7 +8,7 @@ from scipy import stats
 from experiments.common import Made, Options, Row, campaign, write_figure, write_table
 from ltsim.arrays import Floats
 from ltsim.campaigns.statistics import NORMAL_95, Checked
-from ltsim.pages.figures import Swept, by_factor
+from ltsim.pages.figures.campaign import Swept, by_factor
 
 CONSTRUCTIONS = {
     "source in head": {"construction": "misalignment"},

@@ -1,11 +1,10 @@
 """Whom do the acceptance tests let pass? A population of trackers, good and bad, against the errors of their points."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from ltsim.pages.figures.by_factor import Swept, by_factor
 
 from experiments.common import Made, Options, tell, write_figure, write_table
 from ltsim.acceptance.prediction import Plan, harm_of
@@ -13,7 +12,6 @@ from ltsim.acceptance.tests import Standard, builtin, envelope
 from ltsim.arrays import Bools, Floats
 from ltsim.geometry.polar import to_polar
 from ltsim.model.construction import misalignment
-from ltsim.pages.figures import Swept, by_factor
 from ltsim.randomness import stream
 from ltsim.recording.specification import sheet
 

@@ -6,16 +6,9 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import ClassVar, Literal
 
-import numpy as np
-
-from ltsim.acceptance.judged import Found
-from ltsim.acceptance.prediction import Plan, Prediction, Worst
-from ltsim.arrays import Floats
-from ltsim.recording.recording import Recording
-from ltsim.recording.result_file import Entry, Finite, Known, ResultFile, SourceEntry, write_result
+from ltsim.recording.result_file import Entry, Finite, Known, ResultFile, write_result
 from ltsim.recording.specification import Specification
 from ltsim.results import Result, Table, columns_of
-from ltsim.units import MICROMETRE
 
 
 class TestEntry(Entry):
@@ -131,120 +124,20 @@ class AcceptanceFile(ResultFile, Result):
         return {"tests": lambda: TESTS.filled(self.tests), "groups": lambda: GROUPS.filled(self.groups)}
 
 
-def predicted(
-    plan: Plan, found: Prediction, worst: Worst, prior: Floats, *, title: str, name: str, of: str
-) -> AcceptanceFile:
-    """What tests will find, for the instrument that `of` names."""
-    size = np.hypot(found.errors[:, 0], found.errors[:, 1])
-    signed = np.where(plan.is_length, found.errors[:, 0], size)
-    expanded = 2 * np.sqrt(np.sum(found.sigma**2, axis=1))
-    tests = tuple(
-        TestEntry(name=t.name, group=t.group, limit_um=limit, error_um=e, expanded_um=u, passes=float(p))
-        for t, limit, e, u, p in zip(
-            plan.tests,
-            *(np.asarray(x) / MICROMETRE for x in (plan.limits, signed, expanded)),
-            found.passes,
-            strict=True,
-        )
-    )
-    smallest, first = plan.smallest_failing()
-    parameters = plan.construction.parameters
-    sensitivities = tuple(
-        SensitivityEntry(
-            name=p.name,
-            unit=p.unit,
-            prior_sigma=float(prior[k] / p.factor),
-            smallest_failing=float(smallest[k] / p.factor),
-            test=first[k].name if np.isfinite(smallest[k]) else "",
-        )
-        for k, p in enumerate(parameters)
-    )
-    chance = f"{100 * found.all_pass:.1f} %" if found.all_pass < 0.9995 else "more than 99.9 %"
-    weakest = min(zip(found.passes, plan.tests, strict=True), key=lambda pair: pair[0])
-    sentence = f"{of} passes all {len(tests)} tests with a chance of {chance}"
-    if weakest[0] < 0.9995:
-        sentence += f"; the hardest is {weakest[1].name} ({100 * weakest[0]:.1f} %)"
-    return AcceptanceFile(
-        title=title,
-        kind="predicted",
-        plan=name,
-        specification=plan.specification,
-        assumption=plan.specification.assumption,
-        passes=found.all_pass,
-        sentence=sentence,
-        groups=_groups(tests, found.group_passes, predicted=True),
-        tests=tests,
-        sensitivities=sensitivities,
-        worst_passing=WorstEntry(
-            constants={p.name: float(v / p.factor) for p, v in zip(parameters, worst.values, strict=True)},
-            rms_um=worst.rms / MICROMETRE,
-            largest_um=worst.largest / MICROMETRE,
-        ),
-    )
+def group_entries(
+    tests: Sequence[TestEntry], passes: Mapping[str, float], *, predicted: bool
+) -> tuple[GroupEntry, ...]:
+    """The tests by group; of a prediction the uncertainty of an error counts with it."""
 
+    def share(test: TestEntry) -> float:
+        margin = (test.expanded_um or 0.0) if predicted else 0.0
+        return (abs(test.error_um) + margin) / test.limit_um
 
-def judged(
-    errors: Sequence[Found],
-    specification: Specification,
-    *,
-    title: str,
-    name: str,
-    left: int = 0,
-    recording: Recording | None = None,
-) -> AcceptanceFile:
-    """Errors that were found, against their limits; `left` tests of the plan have none."""
-    tests = tuple(
-        TestEntry(
-            name=e.name,
-            group=e.group,
-            limit_um=e.limit / MICROMETRE,
-            error_um=e.error / MICROMETRE,
-            expanded_um=e.expanded / MICROMETRE,
-            passes=float(e.passed),
-        )
-        for e in errors
-    )
-    groups = {t.group: float(all(o.passes for o in tests if o.group == t.group)) for t in tests}
-    failed = sorted((e for e in errors if not e.passed), key=lambda e: e.limit / max(abs(e.error), 1e-12))
-    blunt = sum(not e.sharp for e in errors)
-    if failed:
-        w = failed[0]
-        sentence = (
-            f"{len(failed)} of {len(errors)} errors are over their limits; the worst is {w.name}: "
-            f"{w.error / MICROMETRE:.1f} um where {w.limit / MICROMETRE:.1f} um are permitted"
-        )
-    else:
-        sentence = f"all {len(errors)} errors are within their limits"
-    if left:
-        sentence += f"; {left} tests of the plan were not measured"
-    if blunt:
-        sentence += (
-            f"; for {blunt} the uncertainty is more than a quarter of the limit, too much to judge by them alone"
-        )
-    content = AcceptanceFile(
-        title=title,
-        kind="measured" if recording is None else "network",
-        plan=name,
-        specification=specification,
-        passes=float(not failed and not left),
-        sentence=sentence,
-        groups=_groups(tests, groups, predicted=False),
-        tests=tests,
-    )
-    return content if recording is None else content.model_copy(update={"recording": SourceEntry.of(recording)})
-
-
-def _groups(tests: Sequence[TestEntry], passes: dict[str, float], *, predicted: bool) -> tuple[GroupEntry, ...]:
-    shares = {name: [_share(t, predicted=predicted) for t in tests if t.group == name] for name in passes}
+    shares = {name: [share(t) for t in tests if t.group == name] for name in passes}
     return tuple(
         GroupEntry(name=name, tests=len(shares[name]), passes=p, largest_share=max(shares[name]))
         for name, p in passes.items()
     )
-
-
-def _share(test: TestEntry, *, predicted: bool) -> float:
-    margin = test.expanded_um or 0.0 if predicted else 0.0
-    return (abs(test.error_um) + margin) / test.limit_um
 
 
 def passes_words(content: AcceptanceFile, chance: float) -> str:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
 
 import numpy as np
 
+from ltsim.acceptance.files import AcceptanceFile, TestEntry, group_entries
 from ltsim.acceptance.tests import Test, number_of, rows_of
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.arrays import Floats, Ints
@@ -17,6 +17,7 @@ from ltsim.geometry.polar import across_beam, from_polar
 from ltsim.model.construction import stated_construction
 from ltsim.recording.files import shown
 from ltsim.recording.recording import Recording
+from ltsim.recording.result_file import SourceEntry
 from ltsim.recording.specification import Specification
 from ltsim.units import MICROMETRE
 
@@ -24,28 +25,13 @@ RATIO = 4.0
 """Limit over expanded uncertainty from which an error is accepted as it is (simple acceptance, ASME B89.7.3.1)."""
 
 
-@dataclass(frozen=True)
-class Found:
+def entry(name: str, group: str, error: float, limit: float, expanded: float = float("nan")) -> TestEntry:
     """One error against its limit [m]; `expanded` is its uncertainty (95 %), NaN where nobody said it."""
-
-    name: str
-    group: str
-    error: float
-    limit: float
-    expanded: float = float("nan")
-
-    @property
-    def passed(self) -> bool:
-        """Whether the limit is kept."""
-        return abs(self.error) <= self.limit
-
-    @property
-    def sharp(self) -> bool:
-        """Whether the uncertainty is small enough to judge by the error alone."""
-        return not self.expanded * RATIO > self.limit
+    sizes = {"error_um": error / MICROMETRE, "limit_um": limit / MICROMETRE, "expanded_um": expanded / MICROMETRE}
+    return TestEntry(name=name, group=group, passes=float(abs(error) <= limit), **sizes)
 
 
-def read_measured(file: Path, tests: Sequence[Test], limits: Floats) -> list[Found]:
+def read_measured(file: Path, tests: Sequence[Test], limits: Floats) -> list[TestEntry]:
     """Errors of a CSV with the columns ``test``, ``error_um`` and, where it is known, ``U_um``.
 
     Raises
@@ -54,7 +40,7 @@ def read_measured(file: Path, tests: Sequence[Test], limits: Floats) -> list[Fou
         When a test is none of the plan or stands there twice, or a field is no number.
     """
     place = {test.name: i for i, test in enumerate(tests)}
-    found: dict[str, Found] = {}
+    found: dict[str, TestEntry] = {}
     for line, row in rows_of(file, ("test", "error_um"), ("U_um",)):
         name = row["test"].strip()
         if name not in place:
@@ -67,13 +53,13 @@ def read_measured(file: Path, tests: Sequence[Test], limits: Floats) -> list[Fou
         if not np.isfinite(numbers[0]):
             raise SetupError(f"{file}: row {line}: error_um is empty, expected micrometres")
         i = place[name]
-        found[name] = Found(name, tests[i].group, numbers[0] * MICROMETRE, float(limits[i]), numbers[1] * MICROMETRE)
+        found[name] = entry(name, tests[i].group, numbers[0] * MICROMETRE, float(limits[i]), numbers[1] * MICROMETRE)
     if not found:
         raise SetupError(f"{file}: holds no error, expected a row a test")
     return list(found.values())
 
 
-def by_network(recording: Recording, specification: Specification) -> list[Found]:
+def by_network(recording: Recording, specification: Specification) -> list[TestEntry]:
     """Lengths of a network as each station reads them, against the network's own, and differences of two faces.
 
     The network is adjusted together with the instrument's constants, which gives lengths that are free of them; what
@@ -93,7 +79,7 @@ def by_network(recording: Recording, specification: Specification) -> list[Found
     found = adjust(recording, stated_construction(recording))
     found.solution.require_success()
     whole = recording.measured.all(axis=1) & ~found.gross
-    errors: list[Found] = []
+    errors: list[TestEntry] = []
     for s, station in enumerate(recording.stations):
         front, back = (
             _mean_points(recording, whole & (recording.station == s) & (recording.face == f)) for f in (1, 2)
@@ -103,7 +89,7 @@ def by_network(recording: Recording, specification: Specification) -> list[Found
         for t in both:
             error = float(np.linalg.norm(across_beam((front[t] - back[t])[None], front[t][None])))
             limit = float(specification.of_two_faces(front[t][None])[0])
-            errors.append(Found(f"{station}: {recording.targets[t]}", "two-face", error, limit))
+            errors.append(entry(f"{station}: {recording.targets[t]}", "two-face", error, limit))
     if not errors:
         raise NetworkError("no station measured two whole targets; a length needs both ends")
     return errors
@@ -116,7 +102,9 @@ def _mean_points(recording: Recording, rows: Floats) -> dict[int, Floats]:
     return {int(t): seen[targets == t].mean(axis=0) for t in np.unique(targets)}
 
 
-def _lengths(station: str, adjusted: Adjustment, seen: dict[int, Floats], specification: Specification) -> list[Found]:
+def _lengths(
+    station: str, adjusted: Adjustment, seen: dict[int, Floats], specification: Specification
+) -> list[TestEntry]:
     """Every length between targets that a station has seen, against the network's, with the uncertainty of that."""
     names, points = adjusted.recording.targets, adjusted.state.points
     placed = [t for t in sorted(seen) if names[t] not in adjusted.lost_targets and np.isfinite(points[t]).all()]
@@ -132,7 +120,7 @@ def _lengths(station: str, adjusted: Adjustment, seen: dict[int, Floats], specif
     limit = specification.of_lengths(first, second)
     named = [f"{station}: {names[a]} to {names[b]}" for a, b in pairs]
     return [
-        Found(name, f"lengths from {station}", float(e), float(m), float(u))
+        entry(name, f"lengths from {station}", float(e), float(m), float(u))
         for name, e, m, u in zip(named, error, limit, expanded, strict=True)
     ]
 
@@ -151,3 +139,42 @@ def _length_variance(adjusted: Adjustment, placed: Sequence[int], pairs: Ints, d
     a, b = np.searchsorted(placed, pairs).T
     both = joint[a, :, a] + joint[b, :, b] - joint[a, :, b] - joint[b, :, a]
     return np.asarray(np.einsum("ki,kij,kj->k", direction, both, direction))
+
+
+def judged(
+    tests: Sequence[TestEntry],
+    specification: Specification,
+    *,
+    title: str,
+    name: str,
+    left: int = 0,
+    recording: Recording | None = None,
+) -> AcceptanceFile:
+    """Errors that were found, against their limits; `left` tests of the plan have none."""
+    groups = {t.group: float(all(o.passes for o in tests if o.group == t.group)) for t in tests}
+    failed = sorted((t for t in tests if not t.passes), key=lambda t: t.limit_um / max(abs(t.error_um), 1e-6))
+    blunt = sum((t.expanded_um or 0.0) * RATIO > t.limit_um for t in tests)
+    sentence = f"all {len(tests)} errors are within their limits"
+    if failed:
+        w = failed[0]
+        sentence = (
+            f"{len(failed)} of {len(tests)} errors are over their limits; the worst is {w.name}: "
+            f"{w.error_um:.1f} um where {w.limit_um:.1f} um are permitted"
+        )
+    if left:
+        sentence += f"; {left} tests of the plan were not measured"
+    if blunt:
+        sentence += (
+            f"; for {blunt} the uncertainty is more than a quarter of the limit, too much to judge by them alone"
+        )
+    content = AcceptanceFile(
+        title=title,
+        kind="measured" if recording is None else "network",
+        plan=name,
+        specification=specification,
+        passes=float(not failed and not left),
+        sentence=sentence,
+        groups=group_entries(tests, groups, predicted=False),
+        tests=tuple(tests),
+    )
+    return content if recording is None else content.model_copy(update={"recording": SourceEntry.of(recording)})

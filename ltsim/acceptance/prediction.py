@@ -7,6 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
+from ltsim.acceptance.files import AcceptanceFile, SensitivityEntry, TestEntry, WorstEntry, group_entries
 from ltsim.acceptance.tests import Test
 from ltsim.arrays import Bools, Floats
 from ltsim.geometry.polar import across_beam, from_polar, to_polar, unit_vectors
@@ -15,7 +16,7 @@ from ltsim.model.construction import Construction
 from ltsim.randomness import stream
 from ltsim.recording.setup import Noise
 from ltsim.recording.specification import Specification
-from ltsim.units import ARCSECOND, MILLIMETRE, PPM
+from ltsim.units import ARCSECOND, MICROMETRE, MILLIMETRE, PPM
 
 UNSEEN = 1e-6
 """Share of a limit that a constant of usual size makes by rounding alone."""
@@ -212,3 +213,55 @@ def _root(covariance: Floats) -> Floats:
     """A root (p, r) of a covariance that may be singular."""
     values, vectors = np.linalg.eigh(covariance)
     return vectors * np.sqrt(np.maximum(values, 0.0))
+
+
+def predicted(
+    plan: Plan, found: Prediction, worst: Worst, prior: Floats, *, title: str, name: str, of: str
+) -> AcceptanceFile:
+    """What tests will find, for the instrument that `of` names."""
+    size = np.hypot(found.errors[:, 0], found.errors[:, 1])
+    signed = np.where(plan.is_length, found.errors[:, 0], size)
+    expanded = 2 * np.sqrt(np.sum(found.sigma**2, axis=1))
+    tests = tuple(
+        TestEntry(name=t.name, group=t.group, limit_um=limit, error_um=e, expanded_um=u, passes=float(p))
+        for t, limit, e, u, p in zip(
+            plan.tests,
+            *(np.asarray(x) / MICROMETRE for x in (plan.limits, signed, expanded)),
+            found.passes,
+            strict=True,
+        )
+    )
+    smallest, first = plan.smallest_failing()
+    parameters = plan.construction.parameters
+    sensitivities = tuple(
+        SensitivityEntry(
+            name=p.name,
+            unit=p.unit,
+            prior_sigma=float(prior[k] / p.factor),
+            smallest_failing=float(smallest[k] / p.factor),
+            test=first[k].name if np.isfinite(smallest[k]) else "",
+        )
+        for k, p in enumerate(parameters)
+    )
+    chance = f"{100 * found.all_pass:.1f} %" if found.all_pass < 0.9995 else "more than 99.9 %"
+    weakest = min(zip(found.passes, plan.tests, strict=True), key=lambda pair: pair[0])
+    sentence = f"{of} passes all {len(tests)} tests with a chance of {chance}"
+    if weakest[0] < 0.9995:
+        sentence += f"; the hardest is {weakest[1].name} ({100 * weakest[0]:.1f} %)"
+    return AcceptanceFile(
+        title=title,
+        kind="predicted",
+        plan=name,
+        specification=plan.specification,
+        assumption=plan.specification.assumption,
+        passes=found.all_pass,
+        sentence=sentence,
+        groups=group_entries(tests, found.group_passes, predicted=True),
+        tests=tests,
+        sensitivities=sensitivities,
+        worst_passing=WorstEntry(
+            constants={p.name: float(v / p.factor) for p, v in zip(parameters, worst.values, strict=True)},
+            rms_um=worst.rms / MICROMETRE,
+            largest_um=worst.largest / MICROMETRE,
+        ),
+    )

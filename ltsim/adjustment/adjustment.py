@@ -12,22 +12,23 @@ from scipy import special
 from ltsim.adjustment.components import Component
 from ltsim.adjustment.datum import InnerDatum
 from ltsim.adjustment.known import KnownTest, known_tests
-from ltsim.adjustment.loose import poseless, without_loose
 from ltsim.adjustment.problem import NetworkProblem
 from ltsim.adjustment.reliability import (
     FAMILY_LEVEL,
+    UNCHECKED,
     critical_tau,
     critical_w,
-    minimal_detectable_bias,
+    noncentrality,
     normalised,
     redundancy_of,
 )
+from ltsim.adjustment.snooping import poseless, without_loose
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.effects.signature import Signature
 from ltsim.errors import NetworkError
 from ltsim.model.construction import Construction, ideal
 from ltsim.model.measurement import MeasurementModel, State
-from ltsim.recording.recording import OBSERVABLES, Recording
+from ltsim.recording.recording import Recording
 from ltsim.results import Result
 from ltsim.scene.sightings import Sightings
 from ltsim.solve.blocks import Factor, SingularSystemError
@@ -90,6 +91,8 @@ class Adjustment(Result):
     ) -> Adjustment:
         """The adjustment that pointings will have when they are made: precision does not depend on readings.
 
+        NetworkError when the pointings do not determine the poses and the targets that they reach.
+
         Parameters
         ----------
         recording : Recording
@@ -98,11 +101,6 @@ class Adjustment(Result):
             Where stations and targets will be, and the instrument's parameters.
         construction, effects
             Whose parameters are to be estimated; default an ideal tracker without any.
-
-        Raises
-        ------
-        NetworkError
-            When the pointings do not determine the poses and the targets that they reach.
         """
         model = MeasurementModel(recording, construction or ideal(), tuple(effects))
         problem = without_loose(NetworkProblem.of(model), state)
@@ -207,8 +205,18 @@ class Adjustment(Result):
 
     @property
     def minimal_detectable_bias(self) -> Floats:
-        """Smallest error (n, 3) [m, rad, rad] of each reading that `outliers` finds with 80 %; inf where unchecked."""
-        return minimal_detectable_bias(self.problem, self.redundancy)
+        """Smallest error (n, 3) [m, rad, rad] of each reading that `outliers` finds with 80 %; inf where unchecked.
+
+        References
+        ----------
+        Baarda, A testing procedure for use in geodetic networks (1968): sigma sqrt(lambda_0 / r).
+        """
+        use = self.problem.use
+        bias = np.where(use, np.inf, np.nan)
+        checked = use & (self.redundancy > UNCHECKED)
+        needed = noncentrality(level=FAMILY_LEVEL, hypotheses=int(use.sum()))
+        bias[checked] = np.sqrt(needed / self.redundancy[checked]) * self.problem.sigma[checked]
+        return bias
 
     @cached_property
     def known(self) -> tuple[KnownTest, ...]:
@@ -219,14 +227,14 @@ class Adjustment(Result):
     def lost_targets(self) -> tuple[str, ...]:
         """Targets that were measured, but that the readings in use do not determine: the rest is adjusted."""
         measured = np.bincount(self.recording.target, self.recording.measured.any(axis=1), len(self.recording.targets))
-        lost = self.problem.unseen_targets & (measured > 0)
+        lost = self.problem.structure.unseen & (measured > 0)
         return tuple(self.recording.targets[i] for i in np.flatnonzero(lost))
 
     @property
     def lost_stations(self) -> tuple[str, ...]:
         """Stations of whose pose the readings in use leave something open: it stays where the start had it."""
-        held = np.flatnonzero(self.problem.structure.held_poses.any(axis=1))
-        return tuple(self.recording.stations[s] for s in held)
+        held = self.problem.structure.held_poses.any(axis=1)
+        return tuple(self.recording.stations[s] for s in np.flatnonzero(held))
 
     @property
     def rejected(self) -> Bools:
@@ -242,10 +250,7 @@ class Adjustment(Result):
         limit = self.sigma0 * critical_tau(count, self.dof, level) if estimated else critical_w(count, level)
         rows, columns = np.nonzero(np.nan_to_num(np.abs(self.w)) > limit)
         size = self.residuals[rows, columns] / self.redundancy[rows, columns]
-        found = [
-            Outlier(int(i), int(j), float(error), float(self.w[i, j]))
-            for i, j, error in zip(rows, columns, size, strict=True)
-        ]
+        found = map(Outlier, rows.tolist(), columns.tolist(), size.tolist(), self.w[rows, columns].tolist())
         return sorted(found, key=lambda outlier: -abs(outlier.w))
 
     def covariance_of(self, columns: Ints) -> Floats:
@@ -302,7 +307,7 @@ class Adjustment(Result):
             covariance = self.datum.transformed(covariance, unknowns.target)
             own = np.arange(3)  # a coordinate that the datum holds has variance 0, up to rounding of either sign
             covariance[:, own, own] = np.maximum(covariance[:, own, own], 0.0)
-        covariance[self.problem.unseen_targets] = np.nan
+        covariance[self.problem.structure.unseen] = np.nan
         covariance[self.open_heights, 2] = covariance[self.open_heights, :, 2] = np.nan
         return covariance
 
@@ -317,23 +322,15 @@ class Adjustment(Result):
         """The adjustment with other further effects, beside the same readings and weights, in the factor's datum."""
         old, model = self.problem, replace(self.problem.model, effects=tuple(effects))
         new = NetworkProblem.of(model, sigma=old.sigma, use=old.use, prior=old.prior)
-        problem = replace(new, gauge=old.gauge, levels=old.levels).using(old.use)
+        problem = replace(new, gauge=old.gauge, levels=old.levels)
         solution = solve(problem, replace(start, extra=np.zeros(model.extra_size)))
         return replace(self, problem=problem, solution=solution, datum=None)
 
     def in_inner_datum(self, names: Sequence[str] | None = None) -> Adjustment:
         """The same state with covariances by inner constraints over some targets, by default all that are determined.
 
-        Raises
-        ------
-        ModelError
-            When a target does not exist, or these do not hold the free motions.
+        ModelError when a target does not exist, or these do not hold the free motions.
         """
         every = [name for name in self.recording.targets if name not in self.lost_targets]
         datum = InnerDatum.of(self.problem, self.state, self.factor, every if names is None else names)
         return replace(self, datum=datum)
-
-
-def observable_name(column: int) -> str:
-    """Name of a column of the readings."""
-    return OBSERVABLES[column]

@@ -14,10 +14,11 @@ from types import MappingProxyType
 import numpy as np
 
 from ltsim.adjustment.estimate import adjust
+from ltsim.adjustment.frame import misses
 from ltsim.adjustment.start import reached_network
 from ltsim.arrays import Floats
 from ltsim.errors import NetworkError, RecordError, option
-from ltsim.geometry.alignment import align, robust_align
+from ltsim.geometry.alignment import robust_align
 from ltsim.recording.coordinates import read_points
 from ltsim.recording.files import shown
 from ltsim.recording.recording import Recording
@@ -33,28 +34,18 @@ NOTHING: Mapping[str, Axes] = MappingProxyType({})
 def in_axes_of_points(recording: Recording, points: Mapping[str, Floats], source: str) -> Recording:
     """The recording with its datum at stated coordinates [m] of targets; `adjust` leaves out those that do not fit.
 
-    Raises
-    ------
-    RecordError
-        When fewer than three targets off one line are among them, or their shape is not that of the network:
-        mirrored, of another scale, or known points define the frame already.
+    RecordError when fewer than three targets off one line are among them, or their shape is not that of the network:
+    mirrored, of another scale, or known points define the frame already.
     """
     common = [name for name in recording.targets if name in points and np.isfinite(points[name]).all()]
-    if any(recording.target_setup(name).known_mm is not None for name in recording.targets):
-        raise RecordError(
-            f"the recording's known points define the axes already: leave {option('frame')} out", file=source
-        )
+    _require_no_known_points(recording, source)
     if len(common) < 3:
         message = f"holds {len(common)} of the recording's targets, expected three off one line or more"
         raise RecordError(message, file=source)
     (_, _, reached), _ = reached_network(recording)
     here = reached[[recording.targets.index(name) for name in common]]
     there = np.array([points[name] for name in common])
-    try:
-        misses = _misses(here, there)
-    except NetworkError:
-        raise RecordError("its targets lie on one line, expected three off it or more", file=source) from None
-    _check_shape(here, there, misses, source)
+    _check_shape(here, there, source)
     return _with_datum(recording, {name: points[name] for name in common}, source=source)
 
 
@@ -72,8 +63,7 @@ def in_axes_of_three(recording: Recording, origin: str, x_axis: str, xy_plane: s
     for name in three:
         if name not in recording.targets:
             raise RecordError(f"the axes name the target '{shown(name)}', which was never measured")
-    if any(recording.target_setup(name).known_mm is not None for name in recording.targets):
-        raise RecordError(f"the recording's known points define the axes already: leave {option('frame')} out")
+    _require_no_known_points(recording)
     a, b, c = adjust(recording).state.points[[recording.targets.index(name) for name in three]]
     along, across = b - a, c - a
     length = float(np.linalg.norm(along))
@@ -88,20 +78,12 @@ def in_axes_of_three(recording: Recording, origin: str, x_axis: str, xy_plane: s
     return framed.replace(notes=(*framed.notes, said))
 
 
-def read_axes(path: Path) -> dict[str, Floats]:
-    """Coordinates [m] by target of a list of any dialect, those that have all three; raises RecordError."""
-    return read_points(path, strict=False).by_name
-
-
 def with_control(recording: Recording, path: Path) -> Recording:
     """The recording with the coordinates of a list as known ones, each with its standard deviation.
 
     A list as of `read_points` with standard deviations; a coordinate that it leaves out is not known.
 
-    Raises
-    ------
-    RecordError
-        For a malformed file, one without standard deviations, or one that names no measured target.
+    RecordError for a malformed file, one without standard deviations, or one that names no measured target.
     """
     listed, targets, found = read_points(path, strict=False), dict(recording.setup.targets), 0
     for name, place, covariance, line in zip(listed.names, listed.points, listed.covariance, listed.lines, strict=True):
@@ -126,23 +108,26 @@ def with_control(recording: Recording, path: Path) -> Recording:
     return recording.replace(setup=setup, notes=(*recording.notes, *listed.notes, said))
 
 
-def _misses(here: Floats, there: Floats) -> Floats:
-    """How far (k,) [m] points are from where they are stated after the motion that most of them ask for."""
-    align(here, there)  # three off one line
-    rotation, shift = robust_align(here, there)
-    return np.asarray(np.linalg.norm(here @ rotation.T + shift - there, axis=1))
+def _require_no_known_points(recording: Recording, source: str | None = None) -> None:
+    if any(recording.target_setup(name).known_mm is not None for name in recording.targets):
+        message = f"the recording's known points define the axes already: leave {option('frame')} out"
+        raise RecordError(message, file=source)
 
 
-def _check_shape(here: Floats, there: Floats, misses: Floats, source: str) -> None:
-    """Refuse coordinates of another scale or handedness."""
+def _check_shape(here: Floats, there: Floats, source: str) -> None:
+    """Refuse coordinates (k, 3) on a line, of another scale or handedness than the network `here`."""
+    mirror = here * [1.0, 1.0, -1.0]
+    try:
+        motions = robust_align(here, there), robust_align(mirror, there)
+    except NetworkError:
+        raise RecordError("its targets lie on one line, expected three off it or more", file=source) from None
+    typical = float(np.median(misses(here, there, motions[0])))
+    is_mirrored = float(np.median(misses(mirror, there, motions[1]))) * CLEARLY < typical
     pairs = np.triu_indices(len(here), 1)
     lengths, stated = (np.linalg.norm(p[pairs[0]] - p[pairs[1]], axis=1) for p in (here, there))
-    scale = float(np.median(stated / np.maximum(lengths, 1e-9)))
-    typical = float(np.median(misses))
-    mirrored = float(np.median(_misses(here * [1.0, 1.0, -1.0], there)))
-    is_mirrored = mirrored * CLEARLY < typical
     if typical < SHAPE * float(np.median(lengths)) and not is_mirrored:
         return
+    scale = float(np.median(stated / np.maximum(lengths, 1e-9)))
     if abs(scale - 1.0) > SHAPE:
         message = f"its targets lie {scale:.4g} times as far apart as they were measured, expected millimetres"
         raise RecordError(message, file=source)

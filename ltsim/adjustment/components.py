@@ -61,8 +61,10 @@ def estimated_components(
     a group is its weighted sum of squares over its redundancy, iterated to one. Where it converges it is the
     maximum likelihood of the residuals (Helmert's estimate).
     """
-    group = _groups(problem, grouping)
-    factor, redundancy = np.ones(int(group.max()) + 2), np.zeros(int(group.max()) + 2)
+    recording, several = problem.model.recording, grouping == "instrument"
+    group = np.arange(3) + 3 * several * recording.instrument[:, None]
+    names = recording.instruments if several else ("",)
+    factor, redundancy = np.ones(3 * len(names) + 1), np.zeros(3 * len(names) + 1)
     stated, available = problem, problem.use if use is None else use
     for _ in range(ROUNDS):
         for _ in range(PASSES):
@@ -80,13 +82,17 @@ def estimated_components(
         problem, solution = find(_scaled(stated, factor, group, available), solution.x)
         if np.array_equal(problem.use, before):
             break
-    return problem, solution, _components(problem, grouping, factor, redundancy)
+    sigma = np.where(redundancy > LEAST, factor / np.sqrt(2 * np.maximum(redundancy, LEAST)), np.inf)
+    kinds = [(observable, name) for name in names for observable in OBSERVABLES]
+    kinds += [("level", "")] if len(problem.levels) else []
+    rows = zip(kinds, factor.tolist(), sigma.tolist(), redundancy.tolist(), strict=False)
+    return problem, solution, tuple(Component(*kind, *numbers) for kind, *numbers in rows)
 
 
 def _scaled(stated: NetworkProblem, factor: Floats, group: Ints, use: Bools) -> NetworkProblem:
     """The problem with other standard deviations: a factor for each group, the last for the levels."""
     levels = replace(stated.levels, sigma=stated.levels.sigma * factor[-1])
-    return replace(stated, sigma=stated.sigma * factor[group], levels=levels).using(use)
+    return replace(stated, sigma=stated.sigma * factor[group], levels=levels, use=use)
 
 
 def _sums(problem: NetworkProblem, solution: Solution[State], group: Ints, count: int) -> tuple[Floats, Floats]:
@@ -98,24 +104,3 @@ def _sums(problem: NetworkProblem, solution: Solution[State], group: Ints, count
     square, redundancy = (np.bincount(group[problem.use], values[readings], count) for values in (residual**2, share))
     square[-1], redundancy[-1] = float(np.sum(residual[rows] ** 2)), float(np.sum(share[rows]))
     return square.astype(np.float64), redundancy.astype(np.float64)
-
-
-def _groups(problem: NetworkProblem, grouping: Grouping) -> Ints:
-    """Group (n, 3) of every reading."""
-    observable = np.broadcast_to(np.arange(3), problem.use.shape)
-    if grouping == "observable":
-        return observable
-    return 3 * problem.model.recording.instrument[:, None] + observable
-
-
-def _components(
-    problem: NetworkProblem, grouping: Grouping, factor: Floats, redundancy: Floats
-) -> tuple[Component, ...]:
-    names = problem.model.recording.instruments if grouping == "instrument" else ("",)
-    sigma = np.where(redundancy > LEAST, factor / np.sqrt(2 * np.maximum(redundancy, LEAST)), np.inf)
-    kinds = [(observable, name) for name in names for observable in OBSERVABLES]
-    kinds += [("level", "")] if len(problem.levels) else []
-    return tuple(
-        Component(observable, name, float(factor[k]), float(sigma[k]), float(redundancy[k]))
-        for k, (observable, name) in zip([*range(len(factor) - 1), -1], kinds, strict=False)
-    )

@@ -18,7 +18,7 @@ from ltsim.geometry.rigid import rigid_motion
 from ltsim.geometry.rotations import from_rotation_vector
 from ltsim.model.measurement import State
 from ltsim.solve.blocks import Factor
-from ltsim.solve.rank import FORMED, unit_diagonal
+from ltsim.solve.design import FORMED, unit_diagonal
 from ltsim.units import MILLIMETRE
 
 PASSES = 5
@@ -82,18 +82,15 @@ def moved_to_datum(problem: NetworkProblem, state: State, names: Sequence[str]) 
         gap = (tied.stated - tied.places)[known]
         amount = np.linalg.lstsq(motion, gap, rcond=1e-9)[0]
         shift, turn = (free @ amount).reshape(2, 3)
-        state = _moved(state, from_rotation_vector(turn), centre, shift)
+        rotation = from_rotation_vector(turn)
+        position, points = (
+            (places - centre) @ rotation.T + centre + shift for places in (state.position, state.points)
+        )
+        state = replace(state, position=position, rotation=rotation @ state.rotation, points=points)
         turned += float(np.linalg.norm(turn))
         if np.linalg.norm(turn) < 1e-12:
             break
     return state, turned
-
-
-def _moved(state: State, rotation: Floats, centre: Floats, shift: Floats) -> State:
-    def move(points: Floats) -> Floats:
-        return (points - centre) @ rotation.T + centre + shift
-
-    return State(move(state.position), rotation @ state.rotation, move(state.points), state.instrument, state.extra)
 
 
 @dataclass(frozen=True)
@@ -121,10 +118,7 @@ class InnerDatum:
     def tied_to(cls, motion: Floats, columns: Ints, spread: Callable[[Floats], Floats]) -> InnerDatum:
         """The datum that ties motions (u, f) to some unknowns; `spread` multiplies with the covariance (u, u).
 
-        Raises
-        ------
-        ModelError
-            When these unknowns do not hold the motions.
+        ModelError when these unknowns do not hold the motions.
         """
         held = np.zeros_like(motion)
         held[columns.ravel()] = motion[columns.ravel()]
@@ -139,10 +133,7 @@ class InnerDatum:
     def of(cls, problem: NetworkProblem, state: State, factor: Factor, names: Sequence[str]) -> InnerDatum | None:
         """The datum tied to some points; None where no motion is free.
 
-        Raises
-        ------
-        ModelError
-            When these points do not hold the free motions.
+        ModelError when these points do not hold the free motions.
         """
         if not problem.free.shape[1]:
             return None
@@ -159,10 +150,8 @@ class InnerDatum:
         """Covariances (c, k, k) of sets of unknowns (c, k), moved to this datum from that of `spread`."""
         motion, carried = self.motion[columns], self.carried[columns]
         across = motion @ np.swapaxes(carried, 1, 2)
-        moved: Floats = (
-            covariance - across - np.swapaxes(across, 1, 2) + motion @ self.middle @ np.swapaxes(motion, 1, 2)
-        )
-        return moved
+        middle = motion @ self.middle @ np.swapaxes(motion, 1, 2)
+        return np.asarray(covariance - across - np.swapaxes(across, 1, 2) + middle)
 
 
 def about(free: Floats, centre: Floats) -> Floats:

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.adjustment.curvature import BENT, curvature
 from ltsim.adjustment.estimate import adjust
-from ltsim.adjustment.frame import ROUGH_PLACE, Frame, upright_alignment
-from ltsim.adjustment.gross import mistakes
-from ltsim.adjustment.mixed_up import mend_stations
+from ltsim.adjustment.frame import ROUGH_PLACE, Frame, misses, upright_alignment
+from ltsim.adjustment.gross import mend_stations, mistakes
 from ltsim.adjustment.occupations import moved_tripods
 from ltsim.arrays import Bools, Floats
 from ltsim.errors import LtsimError, NetworkError
 from ltsim.geometry.alignment import align
+from ltsim.geometry.polar import wrap
 from ltsim.recording.slips import GON, UNIT_SLIPS, Slip
 
 MOST_LEFT_OUT = 0.5
@@ -35,6 +34,10 @@ CLEARLY = 0.3
 """Ratio of the misses from which a mirror image fits clearly better."""
 UPRIGHT = 0.9
 """Cosine of the lean of the stations up to which a plan is compared with the network from above."""
+BENT = 0.3
+"""Bend [standard deviations of a reading] within one standard deviation from which stated sigmas mislead."""
+STRAIGHT = 0.03
+"""Bend that a turn can make at most, below which a station need not be asked."""
 SLIPS = (
     *(slip for slip in UNIT_SLIPS if slip.name in ("gon", "metre", "inch", "clockwise", "zenith")),
     Slip("degree", "degrees", "gon", ((1, 1.0 / GON, 0.0), (2, 1.0 / GON, 0.0))),
@@ -66,71 +69,53 @@ def _require_one_sense(adjustment: Adjustment) -> None:
     if thin or not adjustment.solution.converged or adjustment.sigma0 > CONTRADICTION:
         told = [finding.sentence.rstrip(".") for finding in mend_stations(adjustment.recording)[1]]
         if told:
-            raise NetworkError(
-                f"{'; '.join(told[:MOST_NAMED])}: read again with what it says, then nothing contradicts"
-            )
+            told_first = "; ".join(told[:MOST_NAMED])
+            raise NetworkError(f"{told_first}: read again with what it says, then nothing contradicts")
 
 
 def _require_known_points(adjustment: Adjustment) -> None:
     """NetworkError where the readings agree with each other as soon as the known points are left out."""
-    known = adjustment.problem.control
-    alone = _without_known_points(adjustment) if adjustment.sigma0 > CONTRADICTION and len(known) else None
-    if alone is None or not alone.sigma0 < HEALED * adjustment.sigma0:
+    known, recording = adjustment.problem.control, adjustment.recording
+    if not (adjustment.sigma0 > CONTRADICTION and len(known)):
+        return
+    unknown = {name: target.model_copy(update={"known_mm": None}) for name, target in recording.setup.targets.items()}
+    setup = recording.setup.model_copy(update={"targets": unknown})
+    try:
+        alone = adjust(recording.replace(setup=setup), adjustment.construction, prior=adjustment.problem.prior)
+    except LtsimError:
+        return
+    if not (alone.solution.converged and alone.sigma0 < HEALED * adjustment.sigma0):
         return
     gap = 1e3 * float(np.abs(adjustment.state.points[known.target] - known.points).max())
+    whole = known.axes.all(axis=1)
     raise NetworkError(
-        f"the known points contradict the readings (sigma0 {adjustment.sigma0:.3g}, without them "
-        f"{alone.sigma0:.3g}; largest miss {gap:.3g} mm): {_how(alone, adjustment)}"
+        f"the known points contradict the readings (sigma0 {adjustment.sigma0:.3g}, without them {alone.sigma0:.3g}; "
+        f"largest miss {gap:.3g} mm): {_how(alone.state.points[known.target[whole]], known.points[whole])}"
     )
 
 
-def doubts(adjustment: Adjustment) -> tuple[str, ...]:
-    """Sentences: what nobody can tell, mistakes, stations that lost most of their readings, sigmas that mislead."""
-    kinds = _known, _plan, _undecided, _mistakes, _tripods, _thin_stations, _held, _bent, _contradiction, _copies
-    return tuple(doubt for kind in kinds for doubt in kind(adjustment))
+def _how(here: Floats, there: Floats) -> str:
+    """In which way the known points (k, 3) `there` differ from the network that the readings make."""
+    spread = [float(np.sqrt(np.sum((x - x.mean(axis=0)) ** 2))) for x in (here, there)]
+    if len(here) < 3 or not spread[0] > 0.0:
+        return "check their coordinates"
+    if spread[1] < 1e-6 * spread[0]:
+        return "all of them are at one place"
+    scale, mirrored = spread[1] / spread[0], "check the order and the signs of their axes, or the sense of the azimuths"
+    ways = {
+        f"they fit scaled by {1 / scale:.6g}; check their unit": _miss(here * scale, there),
+        f"they fit mirrored; {mirrored}": _miss(-here, there),
+    }
+    best = min(ways, key=lambda way: ways[way])
+    return best if ways[best] < HEALED * _miss(here, there) else "check their coordinates and names"
 
 
-def weaknesses(adjustment: Adjustment) -> tuple[str, ...]:
-    """Sentences: those doubts that are no single value or mistake, for which figures of the network mislead."""
-    kinds = _plan, _undecided, _thin_stations, _held, _bent, _contradiction
-    return tuple(doubt for kind in kinds for doubt in kind(adjustment))
-
-
-def _known(adjustment: Adjustment) -> Iterator[str]:
-    """Known values that contradict the rest."""
-    told = [test.sentence for test in (*adjustment.wrong, *adjustment.axes) if test.left_out or test.rivals]
-    yield from told[:MOST_NAMED]
-    if len(told) > MOST_NAMED:
-        yield f"{len(told) - MOST_NAMED} more known values contradict the rest"
-
-
-def _plan(adjustment: Adjustment) -> Iterator[str]:
-    """Rough places of the stations that do not fit the network, or only its mirror image."""
-    frame, here = Frame.of(adjustment.recording), adjustment.state.position
-    known = np.flatnonzero(np.isfinite(frame.plan).all(axis=1))
-    if len(known) < LEAST_PLACES:
-        return
-    here, there = here[known] * [1.0, 1.0, 0.0], frame.plan[known] * [1.0, 1.0, 0.0]
-    misses = []
-    for mirror in (here, here * [1.0, -1.0, 1.0]):
-        turn, shift = upright_alignment(mirror, there)
-        misses.append(float(np.linalg.norm(mirror @ turn.T + shift - there, axis=1).max()))
-    if misses[0] < ROUGH_PLACE or _upside_down(adjustment):
-        return
-    names = _named([adjustment.recording.stations[s] for s in known])
-    if misses[1] < min(ROUGH_PLACE, CLEARLY * misses[0]):
-        yield (
-            f"the stated places of stations {names} fit the mirror image of this network (within {misses[1]:.2g} m; "
-            f"as it is {misses[0]:.2g} m): the azimuths may be clockwise, and all coordinates mirrored"
-        )
-    else:
-        yield f"the stated places of the stations {names} miss the network by up to {misses[0]:.2g} m and were not used"
-
-
-def _upside_down(adjustment: Adjustment) -> bool:
-    """Whether the network stands in axes in which no plan can be compared: its stations do not stand upright."""
-    up = adjustment.state.rotation[:, 2, 2]
-    return bool(np.median(up) < UPRIGHT)
+def _miss(source: Floats, goal: Floats) -> float:
+    """Root of the sum of squares that a rigid fit leaves [m]."""
+    try:
+        return float(np.linalg.norm(misses(source, goal, align(source, goal))))
+    except NetworkError:
+        return float("inf")
 
 
 def _left_out(adjustment: Adjustment) -> Bools:
@@ -154,56 +139,58 @@ def _unit_that_fits(adjustment: Adjustment) -> str:
     return ""
 
 
-def _without_known_points(adjustment: Adjustment) -> Adjustment | None:
-    """The adjustment of the same readings without coordinates from elsewhere; None where that does not end."""
-    recording = adjustment.recording
-    unknown = {name: target.model_copy(update={"known_mm": None}) for name, target in recording.setup.targets.items()}
-    setup = recording.setup.model_copy(update={"targets": unknown})
-    try:
-        found = adjust(recording.replace(setup=setup), adjustment.construction, prior=adjustment.problem.prior)
-    except LtsimError:
-        return None
-    return found if found.solution.converged else None
+# --- in doubt -----------------------------------------------------------------------------------------------------
 
 
-def _how(alone: Adjustment, adjustment: Adjustment) -> str:
-    """In which way the known points differ from the network that the readings make."""
-    known = adjustment.problem.control
-    whole = known.axes.all(axis=1)
-    here, there = alone.state.points[known.target[whole]], known.points[whole]
-    spread = [float(np.sqrt(np.sum((x - x.mean(axis=0)) ** 2))) for x in (here, there)]
-    if len(here) < 3 or not spread[0] > 0.0:
-        return "check their coordinates"
-    if spread[1] < 1e-6 * spread[0]:
-        return "all of them are at one place"
-    scale, plain = spread[1] / spread[0], _miss(here, there)
-    ways = {
-        f"they fit scaled by {1 / scale:.6g}; check their unit": _miss(here * scale, there),
-        "they fit mirrored; check the order and the signs of their axes, or the sense of the azimuths": _miss(
-            -here, there
-        ),
-    }
-    best = min(ways, key=lambda way: ways[way])
-    return best if ways[best] < HEALED * plain else "check their coordinates and names"
+def doubts(adjustment: Adjustment) -> tuple[str, ...]:
+    """Sentences: what nobody can tell, mistakes, stations that lost most of their readings, sigmas that mislead."""
+    kinds = _known, _plan, _undecided, _mistakes, _tripods, _thin_stations, _uncertain_figures, _copies
+    return tuple(doubt for kind in kinds for doubt in kind(adjustment))
 
 
-def _miss(source: Floats, goal: Floats) -> float:
-    """Root of the sum of squares that a rigid fit leaves [m]."""
-    try:
-        rotation, translation = align(source, goal)
-    except NetworkError:
-        return float("inf")
-    return float(np.linalg.norm(source @ rotation.T + translation - goal))
+def weaknesses(adjustment: Adjustment) -> tuple[str, ...]:
+    """Sentences: those doubts that are no single value or mistake, for which figures of the network mislead."""
+    kinds = _plan, _undecided, _thin_stations, _uncertain_figures
+    return tuple(doubt for kind in kinds for doubt in kind(adjustment))
+
+
+def _known(adjustment: Adjustment) -> Iterator[str]:
+    """Known values that contradict the rest."""
+    told = [test.sentence for test in (*adjustment.wrong, *adjustment.axes) if test.left_out or test.rivals]
+    yield from told[:MOST_NAMED]
+    if len(told) > MOST_NAMED:
+        yield f"{len(told) - MOST_NAMED} more known values contradict the rest"
+
+
+def _plan(adjustment: Adjustment) -> Iterator[str]:
+    """Rough places of upright stations that do not fit the network, or only its mirror image."""
+    frame, state = Frame.of(adjustment.recording), adjustment.state
+    known = np.flatnonzero(np.isfinite(frame.plan).all(axis=1))
+    if len(known) < LEAST_PLACES or np.median(state.rotation[:, 2, 2]) < UPRIGHT:
+        return
+    here, there = state.position[known] * [1.0, 1.0, 0.0], frame.plan[known] * [1.0, 1.0, 0.0]
+    as_is, mirrored = (
+        float(misses(one, there, upright_alignment(one, there)).max()) for one in (here, here * [1.0, -1.0, 1.0])
+    )
+    if as_is < ROUGH_PLACE:
+        return
+    names = _named(adjustment.recording.stations[s] for s in known)
+    if mirrored < min(ROUGH_PLACE, CLEARLY * as_is):
+        yield (
+            f"the stated places of stations {names} fit the mirror image of this network (within {mirrored:.2g} m; "
+            f"as it is {as_is:.2g} m): the azimuths may be clockwise, and all coordinates mirrored"
+        )
+    else:
+        yield f"the stated places of the stations {names} miss the network by up to {as_is:.2g} m and were not used"
 
 
 def _undecided(adjustment: Adjustment) -> Iterator[str]:
     """Targets that only two stations see, of which one or both were left out."""
     recording = adjustment.recording
-    measured, used = recording.measured.any(axis=1), adjustment.problem.use.any(axis=1)
-    seen = np.zeros((len(recording.stations), len(recording.targets)), dtype=bool)
-    kept = seen.copy()
-    seen[recording.station[measured], recording.target[measured]] = True
-    kept[recording.station[used], recording.target[used]] = True
+    seen, kept = np.zeros((2, len(recording.stations), len(recording.targets)), dtype=bool)
+    for table, readings in ((seen, recording.measured), (kept, adjustment.problem.use)):
+        rows = readings.any(axis=1)
+        table[recording.station[rows], recording.target[rows]] = True
     two = seen.sum(axis=0) == 2
     ends = {1: "its coordinates are those of one of them", 0: "it is left without coordinates"}
     for stations, end in ends.items():
@@ -227,6 +214,7 @@ def _tripods(adjustment: Adjustment) -> Iterator[str]:
 
 
 def _thin_stations(adjustment: Adjustment) -> Iterator[str]:
+    """Stations that lost most of their pointings."""
     recording, measured = adjustment.recording, adjustment.recording.measured.any(axis=1)
     count = len(recording.stations)
     whole = np.bincount(recording.station[measured], minlength=count)
@@ -238,26 +226,20 @@ def _thin_stations(adjustment: Adjustment) -> Iterator[str]:
         )
 
 
-def _held(adjustment: Adjustment) -> Iterator[str]:
+def _uncertain_figures(adjustment: Adjustment) -> Iterator[str]:
+    """Poses that are held or bend, a sum of squares that states nothing."""
     if adjustment.lost_stations:
         yield (
-            f"nothing that is left of its readings determines all of the pose of station "
+            "nothing that is left of its readings determines all of the pose of station "
             f"{_named(adjustment.lost_stations)}: it has no standard deviation there"
         )
-
-
-def _bent(adjustment: Adjustment) -> Iterator[str]:
     bend = np.nan_to_num(curvature(adjustment)) if adjustment.solution.converged else np.zeros(0)
-    names = [adjustment.recording.stations[s] for s in np.flatnonzero(bend > BENT)]
-    if names:
+    if np.any(bend > BENT):
         yield (
-            f"the targets of station {_named(names)} hold its pose so weakly that its standard deviations, which are "
-            f"linear, are too small (curvature {bend.max():.2g}, trustworthy below {BENT:g}): give it targets off one "
-            "line and apart"
+            f"the targets of station {_named(adjustment.recording.stations[s] for s in np.flatnonzero(bend > BENT))} "
+            "hold its pose so weakly that its standard deviations, which are linear, are too small "
+            f"(curvature {bend.max():.2g}, trustworthy below {BENT:g}): give it targets off one line and apart"
         )
-
-
-def _contradiction(adjustment: Adjustment) -> Iterator[str]:
     if adjustment.sigma0 > CONTRADICTION:
         yield (
             f"sigma0 is {adjustment.sigma0:.3g}: readings, lengths and known points contradict each other, and the "
@@ -270,6 +252,43 @@ def _copies(adjustment: Adjustment) -> Iterator[str]:
         yield f"{adjustment.copies} rows repeat others to the last digit: these copies count once"
 
 
-def _named(names: list[str] | tuple[str, ...]) -> str:
-    more = len(names) - MOST_NAMED
-    return ", ".join(names[:MOST_NAMED]) + (f" and {more} more" if more > 0 else "")
+def _named(names: Iterable[str]) -> str:
+    every = list(names)
+    more = len(every) - MOST_NAMED
+    return ", ".join(every[:MOST_NAMED]) + (f" and {more} more" if more > 0 else "")
+
+
+def curvature(adjustment: Adjustment) -> Floats:
+    """(S,) Bend of all readings over one standard deviation of each pose, along its least known direction.
+
+    A covariance is right where readings are straight lines over the region it describes. A station that sees its
+    targets almost on one line, or all of them far away within a hand's breadth, may turn so far that they are not.
+    With f the whitened readings and v a step of one standard deviation of the network: |f(x + v) - 2 f(x) + f(x - v)|
+    / 2. Zero where a pose is known so well that its turn cannot bend them, NaN where it is held.
+
+    References
+    ----------
+    Bates and Watts, Nonlinear Regression Analysis and Its Applications (1988), 7.1: relative curvature, here of the
+    parameters as they are and of the expectation surface together.
+    """
+    problem, state, spread = adjustment.problem, adjustment.state, adjustment.pose_covariance
+    range_, station = adjustment.sightings.range_, adjustment.recording.station
+    across = problem.sigma * np.stack([np.ones_like(range_), range_, range_], axis=1)
+    finest = np.min(np.where(problem.use, across, np.inf), axis=1)
+    steepest, known = np.zeros(len(spread)), np.isfinite(finest)
+    np.maximum.at(steepest, station[known], (range_ / finest)[known])
+    bend = np.where(np.isnan(spread).any(axis=(1, 2)), np.nan, 0.0)
+    turn = np.trace(np.nan_to_num(spread)[:, 3:, 3:], axis1=1, axis2=2)
+    for s in np.flatnonzero(0.5 * turn * steepest > STRAIGHT):
+        columns, size = problem.unknowns.pose[s], np.sqrt(np.diag(spread[s]))
+        worst = np.linalg.eigh(spread[s] / np.outer(size, size))[1][:, -1] / size
+        direction = np.zeros((problem.unknowns.size, 1))
+        direction[columns, 0] = worst
+        carried = adjustment.factor.covariance_columns(direction)[:, 0]
+        step = carried / np.sqrt(carried[columns] @ worst)
+        gaps = [problem.model.predict(problem.retract(state, sign * step)) for sign in (1.0, -1.0)]
+        gaps = [gap - problem.model.predict(state) for gap in gaps]
+        for gap in gaps:
+            gap[:, 1:] = wrap(gap[:, 1:])
+        bend[s] = 0.5 * float(np.linalg.norm((sum(gaps) / problem.sigma)[problem.use]))
+    return bend

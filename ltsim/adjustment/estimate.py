@@ -6,28 +6,29 @@ from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy import special
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.adjustment.axes_fit import LEAST, fitted_axes
 from ltsim.adjustment.components import Component, Grouping, estimated_components
-from ltsim.adjustment.copies import copied_rows
-from ltsim.adjustment.datum import InnerDatum, moved_to_datum, stated_datum
-from ltsim.adjustment.known import KINDS, Kind, KnownTest, judged
-from ltsim.adjustment.loose import without_loose
-from ltsim.adjustment.marks import Marks
+from ltsim.adjustment.datum import InnerDatum, about, moved_to_datum, stated_datum
+from ltsim.adjustment.frame import misses
+from ltsim.adjustment.known import KINDS, SIGMAS, Kind, KnownTest, judged
 from ltsim.adjustment.prior import ParameterPrior
 from ltsim.adjustment.problem import WEAK, NetworkProblem
-from ltsim.adjustment.screening import screened
-from ltsim.adjustment.snooping import snooped
+from ltsim.adjustment.rows import Marks
+from ltsim.adjustment.snooping import copied_rows, screened, snooped, without_loose
 from ltsim.adjustment.start import reached_network
 from ltsim.arrays import Bools, Floats
 from ltsim.effects.signature import Signature
 from ltsim.errors import ModelError, NetworkError
+from ltsim.geometry.alignment import robust_align
+from ltsim.geometry.rigid import rigid_motion
 from ltsim.model.construction import Construction, ideal
 from ltsim.model.measurement import MeasurementModel, State, ball_lift
 from ltsim.recording.recording import Recording
 from ltsim.solve.gauss_newton import Solution, solve
 from ltsim.solve.threads import in_one_thread
+from ltsim.units import MILLIMETRE
 
 TURNED = 1e-7
 """[rad] A network turned by more is linearised anew."""
@@ -111,7 +112,7 @@ def adjust(
         parameters = np.zeros((len(recording.instruments), built.size)) if prior is None else prior.mean
         start = State(position, rotation, points, parameters, np.zeros(model.extra_size))
     elif len(start.extra) != model.extra_size:
-        start = State(start.position, start.rotation, start.points, start.instrument, np.zeros(model.extra_size))
+        start = replace(start, extra=np.zeros(model.extra_size))
     keep = np.broadcast_to(((~gross | robust) & ~lost[recording.target])[:, None], recording.readings.shape)
     chosen = keep if use is None else keep & use
     find = snooped if robust else _solved
@@ -121,7 +122,7 @@ def adjust(
     whole = without_loose(whole, start)
     wrong: tuple[KnownTest, ...] = ()
     if searched and not (robust and whole.knows_nothing):
-        sound = whole.using(whole.use & ~gross[:, None]) if robust and gross.any() else whole
+        sound = replace(whole, use=whole.use & ~gross[:, None]) if robust and gross.any() else whole
         problem, solution, wrong = judged(sound, solve(sound, start), judging)
         model = problem.model
     if wrong and robust:
@@ -130,19 +131,11 @@ def adjust(
         problem, solution = find(whole, start)
     components: tuple[Component, ...] = ()
     if variance_components is not None:
-        given = problem, solution, variance_components
-        problem, solution, components = estimated_components(*given, find, whole.use)
+        problem, solution, components = estimated_components(problem, solution, variance_components, find, whole.use)
     untied = tuple(recording.targets[i] for i in np.flatnonzero(lost))
     gross &= ~problem.use.any(axis=1)
     found = Adjustment(problem, solution, gross, components, untied, wrong, copies=int(copied.sum()))
-    names = _datum_names(found, datum)
-    if not names or solution.factor is None or not problem.free.shape[1]:
-        return found
-    if recording.setup.axes and datum is None and len(names) >= LEAST:
-        fitted, tests = fitted_axes(found, names)
-        problem = replace(problem, model=replace(problem.model, recording=fitted))
-        found, names = replace(found, problem=problem, axes=tests), stated_datum(problem)
-    return _in_datum(found, names)
+    return _in_datum(found, datum)
 
 
 def _check_marks(recording: Recording) -> None:
@@ -174,32 +167,126 @@ def _check_normals(problem: NetworkProblem) -> None:
         )
 
 
-def _datum_names(adjustment: Adjustment, chosen: Sequence[str] | None) -> tuple[str, ...]:
-    """The targets that were chosen for the datum, or those of the set-up that the readings determine."""
-    wanted = stated_datum(adjustment.problem) if chosen is None else chosen
-    if not wanted:
-        return ()
-    lost = adjustment.lost_targets
-    if chosen is None:
-        return tuple(name for name in wanted if name not in lost)
-    for name in chosen:
-        if name in lost:
-            raise ModelError(f"the readings do not determine target {name} of the datum: leave it out of it")
-    return tuple(chosen)
-
-
 def _solved(problem: NetworkProblem, start: State) -> tuple[NetworkProblem, Solution[State]]:
     return problem, solve(problem, start)
 
 
-def _in_datum(adjustment: Adjustment, names: Sequence[str]) -> Adjustment:
-    """The adjustment with state and covariances in the datum of these targets."""
-    problem, solution = adjustment.problem, adjustment.solution
+def _in_datum(adjustment: Adjustment, chosen: Sequence[str] | None) -> Adjustment:
+    """The adjustment with state and covariances in the datum of chosen targets, or of those that the set-up states.
+
+    Of the latter only those count that the readings determine; where they only give axes, they are tested first.
+    """
+    problem, solution, lost = adjustment.problem, adjustment.solution, adjustment.lost_targets
+    names = [name for name in stated_datum(problem) if name not in lost] if chosen is None else list(chosen)
+    for name in chosen or ():
+        if name in lost:
+            raise ModelError(f"the readings do not determine target {name} of the datum: leave it out of it")
+    if not names or solution.factor is None or not problem.free.shape[1]:
+        return adjustment
+    if adjustment.recording.setup.axes and chosen is None and len(names) >= LEAST:
+        fitted, tests = fitted_axes(adjustment, names)
+        problem = replace(problem, model=replace(problem.model, recording=fitted))
+        adjustment, names = replace(adjustment, problem=problem, axes=tests), list(stated_datum(problem))
     state, turned = moved_to_datum(problem, solution.x, names)
     solution = replace(solution, x=state)
     if turned > TURNED:  # The factor belongs to the frame it was computed in.
         again = solve(problem, state)
         solution = replace(again, iterations=solution.iterations, status=solution.status)
-    if solution.factor is None:
-        return replace(adjustment, solution=solution)
-    return replace(adjustment, solution=solution, datum=InnerDatum.of(problem, state, solution.factor, names))
+    tied = None if solution.factor is None else InnerDatum.of(problem, state, solution.factor, names)
+    return replace(adjustment, solution=solution, datum=tied)
+
+
+GROSS, CLEARLY = 2e-3, 10.0
+"""Miss [m], and in medians, of the axes that most points ask for, from which a point begins outside."""
+LEVEL = 0.02
+"""Chance that any point of a sound fit is left out."""
+LEAST = 3
+"""Points that define axes."""
+OPEN = 1e-6
+"""Share of a point's error that its residual shows below which the others say nothing of it."""
+
+
+def fitted_axes(adjustment: Adjustment, names: Sequence[str]) -> tuple[Recording, tuple[KnownTest, ...]]:
+    """The recording with its datum at the points that agree about the axes, and the test of each point.
+
+    Each is tested by what the others say: what it misses their axes by is compared with the network's own uncertainty
+    there and the scatter that the others show. A point that the others contradict is left out; where they alone would
+    leave the axes open, it keeps the part that they do not check.
+    """
+    recording = adjustment.recording
+    stated = np.array([recording.target_setup(name).approximate_mm for name in names], dtype=np.float64) * MILLIMETRE
+    here = adjustment.state.points[[recording.targets.index(name) for name in names]]
+    off = misses(here, stated, robust_align(here, stated))
+    use = off <= max(CLEARLY * float(np.median(off)), GROSS)
+    use |= use.sum() <= len(names) / 2
+    for _ in range(2 * len(names)):
+        tests = _axes_tests(adjustment, names, stated, use)
+        ratio = np.array([test.w / test.critical for test in tests])
+        if (~use & (ratio <= 1.0)).any():
+            k = int(np.argmin(np.where(use, np.inf, ratio)))
+        elif (use & (ratio > 1.0)).any():
+            k = int(np.argmax(np.where(use, ratio, 0.0)))
+        else:
+            break
+        if use[k] and use.sum() <= LEAST:
+            tests[k] = replace(tests[k], left_out=True)
+            stated[k] -= tests[k].error
+            break
+        use = use ^ (np.arange(len(names)) == k)
+    targets = dict(recording.setup.targets)
+    for name, used, place in zip(names, use, stated / MILLIMETRE, strict=True):
+        targets[name] = targets[name].model_copy(update={"datum": bool(used), "approximate_mm": tuple(place.tolist())})
+    return recording.replace(setup=recording.setup.model_copy(update={"targets": targets})), tuple(tests)
+
+
+def _axes_tests(adjustment: Adjustment, names: Sequence[str], stated: Floats, use: Bools) -> list[KnownTest]:
+    """Each point, stated (k, 3), by what the points in use (k,) say without it."""
+    chosen = [name for name, used in zip(names, use, strict=True) if used]
+    found = adjustment.in_inner_datum(chosen)
+    at = [found.recording.targets.index(name) for name in names]
+    state, _ = moved_to_datum(found.problem, found.state, chosen)
+    turn = state.rotation[0] @ found.state.rotation[0].T
+    own = turn @ found.target_covariance[at] @ turn.T
+    gap, places = stated - state.points[at], state.points[at]
+    centre = places[use].mean(axis=0)
+    free = about(found.problem.free, centre)
+    motion = (rigid_motion(places, centre) @ free).reshape(-1, 3, free.shape[1])
+    carried = motion @ np.linalg.inv(np.linalg.qr(motion[use].reshape(-1, motion.shape[2]))[1])
+    held = carried @ np.swapaxes(carried, 1, 2)
+    square = float(np.sum(gap[use] ** 2)) - float(np.trace(own[use].sum(axis=0)))
+    rest = square, 3 * int(use.sum()) - motion.shape[2], LEVEL / len(names)
+    return [_test(name, gap[k], own[k], held[k], used=bool(use[k]), rest=rest) for k, name in enumerate(names)]
+
+
+def _test(
+    name: str, gap: Floats, own: Floats, held: Floats, *, used: bool, rest: tuple[float, int, float]
+) -> KnownTest:
+    """The test of a point off by `gap` (3,): `own` its covariance in the network, `held` what it adds to the axes.
+
+    With R = 1 - `held` of a point in use, its residual is R times its error; another shows its error whole.
+    """
+    share, turned = np.linalg.eigh(np.eye(3) - held if used else np.eye(3) + held)
+    seen = share > OPEN
+    turned, share = turned[:, seen], share[seen]
+    shown = share if used else np.ones(len(share))
+    square, dof, level = rest
+    error = turned.T @ gap / shown
+    if used:
+        square, dof = square - float(share @ error**2) + float(np.trace(own)), dof - len(share)
+    scatter = max(square, 0.0) / max(dof, 1)
+    network = (turned.T @ own @ turned) / np.outer(shown, shown)
+    spread = network + np.diag(scatter / share if used else scatter * share)
+    limit = len(share) * special.fdtri(len(share), max(dof, 1), 1.0 - level)
+    return KnownTest(
+        kind="axes",
+        name=name,
+        axes="xyz",
+        sigma=np.sqrt(np.diag(own) + scatter),
+        residual=gap,
+        error=turned @ error,
+        sigma_error=np.sqrt(np.einsum("ik,kl,il->i", turned, spread, turned)),
+        drop=float(error @ np.linalg.solve(spread, error)),
+        rank=len(share),
+        left_out=not used,
+        critical=max(SIGMAS, float(np.sqrt(limit))),
+    )

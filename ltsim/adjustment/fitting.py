@@ -1,19 +1,21 @@
-"""One pose or one point from whatever was read: small fits from many starts at once, the best is taken.
+"""One pose or one point from whatever was read, and a network of ranges alone: approximate coordinates.
 
-Used only for approximate coordinates, where a station or a target cannot be had in closed form: bearings without
-ranges, ranges without bearings, a level, a known mark.
+Used only where a station or a target cannot be had in closed form: bearings without ranges, ranges without bearings, a
+level, a known mark. Small fits run from many starts at once, and the best is taken.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 
 from ltsim.arrays import Bools, Floats, Ints
-from ltsim.geometry.polar import polar_jacobian, to_polar, wrap
+from ltsim.geometry.polar import from_polar, polar_jacobian, to_polar, wrap
 from ltsim.geometry.rotations import about_z, cross_matrix, from_rotation_vector
+from ltsim.model.measurement import reduce_to_horizontal
 
 ITERATIONS = 60
 SAME = 1e-3
@@ -28,9 +30,14 @@ BEST = 150
 """Starts that are followed: those that fit best."""
 ROWS = 12
 """Rows that are fitted, evenly chosen."""
+MOST_STARTS = 400
+ROUND = np.arange(8) * np.pi / 4
+GUESSES = np.geomspace(0.3, 300.0, 12), ROUND, np.array([-1.0, -0.3, 0.3, 1.0])
+"""Where a point is sought along what was not read of it: range [m], azimuth, elevation [rad]."""
+LEAST_RANGES = 10
 
 Evaluate = Callable[[Floats, Floats], tuple[Floats, Floats]]
-Move = Callable[[Floats, Floats, Floats], tuple[Floats, Floats]]
+"""Residuals (b, m) at places (b, 3) and rotations (b, 3, 3), and their derivative (b, m, q) by what is free."""
 
 
 @dataclass(frozen=True)
@@ -56,15 +63,10 @@ class Sight:
         """Residuals (b, 3 k) in parts of the range and their derivatives (b, 3 k, 3) by the local points (b, k, 3)."""
         size, rows = local.shape[:2]
         polar = to_polar(local.reshape(-1, 3))
-        by = polar_jacobian(polar, np.ones(len(polar), dtype=np.int64)).reshape(size, rows, 3, 3)
-        polar = polar.reshape(size, rows, 3)
-        range_ = polar[:, :, 0].copy()
-        flat = self.horizontal
-        by[:, flat, 0] = (
-            np.cos(polar[:, flat, 2])[..., None] * by[:, flat, 0]
-            - (polar[:, flat, 0] * np.sin(polar[:, flat, 2]))[..., None] * by[:, flat, 2]
-        )
-        polar[:, flat, 0] *= np.cos(polar[:, flat, 2])
+        by = polar_jacobian(polar, np.ones(len(polar), dtype=np.int64))
+        range_ = polar[:, 0].reshape(size, rows).copy()
+        reduce_to_horizontal(polar, (by,), np.tile(self.horizontal, size))
+        by, polar = by.reshape(size, rows, 3, 3), polar.reshape(size, rows, 3)
         gap = self.readings - polar
         gap[:, :, 1:] = wrap(gap[:, :, 1:])
         scale = np.stack([1.0 / range_, np.cos(polar[:, :, 2]), np.ones_like(range_)], axis=2) / FLOOR
@@ -99,38 +101,23 @@ def fit_pose(
     places = _places(points) if position is None else position[None]
     turns = _turns(not tilted) if azimuth or tilted else np.eye(3)[None]
     places = places if high or position is not None else places[:-2]
-    x = np.repeat(places, len(turns), axis=0)
-    rotation = np.tile(turns, (len(places), 1, 1))
 
     def evaluate(x: Floats, rotation: Floats) -> tuple[Floats, Floats]:
         arm = points[None] - x[:, None]
         gap, by_local = sight.residual(arm @ rotation)
         turned = by_local @ np.swapaxes(rotation, 1, 2)
-        three = turned.reshape(len(x), -1, 3, 3)
-        by_turn = (three @ cross_matrix(arm)).reshape(len(x), -1, 3)
+        by_turn = (turned.reshape(len(x), -1, 3, 3) @ cross_matrix(arm)).reshape(len(x), -1, 3)
         return gap, np.concatenate([-turned, by_turn], axis=2)[:, :, free]
 
-    def move(x: Floats, rotation: Floats, step: Floats) -> tuple[Floats, Floats]:
-        whole = np.zeros((len(x), 6))
-        whole[:, free] = step
-        return x + whole[:, :3], from_rotation_vector(whole[:, 3:]) @ rotation
-
-    cost, x, rotation = _descend(evaluate, move, x, rotation)
-    apart = np.linalg.norm(x - x[0], axis=1) / (1 + np.abs(points - x[0]).max()) + np.linalg.norm(
-        rotation - rotation[0], axis=(1, 2)
-    )
-    return (x[0], rotation[0]) if _clear(cost, apart, sight.count) else None
+    starts = np.repeat(places, len(turns), axis=0), np.tile(turns, (len(places), 1, 1))
+    return _clearest(sight.count, points, _descend(evaluate, free, *starts))
 
 
 def fit_point(sight: Sight, position: Floats, rotation: Floats) -> Floats | None:
     """A point (3,) seen from known stations at `position` (k, 3), `rotation` (k, 3, 3); None where not clear."""
     rows, sight = sight.few()
-    position, rotation = position[rows], rotation[rows]
+    rotation, lifted = rotation[rows], position[rows] - sight.lift
     if sight.count < 3:
-        return None
-    lifted = position - sight.lift
-    x = _along(sight.readings, lifted, rotation)
-    if not len(x):
         return None
 
     def evaluate(x: Floats, _: Floats) -> tuple[Floats, Floats]:
@@ -139,47 +126,49 @@ def fit_point(sight: Sight, position: Floats, rotation: Floats) -> Floats | None
         by = by_local.reshape(len(x), -1, 3, 3) @ np.swapaxes(rotation, 1, 2)[None]
         return gap, by.reshape(len(x), -1, 3)
 
-    def move(x: Floats, same: Floats, step: Floats) -> tuple[Floats, Floats]:
-        return x + step, same
-
-    cost, x, _ = _descend(evaluate, move, x, np.zeros((len(x), 1)))
-    apart = np.linalg.norm(x - x[0], axis=1) / (1 + np.linalg.norm(lifted - x[0], axis=1).max())
-    return x[0] if _clear(cost, apart, sight.count) else None
+    starts = _along(sight.readings, lifted, rotation)
+    free = np.arange(6) < 3
+    found = _clearest(sight.count, lifted, _descend(evaluate, free, starts, np.tile(np.eye(3), (len(starts), 1, 1))))
+    return None if found is None else found[0]
 
 
-def _clear(cost: Floats, apart: Floats, count: int) -> bool:
-    """Whether the first of the solutions, sorted by cost, is good and the only one as good."""
+def _clearest(count: int, around: Floats, found: tuple[Floats, Floats, Floats]) -> tuple[Floats, Floats] | None:
+    """The first of the solutions, sorted by cost, where it is good and the only one as good, for `count` readings."""
+    cost, x, rotation = found
     if not cost[0] < WORST**2 * count:
-        return False
-    other = cost[apart > SAME]
-    return not len(other) or float(other[0]) > CLEARLY * float(cost[0]) + count
+        return None
+    apart = np.linalg.norm(x - x[0], axis=1) / (1 + np.abs(around - x[0]).max())
+    other = cost[apart + np.linalg.norm(rotation - rotation[0], axis=(1, 2)) > SAME]
+    clear = not len(other) or float(other[0]) > CLEARLY * float(cost[0]) + count
+    return (x[0], rotation[0]) if clear else None
 
 
-def _descend(evaluate: Evaluate, move: Move, x: Floats, y: Floats) -> tuple[Floats, Floats, Floats]:
+def _descend(evaluate: Evaluate, free: Bools, x: Floats, rotation: Floats) -> tuple[Floats, Floats, Floats]:
     """Levenberg-Marquardt from the best starts at once: costs, ascending, and where they were reached."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        best = np.argsort(_cost(evaluate(x, y)[0]))[:BEST]
-        x, y = x[best], y[best]
-        gap, by = evaluate(x, y)
-        cost, damping = _cost(gap), np.full(len(x), 1e-3)
+        best = np.argsort(_cost(evaluate(x, rotation)[0]))[:BEST]
+        here: tuple[Floats, ...] = (x[best], rotation[best], *evaluate(x[best], rotation[best]))
+        cost, damping = _cost(here[2]), np.full(len(best), 1e-3)
+        step = np.zeros((len(best), 6))
         for _ in range(ITERATIONS):
+            x, rotation, gap, by = here
             normal = np.nan_to_num(np.swapaxes(by, 1, 2) @ by, posinf=0.0)
             weight = damping[:, None] * np.einsum("bii->bi", normal) + 1e-9
             lifted = normal + weight[:, :, None] * np.eye(normal.shape[1])
             right = np.nan_to_num(np.einsum("bmi,bm->bi", by, gap), posinf=0.0)
-            there, turned = move(x, y, np.linalg.solve(lifted, right[..., None])[..., 0])
-            new_gap, new_by = evaluate(there, turned)
-            new_cost = _cost(new_gap)
+            step[:, free] = np.linalg.solve(lifted, right[..., None])[..., 0]
+            there = x + step[:, :3], from_rotation_vector(step[:, 3:]) @ rotation
+            ahead = *there, *evaluate(*there)
+            new_cost = _cost(ahead[2])
             better = new_cost < cost
             slow = ~better | (new_cost > cost * (1 - 1e-9))
-            x, y = _choose(better, there, x), _choose(better, turned, y)
-            gap, by = _choose(better, new_gap, gap), _choose(better, new_by, by)
+            here = tuple(_choose(better, new, old) for new, old in zip(ahead, here, strict=True))
             cost = np.where(better, new_cost, cost)
             damping = np.where(better, damping / 5, np.minimum(damping * 5, 1e9))
             if np.all(slow & (~better | (damping < 1e-6)) & ((damping > 1e3) | (damping < 1e-6))):
                 break
     order = np.argsort(cost)
-    return cost[order], x[order], y[order]
+    return cost[order], here[0][order], here[1][order]
 
 
 def _cost(gap: Floats) -> Floats:
@@ -194,32 +183,55 @@ def _places(points: Floats) -> Floats:
     """Where a station may stand: among the points and around them."""
     centre = points.mean(axis=0)
     reach = max(float(np.linalg.norm(points - centre, axis=1).max()), 1.0)
-    across = reach * np.array([[np.cos(a), np.sin(a), 0.0] for a in np.arange(8) * np.pi / 4])
+    across = reach * np.stack([np.cos(ROUND), np.sin(ROUND), np.zeros(len(ROUND))], axis=1)
     above = np.outer([-reach, reach], [0.0, 0.0, 1.0])
     return np.concatenate([[centre], centre + 0.4 * across, centre + 1.5 * across, centre + above])
 
 
 def _turns(level: bool) -> Floats:
-    yaws = np.stack([about_z(a) for a in np.arange(8) * np.pi / 4])
+    yaws = np.stack([about_z(a) for a in ROUND])
     if level:
         return yaws
     sides = np.array([[0, 0, 0], [1, 0, 0], [-1, 0, 0], [2, 0, 0], [0, 1, 0], [0, -1, 0]])
-    tilts = from_rotation_vector(0.5 * np.pi * sides)
-    return np.concatenate([tilt @ yaws for tilt in tilts])
+    return np.concatenate([tilt @ yaws for tilt in from_rotation_vector(0.5 * np.pi * sides)])
 
 
 def _along(readings: Floats, position: Floats, rotation: Floats) -> Floats:
     """Points to start from: along the beams that were read, on the spheres of ranges without a beam."""
     starts = []
-    for (range_, azimuth, elevation), p, r in zip(readings, position, rotation, strict=True):
-        lengths = [range_] if np.isfinite(range_) else np.geomspace(0.3, 300.0, 12)
-        azimuths = [azimuth] if np.isfinite(azimuth) else np.arange(8) * np.pi / 4
-        levels = [elevation] if np.isfinite(elevation) else [-1.0, -0.3, 0.3, 1.0]
-        if np.isfinite([range_, azimuth, elevation]).sum() == 0:
-            continue
-        for d in lengths:
-            for a in azimuths:
-                for e in levels:
-                    local = d * np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
-                    starts.append(p + r @ local)
-    return np.array(starts[:400]).reshape(-1, 3)
+    for reading, place, turn in zip(readings, position, rotation, strict=True):
+        if np.isfinite(reading).any():
+            ways = ([value] if np.isfinite(value) else guess for value, guess in zip(reading, GUESSES, strict=True))
+            starts.append(from_polar(np.array(list(product(*ways)))) @ turn.T + place)
+    return np.concatenate(starts)[:MOST_STARTS]
+
+
+def multilaterate(ranges: Floats) -> tuple[Floats, Floats] | None:
+    """Stations (S, 3) and targets (T, 3) from all ranges (S, T) [m] between them; None where that is not possible.
+
+    Needs four stations off one plane and ten targets; the result may be the mirror image.
+
+    Notes
+    -----
+    Differences of squared ranges to a first station and target are products: a matrix of rank three, which gives
+    both sides up to an affinity. That the first station sees the targets at its ranges is linear in the ten numbers
+    that remain.
+    """
+    if ranges.shape[0] < 4 or ranges.shape[1] < LEAST_RANGES:
+        return None
+    squares = ranges**2
+    product = -0.5 * (squares - squares[:1] - squares[:, :1] + squares[0, 0])
+    left, singular, right = np.linalg.svd(product)
+    if singular[2] < 1e-6 * singular[0]:
+        return None
+    stations, targets = left[:, :3] * singular[:3], right[:3].T
+    x, y, z = targets.T
+    quadratic = np.stack([x * x, y * y, z * z, 2 * x * y, 2 * x * z, 2 * y * z, 2 * x, 2 * y, 2 * z], axis=1)
+    values = np.linalg.lstsq(quadratic[1:], (squares[0] - squares[0, 0])[1:], rcond=None)[0]
+    metric = values[[0, 3, 4, 3, 1, 5, 4, 5, 2]].reshape(3, 3)
+    size, axes = np.linalg.eigh(metric)
+    if size[0] <= 0:
+        return None
+    root = np.sqrt(size)[:, None] * axes.T
+    shift = np.linalg.solve(root.T, values[6:])
+    return stations @ np.linalg.inv(root), targets @ root.T + shift

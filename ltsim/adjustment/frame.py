@@ -1,4 +1,8 @@
-"""Turning a network that was put together in its own frame into the one that levels and known points define."""
+"""What a network is put together from: the frame that levels and known points define, and what stations measured whole.
+
+A tunnel of 2,000 set-ups that see 50 targets each has 100,000 pairs of a station and a target: a list, for the table
+would have 100 million places.
+"""
 
 from __future__ import annotations
 
@@ -6,10 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ltsim.adjustment.marks import Marks
+from ltsim.adjustment.rows import Marks
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.errors import NetworkError
 from ltsim.geometry.alignment import align
+from ltsim.geometry.polar import from_polar
 from ltsim.geometry.rotations import about_z, smallest_turn
 from ltsim.recording.recording import Recording
 from ltsim.units import DEGREE, MILLIMETRE
@@ -17,27 +22,28 @@ from ltsim.units import DEGREE, MILLIMETRE
 VERTICAL = np.array([0.0, 0.0, 1.0])
 ROUGH_PLACE = 0.5
 """[m] How far a station may stand from its place on a floor plan."""
+AT_ONCE = 4096
+"""Targets whose medians are taken together."""
+NOWHERE = (np.nan, np.nan, np.nan)
 
 
 @dataclass(frozen=True)
 class Frame:
-    """What is known of the network's frame beforehand."""
+    """What is known of the network's frame beforehand; NaN where nothing is stated."""
 
     points: Floats
-    """(T, 3) [m]: targets that define it: known ones, and approximate ones that were chosen for the datum; NaN
-    elsewhere.
-    """
+    """(T, 3) [m]: targets that define it: known ones, and approximate ones that were chosen for the datum."""
     stations: Floats
     """(S, 3) [m]: the same for instruments over marks that are no targets."""
     level: Bools
     """(S,)."""
     marks: Marks
     plan: Floats
-    """(S, 3) [m]: rough places of the stations on a floor plan, NaN where none is stated."""
+    """(S, 3) [m]: rough places of the stations on a floor plan."""
     yaw: Floats
-    """(S,) [rad]: where the zero of each circle points on that plan, NaN where it is not stated."""
+    """(S,) [rad]: where the zero of each circle points on that plan."""
     near: Floats
-    """(T, 3) [m]: known or approximate places of the targets, NaN where none is stated."""
+    """(T, 3) [m]: known or approximate places of the targets."""
 
     @classmethod
     def of(cls, recording: Recording) -> Frame:
@@ -46,13 +52,13 @@ class Frame:
         setups = [recording.station_setup(name) for name in recording.stations]
         alone = [name if marks.target[i] < 0 else "" for i, name in enumerate(marks.names)]
         return cls(
-            np.array([_stated(recording, name) for name in recording.targets]).reshape(-1, 3),
-            np.array([_stated(recording, name) for name in alone]).reshape(-1, 3) + marks.offset,
+            _metres([_stated(recording, name) for name in recording.targets]),
+            _metres([_stated(recording, name) for name in alone]) + marks.offset,
             np.array([s.levelled for s in setups], dtype=bool),
             marks,
-            np.array([s.position_mm or (np.nan,) * 3 for s in setups], dtype=np.float64).reshape(-1, 3) * MILLIMETRE,
+            _metres([s.position_mm or NOWHERE for s in setups]),
             np.array([np.nan if s.yaw_deg is None else s.yaw_deg * DEGREE for s in setups]),
-            np.array([_near(recording, name) for name in recording.targets]).reshape(-1, 3) * MILLIMETRE,
+            _metres([_stated(recording, name, chosen=False) for name in recording.targets]),
         )
 
     @property
@@ -77,9 +83,10 @@ class Frame:
         if not self.level.any() or len(here) < 2:
             return None
         try:
-            return upright_alignment(here @ turn.T, there, turn)
+            rotation, translation = upright_alignment(here @ turn.T, there)
         except NetworkError:
             return None
+        return rotation @ turn, translation
 
     def plan_motion(self, position: Floats, rotation: Floats) -> tuple[Floats, Floats] | None:
         """Turn about the vertical and translation of a free network onto the floor plan; None where it has none.
@@ -90,55 +97,52 @@ class Frame:
         known = np.flatnonzero(np.isfinite(self.plan).all(axis=1) & np.isfinite(position).all(axis=1))
         if len(known) > 1:
             try:
-                turn, shift = upright_alignment(position[known], self.plan[known])
+                motion = upright_alignment(position[known], self.plan[known])
             except NetworkError:
                 return None
-            miss = np.linalg.norm(position[known] @ turn.T + shift - self.plan[known], axis=1)
-            return (turn, shift) if miss.max() < ROUGH_PLACE else None
+            return motion if misses(position[known], self.plan[known], motion).max() < ROUGH_PLACE else None
         if not len(known) or not np.isfinite(self.yaw[known[0]]):
             return None
         ahead = rotation[known[0], :, 0]
         turn = about_z(float(self.yaw[known[0]] - np.arctan2(ahead[1], ahead[0])))
         return turn, self.plan[known[0]] - turn @ position[known[0]]
 
-    def hand(self, stations: Ints, position: Floats, targets: Ints, points: Floats) -> tuple[Floats, bool]:
-        """Factors (3,) that turn a network of ranges into its mirror image or leave it, and whether that is known.
+    def hand(self, here: Floats, there: Floats) -> Floats | None:
+        """Factors (3,) that turn a network of ranges at `here` (k, 3) into its mirror image or leave it; None: unknown.
 
-        Ranges have no hand: rough places of stations and targets tell it when they are off one plane.
+        Ranges have no hand: places that are stated `there` roughly (NaN elsewhere) tell it when they are off one plane.
         """
-        here, there = np.concatenate([position, points]), np.concatenate([self.plan[stations], self.near[targets]])
         stated = np.isfinite(there).all(axis=1)
         here, there = here[stated], there[stated]
-        both = np.array([[1.0, 1.0, 1.0], [1.0, 1.0, -1.0]])
         if len(here) < 4 or _thickness(there) < ROUGH_PLACE:
-            return both[0], False
-        misses = []
-        for factors in both:
-            rotation, shift = align(here * factors, there)
-            misses.append(np.linalg.norm((here * factors) @ rotation.T + shift - there))
-        return both[int(np.argmin(misses))], True
+            return None
+        both = np.array([[1.0, 1.0, 1.0], [1.0, 1.0, -1.0]])
+        rests = [np.linalg.norm(misses(here * factors, there, align(here * factors, there))) for factors in both]
+        return both[int(np.argmin(rests))]
+
+    def tells_hand(self, position: Floats, points: Floats) -> bool:
+        """Whether rough places tell a network of ranges from its mirror image."""
+        return self.hand(np.concatenate([position, points]), np.concatenate([self.plan, self.near])) is not None
 
     def placed(self, stations: Ints, position: Floats, targets: Ints, points: Floats) -> tuple[Floats, bool]:
         """Targets (t, 3) of a network of ranges, in the hand and in the places that are stated roughly.
 
         And whether they are in these places: three off one line say so.
         """
-        factors, _ = self.hand(stations, position, targets, points)
-        here = np.concatenate([position, points]) * factors
-        there = np.concatenate([self.plan[stations], self.near[targets]])
+        here, there = np.concatenate([position, points]), np.concatenate([self.plan[stations], self.near[targets]])
+        factors = self.hand(here, there)
+        if factors is not None:
+            here, points = here * factors, points * factors
         stated = np.isfinite(there).all(axis=1)
         if stated.sum() < 3 or on_a_line(there[stated]):
-            return points * factors, False
+            return points, False
         rotation, shift = align(here[stated], there[stated])
-        return (points * factors) @ rotation.T + shift, True
+        return points @ rotation.T + shift, True
 
     def is_on_plan(self, position: Floats, rotation: Floats) -> bool:
         """Whether a network stands on the floor plan already, as well as the plan knows places."""
         motion = self.plan_motion(position, rotation)
-        if motion is None:
-            return False
-        moved = position @ motion[0].T + motion[1] - position
-        return bool(np.linalg.norm(moved, axis=1).max() < ROUGH_PLACE)
+        return motion is not None and bool(misses(position, position, motion).max() < ROUGH_PLACE)
 
     def upright(self, rotation: Floats, joined: Bools) -> Floats:
         """The smallest turn (3, 3) that brings the axes of levelled stations to their plumb lines."""
@@ -150,24 +154,18 @@ class Frame:
         return smallest_turn(axis / np.linalg.norm(axis), goal / np.linalg.norm(goal))
 
 
-def _stated(recording: Recording, name: str) -> tuple[float, float, float]:
-    target = recording.target_setup(name)
-    nothing = (np.nan, np.nan, np.nan)
-    if not name:
-        return nothing
+def _stated(recording: Recording, name: str, *, chosen: bool = True) -> tuple[float, ...]:
+    """Known place [mm] of a target, or its approximate one, where it is `chosen` for the datum alone if asked so."""
+    target = recording.target_setup(name) if name else None
+    if target is None:
+        return NOWHERE
     if target.known_mm is not None and target.known_axes == "xyz":
-        place = target.known_mm
-    elif target.datum and target.approximate_mm is not None:
-        place = target.approximate_mm
-    else:
-        return nothing
-    return place[0] * MILLIMETRE, place[1] * MILLIMETRE, place[2] * MILLIMETRE
+        return target.known_mm
+    return (target.approximate_mm if target.datum or not chosen else None) or NOWHERE
 
 
-def _near(recording: Recording, name: str) -> tuple[float, float, float]:
-    target = recording.target_setup(name)
-    known = target.known_mm if target.known_axes == "xyz" else None
-    return known or target.approximate_mm or (np.nan, np.nan, np.nan)
+def _metres(places: list[tuple[float, ...]]) -> Floats:
+    return np.array(places, dtype=np.float64).reshape(-1, 3) * MILLIMETRE
 
 
 def _thickness(points: Floats) -> float:
@@ -181,18 +179,84 @@ def on_a_line(points: Floats) -> bool:
     return bool(spread[1] <= 1e-3 * spread[0])
 
 
-def upright_alignment(source: Floats, goal: Floats, before: Floats | None = None) -> tuple[Floats, Floats]:
-    """Rotation and translation of points (k >= 2, 3) about the vertical alone; rotation after `before` if given.
+def misses(source: Floats, goal: Floats, motion: tuple[Floats, Floats]) -> Floats:
+    """How far (k,) [m] points (k, 3) end from their goals after a motion: rotation, then translation."""
+    return np.asarray(np.linalg.norm(source @ motion[0].T + motion[1] - goal, axis=1))
 
-    Raises
-    ------
-    NetworkError
-        When the points lie above one another.
+
+def upright_alignment(source: Floats, goal: Floats) -> tuple[Floats, Floats]:
+    """Rotation and translation of points (k >= 2, 3) about the vertical alone.
+
+    NetworkError when the points lie above one another.
     """
     a, b = (source - source.mean(axis=0))[:, :2], (goal - goal.mean(axis=0))[:, :2]
     if not np.sum(a * a) > 1e-9 * np.sum((source - source.mean(axis=0)) ** 2):
         raise NetworkError("an alignment about the vertical needs points that are not above one another")
     yaw = np.arctan2(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]), np.sum(a * b))
     rotation = about_z(float(yaw))
-    translation: Floats = goal.mean(axis=0) - rotation @ source.mean(axis=0)
-    return rotation if before is None else rotation @ before, translation
+    return rotation, np.asarray(goal.mean(axis=0) - rotation @ source.mean(axis=0))
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """Pairs (m,) of a station and a target that it measured whole, in the order of the stations."""
+
+    station: Ints
+    target: Ints
+    """(m,) each."""
+    points: Floats
+    """(m, 3) [m]: the target in the station's own frame."""
+    begin: Ints
+    """(S + 1,): where each station's pairs begin."""
+    order: Ints
+    """(m,): pairs in the order of their targets."""
+    first: Ints
+    """(T + 1,): where each target's pairs begin in that order."""
+
+    @classmethod
+    def of(cls, recording: Recording, points: Floats | None = None) -> Pairs:
+        """The pairs of a recording; faces and repeats combined by the median, which a single blunder does not move.
+
+        `points` (n, 3) are the measured points; by default those of an ideal tracker.
+        """
+        stations, targets = len(recording.stations), len(recording.targets)
+        measured = from_polar(recording.readings) if points is None else points
+        rows = np.flatnonzero(np.isfinite(measured).all(axis=1))
+        key = recording.station[rows] * targets + recording.target[rows]
+        by_key = np.argsort(key, kind="stable")
+        where, first, count = np.unique(key[by_key], return_index=True, return_counts=True)
+        middle = np.zeros((len(where), 3))
+        for repeats in np.unique(count):
+            group = np.flatnonzero(count == repeats)
+            middle[group] = np.median(measured[rows[by_key[first[group][:, None] + np.arange(repeats)]]], axis=1)
+        station, target = np.divmod(where, max(targets, 1))
+        order = np.argsort(target, kind="stable")
+        begin = np.searchsorted(station, np.arange(stations + 1))
+        return cls(station, target, middle, begin, order, np.searchsorted(target[order], np.arange(targets + 1)))
+
+    def __len__(self) -> int:
+        return len(self.station)
+
+    def of_station(self, station: int) -> slice:
+        """Its pairs."""
+        return slice(int(self.begin[station]), int(self.begin[station + 1]))
+
+    def medians(self, values: Floats, which: Ints) -> Floats:
+        """Median (k, 3) over stations of values (m, 3) of some targets, leaving out NaN; NaN where all are."""
+        found = np.full((len(which), 3), np.nan)
+        for low in range(0, len(which), AT_ONCE):
+            first, end = self.first[which[low : low + AT_ONCE]], self.first[which[low : low + AT_ONCE] + 1]
+            place = first[:, None] + np.arange((end - first).max(initial=0))
+            pair = self.order[np.minimum(place, len(self) - 1)]
+            found[low : low + AT_ONCE] = _nan_median(np.where((place < end[:, None])[:, :, None], values[pair], np.nan))
+        return found
+
+
+def _nan_median(values: Floats) -> Floats:
+    """Median over the second axis of (t, k, 3), leaving out entries that are NaN; NaN where all are."""
+    if not values.shape[1]:
+        return np.full((len(values), 3), np.nan)
+    ordered = np.sort(values, axis=1)
+    count = np.isfinite(values[:, :, 0]).sum(axis=1)
+    at = np.arange(len(values))
+    return 0.5 * (ordered[at, (count - 1) // 2] + ordered[at, count // 2])

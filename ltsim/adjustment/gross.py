@@ -1,20 +1,27 @@
 """Gross errors explained: swapped reflectors, wrong units, mixed-up faces, single bad readings.
 
 A pointing that lands elsewhere by millimetres or more is no matter of statistics. Each is tried against the mistakes
-people make; what a mistake explains can be mended, the rest is left out.
+people make; what a mistake explains can be mended, the rest is left out. Whole stations in another unit, convention or
+face are seen before anything is adjusted: their cloud of points has not the shape that other stations saw.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
+from ltsim.adjustment.frame import Pairs, misses
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.effects.face_confusion import FaceConfusion
 from ltsim.effects.motions import exact_target_change
 from ltsim.effects.wrong_unit import WrongUnit
+from ltsim.errors import NetworkError
+from ltsim.geometry.alignment import robust_align
+from ltsim.geometry.polar import from_polar
 from ltsim.model.measurement import verticals
 from ltsim.recording.recording import OBSERVABLES, Recording
 from ltsim.recording.slips import FACE_SLIPS, UNIT_SLIPS
@@ -25,29 +32,23 @@ CLOSE = 1e-3
 ASIDE = 0.002
 """Share of a height that a pointing may land aside: nothing else comes down so straight."""
 MOST_ROWS = 6
+WRONG_SHAPE = 5e-3
+"""[m] median misfit of two stations' clouds that no tracker error and no single blunder makes."""
 
 
 @dataclass(frozen=True)
 class GrossFinding:
-    """A mistake found in some pointings.
-
-    Attributes
-    ----------
-    effect : str
-        target-swap, wrong-unit, face-confusion or outlier.
-    rows : (k,) int
-    stations, targets, observables : tuple of str
-    size : float
-        Displacement [m], or the reading's error for an outlier.
-    sentence : str
-    """
+    """A mistake found in some pointings."""
 
     effect: str
+    """target-swap, wrong-unit, face-confusion or outlier."""
     rows: Ints
+    """(k,)."""
     stations: tuple[str, ...]
     targets: tuple[str, ...]
     observables: tuple[str, ...]
     size: float
+    """Displacement [m], or the reading's error for an outlier."""
     sentence: str
 
 
@@ -68,46 +69,23 @@ def explain_gross(adjustment: Adjustment) -> tuple[Recording, Bools, list[GrossF
     """
     recording, left = adjustment.recording, adjustment.gross.copy()
     use = np.ones((len(recording), 3), dtype=bool)
-    if not left.any():
-        return recording, use, []
-    readings, target = recording.readings.copy(), recording.target.copy()
-    mends = mistakes(adjustment)
-    for finding, read, seen in mends:
-        readings[finding.rows], target[finding.rows] = read, seen
-        left[finding.rows] = False
-    outliers = _outliers(adjustment, left)
-    for finding in outliers:
+    readings, target, findings = recording.readings.copy(), recording.target.copy(), []
+    for finding, read, seen in mistakes(adjustment):
+        readings[finding.rows], target[finding.rows], left[finding.rows] = read, seen, False
+        findings.append(finding)
+    for finding in _outliers(adjustment, left):
         use[finding.rows[0], [OBSERVABLES.index(o) for o in finding.observables or OBSERVABLES]] = False
-    return recording.replace(readings=readings, target=target), use, [*(one for one, *_ in mends), *outliers]
+        findings.append(finding)
+    return (recording.replace(readings=readings, target=target) if findings else recording), use, findings
 
 
 def mistakes(adjustment: Adjustment) -> list[Mend]:
     """Mistakes that explain pointings which an adjustment screened out: mended, they land on their target."""
-    recording, left = adjustment.recording, adjustment.gross.copy()
-    if not left.any():
-        return []
-    found = _swaps(adjustment, left)
-    for finding, *_ in found:
-        left[finding.rows] = False
-    heights = _heights(adjustment, left)
-    for finding, *_ in heights:
-        left[finding.rows] = False
-    found += heights
-    kinds = (WrongUnit.name, UNIT_SLIPS), (FaceConfusion.name, FACE_SLIPS)
-    for effect, slip in ((effect, slip) for effect, slips in kinds for slip in slips):
-        readings = slip.mended(recording.readings)
-        at = np.flatnonzero(left & np.isfinite(readings).all(axis=1))
-        rows = at[_misses(adjustment, readings[at], at) < CLOSE]
-        if len(rows):
-            left[rows] = False
-            stations = tuple(sorted({recording.stations[s] for s in recording.station[rows]}))
-            targets = tuple(sorted({recording.targets[t] for t in recording.target[rows]}))
-            size = float(_misses(adjustment, recording.readings[rows], rows).max())
-            where = f"{', '.join(stations)} to {', '.join(targets[:6])}"
-            sentence = f"{len(rows)} pointings at station {where} hold {slip.cause}."
-            observables = tuple(OBSERVABLES[c] for c in slip.columns)
-            finding = GrossFinding(effect, rows, stations, targets, observables, size, sentence)
-            found.append((finding, readings[rows], recording.target[rows]))
+    left, found = adjustment.gross.copy(), []
+    for kind in (_swaps, _heights, _slips):
+        for mend in kind(adjustment, left) if left.any() else ():
+            found.append(mend)
+            left[mend[0].rows] = False
     return found
 
 
@@ -124,16 +102,15 @@ def _placed(adjustment: Adjustment, readings: Floats, rows: Ints) -> Floats:
 def _misses(adjustment: Adjustment, readings: Floats, rows: Ints) -> Floats:
     """How far (k,) [m] such points lie from their targets."""
     goal = adjustment.state.points[adjustment.recording.target[rows]]
-    miss: Floats = np.linalg.norm(_placed(adjustment, readings, rows) - goal, axis=1)
-    return miss
+    return np.asarray(np.linalg.norm(_placed(adjustment, readings, rows) - goal, axis=1))
 
 
-def _swaps(adjustment: Adjustment, rows: Bools) -> list[Mend]:
+def _swaps(adjustment: Adjustment, rows: Bools) -> Iterator[Mend]:
     """Pairs of targets that were exchanged at a station (or one that was taken for another)."""
     recording, points = adjustment.recording, adjustment.state.points
     at = np.flatnonzero(rows & recording.measured.all(axis=1))
     if not len(at):
-        return []
+        return
     gaps = np.linalg.norm(_placed(adjustment, recording.readings[at], at)[:, None] - points[None], axis=2)
     nearest = np.argmin(gaps, axis=1)
     lands = gaps[np.arange(len(at)), nearest] < CLOSE
@@ -141,7 +118,6 @@ def _swaps(adjustment: Adjustment, rows: Bools) -> list[Mend]:
     for i in np.flatnonzero(lands & (nearest != recording.target[at])):
         a, b = sorted((int(recording.target[at[i]]), int(nearest[i])))
         pairs.setdefault((int(recording.station[at[i]]), a, b), []).append(int(i))
-    found = []
     for (s, a, b), members in pairs.items():
         station, names = recording.stations[s], (recording.targets[a], recording.targets[b])
         gap = float(np.linalg.norm(points[a] - points[b]))
@@ -156,30 +132,27 @@ def _swaps(adjustment: Adjustment, rows: Bools) -> list[Mend]:
             numbers = ", ".join(str(at[i] + 1) for i in members[:MOST_ROWS])
             sentence = f"At station {station} what is booked as {told} (row {numbers}) is {meant}, {gap:.2f} m away."
         finding = GrossFinding("target-swap", at[members], (station,), names, (), gap, sentence)
-        found.append((finding, recording.readings[at[members]], nearest[members]))
-    return found
+        yield finding, recording.readings[at[members]], nearest[members]
 
 
-def _heights(adjustment: Adjustment, rows: Bools) -> list[Mend]:
+def _heights(adjustment: Adjustment, rows: Bools) -> Iterator[Mend]:
     """Pointings that land right above or below their target: a height of target or instrument that is not that."""
-    recording, model = adjustment.recording, adjustment.problem.model
+    recording = adjustment.recording
     at = np.flatnonzero(rows & recording.measured.all(axis=1))
     if not len(at):
-        return []
+        return
     off = _placed(adjustment, recording.readings[at], at) - adjustment.state.points[recording.target[at]]
     up = verticals(recording)[recording.station[at]]
     high = np.einsum("ni,ni->n", off, up)
-    range_ = model.geometry(adjustment.state).range_[at]
     aside = np.linalg.norm(off - high[:, None] * up, axis=1)
-    upright = (np.abs(high) > CLOSE) & (aside < np.maximum(CLOSE, ASIDE * np.abs(high))) & (aside < range_)
+    beside = aside < np.minimum(np.maximum(CLOSE, ASIDE * np.abs(high)), adjustment.sightings.range_[at])
     lift = np.zeros((len(recording), 3))
     lift[at] = high[:, None] * up
     mended = recording.readings - exact_target_change(adjustment.sightings, lift)
     groups: dict[tuple[int, int, int], list[int]] = {}
-    for i in np.flatnonzero(upright):
+    for i in np.flatnonzero((np.abs(high) > CLOSE) & beside):
         key = int(recording.station[at[i]]), int(recording.target[at[i]]), round(high[i] / (2.0 * CLOSE))
         groups.setdefault(key, []).append(int(i))
-    found: list[Mend] = []
     for (s, t, _), members in groups.items():
         station, target, size = recording.stations[s], recording.targets[t], float(np.mean(high[members]))
         numbers = ", ".join(str(at[i] + 1) for i in members[:MOST_ROWS])
@@ -190,14 +163,31 @@ def _heights(adjustment: Adjustment, rows: Bools) -> list[Mend]:
         )
         rows_ = at[members]
         finding = GrossFinding("outlier", rows_, (station,), (target,), (), abs(size), sentence)
-        found.append((finding, mended[rows_], recording.target[rows_]))
-    return found
+        yield finding, mended[rows_], recording.target[rows_]
 
 
-def _outliers(adjustment: Adjustment, rows: Bools) -> list[GrossFinding]:
+def _slips(adjustment: Adjustment, rows: Bools) -> Iterator[Mend]:
+    """Pointings in another unit or of the other face; what is found leaves `rows` before the next is asked for."""
+    recording = adjustment.recording
+    kinds = (WrongUnit.name, UNIT_SLIPS), (FaceConfusion.name, FACE_SLIPS)
+    for effect, slip in ((effect, slip) for effect, slips in kinds for slip in slips):
+        readings = slip.mended(recording.readings)
+        at = np.flatnonzero(rows & np.isfinite(readings).all(axis=1))
+        at = at[_misses(adjustment, readings[at], at) < CLOSE]
+        if len(at):
+            stations = tuple(sorted({recording.stations[s] for s in recording.station[at]}))
+            targets = tuple(sorted({recording.targets[t] for t in recording.target[at]}))
+            size = float(_misses(adjustment, recording.readings[at], at).max())
+            where = f"{', '.join(stations)} to {', '.join(targets[:6])}"
+            sentence = f"{len(at)} pointings at station {where} hold {slip.cause}."
+            observables = tuple(OBSERVABLES[c] for c in slip.columns)
+            finding = GrossFinding(effect, at, stations, targets, observables, size, sentence)
+            yield finding, readings[at], recording.target[at]
+
+
+def _outliers(adjustment: Adjustment, rows: Bools) -> Iterator[GrossFinding]:
     """Pointings that nothing explains: which reading is off, where it is one only."""
-    recording, found = adjustment.recording, []
-    expected = adjustment.problem.model.predict(adjustment.state)
+    recording, expected = adjustment.recording, adjustment.problem.model.predict(adjustment.state)
     arms = np.stack([np.ones(len(rows)), expected[:, 0] * np.cos(expected[:, 2]), expected[:, 0]], axis=1)
     lengths = np.abs(adjustment.residuals * arms)
     for row in np.flatnonzero(rows):
@@ -206,5 +196,98 @@ def _outliers(adjustment: Adjustment, rows: Bools) -> list[GrossFinding]:
         observables = (OBSERVABLES[large[0]],) if len(large) == 1 else ()
         size, what = float(np.nanmax(lengths[row])), observables[0] if observables else "pointing"
         sentence = f"The {what} from {station} to {target} (row {row + 1}) is off by {size * 1e3:.1f} mm."
-        found.append(GrossFinding("outlier", np.array([row]), (station,), (target,), observables, size, sentence))
-    return found
+        yield GrossFinding("outlier", np.array([row]), (station,), (target,), observables, size, sentence)
+
+
+def mend_stations(recording: Recording) -> tuple[Recording, list[GrossFinding]]:
+    """Mend stations that were recorded in another unit or convention.
+
+    Returns
+    -------
+    recording : Recording
+        With their readings converted.
+    findings : list of GrossFinding
+        One a station; empty where every shape agrees or nothing explains the difference.
+    """
+    findings: list[GrossFinding] = []
+    odd = np.flatnonzero(_misfit(recording) > WRONG_SHAPE)
+    if len(recording.stations) == 2:
+        return recording, _mirrored_pair(recording) if len(odd) else findings
+    for s in odd:
+        name, rows = recording.stations[s], np.flatnonzero(recording.station == s)
+        for effect in WrongUnit.at(name):
+            readings = recording.readings.copy()
+            readings[rows] = effect.slip.mended(readings[rows])
+            mended = recording.with_readings(readings)
+            if _misfit(mended)[s] < WRONG_SHAPE:
+                moved = from_polar(readings[rows]) - from_polar(recording.readings[rows])
+                size = float(np.nanmax(np.linalg.norm(moved, axis=1)))
+                sentence = f"Station {name} was recorded with {effect.slip.cause}."
+                findings.append(GrossFinding(effect.name, rows, (name,), (), effect.observables, size, sentence))
+                recording = mended
+                break
+    return recording, findings
+
+
+def _mirrored_pair(recording: Recording) -> list[GrossFinding]:
+    """Of two stations that see each other's targets in a mirror nobody can tell which has its azimuths clockwise."""
+    readings = recording.readings.copy()
+    rows = np.flatnonzero(recording.station == 1)
+    readings[rows, 1] *= -1.0
+    if not _misfit(recording.with_readings(readings))[1] < WRONG_SHAPE:
+        return []
+    a, b = recording.stations
+    sentence = f"Stations {a} and {b} saw mirror images: the azimuths of one of them are clockwise."
+    return [GrossFinding(WrongUnit.name, rows, (a, b), (), ("azimuth",), 0.0, sentence)]
+
+
+def mend_faces(recording: Recording) -> tuple[Recording, list[GrossFinding]]:
+    """Put pointings into the face that their raw elevations show, where the stored one is another.
+
+    Where most pointings of face 2 read like face 1, that is how the file states elevations, and nobody's mistake.
+
+    Returns
+    -------
+    recording : Recording
+    findings : list of GrossFinding
+        One a station.
+    """
+    shown = np.where(np.cos(recording.readings[:, 2]) < 0.0, 2, 1)
+    wrong = np.isfinite(recording.readings[:, 2]) & (shown != recording.face)
+    back = recording.face == 2
+    if not wrong.any() or any(2 * np.sum(wrong & face) > np.sum(face) for face in (back, ~back)):
+        return recording, []
+    findings = []
+    for s in np.unique(recording.station[wrong]):
+        rows = np.flatnonzero(wrong & (recording.station == s))
+        name, stored = recording.stations[s], sorted(set(recording.face[rows].tolist()))
+        far = float(np.nanmax(recording.readings[rows, 0]))
+        faces = " and ".join(str(face) for face in stored)
+        sentence = (
+            f"{len(rows)} pointings at station {name} are stored as face {faces}, but their raw elevations are those "
+            "of the other face."
+        )
+        observables = ("azimuth", "elevation")
+        findings.append(GrossFinding("face-confusion", rows, (name,), (), observables, 2 * far, sentence))
+    return recording.replace(face=np.where(wrong, shown, recording.face)), findings
+
+
+def _misfit(recording: Recording) -> Floats:
+    """Median over the other stations of the median misfit (S,) [m] of two clouds; 0 without common targets."""
+    pairs, count = Pairs.of(recording), len(recording.stations)
+    cloud = np.full((count, len(recording.targets), 3), np.nan)
+    cloud[pairs.station, pairs.target] = pairs.points
+    seen, gaps = np.isfinite(cloud[:, :, 0]), np.full((count, count), np.nan)
+    for a, b in combinations(range(count), 2):
+        common = seen[a] & seen[b]
+        if common.sum() < 4:
+            continue
+        here, there = cloud[b][common], cloud[a][common]
+        try:
+            gaps[a, b] = gaps[b, a] = float(np.median(misses(here, there, robust_align(here, there))))
+        except NetworkError:
+            continue
+    known = np.isfinite(gaps).any(axis=1)
+    middle = np.zeros(count)
+    middle[known] = np.nanmedian(gaps[known], axis=1)
+    return middle

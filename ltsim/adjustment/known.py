@@ -61,8 +61,8 @@ MOST_OUT = 1 / 3
 
 
 @dataclass(frozen=True)
-class KnownValue:
-    """One known value in the rows of an adjustment: a point, a length, a level, or that a set-up stands on its mark."""
+class Known:
+    """A known value: a point, a length, a level, or that a set-up stands on its mark; (q,) [m or rad], a component."""
 
     kind: Kind
     name: str
@@ -70,8 +70,15 @@ class KnownValue:
     axes: str
     """Coordinates that are known, of a point."""
     sigma: Floats
+    """Stated standard deviation."""
     residual: Floats
-    """(q,) [m or rad] each: stated standard deviations, and stated less adjusted."""
+    """Stated less adjusted."""
+
+
+@dataclass(frozen=True)
+class KnownValue(Known):
+    """A known value in the rows of an adjustment."""
+
     rows: Ints
     """(r,): rows of the system that its error reaches."""
     signature: Floats
@@ -79,16 +86,9 @@ class KnownValue:
 
 
 @dataclass(frozen=True)
-class KnownTest:
-    """What the rest of a network says about a known value; all (q,) are in m or rad, one a component."""
+class KnownTest(Known):
+    """What the rest of a network says about a known value."""
 
-    kind: Kind
-    name: str
-    axes: str
-    sigma: Floats
-    """Stated standard deviation."""
-    residual: Floats
-    """Stated less adjusted."""
     error: Floats
     """Estimated error: stated less what the rest says."""
     sigma_error: Floats
@@ -144,20 +144,16 @@ class KnownTest:
 
 def loosened(problem: NetworkProblem, state: State) -> NetworkProblem:
     """The problem with what is said to be exact known as well as `FINEST` of a reading, so that it can be tested."""
-    geometry = problem.model.geometry(state)
-    across = geometry.range_[:, None]
-    sizes = problem.sigma * np.concatenate([np.ones_like(across), across, across], axis=1)
     if not problem.use.any():
         return problem
+    range_ = problem.model.geometry(state).range_
+    sizes = problem.sigma * np.stack([np.ones_like(range_), range_, range_], axis=1)
     floor = FINEST * float(np.median(sizes[problem.use]))
-    turn = floor / float(np.median(geometry.range_[problem.use.any(axis=1)]))
-    levels = replace(problem.levels, sigma=np.maximum(problem.levels.sigma, turn))
-    control, marks = problem.control.no_finer(floor), problem.known_marks.no_finer(floor)
-    if (
-        control is problem.control
-        and marks is problem.known_marks
-        and np.array_equal(levels.sigma, problem.levels.sigma)
-    ):
+    turn = floor / float(np.median(range_[problem.use.any(axis=1)]))
+    control, marks, levels = problem.control.no_finer(floor), problem.known_marks.no_finer(floor), problem.levels
+    if np.any(levels.sigma < turn):
+        levels = replace(levels, sigma=np.maximum(levels.sigma, turn))
+    if control is problem.control and marks is problem.known_marks and levels is problem.levels:
         return problem
     return replace(problem, control=control, known_marks=marks, levels=levels)
 
@@ -184,7 +180,7 @@ def known_values(problem: NetworkProblem, state: State) -> Iterator[KnownValue]:
             first += len(root)
     tilts = -problem.levels.predict(state.rotation)
     for i, station in enumerate(problem.levels.station.tolist()):
-        sigma, rows = np.full(2, problem.levels.sigma[i]), first + 2 * i + np.arange(2)
+        sigma, rows = np.full(2, problem.levels.sigma[i]), problem.level_rows.start + 2 * i + np.arange(2)
         yield KnownValue("level", recording.stations[station], "", sigma, tilts[i], rows, np.diag(1.0 / sigma))
     yield from _centrings(problem, state)
 
@@ -267,11 +263,10 @@ def judged(
             out.append(found)
             if not found.left_out:
                 break
-            aside = loosened(
-                aside.on(replace(aside.model, recording=without(aside.model.recording, found))), solution.x
-            )
+            model = replace(aside.model, recording=without(aside.model.recording, found))
+            aside = loosened(aside.on(model), solution.x)
         else:
-            aside = aside.using(aside.use & ~found)
+            aside = replace(aside, use=aside.use & ~found)
         solution = solve(aside, solution.x)
     gone = [test for test in out if test.left_out]
     if solution.factor is None or _too_many(*given, gone):
@@ -284,15 +279,13 @@ def judged(
     weak = {(test.kind, test.name) for test in gone if test.w < SIGMAS * usual[test.kind]}
     if weak:
         return judged(*given, kinds, spared | weak)
-    off = {(value.kind, value.name): value.residual for value in known_values(problem, ended.x)}
     if min(test.w for test in gone) < PLAIN and _price(kept, ended, gone) >= _price(problem, given[1], ()):
         return *given, ()
-    return kept, ended, tuple(_settled(test, off[test.kind, test.name]) for test in out)
-
-
-def _settled(test: KnownTest, off: Floats) -> KnownTest:
-    """The test of a known value that was left out with what it is off by in the end."""
-    return replace(test, residual=off, error=off) if test.left_out and test.kind != "mark" else test
+    off = {(value.kind, value.name): value.residual for value in known_values(problem, ended.x)}
+    for i, test in enumerate(out):
+        if test.left_out and test.kind != "mark":  # what it is off by in the end
+            out[i] = replace(test, residual=off[test.kind, test.name], error=off[test.kind, test.name])
+    return kept, ended, tuple(out)
 
 
 def _usual(problem: NetworkProblem, solution: Solution[State], kind: Kind) -> float:
@@ -357,18 +350,16 @@ def _too_many(problem: NetworkProblem, solution: Solution[State], out: Sequence[
     return any(gone.count(kind) > max(1.0, MOST_OUT * every.count(kind)) for kind in KINDS)
 
 
-def without(recording: Recording, test: KnownTest) -> Recording:
+def without(recording: Recording, test: Known) -> Recording:
     """The recording whose set-up does not state one known value."""
-    setup = recording.setup
+    setup, name = recording.setup, test.name
     if test.kind == "length":
-        gauge = recording.gauge
-        left = tuple(d for d in gauge.distance if f"{d.from_}-{d.to}" != test.name)
-        return recording.replace(setup=setup.model_copy(update={"gauge": gauge.model_copy(update={"distance": left})}))
-    if test.kind in ("level", "mark"):
-        stations, change = dict(setup.stations), {"levelled": False} if test.kind == "level" else {"over": None}
-        stations[test.name] = stations[test.name].model_copy(update=change)
-        return recording.replace(setup=setup.model_copy(update={"stations": stations}))
-    targets = dict(setup.targets)
-    told = targets[test.name]
-    targets[test.name] = told.model_copy(update={"known_mm": None, "approximate_mm": told.known_mm})
-    return recording.replace(setup=setup.model_copy(update={"targets": targets}))
+        left = tuple(d for d in recording.gauge.distance if f"{d.from_}-{d.to}" != name)
+        change: dict[str, object] = {"gauge": recording.gauge.model_copy(update={"distance": left})}
+    elif test.kind in ("level", "mark"):
+        unsaid: dict[str, object] = {"levelled": False} if test.kind == "level" else {"over": None}
+        change = {"stations": setup.stations | {name: setup.stations[name].model_copy(update=unsaid)}}
+    else:
+        unsaid = {"known_mm": None, "approximate_mm": setup.targets[name].known_mm}
+        change = {"targets": setup.targets | {name: setup.targets[name].model_copy(update=unsaid)}}
+    return recording.replace(setup=setup.model_copy(update=change))

@@ -8,11 +8,8 @@ from functools import cached_property
 import numpy as np
 import scipy.sparse as sp
 
-from ltsim.adjustment.marks import Marks
 from ltsim.adjustment.prior import ParameterPrior, prior_sigmas
-from ltsim.adjustment.rows import ControlRows, GaugeRows, LevelRows, free_motions
-from ltsim.adjustment.structure import Structure
-from ltsim.adjustment.unknowns import Unknowns
+from ltsim.adjustment.rows import VERTICAL, ControlRows, GaugeRows, LevelRows, Marks, free_motions
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.geometry.polar import wrap
 from ltsim.geometry.rotations import cross_matrix
@@ -23,8 +20,148 @@ from ltsim.solve.design import Design, Pattern, as_dense
 DATUM_SIGMA = np.full(6, 1e-8)
 """Stiffness [m, rad] of the datum rows. Any value gives the same adjustment; the covariance of the first
 station's frame wants one far below the sigmas of the network, the numbers one not too far."""
+UPRIGHT = 1.0 - 1e-8
+"""Cosine of the lean up to which a plumb line counts as that of the network (0.14 mrad, 900 m on the earth)."""
 WEAK = 300.0
 """Prior sigmas to which further effects are held: far beyond any plausible size."""
+
+
+@dataclass(frozen=True)
+class Unknowns:
+    """Columns of the design: poses, kept targets, instrument parameters, further effects; then the other targets.
+
+    Set-ups over one mark share the columns of their position, with the target where that mark is one.
+    """
+
+    pose: Ints
+    """(S, 6): translation, then rotation."""
+    target: Ints
+    """(T, 3): gauge targets and those under a set-up are kept, all others are eliminated block by block."""
+    instrument: Ints
+    """(I, p)."""
+    extra: Ints
+    """(q,)."""
+    kept: int
+    """Number of kept columns K."""
+    size: int
+    """Number of all columns."""
+
+    @classmethod
+    def of(cls, model: MeasurementModel, gauge: GaugeRows, marks: Marks) -> Unknowns:
+        """The unknowns of a model."""
+        recording, over = model.recording, marks.target >= 0
+        stations, targets = len(recording.stations), len(recording.targets)
+        size = 0
+
+        def fresh(rows: int, width: int) -> Ints:
+            nonlocal size
+            first, size = size, size + rows * width
+            return np.arange(first, size).reshape(rows, width)
+
+        own = np.ones((stations, 6), dtype=bool)
+        own[:, :3] = (~over & (marks.first == np.arange(stations)))[:, None]
+        keep = np.zeros(targets, dtype=bool)
+        keep[np.concatenate([gauge.first, gauge.second, marks.target[over]])] = True
+        pose, target = np.full((stations, 6), -1), np.empty((targets, 3), dtype=np.int64)
+        pose[own] = fresh(int(own.sum()), 1)[:, 0]
+        target[keep] = fresh(int(keep.sum()), 3)
+        instrument, extra = fresh(len(recording.instruments), model.construction.size), fresh(1, model.extra_size)[0]
+        kept = size
+        target[~keep] = fresh(int((~keep).sum()), 3)
+        pose[over, :3] = target[marks.target[over]]
+        pose[:, :3] = np.where(pose[:, :3] < 0, pose[marks.first, :3], pose[:, :3])
+        return cls(pose, target, instrument, extra, kept, size)
+
+
+@dataclass(frozen=True)
+class Structure:
+    """What no reading in use determines, wherever things stand: it is held where it is."""
+
+    unknowns: Unknowns
+    yaw: Ints
+    tilt: Ints
+    """Stations without azimuths, and those without any angle or level."""
+    height: Ints
+    """Levelled stations that only read azimuths."""
+    place: Ints
+    """Stations without any reading."""
+    unseen: Bools
+    """(T,): targets without a reading in use, known coordinates or a set-up on them."""
+    flat: Bools
+    """(T,): targets that levelled set-ups saw by horizontal directions alone: nothing tells their height."""
+    turned: Ints
+    """Stations whose yaw the readings know."""
+
+    @classmethod
+    def of(cls, problem: NetworkProblem) -> Structure:
+        """The structure of a network, by counting."""
+        recording, use, marks, levels = problem.model.recording, problem.use, problem.marks, problem.levels
+        count = len(recording.stations)
+        range_, azimuth, elevation = (np.bincount(recording.station, use[:, i], count) > 0 for i in range(3))
+        level, alone = np.zeros(count, dtype=bool), (marks.first == np.arange(count)) & (marks.target < 0)
+        level[levels.station] = True
+        alone[problem.known_marks.target] = False
+        seen = np.bincount(recording.target, use.any(axis=1), len(recording.targets)) > 0
+        known = np.concatenate([problem.control.target, marks.target[marks.target >= 0]])
+        seen[known] = True
+        upright = np.zeros(count, dtype=bool)
+        upright[levels.station] = np.abs(levels.vertical @ VERTICAL) > UPRIGHT
+        flat = np.bincount(recording.target, use[:, 1], len(recording.targets)) > 0
+        flat[recording.target[use[:, [0, 2]].any(axis=1) | (use[:, 1] & ~upright[recording.station])]] = False
+        flat[np.concatenate([known, problem.gauge.first, problem.gauge.second])] = False
+        return cls(
+            unknowns=problem.unknowns,
+            yaw=np.flatnonzero(~azimuth),
+            tilt=np.flatnonzero(~azimuth & ~elevation & ~level),
+            height=np.flatnonzero(alone & azimuth & ~range_ & ~elevation & level),
+            place=np.flatnonzero(alone & ~range_ & ~azimuth & ~elevation),
+            unseen=~seen,
+            flat=flat,
+            turned=np.flatnonzero(azimuth),
+        )
+
+    @property
+    def held_columns(self) -> Ints:
+        """Columns (h, 3) of each row that holds."""
+        unknowns = self.unknowns
+        single = [unknowns.target[self.unseen], unknowns.pose[self.place, :3]]
+        single += [unknowns.pose[self.height, 2:3], unknowns.target[self.flat, 2:3]]
+        rows = [unknowns.pose[self.yaw, 3:], np.repeat(unknowns.pose[self.tilt, 3:], 2, axis=0)]
+        return np.concatenate([*rows, *(np.repeat(columns.reshape(-1, 1), 3, axis=1) for columns in single)])
+
+    def held_directions(self, state: State) -> Floats:
+        """Directions (h, 3) in these columns."""
+        yaw = state.rotation[self.yaw] @ VERTICAL
+        tilt = np.swapaxes(state.rotation[self.tilt], 1, 2)[:, :2].reshape(-1, 3)
+        single = np.zeros((self.held - len(yaw) - len(tilt), 3))
+        single[:, 0] = 1.0
+        return np.concatenate([yaw, tilt, single])
+
+    @property
+    def held_poses(self) -> Bools:
+        """(S, 6) True where something of a pose is held; turns of all three axes where the yaw is open."""
+        held = np.zeros(self.unknowns.pose.shape, dtype=bool)
+        held[self.yaw, 3:] = True
+        held[self.tilt, 3:] = True
+        held[self.height, 2] = True
+        held[self.place, :3] = True
+        return held
+
+    @property
+    def held(self) -> int:
+        """Number h of held unknowns."""
+        counted = len(self.yaw) + 2 * len(self.tilt) + len(self.height) + 3 * len(self.place) + int(self.flat.sum())
+        return counted + 3 * int(self.unseen.sum())
+
+    @property
+    def anchors(self) -> Ints:
+        """Stations that the datum rows hold: the first whose yaw is known; all where none is (distances alone)."""
+        return self.turned[:1] if self.anchors_turn else np.arange(len(self.unknowns.pose))
+
+    @property
+    def anchors_turn(self) -> bool:
+        """Whether the datum rows hold the turns of the anchors too."""
+        return len(self.turned) > 0
 
 
 @dataclass(frozen=True)
@@ -52,8 +189,7 @@ class NetworkProblem:
     levels: LevelRows
     marks: Marks
     known_marks: ControlRows
-    structure: Structure
-    """What these and the set-up fix."""
+    unknowns: Unknowns
 
     @classmethod
     def of(
@@ -74,11 +210,12 @@ class NetworkProblem:
         used = recording.measured if use is None else recording.measured & use
         gauge, control, levels = GaugeRows.of(recording), ControlRows.of(recording), LevelRows.of(recording, used)
         known_marks = ControlRows.of_stations(recording, marks)
+        plausible = [p.prior_sigma for effect in model.effects for p in effect.parameters]
         return cls(
             model=model,
             sigma=recording.sigma() if sigma is None else sigma,
             prior=prior or ParameterPrior.independent(prior_sigmas(recording, model.construction)),
-            extra_sigma=held_to * _plausible_sizes(model),
+            extra_sigma=held_to * np.array(plausible, dtype=np.float64),
             free=free_motions(control, known_marks, levels),
             use=used,
             gauge=gauge,
@@ -86,13 +223,8 @@ class NetworkProblem:
             levels=levels,
             marks=marks,
             known_marks=known_marks,
-            structure=Structure.of(model, used, gauge, control, levels, marks, known_marks),
+            unknowns=Unknowns.of(model, gauge, marks),
         )
-
-    def using(self, use: Bools) -> NetworkProblem:
-        """The problem with other readings (n, 3) in use."""
-        rows = self.gauge, self.control, self.levels, self.marks, self.known_marks
-        return replace(self, use=use, structure=Structure.of(self.model, use, *rows, unknowns=self.unknowns))
 
     def on(self, model: MeasurementModel) -> NetworkProblem:
         """The problem of another model of the same pointings, with what that states and these weights."""
@@ -101,29 +233,17 @@ class NetworkProblem:
 
     def elsewhere(self, model: MeasurementModel) -> NetworkProblem:
         """The problem of the same set-up and pointings, in any order, with stations and targets in other places."""
-        found, mine, theirs = (
-            replace(self, model=model, sigma=model.recording.sigma()),
-            self.model.recording,
-            model.recording,
-        )
+        found, mine, theirs = replace(self, model=model), self.model.recording, model.recording
+        found = replace(found, sigma=theirs.sigma())
+        vars(found)["structure"] = self.structure
         if np.array_equal(mine.station, theirs.station) and np.array_equal(mine.target, theirs.target):
             vars(found)["_pattern"] = self._pattern
         return found
 
-    @property
-    def unknowns(self) -> Unknowns:
-        """Places of the unknowns."""
-        return self.structure.unknowns
-
-    @property
-    def prior_sigma(self) -> Floats:
-        """Prior standard deviations (I, p) [SI] of the instrument parameters; infinite for none."""
-        return self.prior.sigma
-
-    @property
-    def unseen_targets(self) -> Bools:
-        """(T,) True where no reading to a target is in use and no set-up stands on it."""
-        return self.structure.unseen
+    @cached_property
+    def structure(self) -> Structure:
+        """What these readings and the set-up leave open."""
+        return Structure.of(self)
 
     def residuals(self, readings: Floats) -> Floats:
         """Observed minus predicted readings (n, 3), angles wrapped; NaN where not measured."""
@@ -158,7 +278,8 @@ class NetworkProblem:
 
     def retract(self, state: State, step: Floats) -> State:
         """The state after a step."""
-        return self.unknowns.retract(state, step)
+        at = self.unknowns
+        return state.moved(step[at.pose], step[at.target], step[at.instrument], step[at.extra])
 
     def linearise(self, state: State) -> BlockSystem:
         """The whitened system at a state."""
@@ -187,27 +308,21 @@ class NetworkProblem:
 
     def _columns(self) -> list[Ints]:
         """Columns (rows, width) of each kind of row, in the order of the system."""
-        recording, unknowns = self.model.recording, self.unknowns
-        at = [
-            unknowns.pose[recording.station],
-            unknowns.target[recording.target],
-            unknowns.instrument[recording.instrument],
-        ]
-        everywhere = np.broadcast_to(unknowns.extra, (len(recording), len(unknowns.extra)))
-        pointings = np.repeat(np.concatenate([*at, everywhere], axis=1)[:, None, :], 3, axis=1)[self.use]
-        ends = [unknowns.target[self.gauge.first], unknowns.target[self.gauge.second]]
-        gauge = np.concatenate([*ends, np.broadcast_to(unknowns.extra, (len(self.gauge), len(unknowns.extra)))], axis=1)
-        anchors = unknowns.pose[self.structure.anchors].ravel()
+        recording, at, gauge = self.model.recording, self.unknowns, self.gauge
+        own = at.pose[recording.station], at.target[recording.target], at.instrument[recording.instrument]
+        pointings = np.concatenate([*own, np.tile(at.extra, (len(recording), 1))], axis=1)
+        ends = at.target[gauge.first], at.target[gauge.second], np.tile(at.extra, (len(gauge), 1))
+        anchors = at.pose[self.structure.anchors].ravel()
         return [
-            pointings,
-            gauge,
-            np.repeat(unknowns.target[self.control.target], self.control.axes.sum(axis=1), axis=0),
-            np.repeat(unknowns.pose[self.known_marks.target, :3], self.known_marks.axes.sum(axis=1), axis=0),
-            np.repeat(unknowns.pose[self.levels.station, 3:], 2, axis=0),
+            np.repeat(pointings[:, None, :], 3, axis=1)[self.use],
+            np.concatenate(ends, axis=1),
+            np.repeat(at.target[self.control.target], self.control.axes.sum(axis=1), axis=0),
+            np.repeat(at.pose[self.known_marks.target, :3], self.known_marks.axes.sum(axis=1), axis=0),
+            np.repeat(at.pose[self.levels.station, 3:], 2, axis=0),
             self.structure.held_columns,
             self._prior_columns(),
-            unknowns.extra[np.isfinite(self.extra_sigma)][:, None],
-            np.broadcast_to(anchors, (self.free.shape[1], len(anchors))),
+            at.extra[np.isfinite(self.extra_sigma)][:, None],
+            np.tile(anchors, (self.free.shape[1], 1)),
         ]
 
     def _values(self, state: State, prediction: Prediction) -> list[Floats]:
@@ -216,17 +331,16 @@ class NetworkProblem:
         if self.prior.held.any():  # a held parameter meets its own prior alone, which leaves it at its mean
             by_instrument = np.where(self.prior.held[self.model.recording.instrument][:, None], 0.0, by_instrument)
         by = [prediction.by_pose, prediction.by_target, by_instrument, prediction.by_extra]
-        pointings = np.concatenate(by, axis=2)[self.use] / self.sigma[self.use][:, None]
         direction = self.gauge.directions(state.points)
         gauge = np.concatenate([direction, -direction, self._gauge_by_extra(state)], axis=1)
         return [
-            pointings,
+            np.concatenate(by, axis=2)[self.use] / self.sigma[self.use][:, None],
             gauge / self.gauge.sigma[:, None],
             self.control.weights(),
             self.known_marks.weights(),
             self.levels.derivative(state.rotation) / self.levels.sigma[:, None, None],
             self.structure.held_directions(state) / DATUM_SIGMA[0],
-            self.prior.roots if self.prior.correlated else 1.0 / self.prior_sigma[np.isfinite(self.prior_sigma)],
+            self.prior.roots if self.prior.correlated else 1.0 / self.prior.sigma[np.isfinite(self.prior.sigma)],
             1.0 / self.extra_sigma[np.isfinite(self.extra_sigma)],
             self._datum_values(state),
         ]
@@ -236,7 +350,7 @@ class NetworkProblem:
         own = self.unknowns.instrument
         if self.prior.correlated:
             return np.repeat(own, own.shape[1], axis=0)
-        return own[np.isfinite(self.prior_sigma)][:, None]
+        return own[np.isfinite(self.prior.sigma)][:, None]
 
     def _gauge_by_extra(self, state: State) -> Floats:
         """Change (g, q) of the known lengths per unit of the further effects' parameters."""
@@ -246,11 +360,12 @@ class NetworkProblem:
 
     def _datum_values(self, state: State) -> Floats:
         """Rows (f, 6 a) that hold the anchors against the free rigid motions."""
-        anchors, turned = self.structure.anchors, self.structure.anchors_turn
+        anchors = self.structure.anchors
         motion = self.free / np.linalg.norm(self.free, axis=0)
         turn = np.broadcast_to(motion[3:].T[:, None, :], (motion.shape[1], len(anchors), 3))
-        shift = motion[:3].T[:, None, :] + _crossed(turn, state.position[anchors])
-        rows = np.concatenate([shift, turn if turned else np.zeros_like(shift)], axis=2)
+        across = (cross_matrix(turn) @ state.position[anchors][:, :, None])[..., 0]
+        shift = motion[:3].T[:, None, :] + across
+        rows = np.concatenate([shift, turn if self.structure.anchors_turn else np.zeros_like(shift)], axis=2)
         return rows.reshape(len(rows), 6 * len(anchors)) / np.tile(DATUM_SIGMA, len(anchors))
 
     @cached_property
@@ -262,19 +377,8 @@ class NetworkProblem:
     @property
     def dof(self) -> int:
         """Rows with a value less unknowns; the free rigid motions are no loss, weak priors no gain."""
-        priors = int(np.isfinite(self.prior_sigma).sum())
+        priors = int(np.isfinite(self.prior.sigma).sum())
         lengths = int(np.isfinite(self.gauge.sigma).sum())
         known = lengths + self.control.count + self.known_marks.count + 2 * len(self.levels) + priors
         unknown = self.unknowns.size - self.free.shape[1] - self.structure.held
         return int(self.use.sum()) + known - unknown
-
-
-def _crossed(turn: Floats, position: Floats) -> Floats:
-    """Cross products (f, a, 3) of turns (f, a, 3) with positions (a, 3)."""
-    return (cross_matrix(turn) @ position[:, :, None])[..., 0]
-
-
-def _plausible_sizes(model: MeasurementModel) -> Floats:
-    """Sizes (q,) of a bad but plausible case of each parameter of the further effects."""
-    sizes = [p.prior_sigma for effect in model.effects for p in effect.parameters]
-    return np.array(sizes, dtype=np.float64)

@@ -8,9 +8,9 @@ import numpy as np
 from scipy import optimize, special
 
 from ltsim.adjustment.problem import NetworkProblem
-from ltsim.arrays import Bools, Floats, Ints
+from ltsim.arrays import Floats, Ints
 from ltsim.solve.blocks import Factor
-from ltsim.solve.robust import median_deviation
+from ltsim.solve.design import median_deviation
 
 FAMILY_LEVEL = 0.01
 """Chance that a clean recording shows any outlier at all (Sidak over all readings)."""
@@ -75,8 +75,8 @@ def single_level(count: int, level: float) -> float:
 
 
 @lru_cache
-def noncentrality(dof: int = 1, *, level: float = SINGLE_LEVEL, power: float = POWER, hypotheses: int = 1) -> float:
-    """Squared length of a whitened error, after the adjustment, that a chi-square test finds with `power`.
+def noncentrality(dof: int = 1, *, level: float = SINGLE_LEVEL, hypotheses: int = 1) -> float:
+    """Squared length of a whitened error, after the adjustment, that a chi-square test finds with `POWER`.
 
     Parameters
     ----------
@@ -94,25 +94,7 @@ def noncentrality(dof: int = 1, *, level: float = SINGLE_LEVEL, power: float = P
     from scipy.stats import ncx2  # half a second to load, and most adjustments ask for no power
 
     limit = special.chdtri(dof, single_level(hypotheses, level))
-    return float(optimize.brentq(lambda size: ncx2.sf(limit, dof, size) - power, 1e-3, 200.0 + 2 * limit))
-
-
-def minimal_detectable_bias(
-    problem: NetworkProblem, redundancy: Floats, *, level: float = FAMILY_LEVEL, power: float = POWER
-) -> Floats:
-    """Smallest error (n, 3) [m, rad, rad] of each reading that the search for outliers finds with a power.
-
-    The search tests all readings in use together at a level; infinite where nothing checks a reading.
-
-    References
-    ----------
-    Baarda, A testing procedure for use in geodetic networks (1968): sigma sqrt(lambda_0 / r).
-    """
-    needed = noncentrality(level=level, power=power, hypotheses=int(problem.use.sum()))
-    bias = np.where(problem.use, np.inf, np.nan)
-    checked: Bools = problem.use & (redundancy > UNCHECKED)
-    bias[checked] = np.sqrt(needed / redundancy[checked]) * problem.sigma[checked]
-    return bias
+    return float(optimize.brentq(lambda size: ncx2.sf(limit, dof, size) - POWER, 1e-3, 200.0 + 2 * limit))
 
 
 def surprise(drop: Floats | float, rank: Ints | int) -> Floats:

@@ -8,10 +8,9 @@ from functools import cached_property
 import numpy as np
 import scipy.linalg
 
-from ltsim.adjustment.marks import Marks
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.geometry.rigid import ON_A_LINE, rigid_motion
-from ltsim.geometry.rotations import cross_matrix
+from ltsim.geometry.rotations import cross_matrix, perpendicular
 from ltsim.model.measurement import verticals
 from ltsim.recording.lengths import KnownLengths
 from ltsim.recording.recording import Recording
@@ -22,29 +21,16 @@ VERTICAL = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True)
-class GaugeRows:
-    """Known lengths brought to the workshop (`KnownLengths`)."""
+class GaugeRows(KnownLengths):
+    """Known lengths brought to the workshop, some of them without weight."""
 
-    first: Ints
-    second: Ints
-    length: Floats
-    """(g,) [m]."""
-    sigma: Floats
-    """(g,) [m]: infinite for a length without weight."""
-    certificate: Floats
-    """(g,) [m]: the part of `sigma` that each length has alone."""
-    shared: dict[str, Floats]
-    """(g,) [m]: change of the lengths by one standard deviation of what several share, by its name."""
+    idle: Bools | bool = False
+    """(g,): lengths without weight."""
 
-    @classmethod
-    def of(cls, recording: Recording) -> GaugeRows:
-        """The gauge of a recording."""
-        known = KnownLengths.of(recording)
-        return cls(known.first, known.second, known.length, known.sigma, known.certificate, known.shared)
-
-    def without(self, idle: Bools) -> GaugeRows:
-        """The same rows, some of them (g,) without weight."""
-        return replace(self, sigma=np.where(idle, np.inf, self.sigma))
+    @cached_property
+    def sigma(self) -> Floats:
+        """(g,) [m]: standard deviation of each length by itself, infinite for one without weight."""
+        return np.where(self.idle, np.inf, super().sigma)
 
     @cached_property
     def root(self) -> Floats | None:
@@ -148,10 +134,6 @@ class ControlRows:
         """Derivative (count, 3) of the whitened coordinates, with the sign of a prediction, by their place."""
         return self.root[self.axes]
 
-    def equations(self, centre: Floats, reach: float) -> Floats:
-        """Rows (count, 6): what a rigid motion about `centre`, rotation in units of 1 / `reach`, does to them."""
-        return rigid_motion((self.points - centre) / reach)[self.axes.ravel()]
-
 
 def _root(target: Target, axes: Bools) -> Floats:
     """The root (3, 3) [1 / m] of a target's known coordinates."""
@@ -180,12 +162,9 @@ class LevelRows:
         rows = [(i, s) for i, s in setups if s.levelled and angles[i]]
         station = np.array([i for i, _ in rows], dtype=np.int64)
         vertical = verticals(recording)[station]
-        first = np.array([1.0, 0.0, 0.0]) - vertical[:, :1] * vertical
-        flat = np.linalg.norm(first, axis=1) < 1e-3
-        first[flat] = np.array([0.0, 1.0, 0.0]) - vertical[flat, 1:2] * vertical[flat]
-        first /= np.linalg.norm(first, axis=1, keepdims=True)
+        left, back = perpendicular(vertical)
         sigma = np.array([s.levelling_sigma_arcsec for _, s in rows], dtype=np.float64) * ARCSECOND
-        return cls(station, sigma, vertical, np.stack([first, np.cross(vertical, first)], axis=1))
+        return cls(station, sigma, vertical, np.stack([-back, left], axis=1))
 
     def __len__(self) -> int:
         return len(self.station)
@@ -214,7 +193,7 @@ def free_motions(control: ControlRows, marks: ControlRows, levels: LevelRows) ->
     points = np.concatenate([one.points for one in known]) if known else np.zeros((1, 3))
     centre = points.mean(axis=0)
     reach = max(float(np.abs(points - centre).max()), 1e-9) if len(points) > 1 else 1.0
-    rows = [one.equations(centre, reach) for one in known]
+    rows = [rigid_motion((one.points - centre) / reach)[one.axes.ravel()] for one in known]
     if len(levels):
         mean = levels.vertical.mean(axis=0)
         alike = float(np.linalg.norm(levels.vertical - mean, axis=1).max()) < PARALLEL
@@ -229,3 +208,39 @@ def free_motions(control: ControlRows, marks: ControlRows, levels: LevelRows) ->
     free /= np.linalg.norm(free, axis=0, keepdims=True)
     free[:3] -= np.cross(free[3:].T, centre).T
     return free
+
+
+@dataclass(frozen=True)
+class Marks:
+    """Where the set-ups of a recording stand."""
+
+    target: Ints
+    """(S,): the target whose mark a set-up stands on, -1 for none."""
+    first: Ints
+    """(S,): the first set-up on the same mark that is no target; itself where it stands alone."""
+    names: tuple[str, ...]
+    """Name of the mark of each set-up, '' where it has none."""
+    vertical: Floats
+    """(S, 3): direction of plumb, unit."""
+    offset: Floats
+    """(S, 3) [m]: from the mark to the instrument."""
+
+    @classmethod
+    def of(cls, recording: Recording) -> Marks:
+        """The marks of a recording."""
+        places = {name: i for i, name in enumerate(recording.targets)}
+        setups = [recording.station_setup(name) for name in recording.stations]
+        names = tuple(s.over or "" for s in setups)
+        target = np.array([places.get(name, -1) if name else -1 for name in names], dtype=np.int64)
+        seen: dict[str, int] = {}
+        first = [seen.setdefault(name, i) if name and target[i] < 0 else i for i, name in enumerate(names)]
+        vertical = verticals(recording)
+        height = np.array([s.instrument_height_mm if s.over else 0.0 for s in setups]) * MILLIMETRE
+        return cls(target, np.array(first, dtype=np.int64), names, vertical, vertical * height[:, None])
+
+    def on_marks(self, position: Floats, points: Floats) -> Floats:
+        """Positions (S, 3) put onto their marks: targets at `points` (T, 3), else that of the first set-up."""
+        settled = position[self.first] - self.offset[self.first] + self.offset
+        over = np.flatnonzero(self.target >= 0)
+        settled[over] = points[self.target[over]] + self.offset[over]
+        return settled

@@ -1,4 +1,7 @@
-"""Robust adjustment: single readings that do not belong are left out, and taken back where they do belong after all."""
+"""Readings that do not belong: copies, what places nothing, gross misses before the adjustment, single errors in it.
+
+Single readings that do not belong are left out, and taken back where they do belong after all.
+"""
 
 from __future__ import annotations
 
@@ -6,51 +9,200 @@ from dataclasses import replace
 
 import numpy as np
 
-from ltsim.adjustment.loose import without_loose
 from ltsim.adjustment.problem import NetworkProblem
-from ltsim.adjustment.reliability import FAMILY_LEVEL, UNCHECKED, critical_w, normalised, redundancy_of, scale_of
-from ltsim.arrays import Bools
-from ltsim.model.measurement import State
+from ltsim.adjustment.reliability import UNCHECKED, critical_w, normalised, redundancy_of, scale_of
+from ltsim.arrays import Bools, Floats
+from ltsim.geometry.polar import wrap
+from ltsim.geometry.rigid import holds_pose
+from ltsim.model.construction import ideal
+from ltsim.model.measurement import MeasurementModel, State
+from ltsim.recording.recording import Recording
 from ltsim.solve.blocks import Factor, SingularSystemError
-from ltsim.solve.design import as_dense
+from ltsim.solve.design import POINT, as_dense, median_deviation
 from ltsim.solve.gauss_newton import Solution, solve
-from ltsim.solve.robust import median_deviation
 
+LEAST = 10
+"""Rows without a clock that must repeat others, all of those that could, before they count as copies."""
+LARGEST_ERROR = 1e-3
+"""[m] what no tracker error of a plausible size reaches at workshop range."""
+WORKSHOP = 10.0
+"""[m] range up to which that holds; beyond, errors of the angles grow with the range."""
+FACTOR = 30.0
+PASSES = 20
+SETTLED = 0.9
+"""A gross miss that still shrinks to less than this share of itself in a pass is not settled yet."""
 HUBER = 2.0
 RELAXATIONS = 8
+STILL = 1e-2
+"""Squared length of a step, in standard deviations, after which a relaxed network moves no more."""
 ROUNDS = 20
 
 
-def snooped(
-    problem: NetworkProblem, state: State, level: float = FAMILY_LEVEL
-) -> tuple[NetworkProblem, Solution[State]]:
-    """The problem without its outliers, and its solution.
+def copied_rows(recording: Recording) -> Bools:
+    """(n,) True for rows that an earlier row of the same time, set-up, target and face equals in every digit.
+
+    Where the recording has no clock, two pointings may read the same by chance: then rows are copies only if every
+    repeated pointing repeats to the last digit.
+    """
+    values = np.sort(recording.readings, axis=None)
+    if not np.any(values[1:] == values[:-1]):
+        return np.zeros(len(recording), dtype=bool)
+    place = np.stack([recording.station, recording.target, recording.face], axis=1)
+    clock = recording.time[:, None] if recording.has_clock else np.zeros((len(recording), 0))
+    whole = np.concatenate([place, clock, np.nan_to_num(recording.readings, nan=np.inf)], axis=1)
+    repeated = _later(np.concatenate([place, clock], axis=1))
+    copied = _later(whole) & recording.measured.any(axis=1)
+    if recording.has_clock:
+        return copied
+    return copied & (copied.sum() >= max(LEAST, int(repeated.sum())))
+
+
+def _later(rows: np.ndarray) -> Bools:
+    """(n,) True for rows that equal an earlier one."""
+    later = np.ones(len(rows), dtype=bool)
+    later[np.unique(rows, axis=0, return_index=True)[1]] = False
+    return later
+
+
+# --- what the readings in use do not place ------------------------------------------------------------------------
+
+
+def without_loose(problem: NetworkProblem, state: State) -> NetworkProblem:
+    """The problem without the readings and known lengths of targets that they do not determine.
+
+    A length to such a target keeps its row, without weight.
+    """
+    while True:
+        loose = loose_targets(problem, state)
+        gauge = problem.gauge
+        reached = problem.structure.unseen | loose
+        idle = (reached[gauge.first] | reached[gauge.second]) & np.isfinite(gauge.sigma)
+        if not loose.any() and not idle.any():
+            return problem
+        use = problem.use & ~loose[problem.model.recording.target][:, None]
+        problem = replace(problem, gauge=replace(gauge, idle=gauge.idle | idle), use=use)
+
+
+def loose_targets(problem: NetworkProblem, state: State) -> Bools:
+    """(T,) True for targets with readings in use that leave a direction of them open, stations taken as known."""
+    recording, count = problem.model.recording, len(problem.model.recording.targets)
+    whole = np.bincount(recording.target, problem.use.all(axis=1), count) > 0
+    doubtful = ~whole & ~problem.structure.unseen
+    doubtful[problem.marks.target[problem.marks.target >= 0]] = False
+    if not doubtful.any():
+        return doubtful
+    weighted = np.where(problem.use, 1.0 / problem.sigma, 0.0)[:, :, None]
+    rows = np.where(problem.use[:, :, None], problem.model.linearised(state).by_target * weighted, 0.0)
+    normal = np.zeros((count, 3, 3))
+    np.add.at(normal, recording.target, np.swapaxes(rows, 1, 2) @ rows)
+    gauge, control = problem.gauge, problem.control
+    along = gauge.directions(state.points) / gauge.sigma[:, None]
+    for end in (gauge.first, gauge.second):
+        np.add.at(normal, end, along[:, :, None] * along[:, None, :])
+    np.add.at(normal, control.target, np.swapaxes(control.root, 1, 2) @ control.root)
+    normal[problem.structure.flat, 2, 2] += np.trace(normal[problem.structure.flat], axis1=1, axis2=2)
+    spread = np.linalg.eigvalsh(normal)
+    return doubtful & (spread[:, 0] <= POINT * spread[:, 2])
+
+
+def poseless(problem: NetworkProblem, state: State) -> str:
+    """A sentence: a station whose targets leave its pose open, as geometry alone decides; empty where there is none.
+
+    Set-ups over marks and stations without readings are not asked.
+    """
+    recording, marks = problem.model.recording, problem.marks
+    seen = np.zeros((len(recording.stations), len(recording.targets)), dtype=bool)
+    used = problem.use.any(axis=1)
+    seen[recording.station[used], recording.target[used]] = True
+    vertical = np.full((len(seen), 3), np.nan)
+    vertical[problem.levels.station] = problem.levels.vertical
+    free = np.array([not name for name in marks.names]) & seen.any(axis=1)
+    few = np.flatnonzero(free & ~holds_pose(state.points, seen, vertical))
+    if not len(few):
+        return ""
+    levelled = few[0] in problem.levels.station
+    what = "two targets that are not above one another" if levelled else "three targets off one line"
+    return f"station {recording.stations[few[0]]} sees fewer than {what}; a pose needs them"
+
+
+# --- before the adjustment ----------------------------------------------------------------------------------------
+
+
+def screened(
+    recording: Recording, position: Floats, rotation: Floats, points: Floats
+) -> tuple[tuple[Floats, Floats, Floats], Bools]:
+    """Positions, rotations and targets freed of the start's own errors, and the gross pointings (n,).
+
+    These miss their target by far more than the rest of the recording does: a swapped or misnamed reflector, a wrong
+    unit in one row. A long chain of stations that was joined one by one does not close; what looks gross there may only
+    be that. So where anything looks gross the network is relaxed, with such pointings held loosely, until the verdict
+    stands.
+    """
+    model = MeasurementModel(recording, ideal())
+    state = State(position, rotation, points, np.zeros((len(recording.instruments), 0)))
+    excess = _excess(model, state)
+    for _ in range(PASSES if np.any(excess > 1.0) else 0):
+        problem = without_loose(NetworkProblem.of(model), state)
+        state, length = _step(problem, state, np.maximum(excess, 1.0)[:, None])
+        before, excess = excess, _excess(model, state)
+        if not length or not np.any((excess > 1.0) & (excess < SETTLED * before)):
+            break
+    return (state.position, state.rotation, state.points), excess > 1.0
+
+
+def _excess(model: MeasurementModel, state: State) -> Floats:
+    """Miss (n,) of each pointing in parts of what is still no gross error."""
+    readings, predicted = model.recording.readings, model.predict(state)
+    gap = readings - predicted
+    gap[:, 1:] = wrap(gap[:, 1:])
+    range_ = model.geometry(state).range_
+    gap[:, 1] *= range_ * np.cos(predicted[:, 2])
+    gap[:, 2] *= range_
+    miss = np.linalg.norm(np.nan_to_num(gap), axis=1)
+    limit = np.maximum(LARGEST_ERROR * np.maximum(1.0, range_ / WORKSHOP), FACTOR * median_deviation(miss))
+    return miss / limit
+
+
+def _step(problem: NetworkProblem, state: State, loose: Floats) -> tuple[State, float]:
+    """The state after a step with standard deviations so many times as large, and its squared length; 0: singular."""
+    try:
+        system = replace(problem, sigma=problem.sigma * loose).linearise(state)
+        step = Factor(system).step()
+    except SingularSystemError:
+        return state, 0.0
+    return problem.retract(state, step), float(np.sum((system.design @ step) ** 2))
+
+
+# --- within the adjustment ----------------------------------------------------------------------------------------
+
+
+def snooped(problem: NetworkProblem, state: State) -> tuple[NetworkProblem, Solution[State]]:
+    """The problem without its outliers, and its solution; every reading in `use` may be used, `state` is near it.
 
     Reweighting (Huber) finds a network that many outliers together do not bend; readings that it rejects are left
     out; then the usual snooping goes on, and whatever was left out is tested again against the network without it.
-
-    Parameters
-    ----------
-    problem : NetworkProblem
-        With every reading in `use` that may be used.
-    state : State
-        Near the solution.
-    level : float
-        Chance that a clean recording loses any reading.
     """
-    state = _relaxed(problem, state)
+    for _ in range(RELAXATIONS):
+        whitened = _whitened(problem, state)
+        scale = max(median_deviation(whitened[problem.use]), 1e-3)
+        state, length = _step(problem, state, np.sqrt(np.maximum(np.nan_to_num(whitened) / (HUBER * scale), 1.0)))
+        if length < STILL:
+            break
     try:
         factor = Factor(problem.linearise(state))
     except SingularSystemError:
         return problem, solve(problem, state)
-    limit = critical_w(int(problem.use.sum()), level)
-    rejected = _doubtful(problem, state, factor, limit)
+    limit = critical_w(int(problem.use.sum()))
+    w, scale, _ = _tested(problem, problem, state, factor)
+    rejected: Bools = w > limit * scale
     seen: set[bytes] = set()
     while True:
-        kept = without_loose(problem.using(problem.use & ~rejected), state)
+        kept = without_loose(replace(problem, use=problem.use & ~rejected), state)
         solution = solve(kept, state)
         if solution.factor is None:  # Too much at once: what is left does not hold the network.
-            rejected = _half(problem, state, rejected)
+            size = np.where(rejected, _whitened(problem, state), -1.0)
+            half = np.argsort(-size, axis=None)[: int(rejected.sum()) // 2]
+            rejected = np.isin(np.arange(size.size), half).reshape(size.shape)
             continue
         state = solution.x
         seen.add(rejected.tobytes())
@@ -58,43 +210,24 @@ def snooped(
         if np.array_equal(new, rejected):
             return kept, solution
         if new.tobytes() in seen or len(seen) == ROUNDS:  # On the edge: what is out in either stays out.
-            last = without_loose(problem.using(problem.use & ~(new | rejected)), state)
+            last = without_loose(replace(problem, use=problem.use & ~(new | rejected)), state)
             ended = solve(last, state)
             return (kept, solution) if ended.factor is None else (last, ended)
         rejected = new
 
 
-def _relaxed(problem: NetworkProblem, state: State) -> State:
-    """The state after a few steps of reweighted least squares; as it was where that is singular."""
-    for _ in range(RELAXATIONS):
-        whitened = np.abs(problem.residuals(problem.model.predict(state)) / problem.sigma)
-        scale = max(median_deviation(whitened[problem.use]), 1e-3)
-        loose = np.sqrt(np.maximum(np.nan_to_num(whitened) / (HUBER * scale), 1.0))
-        try:
-            system = replace(problem, sigma=problem.sigma * loose).linearise(state)
-            step = Factor(system).step()
-        except SingularSystemError:
-            return state
-        state = problem.retract(state, step)
-        if np.sum((system.design @ step) ** 2) < 1e-2:
-            break
-    return state
+def _whitened(problem: NetworkProblem, state: State) -> Floats:
+    """Residuals (n, 3) in standard deviations of the readings, without sign; 0 where not measured."""
+    return np.nan_to_num(np.abs(problem.residuals(problem.model.predict(state)) / problem.sigma))
 
 
-def _doubtful(problem: NetworkProblem, state: State, factor: Factor, limit: float) -> Bools:
-    """Readings (n, 3) far off the relaxed network that others check."""
-    redundancy = redundancy_of(problem, factor)
-    w = normalised(problem, problem.residuals(problem.model.predict(state)), redundancy)
-    return np.nan_to_num(np.abs(w)) > limit * scale_of(w, redundancy)
-
-
-def _half(problem: NetworkProblem, state: State, rejected: Bools) -> Bools:
-    """The half of the rejected readings (n, 3) with the larger residuals; at last none."""
-    whitened = np.abs(problem.residuals(problem.model.predict(state)) / problem.sigma)
-    size = np.where(rejected, np.nan_to_num(whitened), -1.0)
-    half = np.zeros_like(rejected)
-    half.flat[np.argsort(-size, axis=None)[: int(rejected.sum()) // 2]] = True
-    return half
+def _tested(
+    problem: NetworkProblem, kept: NetworkProblem, state: State, factor: Factor
+) -> tuple[Floats, float, Floats]:
+    """|w| (n, 3) of the readings of `kept`, the scale of its noise, and the redundancy (n, 3)."""
+    redundancy = redundancy_of(kept, factor)
+    w = normalised(kept, problem.residuals(problem.model.predict(state)), redundancy)
+    return np.nan_to_num(np.abs(w)), scale_of(w, redundancy), redundancy
 
 
 def _retested(
@@ -102,22 +235,17 @@ def _retested(
 ) -> Bools:
     """Rejected readings (n, 3) anew: those left out that still do not fit, and kept ones that now do not."""
     assert solution.factor is not None
-    redundancy = redundancy_of(kept, solution.factor)
-    residuals = problem.residuals(problem.model.predict(solution.x))
-    w = normalised(kept, residuals, redundancy)
-    scale = scale_of(w, redundancy)
-    new: Bools = (np.nan_to_num(np.abs(w)) > limit * scale) & (redundancy > UNCHECKED)
+    w, scale, redundancy = _tested(problem, kept, solution.x, solution.factor)
+    new: Bools = (w > limit * scale) & (redundancy > UNCHECKED)
     if new.any():
-        most = np.nan_to_num(np.abs(w)).max()
-        new &= np.nan_to_num(np.abs(w)) > 0.5 * most
-    out = np.flatnonzero(rejected[problem.use])
-    if len(out):
-        rows = as_dense(problem.linearise(solution.x).design[out])
+        new &= w > 0.5 * w.max()
+    out = rejected & problem.use
+    if out.any():
+        rows = as_dense(problem.linearise(solution.x).design[np.flatnonzero(rejected[problem.use])])
         response = solution.factor.covariance_columns(np.ascontiguousarray(rows.T))
         spread = np.sqrt(1.0 + np.maximum(np.sum(rows * response.T, axis=1), 0.0))
-        miss = np.abs((residuals / problem.sigma)[rejected & problem.use]) / spread
         still = np.zeros_like(rejected)
-        still[rejected & problem.use] = miss > limit * scale
+        still[out] = _whitened(problem, solution.x)[out] / spread > limit * scale
         # A target that is left out by now cannot speak for its readings.
-        new |= still | (rejected & kept.unseen_targets[problem.model.recording.target][:, None])
+        new |= still | (rejected & kept.structure.unseen[problem.model.recording.target][:, None])
     return new

@@ -2,75 +2,44 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
-from ltsim.adjustment.frame import Frame
-from ltsim.adjustment.growth import BEGINNINGS, Growth
-from ltsim.adjustment.pairs import Pairs
-from ltsim.arrays import Bools, Floats
-from ltsim.geometry.polar import from_polar
+from ltsim.adjustment.fitting import Sight, fit_point, fit_pose, multilaterate
+from ltsim.adjustment.frame import VERTICAL, Frame, Pairs, on_a_line, upright_alignment
+from ltsim.arrays import Bools, Floats, Ints
+from ltsim.errors import NetworkError
+from ltsim.geometry.alignment import robust_align
+from ltsim.geometry.polar import from_polar, to_face
+from ltsim.geometry.rotations import about_z, smallest_turn
+from ltsim.model.measurement import lift_of
 from ltsim.recording.recording import Recording
 
-
-def station_clouds(recording: Recording, points: Floats | None = None) -> tuple[Floats, Bools]:
-    """Each station's targets in its own frame (S, T, 3) [m], and which it measured (S, T).
-
-    `points` (n, 3) are the measured points; by default those of an ideal tracker. Faces and repeats are combined by
-    the median, which a single blunder does not move.
-    """
-    pairs = Pairs.of(recording, points)
-    cloud = np.full((len(recording.stations), len(recording.targets), 3), np.nan)
-    cloud[pairs.station, pairs.target] = pairs.points
-    return cloud, np.isfinite(cloud[:, :, 0])
-
-
-def start_network(recording: Recording) -> tuple[Floats, Floats, Floats]:
-    """Positions (S, 3), rotations (S, 3, 3) and targets (T, 3) [m] in the first station's frame.
-
-    Levels and known points define the frame where there are any. The station that shares most targets with what is
-    known already is joined next; where too few were measured with range and both angles, single beams are
-    intersected, stations resected, and a network of beams or of ranges alone begins by algebra.
-
-    Raises
-    ------
-    NetworkError
-        When the readings do not tie a station or a target to the rest.
-    """
-    growth = _grown(recording)
-    growth.require_stations()
-    growth.require_targets()
-    return growth.result()
+BEGINNINGS = ("frame", "cloud", "ranges")
+"""How a network can begin: with known points, with what one station measured whole, with ranges alone."""
+PARALLEL = 1e-5
+"""Mean squared sine below which beams do not meet in a point."""
 
 
 def reached_network(recording: Recording) -> tuple[tuple[Floats, Floats, Floats], Bools]:
-    """The same, and the targets (T,) that the readings tie to nothing: these stand amid the others, to be left out.
+    """Positions (S, 3), rotations (S, 3, 3) and targets (T, 3) [m]; which targets (T,) the readings tie to nothing.
 
-    Raises
-    ------
-    NetworkError
-        When the readings do not tie a station to the rest.
+    Levels and known points define the frame where there are any, else it is the first station's. The station that
+    shares most targets with what is known already is joined next; where too few were measured with range and both
+    angles, single beams are intersected, stations resected, and a network of ranges alone begins by algebra. Targets
+    that are tied to nothing stand amid the others, to be left out.
+
+    NetworkError when the readings do not tie a station to the rest.
     """
-    growth = _grown(recording)
-    growth.require_stations()
-    position, rotation, points = growth.result()
-    lost = np.asarray(np.isnan(points).any(axis=1))
-    return (position, rotation, np.where(lost[:, None], points[~lost].mean(axis=0), points)), lost
-
-
-def _grown(recording: Recording) -> Growth:
-    """The network as far as it grows."""
-    pairs = Pairs.of(recording, _flat_points(recording))
-    frame = Frame.of(recording)
-    farthest: Growth | None = None
+    pairs, frame = Pairs.of(recording, _flat_points(recording)), Frame.of(recording)
+    grown = []
     for beginning in BEGINNINGS if frame.is_stated else BEGINNINGS[1:]:
-        growth = Growth(recording, pairs, frame)
-        growth.run(beginning)
-        if growth.is_complete:
-            return growth
-        if farthest is None or growth.reach > farthest.reach:
-            farthest = growth
-    assert farthest is not None
-    return farthest
+        grown.append(Growth(recording, pairs, frame))
+        grown[-1].run(beginning)
+        if grown[-1].is_complete:
+            break
+    return max(grown, key=lambda growth: growth.reach).result()
 
 
 def _flat_points(recording: Recording) -> Floats | None:
@@ -82,3 +51,310 @@ def _flat_points(recording: Recording) -> Floats | None:
     readings[flat & np.isnan(readings[:, 2]), 2] = 0.0  # a network in plan has no elevations
     readings[flat, 0] /= np.abs(np.cos(readings[flat, 2]))
     return from_polar(readings)
+
+
+class Growth:
+    """Stations and targets that have a place so far, in a frame of their own until the stated one is reached.
+
+    Parameters
+    ----------
+    recording : Recording
+    pairs : Pairs
+        What each station measured whole, in its own frame.
+    frame : Frame
+    """
+
+    def __init__(self, recording: Recording, pairs: Pairs, frame: Frame) -> None:
+        self._recording, self._pairs, self._frame = recording, pairs, frame
+        stations, targets = len(recording.stations), len(recording.targets)
+        self._front = to_face(recording.readings, recording.face)
+        self._flat = recording.is_horizontal
+        lift = lift_of(recording)
+        self._lift = np.zeros((len(recording), 3)) if lift is None else lift
+        self._pair_lift = np.zeros((len(pairs), 3)) if lift is None else self._by_pair(lift)
+        self._position = np.full((stations, 3), np.nan)
+        self._rotation = np.tile(np.eye(3), (stations, 1, 1))
+        self._joined = np.zeros(stations, dtype=bool)
+        self._placed = np.full((len(pairs), 3), np.nan)
+        self._covered = np.zeros(targets, dtype=bool)
+        self._located = np.full((targets, 3), np.nan)
+        self._upright = self._anchored = self._planned = False
+        self._tried: dict[int, int] = {}
+
+    def _by_pair(self, lift: Floats) -> Floats:
+        pairs, recording = self._pairs, self._recording
+        own = np.zeros((len(pairs), 3))
+        keys = pairs.station * len(recording.targets) + pairs.target
+        rows = recording.station * len(recording.targets) + recording.target
+        paired = np.flatnonzero(np.isin(rows, keys))
+        own[np.searchsorted(keys, rows[paired])] = lift[paired]
+        return own
+
+    def run(self, beginning: str) -> None:
+        """Join everything that can be joined from one of `BEGINNINGS`, then go to the stated frame."""
+        getattr(self, f"_begin_with_{beginning}")()
+        steps = self._join_by_cloud, self._locate, self._join_by_fit, self._anchor
+        while not self.is_complete and any(step() for step in steps):
+            pass
+        self._settle()
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether every station and target has a place."""
+        return bool(self._joined.all() and self._have.all())
+
+    @property
+    def reach(self) -> int:
+        """How many stations and targets have a place."""
+        return int(self._joined.sum() + self._have.sum())
+
+    # --- what is known ---------------------------------------------------------------------------------------------
+
+    def _known(self) -> Floats:
+        """Targets (T, 3) so far: the median of where stations place them, or where they were located."""
+        known = self._located.copy()
+        whole = np.flatnonzero(self._covered)
+        known[whole] = self._pairs.medians(self._placed, whole)
+        return known
+
+    @property
+    def _have(self) -> Bools:
+        return self._covered | np.isfinite(self._located[:, 0])
+
+    def _shared(self) -> Ints:
+        """How many of the known targets (S,) each station measured whole."""
+        return np.bincount(self._pairs.station[self._have[self._pairs.target]], minlength=len(self._joined))
+
+    def _stand(self, station: int) -> Floats | None:
+        """Where an unjoined station stands, if its mark has a place already."""
+        marks = self._frame.marks
+        if marks.target[station] >= 0:
+            place = self._known()[marks.target[station]] + marks.offset[station]
+        else:
+            same = (marks.first == marks.first[station]) & np.isfinite(self._position[:, 0])
+            if not same.any():
+                return None
+            one = int(np.argmax(same))
+            place = self._position[one] - marks.offset[one] + marks.offset[station]
+        return place if np.isfinite(place).all() else None
+
+    # --- steps -----------------------------------------------------------------------------------------------------
+
+    def _place(self, station: int, position: Floats, rotation: Floats) -> None:
+        self._position[station], self._rotation[station] = position, rotation
+        self._joined[station] = True
+        own = self._pairs.of_station(station)
+        self._placed[own] = self._pairs.points[own] @ rotation.T + position - self._pair_lift[own]
+        self._covered[self._pairs.target[own]] = True
+        mark = self._frame.marks.target[station]
+        if mark >= 0 and np.isnan(self._located[mark]).any():
+            self._located[mark] = position - self._frame.marks.offset[station]
+
+    def _join_by_cloud(self) -> bool:
+        """Join the station that shares most targets with what is known; two will do for levelled stations."""
+        have = self._have
+        shared = np.where(self._joined, -1, self._shared())
+        for station in np.argsort(-shared, kind="stable").tolist():
+            level = self._upright and bool(self._frame.level[station])
+            if shared[station] < 2:
+                return False
+            if shared[station] < 3 and not level:
+                continue
+            own = np.arange(len(self._pairs))[self._pairs.of_station(station)]
+            own = own[have[self._pairs.target[own]]]
+            goal = self._targets(self._pairs.target[own]) + self._pair_lift[own]
+            fit = robust_align if shared[station] >= 3 else upright_alignment
+            try:
+                rotation, position = fit(self._pairs.points[own], goal)
+            except NetworkError:
+                continue
+            self._place(station, position, rotation)
+            return True
+        return False
+
+    def _targets(self, which: Ints) -> Floats:
+        """Known places (k, 3) of some targets."""
+        placed = self._pairs.medians(self._placed, which)
+        return np.where(np.isnan(placed), self._located[which], placed)
+
+    def _locate(self) -> bool:
+        """Place targets that joined stations only saw in part, and marks under joined stations."""
+        recording, found = self._recording, False
+        usable = self._joined[recording.station] & ~self._have[recording.target]
+        for target, rows in _groups(recording.target, np.flatnonzero(usable)):
+            if self._is_new(-1 - target, len(rows)):
+                point = self._located_by(rows)
+                if point is not None:
+                    self._located[target], found = point, True
+        return found
+
+    def _is_new(self, key: int, effort: int) -> bool:
+        """Whether a station (or a target, -1 less its number) was not tried in vain with as much already."""
+        tried, self._tried[key] = self._tried.get(key), effort
+        return tried != effort
+
+    def _located_by(self, rows: Ints) -> Floats | None:
+        station = self._recording.station[rows]
+        position, rotation, front = self._position[station], self._rotation[station], self._front[rows]
+        if self._upright and self._frame.level[station].all() and np.isnan(front[:, [0, 2]]).all():
+            front = np.where([False, False, True], 0.0, front)  # where directions alone meet in plan
+        beams = np.isfinite(front[:, 1:]).all(axis=1)
+        if beams.sum() >= 2:
+            rays = from_polar(np.column_stack([np.ones(beams.sum()), front[beams, 1:]]))
+            origin = position[beams] - self._lift[rows][beams]
+            point = meeting_point(origin, np.einsum("nij,nj->ni", rotation[beams], rays))
+            if point is not None:
+                return point
+        return fit_point(self._sight(rows), position, rotation)
+
+    def _sight(self, rows: Ints) -> Sight:
+        return Sight(self._front[rows], self._flat[rows], self._lift[rows])
+
+    def _join_by_fit(self) -> bool:
+        """Join a station by a fit of whatever it read to known targets."""
+        known, recording = self._known(), self._recording
+        usable = ~self._joined[recording.station] & np.isfinite(known[recording.target, 0])
+        groups = _groups(recording.station, np.flatnonzero(usable))
+        for station, rows in sorted(groups, key=lambda group: -np.isfinite(self._front[group[1]]).sum()):
+            stand = self._stand(station)
+            if not self._is_new(station, 2 * len(rows) + (stand is not None)):
+                continue
+            level = self._upright and bool(self._frame.level[station])
+            pose = fit_pose(self._sight(rows), known[recording.target[rows]], level=level, position=stand)
+            if pose is not None:
+                self._place(station, *pose)
+                return True
+        return False
+
+    # --- frame -----------------------------------------------------------------------------------------------------
+
+    def _move(self, rotation: Floats, translation: Floats) -> None:
+        self._rotation = rotation @ self._rotation
+        moved = (places @ rotation.T + translation for places in (self._position, self._placed, self._located))
+        self._position, self._placed, self._located = moved
+
+    def _anchor(self) -> bool:
+        """Go to the stated frame as soon as the network reaches enough of it."""
+        if self._anchored or not self._frame.is_stated:
+            return False
+        turn = self._frame.upright(self._rotation, self._joined)
+        motion = self._frame.motion(self._position, self._known(), turn)
+        if motion is None:
+            return False
+        self._move(*motion)
+        self._anchored = self._upright = True
+        fresh = ~self._have & np.isfinite(self._frame.points[:, 0])
+        self._located[fresh] = self._frame.points[fresh]
+        return True
+
+    def _settle(self) -> None:
+        """Bring the finished network into its frame: the stated one, the floor plan's, or that of the first station."""
+        self._erect()
+        if self._anchored or not self._joined.any() or self._anchor():
+            return
+        first = int(np.argmax(self._joined))
+        self._move(self._rotation[first].T.copy(), -self._rotation[first].T @ self._position[first])
+        turn = self._frame.upright(self._rotation, self._joined)
+        if not np.array_equal(turn, np.eye(3)):
+            self._move(turn, np.zeros(3))
+        here, there = self._frame.common(self._position, self._known())
+        if len(here):
+            self._move(np.eye(3), (there - here).mean(axis=0))
+            return
+        motion = None if self._frame.is_stated else self._frame.plan_motion(self._position, self._rotation)
+        if motion is not None:
+            self._move(*motion)
+
+    def _erect(self) -> None:
+        """Stations that read no angle stand upright: along the others' axes, or on the floor plan."""
+        told = np.bincount(self._recording.station, np.isfinite(self._front[:, 1:]).any(axis=1), len(self._joined)) > 0
+        if told.any():
+            up = self._rotation[told & self._joined, :, 2].sum(axis=0)
+        elif self._planned and not self._anchored:
+            up = VERTICAL
+        else:
+            return
+        if np.linalg.norm(up) > 0.0:
+            turn = smallest_turn(VERTICAL, up / np.linalg.norm(up))
+            for station in np.flatnonzero(~told & self._joined):
+                self._rotation[station] = turn @ about_z(float(np.nan_to_num(self._frame.yaw[station])))
+
+    # --- beginnings ------------------------------------------------------------------------------------------------
+
+    def _begin_with_frame(self) -> None:
+        """Begin with the known points."""
+        self._located = self._frame.points.copy()
+        self._position = self._frame.stations.copy()
+        self._anchored = self._upright = self._frame.is_stated
+
+    def _begin_with_cloud(self) -> None:
+        """Begin with a station that measured targets whole."""
+        counts = np.diff(self._pairs.begin)
+        if not counts.any():
+            return
+        first = 0 if counts[0] >= 3 else int(np.argmax(counts))
+        rotation = np.eye(3)
+        if self._frame.level[first]:
+            rotation = smallest_turn(VERTICAL, self._frame.marks.vertical[first])
+            self._upright = True
+        self._place(first, np.zeros(3), rotation)
+
+    def _begin_with_ranges(self) -> None:
+        """All stations that read the ranges of the same targets."""
+        ranges = np.full((len(self._joined), len(self._located)), np.nan)
+        ranges[self._recording.station, self._recording.target] = self._front[:, 0]
+        stations = np.flatnonzero(np.isfinite(ranges).sum(axis=1) >= 3)
+        targets = np.flatnonzero(np.isfinite(ranges[stations]).all(axis=0))
+        found = multilaterate(ranges[np.ix_(stations, targets)])
+        if found is not None:
+            self._located[targets], self._planned = self._frame.placed(stations, found[0], targets, found[1])
+
+    # --- the end ---------------------------------------------------------------------------------------------------
+
+    def result(self) -> tuple[tuple[Floats, Floats, Floats], Bools]:
+        """Positions, rotations and targets, and the targets without a place; NetworkError as of `reached_network`."""
+        self._require_stations()
+        points = self._known()
+        lost = np.asarray(np.isnan(points).any(axis=1))
+        points = np.where(lost[:, None], points[~lost].mean(axis=0), points)
+        return (self._frame.marks.on_marks(self._position, points), self._rotation, points), lost
+
+    def _require_stations(self) -> None:
+        """NetworkError with the names of the stations that have no place, or of the targets where none has one."""
+        recording = self._recording
+        if not self._joined.all():
+            lost = ", ".join(recording.stations[s] for s in np.flatnonzero(~self._joined))
+            shared = self._shared()
+            nearest = int(np.argmax(np.where(self._joined, -1, shared)))
+            most, own = int(shared[nearest]), self._pairs.target[self._pairs.of_station(nearest)]
+            known = own[self._have[own]]
+            if most >= 3 and on_a_line(self._known()[known]):
+                what = f"the {most} targets that it shares with the rest of the network lie on one line; three off it"
+            else:
+                what = f"shares only {most} targets with the rest of the network; at least three"
+            raise NetworkError(
+                f"station {lost}: {what} are needed "
+                "(two between levelled stations, more where ranges or angles are missing)"
+            )
+        if not self._have.any():
+            raise NetworkError(
+                f"target {', '.join(recording.targets[:10])}: no station measured range and both angles, and what was "
+                "read from different stations does not meet in one point"
+            )
+
+
+def _groups(keys: Ints, rows: Ints) -> Iterator[tuple[int, Ints]]:
+    """Rows by key, in the order of the keys."""
+    order = rows[np.argsort(keys[rows], kind="stable")]
+    values, first = np.unique(keys[order], return_index=True)
+    for key, group in zip(values, np.split(order, first[1:]), strict=False):
+        yield int(key), group
+
+
+def meeting_point(origin: Floats, beam: Floats) -> Floats | None:
+    """The point (3,) nearest to k beams from `origin` (k, 3) along unit vectors; None where they are parallel."""
+    across = np.eye(3) - beam[:, :, None] * beam[:, None, :]
+    normal = across.sum(axis=0)
+    if np.linalg.eigvalsh(normal)[0] < PARALLEL * len(beam):
+        return None
+    return np.linalg.solve(normal, np.einsum("kij,kj->i", across, origin))

@@ -1,4 +1,4 @@
-"""What is in doubt, and which verdict to trust where the global test, snooping and the two sigma0 disagree."""
+"""Which verdict to trust where the global test, snooping and the two sigma0 disagree."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from scipy import special
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.doubt import doubts
-from ltsim.adjustment.reliability import CHECKED, FAMILY_LEVEL
+from ltsim.adjustment.reliability import CHECKED
 from ltsim.arrays import Floats
-from ltsim.solve.robust import median_deviation
+from ltsim.solve.design import median_deviation
 
 LEVEL = 0.05
 FEW = 15
@@ -48,18 +48,9 @@ class Verdict:
     """Readings that do not belong by the test to be trusted."""
 
 
-def verdict(adjustment: Adjustment, level: float = LEVEL, family: float = FAMILY_LEVEL) -> Verdict:
-    """The verdict on an adjustment.
-
-    Parameters
-    ----------
-    adjustment : Adjustment
-    level : float
-        Of the global test, two-sided.
-    family : float
-        Of all tests of single readings together.
-    """
-    judged, open_ = _by_tests(adjustment, level, family), doubts(adjustment)
+def verdict(adjustment: Adjustment, level: float = LEVEL) -> Verdict:
+    """The verdict on an adjustment, by a global test at a two-sided `level`."""
+    judged, open_ = _by_tests(adjustment, level), doubts(adjustment)
     if not open_:
         return judged
     sentence = " ".join(f"{doubt[0].upper()}{doubt[1:]}." for doubt in open_)
@@ -67,54 +58,32 @@ def verdict(adjustment: Adjustment, level: float = LEVEL, family: float = FAMILY
     return replace(judged, case=case, sentence=f"{sentence} {judged.sentence}")
 
 
-def _by_tests(adjustment: Adjustment, level: float, family: float) -> Verdict:
-    dof, sigma0 = adjustment.dof, adjustment.sigma0
+def _by_tests(adjustment: Adjustment, level: float) -> Verdict:
+    """Single errors where leaving them out heals the global test, other noise where it does not."""
+    dof, sigma0, chi2 = adjustment.dof, adjustment.sigma0, adjustment.chi2
     if dof <= 0:
-        return Verdict(
-            Case.UNCHECKED, "There is no redundancy: nothing can be tested, the stated noise holds.", False, 0
-        )
+        sentence = "There is no redundancy: nothing can be tested, the stated noise holds."
+        return Verdict(Case.UNCHECKED, sentence, False, 0)
     low, high = np.sqrt(2.0 * special.gammaincinv(0.5 * dof, [level / 2, 1 - level / 2]) / dof)
-    by_w, by_tau = adjustment.outliers(family), adjustment.outliers(family, estimated=True)
+    outliers, by_tau = adjustment.outliers(), len(adjustment.outliers(estimated=True))
+    by_w, wrong = len(outliers), _readings(len(outliers))
     shown = f"sigma0 = {sigma0:.3f} ({dof} degrees of freedom, {low:.3f} to {high:.3f} expected)"
-    if low <= sigma0 <= high:
-        return _noise_holds(shown, len(by_w))
-    if sigma0 < low:
-        return _noise_is_smaller(shown, dof, len(by_w), len(by_tau))
-    return _noise_is_larger(adjustment, shown, high, len(by_w), len(by_tau))
-
-
-def _noise_holds(shown: str, by_w: int) -> Verdict:
-    if not by_w:
+    if low <= sigma0 <= high and not by_w:
         return Verdict(Case.CLEAN, f"Noise and model agree with the readings: {shown}, no outlier.", False, 0)
-    sentence = (
-        f"Trust the test of single readings: {_readings(by_w)} although {shown} passes, "
-        "because one sum over many readings hardly feels a few wrong ones."
-    )
-    return Verdict(Case.HIDDEN_ERRORS, sentence, False, by_w)
-
-
-def _noise_is_smaller(shown: str, dof: int, by_w: int, by_tau: int) -> Verdict:
-    if dof < FEW:
+    if low <= sigma0 <= high:
+        sentence = f"Trust the test of single readings: {wrong} although {shown} passes, because one sum over many "
+        return Verdict(Case.HIDDEN_ERRORS, f"{sentence}readings hardly feels a few wrong ones.", False, by_w)
+    if sigma0 < low and dof < FEW:
         sentence = f"Trust the stated noise: {shown} is smaller, but so few degrees of freedom prove little."
         return Verdict(Case.SMALLER_NOISE, sentence, False, by_w)
-    sentence = (
-        f"Trust the estimated sigma0: {shown}, the stated noise is too large, and the w-test by it too lenient; "
-        f"by the tau-test {_readings(by_tau)}."
-    )
-    return Verdict(Case.SMALLER_NOISE, sentence, True, by_tau)
-
-
-def _noise_is_larger(adjustment: Adjustment, shown: str, high: float, by_w: int, by_tau: int) -> Verdict:
-    """Single errors where leaving them out heals the global test, larger noise where it does not."""
-    dof, used = adjustment.dof, int(adjustment.problem.use.sum())
-    rest = adjustment.chi2 - sum(o.w**2 for o in adjustment.outliers())
+    if sigma0 < low:
+        sentence = f"Trust the estimated sigma0: {shown}, the stated noise is too large, and the w-test by it too "
+        return Verdict(Case.SMALLER_NOISE, f"{sentence}lenient; by the tau-test {_readings(by_tau)}.", True, by_tau)
+    rest = chi2 - sum(o.w**2 for o in outliers)
     healed = dof > by_w and rest <= high**2 * (dof - by_w)
-    if by_w and healed and by_w <= max(1, ONLY_A_FEW * used):
-        sentence = (
-            f"Trust the test of single readings: {shown} fails only because {_readings(by_w)}; "
-            "without them the stated noise holds."
-        )
-        return Verdict(Case.SINGLE_ERRORS, sentence, False, by_w)
+    if by_w and healed and by_w <= max(1, ONLY_A_FEW * int(adjustment.problem.use.sum())):
+        sentence = f"Trust the test of single readings: {shown} fails only because {wrong}; "
+        return Verdict(Case.SINGLE_ERRORS, f"{sentence}without them the stated noise holds.", False, by_w)
     if dof < FEW:
         sentence = (
             f"Trust the global test: {shown}, noise or model are wrong; with so few degrees of freedom neither "

@@ -10,4 +10,4 @@ from ltsim.calibration.calibration import (
 from ltsim.calibration.correct import correct as correct
 from ltsim.calibration.distance import calibrate_distance as calibrate_distance
 from ltsim.calibration.files import read_calibration as read_calibration, write_calibration as write_calibration
-from ltsim.calibration.network import adjust_network as adjust_network, calibrate_network as calibrate_network
+from ltsim.calibration.network import adjust as adjust, calibrate_network as calibrate_network

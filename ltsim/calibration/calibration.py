@@ -3,23 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.verdict import Verdict
-from ltsim.arrays import Bools, Floats
-from ltsim.calibration.determined import determined
-from ltsim.calibration.known_values import KNOWN, KnownEntry
+from ltsim.arrays import Bools, Floats, Ints
+from ltsim.calibration.evidence import determined, harmonics
 from ltsim.calibration.schema import (
-    NOISE,
-    OUTLIERS,
-    PARAMETERS,
+    COORDINATES,
     RESIDUALS,
-    STATIONS,
     TARGETS,
     AxesEntry,
     Combination as Combination,
@@ -27,23 +23,46 @@ from ltsim.calibration.schema import (
     DeterminedEntry,
     Fit as Fit,
     FittedEffectEntry,
+    HarmonicEntry,
+    KnownEntry,
     NoiseRow as NoiseRow,
     OutlierRow as OutlierRow,
     ParameterEntry,
     StationPose as StationPose,
 )
 from ltsim.chances import p_is, two_sided
+from ltsim.effects.signature import Parameter
 from ltsim.errors import RecordError
 from ltsim.evaluation.criteria import Criteria
 from ltsim.model.construction import Construction
 from ltsim.recording.recording import OBSERVABLES, Recording
 from ltsim.recording.result_file import SourceEntry
-from ltsim.results import Result, Table
+from ltsim.results import Column, Result, Table, columns_of
 from ltsim.units import ARCSECOND, MILLIMETRE
 
+OfOne = TypeVar("OfOne", DeterminedEntry, HarmonicEntry)
 SHOWN_UNITS = (("mm", MILLIMETRE), ("arcsec", ARCSECOND), ("arcsec", ARCSECOND))
 """Unit of each column of the readings where a person reads it."""
 
+PARAMETERS = Table(
+    "parameters.csv",
+    "estimates of the instrument's parameters, each in its unit",
+    columns_of(
+        ParameterEntry,
+        "name instrument value sigma unit prior_sigma held applied",
+        value={"sigma": "sigma"},
+        prior_sigma={"shown": ".3g"},
+        name={"name": "parameter"},
+    ),
+)
+KNOWN = Table("known.csv", "known values, each tested by the rest", columns_of(KnownEntry))
+OUTLIERS = Table("outliers.csv", "readings that do not belong", columns_of(OutlierRow))
+NOISE = Table(
+    "noise.csv",
+    "noise found from the readings",
+    columns_of(NoiseRow, factor={"sigma": "factor_sigma"}, redundancy={"shown": ".1f"}, typical={"shown": ".3g"}),
+)
+STATIONS = Table("stations.csv", "adjusted stations", (Column("station", "name", "text"), *COORDINATES[1:]))
 SHARPER = 0.975
 """Ratio of a parameter's sigma to its prior's below which the recording told something: 5 % of the variance."""
 SAME = 1e-9
@@ -54,7 +73,10 @@ MOSTLY = 0.9
 
 @dataclass(frozen=True, repr=False)
 class Calibration(Result):
-    """Instrument parameters with their covariance, and the network they were found in."""
+    """Instrument parameters with their covariance, and the network they were found in.
+
+    What has no words of its own is as in `CalibrationFile`.
+    """
 
     method: str
     """`network`, `distance`, `distance-l1`; `adjustment` for a network without instrument parameters."""
@@ -69,7 +91,6 @@ class Calibration(Result):
     fit: Fit
     undetermined: tuple[Combination, ...]
     frame: str
-    """A sentence: the frame of stations and targets."""
     stations: tuple[StationPose, ...]
     targets: tuple[str, ...] = ()
     points: Floats = field(default_factory=lambda: np.zeros((0, 3)))
@@ -82,31 +103,21 @@ class Calibration(Result):
     verdict: Verdict | None = None
     """Which test to trust where they disagree; None for the distance methods and for what was read from a file."""
     robust: bool = False
-    """Whether readings that do not belong were left out."""
     noise: tuple[NoiseRow, ...] = ()
-    """The noise found, where it was estimated from the readings."""
     known: tuple[KnownEntry, ...] = ()
-    """Known coordinates, lengths and levels, each tested by the rest."""
     lost_targets: tuple[str, ...] = ()
-    """Measured targets that the readings in use do not determine; they have no coordinates."""
     axes: AxesEntry | None = None
-    """How well the axes are known, where stated coordinates give them."""
     held: Bools = field(default_factory=lambda: np.zeros((0, 0), dtype=bool))
     """(I, p): parameters that were not estimated but held at their value."""
     informed: bool = False
-    """Whether the prior came from earlier calibrations."""
     silent: Floats = field(default_factory=lambda: np.zeros((0, 0)), repr=False)
     """(k, I p): combinations, in prior sigmas, that a distance method left at zero."""
     correction: Correction | None = None
-    """What of the estimates is worth applying, and what is expected of that; None where it was not asked."""
     weighed: Floats | None = None
     """(I, p) [SI]: what is taken out of readings where that is not the estimates themselves."""
     effects: tuple[FittedEffectEntry, ...] = ()
-    """Effects of the catalogue that were estimated beside, on request."""
     notes: tuple[str, ...] = ()
-    """What a reader should know of how this came about."""
     recording: SourceEntry | None = None
-    """Which recording it was found from; None where a file does not say."""
     adjustment: Adjustment | None = field(default=None, repr=False, compare=False)
     """The adjusted network; None for a calibration that was read from a file."""
 
@@ -122,11 +133,20 @@ class Calibration(Result):
     @cached_property
     def determined(self) -> tuple[DeterminedEntry, ...]:
         """Combinations of parameters that are known far better than each of them."""
-        several, size = len(self.instruments) > 1, len(self.construction.names)
-        found: list[DeterminedEntry] = []
+        return self._of_each(determined)
+
+    @cached_property
+    def harmonics(self) -> tuple[HarmonicEntry, ...]:
+        """Every pair of a cosine and a sine coefficient as amplitude and phase."""
+        return self._of_each(harmonics)
+
+    def _of_each(self, told: Callable[[Sequence[Parameter], Floats, Floats], list[OfOne]]) -> tuple[OfOne, ...]:
+        """What is told of each instrument's values and covariance; with its name where there are several."""
+        several, size = len(self.instruments) > 1, self.construction.size
+        found: list[OfOne] = []
         for i, (name, values) in enumerate(zip(self.instruments, self.values, strict=True)):
             own = slice(i * size, (i + 1) * size)
-            entries = determined(self.construction.parameters, values, self.covariance[own, own])
+            entries = told(self.construction.parameters, values, self.covariance[own, own])
             found += [entry.model_copy(update={"instrument": name}) if several else entry for entry in entries]
         return tuple(found)
 
@@ -220,6 +240,20 @@ class Calibration(Result):
     def names(self) -> tuple[str, ...]:
         """Names (I p) of all parameters, with ``@instrument`` where there are several instruments."""
         return self.construction.names_of(self.instruments)
+
+    def part(self, instrument: int, keep: Ints) -> Calibration:
+        """The calibration of one instrument with some of its parameters, without a correction."""
+        one, at = slice(instrument, instrument + 1), instrument * self.construction.size + keep
+        return replace(
+            self,
+            construction=self.construction.only(keep),
+            instruments=self.instruments[one],
+            values=self.values[one, keep],
+            prior_sigma=self.prior_sigma[one, keep],
+            covariance=self.covariance[np.ix_(at, at)],
+            held=self.held[one, keep],
+            correction=None,
+        )
 
     def values_for(self, recording: Recording) -> Floats:
         """Parameters to apply (p,) or, where instruments differ, (n, p) of each pointing of a recording.

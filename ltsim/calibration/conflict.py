@@ -25,18 +25,6 @@ MOST_SAID = 3
 MOST_TERMS = 6
 
 
-def normalised(calibration: Calibration, mean: Floats | None = None) -> Floats:
-    """Estimates less prior over the standard deviation of that difference (I, p); 0 where the readings are silent.
-
-    The prior is an observation like any other: its residual has the variance of the prior less that of the estimate
-    (Baarda's w-test of the prior's row). `mean` (I, p) of the prior is zero by default.
-    """
-    before, after = calibration.prior_sigma**2, calibration.sigma**2
-    heard = ~calibration.held & (before - after > SILENT * before)
-    gap = calibration.values if mean is None else calibration.values - mean
-    return np.where(heard, gap / np.sqrt(np.where(heard, before - after, 1.0)), 0.0)
-
-
 def beyond_prior(adjustment: Adjustment) -> Bools:
     """(I, p) Parameters whose prior the readings contradict: one after the other, those before free to be anything."""
     prior, scale = adjustment.problem.prior, max(1.0, adjustment.sigma0)
@@ -68,45 +56,48 @@ def widened(prior: ParameterPrior, freed: Bools) -> ParameterPrior:
     return ParameterPrior(prior.mean, prior.covariance * factor[:, :, None] * factor[:, None, :], prior.held)
 
 
-def _followed(calibration: Calibration, freed: Bools) -> tuple[str, ...]:
-    """A sentence on each parameter that follows the readings because they contradict its prior."""
-    said, size = [], calibration.construction.size
-    for k in np.flatnonzero(freed.ravel()).tolist():
-        parameter = calibration.construction.parameters[k % size]
-        value, sigma, prior = (
-            float(x.ravel()[k]) / parameter.factor
-            for x in (calibration.values, calibration.sigma, calibration.prior_sigma)
-        )
-        said.append(
-            f"{calibration.names[k]} is {with_sigma(value, sigma, parameter.unit)} by the readings, which contradicts "
-            f"its stated prior of {prior:.3g} {parameter.unit}: the estimate follows the readings"
-        )
-    return tuple(said)
-
-
 def disagreement(calibration: Calibration, freed: Bools) -> tuple[str, ...]:
     """Sentences about the parameters that contradict their prior most, or else the combinations of them.
 
-    Those that were `freed` (I, p) of it are told as such.
-
-    Two-sided tests at a level shared out over all that is tested, parameters and then combinations.
+    Those that were `freed` (I, p) of it are told as such. Two-sided tests at a level shared out over all that is
+    tested, parameters and then combinations.
     """
-    if not calibration.values.size:
+    if not calibration.values.size or calibration.adjustment is None:
         return ()
-    w = np.where(freed, 0.0, normalised(calibration, _prior_mean(calibration))).ravel()
-    said, size, found = list(_followed(calibration, freed)), calibration.construction.size, _beyond(w)
+    prior, rows = (
+        calibration.adjustment.problem.prior,
+        list(zip(calibration.names, calibration.parameters, strict=True)),
+    )
+    w = np.where(freed, 0.0, _normalised(calibration, prior.mean)).ravel()
+    said = [
+        f"{name} is {with_sigma(p.value, p.sigma, p.unit)} by the readings, which contradicts "
+        f"its stated prior of {p.prior_sigma:.3g} {p.unit}: the estimate follows the readings"
+        for (name, p), is_freed in zip(rows, freed.ravel(), strict=True)
+        if is_freed
+    ]
+    found = _beyond(w)
     if not found:
-        return (*said, *_of_combinations(calibration))
+        return (*said, *_of_combinations(calibration, prior))
     for k in found[:MOST_SAID]:
-        parameter = calibration.construction.parameters[k % size]
-        value, prior = (float(x.ravel()[k]) / parameter.factor for x in (calibration.values, calibration.prior_sigma))
+        name, p = rows[k]
         said.append(
-            f"{calibration.names[k]}: the readings contradict its prior of {prior:.3g} {parameter.unit} "
-            f"(w = {w[k]:.1f}, estimate {value:.3g}); if it may be larger, state it in [instrument.prior.parameters]"
+            f"{name}: the readings contradict its prior of {p.prior_sigma:.3g} {p.unit} "
+            f"(w = {w[k]:.1f}, estimate {p.value:.3g}); if it may be larger, state it in [instrument.prior.parameters]"
         )
     if len(found) > MOST_SAID:
         said.append(f"{len(found) - MOST_SAID} more parameters contradict their prior")
     return tuple(said)
+
+
+def _normalised(calibration: Calibration, mean: Floats) -> Floats:
+    """Estimates less prior over the standard deviation of that difference (I, p); 0 where the readings are silent.
+
+    The prior is an observation like any other: its residual has the variance of the prior less that of the estimate
+    (Baarda's w-test of the prior's row).
+    """
+    told = calibration.prior_sigma**2 - calibration.sigma**2
+    heard = ~calibration.held & (told > SILENT * calibration.prior_sigma**2)
+    return np.where(heard, (calibration.values - mean) / np.sqrt(np.where(heard, told, 1.0)), 0.0)
 
 
 def _beyond(w: Floats) -> list[int]:
@@ -116,11 +107,9 @@ def _beyond(w: Floats) -> list[int]:
     return [int(k) for k in np.argsort(-np.abs(w)) if abs(w[k]) > limit]
 
 
-def _of_combinations(calibration: Calibration) -> tuple[str, ...]:
+def _of_combinations(calibration: Calibration, prior: ParameterPrior) -> tuple[str, ...]:
     """A sentence on the combination that contradicts the prior most: in prior sigmas these are independent."""
-    if calibration.adjustment is None:
-        return ()
-    prior, size = calibration.adjustment.problem.prior, calibration.construction.size
+    size = calibration.construction.size
     for i in range(len(calibration.instruments)):
         at = np.flatnonzero(~calibration.held[i])
         root = prior.roots[i][np.ix_(at, at)]
@@ -136,7 +125,3 @@ def _of_combinations(calibration: Calibration) -> tuple[str, ...]:
             terms = " ".join(f"{value:+.2f} {name}" for name, value in list(shown.items())[:MOST_TERMS])
             return (f"the readings contradict the prior of a combination (w = {w[k]:.1f}): {terms}",)
     return ()
-
-
-def _prior_mean(calibration: Calibration) -> Floats | None:
-    return None if calibration.adjustment is None else calibration.adjustment.problem.prior.mean

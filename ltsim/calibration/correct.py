@@ -6,48 +6,53 @@ import numpy as np
 
 from ltsim.adjustment.start import reached_network
 from ltsim.arrays import Bools, Floats
-from ltsim.calibration.calibration import Calibration
+from ltsim.calibration.files import CalibrationSource, calibration_of
 from ltsim.errors import NetworkError, RecordError
 from ltsim.geometry.polar import to_face, to_polar, wrap
 from ltsim.model.construction import Construction, ideal
 from ltsim.model.measurement import MeasurementModel, State
+from ltsim.recording.exchange import RecordingSource, recording_of
 from ltsim.recording.recording import Recording
 
 
-def correct(recording: Recording, calibration: Calibration, *, again: bool = False) -> Recording:
-    """What an ideal tracker would have read: the calibrated points, as readings on the same face.
+def correct(recording: RecordingSource, calibration: CalibrationSource, *, again: bool = False) -> Recording:
+    """The recording that an ideal tracker would have made, by a calibration of the instrument.
 
-    The set-up of the result says that its instruments are corrected. A row without a range (or without an angle) is
-    corrected at the place where the network puts its target, which needs to be known to a millimetre only.
+    Readings are on the same face; the set-up of the result says that its instruments are corrected. A row without a
+    range (or without an angle) is corrected at the place where the network puts its target, to a millimetre.
 
     Parameters
     ----------
-    recording : Recording
+    recording : Recording, str or Path
         Of the same instrument; any network.
-    calibration : Calibration
+    calibration : Calibration, str or Path
     again : bool
         Correct readings too that the set-up says are corrected.
 
     Raises
     ------
     RecordError
-        When the calibration does not know the recording's instruments, or the readings are corrected already.
+        When the calibration does not know the recording's instrument, the readings are corrected already, or a file is
+        malformed.
     NetworkError
         When rows lack a range or an angle and the network cannot be solved.
+
+    Examples
+    --------
+    >>> import ltsim as lt
+    >>> recording, _ = lt.simulate("paper-workshop", seed=7)
+    >>> corrected = lt.correct(recording, lt.calibrate(recording))
+    >>> len(corrected)
+    140
     """
-    if not again and any(recording.instrument_of(name).corrected for name in recording.stations):
+    seen, found = recording_of(recording), calibration_of(calibration)
+    if not again and any(seen.instrument_of(name).corrected for name in seen.stations):
         raise RecordError("the set-up says that the readings are corrected (corrected = true); once is right")
-    values = calibration.values_for(recording)
-    readings = corrected_readings(recording, calibration.construction, values)
-    setup = recording.setup
-    instruments = {name: i.model_copy(update={"corrected": True}) for name, i in setup.instruments.items()}
-    marked = setup.model_copy(
-        update={
-            "instrument": setup.instrument.model_copy(update={"corrected": True}),
-            "instruments": instruments,
-        }
-    )
-    return recording.replace(setup=marked, readings=readings)
+    readings = corrected_readings(seen, found.construction, found.values_for(seen))
+    setup, mark = seen.setup, {"corrected": True}
+    instruments = {name: i.model_copy(update=mark) for name, i in setup.instruments.items()}
+    marked = {"instrument": setup.instrument.model_copy(update=mark), "instruments": instruments}
+    return seen.replace(setup=setup.model_copy(update=marked), readings=readings)
 
 
 def corrected_readings(recording: Recording, construction: Construction, values: Floats) -> Floats:

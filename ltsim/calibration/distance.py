@@ -2,34 +2,34 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import cached_property
+
 import numpy as np
+from scipy import special
 
 from ltsim.adjustment import Adjustment, adjust
+from ltsim.adjustment.prior import prior_sigmas
+from ltsim.arrays import Floats, Ints
+from ltsim.calibration import result
 from ltsim.calibration.calibration import Calibration, Combination, Fit
-from ltsim.calibration.choice import Choice
 from ltsim.calibration.correct import corrected_readings
-from ltsim.calibration.distance_solver import Estimate, solve_distances
-from ltsim.calibration.equation_9 import Norm, solve_equation_9, with_minimum
+from ltsim.calibration.distance_solver import Estimate, Norm, solve_distances, solve_equation_9, with_minimum
+from ltsim.calibration.known import Choice
 from ltsim.calibration.objective import DistanceProblem
-from ltsim.calibration.propagation import Propagation
-from ltsim.calibration.result import (
-    criteria_of,
-    frame_of,
-    gross_rows,
-    notes_on_modes,
-    outliers_of,
-    stations_of,
-    tied_readings,
-    undetermined_of,
-)
 from ltsim.model.construction import Construction, stated_construction
+from ltsim.model.measurement import MeasurementModel, State
 from ltsim.recording.recording import Recording
 from ltsim.recording.reflectors import require_one_radius
 from ltsim.recording.result_file import SourceEntry
+from ltsim.solve.design import as_dense
 
-METHODS: dict[str, Norm] = {"distance": "squares", "distance-l1": "absolute"}
-AS_PRINTED: dict[str, Norm] = {"equation-9": "squares", "equation-9-l1": "absolute"}
-"""Methods that leave no combination out, however little the readings tell of it."""
+METHODS: dict[str, Norm] = {
+    "distance": "squares",
+    "distance-l1": "absolute",
+    "equation-9": "squares",
+    "equation-9-l1": "absolute",
+}
 
 
 def calibrate_distance(
@@ -41,47 +41,25 @@ def calibrate_distance(
     choice: Choice | None = None,
     box: float | None = None,
 ) -> Calibration:
-    """Estimate the parameters of an instrument by making distances agree (eq. 9 and 10).
+    """The distance methods of `ltsim.calibrate`, whose options and errors it has (eq. 9 and 10).
 
     Stations and targets then come from an adjustment of the corrected readings; their covariance holds the
     uncertainty of the parameters, which were found from the same readings.
-
-    Parameters
-    ----------
-    recording : Recording
-    construction : Construction, optional
-        Default: the geometric misalignment model with its 16 parameters.
-    method : str
-        `distance`: least squares over the combinations that the readings determine, `distance-l1`: least absolute
-        deviations; `equation-9` and `equation-9-l1`: the same over all, the minimum of the objective as printed.
-    advise : bool
-        Compute which further measurements would cure undetermined combinations.
-    choice : Choice, optional
-        Which parameters to estimate; default all.
-    box : float, optional
-        Bound on every parameter, in prior sigmas; methods `equation-9` and `equation-9-l1` only.
-
-    Raises
-    ------
-    NetworkError
-        When stations share too few targets, or measured balls of several radii.
-    ConvergenceError
-        When the final adjustment does not converge.
     """
     require_one_radius(recording, f"the method {method}")
     built = construction or stated_construction(recording)
     known = (choice or Choice()).applied(recording, built)
     prior, held = known.sigma, known.held
     source = SourceEntry.of(recording)
-    recording, _ = tied_readings(recording)
-    usable = recording.with_readings(np.where(gross_rows(recording)[:, None], np.nan, recording.readings))
+    recording, _ = result.tied_readings(recording)
+    usable = recording.with_readings(np.where(result.gross_rows(recording)[:, None], np.nan, recording.readings))
     start = np.where(held, known.mean / prior, 0.0).ravel()
-    problem, notes = DistanceProblem(usable, built, prior), tuple[str, ...]()
-    if method in AS_PRINTED:
-        estimate = solve_equation_9(problem, AS_PRINTED[method], box=box, start=start, held=held.ravel())
+    problem, norm, notes = DistanceProblem(usable, built, prior), METHODS[method], tuple[str, ...]()
+    if method.startswith("equation-9"):
+        estimate = solve_equation_9(problem, norm, box=box, start=start, held=held.ravel())
     else:
-        estimate = solve_distances(problem, METHODS[method], start=start, held=held.ravel())
-        notes = with_minimum(problem, METHODS[method], estimate, held.ravel()) if advise else ()
+        estimate = solve_distances(problem, norm, start=start, held=held.ravel())
+        notes = with_minimum(problem, norm, estimate, held.ravel()) if advise else ()
     values = estimate.unknowns.reshape(prior.shape) * prior
     applied = values[0] if len(values) == 1 else values[recording.instrument]
     corrected = recording.with_readings(corrected_readings(recording, built, applied))
@@ -104,17 +82,17 @@ def calibrate_distance(
         held=held,
         fit=_fit(propagation),
         undetermined=_undetermined(adjustment, built, estimate, advise=advise),
-        frame=frame_of(adjustment),
-        stations=stations_of(adjustment, pose),
+        frame=result.frame_of(adjustment),
+        stations=result.stations_of(adjustment, pose),
         targets=recording.targets,
         points=adjustment.state.points,
         target_covariance=adjustment.target_covariance
         + added[unknowns.target[:, :, None], unknowns.target[:, None, :]],
-        criteria=criteria_of(recording, adjustment, built, values),
-        outliers=outliers_of(adjustment),
-        lost_targets=tuple(recording.targets[i] for i in np.flatnonzero(adjustment.problem.unseen_targets)),
+        criteria=result.criteria_of(recording, adjustment, built, values),
+        outliers=result.outliers_of(adjustment),
+        lost_targets=tuple(recording.targets[i] for i in np.flatnonzero(adjustment.problem.structure.unseen)),
         recording=source,
-        notes=(*notes_on_modes(adjustment), *notes),
+        notes=(*result.notes_on_modes(adjustment), *notes),
         adjustment=adjustment,
     )
 
@@ -125,10 +103,9 @@ def _fit(propagation: Propagation) -> Fit:
     mean, variance = propagation.chi2_moments()
     expected = round(mean)
     redundant = propagation.adjustment.dof > 0 and expected > 0
+    status = "capped", "the cap on iterations was reached before the steps became small"
     if estimate.converged:
         status = "converged", "the last step moved no parameter by more than a ten-millionth of its prior sigma"
-    else:
-        status = "capped", "the cap on iterations was reached before the steps became small"
     return Fit(
         chi2=chi2,
         dof=expected,
@@ -146,9 +123,89 @@ def _undetermined(
 ) -> tuple[Combination, ...]:
     instruments = adjustment.recording.instruments
     if len(instruments) == 1:
-        return undetermined_of(adjustment, construction, [list(estimate.left_out)], advise=advise)
+        return result.undetermined_of(adjustment, construction, [list(estimate.left_out)], advise=advise)
     names = construction.names_of(instruments)
     return tuple(
         Combination(combination=d.coefficients(names), gain=d.gain, cure="use the network method, which names a cure")
         for d in estimate.left_out
     )
+
+
+@dataclass(frozen=True)
+class Propagation:
+    """How the error of parameters that were found beforehand spreads through the adjustment of corrected readings.
+
+    With e the whitened noise of readings and gauge, A the adjustment, D its design, B the design of the parameters and
+    dx their error, the network errs by A e - A B dx and leaves the residuals R e - R B dx, R = 1 - D A. The parameters
+    come from the same readings: their error is correlated with e, and an estimator other than the adjustment's own
+    leaves more in the residuals than the degrees of freedom say.
+    """
+
+    recording: Recording
+    """As it was measured."""
+    construction: Construction
+    values: Floats
+    """(I, p)."""
+    estimate: Estimate
+    adjustment: Adjustment
+    """Of the corrected readings, without parameters."""
+
+    @cached_property
+    def _used(self) -> Ints:
+        return np.flatnonzero(self.adjustment.problem.use.ravel())
+
+    @cached_property
+    def _design(self) -> Floats:
+        """(m, size) whitened design of readings and gauge."""
+        rows = len(self._used) + len(self.adjustment.problem.gauge)
+        return as_dense(self.adjustment.solution.system.design[:rows])
+
+    @cached_property
+    def _response(self) -> Floats:
+        """(size, m): A."""
+        return self.adjustment.factor.covariance_columns(np.ascontiguousarray(self._design.T))
+
+    @cached_property
+    def _by_parameter(self) -> Floats:
+        """(m, I p): B in units of the prior sigmas; gauge lengths do not depend on the parameters."""
+        recording, (count, size) = self.recording, self.values.shape
+        state = self.adjustment.state
+        at = State(state.position, state.rotation, state.points, self.values)
+        by_value = MeasurementModel(recording, self.construction).linearised(at).by_instrument
+        prior = prior_sigmas(recording, self.construction)[recording.instrument]
+        wide = np.zeros((len(recording), 3, count, size))
+        wide[np.arange(len(recording)), :, recording.instrument] = by_value * prior[:, None, :]
+        whitened = (wide / self.adjustment.problem.sigma[:, :, None, None]).reshape(-1, count * size)
+        gauge = np.zeros((len(self.adjustment.problem.gauge), count * size))
+        return np.concatenate([whitened[self._used], gauge])
+
+    @cached_property
+    def _with_noise(self) -> Floats:
+        """(m, I p): covariance of the whitened noise with the parameters' error."""
+        readings = 3 * len(self.recording)
+        noise = self.estimate.noise
+        return np.concatenate([noise[:, self._used], noise[:, readings:]], axis=1).T
+
+    def added_covariance(self) -> Floats:
+        """What the parameters' error adds to the covariance (size, size) of the adjustment."""
+        through = self._response @ self._by_parameter
+        crossed = (self._response @ self._with_noise) @ through.T
+        return through @ self.estimate.covariance @ through.T - crossed - crossed.T
+
+    def _residual_part(self, columns: Floats) -> Floats:
+        return columns - self._design @ (self._response @ columns)
+
+    def chi2_moments(self) -> tuple[float, float]:
+        """Expected value and variance of the adjustment's chi-square, if model and stated noise hold."""
+        left, noise = self._residual_part(self._by_parameter), self._residual_part(self._with_noise)
+        both = np.concatenate([left, noise], axis=1)
+        one = np.eye(left.shape[1])
+        mixed = np.block([[self.estimate.covariance, -one], [-one, np.zeros_like(one)]]) @ (both.T @ both)
+        free = float(self.adjustment.dof)
+        return free + float(np.trace(mixed)), 2 * (free + 2 * float(np.trace(mixed)) + float(np.sum(mixed * mixed.T)))
+
+    def chi2_tail(self, chi2: float) -> float:
+        """Chance of a larger chi-square (Satterthwaite's approximation by a scaled chi-square)."""
+        mean, variance = self.chi2_moments()
+        scale = variance / (2 * mean)
+        return float(special.chdtrc(mean / scale, max(chi2 / scale, 0.0)))

@@ -1,10 +1,11 @@
-"""The paper's calibrator: parameters that make distances agree between stations and with the gauge.
+"""The paper's calibrator: parameters that make distances agree between stations and with the gauge (eq. 9).
 
-Least squares and least absolute deviations, both by Gauss-Newton from zero; a step of the latter is a linear program's
-solution. The objective as printed estimates up to 78 parameters without asking whether the data hold them; here the
-unknowns are scaled by their priors, the objective's normal matrix is decomposed, and only combinations whose estimate
-is more certain than the prior (gain above one half) are estimated. The others stay at zero and keep their prior
-uncertainty: nothing is estimated blindly. So this is eq. 9 over part of its unknowns; `equation_9` finds its minimum.
+Least squares and least absolute deviations, both by Gauss-Newton; a step of the latter is a linear program's solution.
+The objective as printed estimates up to 78 parameters without asking whether the data hold them. `solve_distances`
+estimates only combinations whose estimate is more certain than the prior (gain above one half), the unknowns scaled by
+their priors; the others stay at zero and keep their prior uncertainty: nothing is estimated blindly. That is no minimum
+of eq. 9, which `solve_equation_9` finds, in a box or anywhere: it leaves nothing out but what does not change the
+objective at all, and so fits noise where the readings say little; it is here to compare with, and to reproduce.
 
 The objective ignores that distances share points, so its own covariance would be too small. The covariance given
 here propagates the stated noise of every reading (and of the gauge) through the estimator.
@@ -17,16 +18,22 @@ from typing import Literal
 
 import numpy as np
 import scipy.sparse as sp
+from scipy.optimize import linprog, lsq_linear
 
-from ltsim.arrays import Bools, Floats
+from ltsim.arrays import Bools, Floats, Ints
 from ltsim.calibration.objective import DistanceProblem, Distances, centring, set_pairs
-from ltsim.errors import NetworkError
+from ltsim.errors import ModelError, NetworkError
 from ltsim.remedies.undetermined import DETERMINED, Direction
 from ltsim.solve.absolute import least_absolute
 
-CAP = 30
-CLOSED = 1e-7
-"""Converged when no unknown moves by more than this share of its prior sigma."""
+CAP, CLOSED = 30, 1e-7
+"""Most steps; converged when no unknown moves by more than this share of its prior sigma."""
+LEAST_CAP, LEAST_CLOSED = 60, 1e-9
+"""The same of the minimum of eq. 9, where the objective may also end to fall by this share."""
+NOTHING = 1e-9
+"""Relative singular value of a combination that does not change any compared distance."""
+
+Norm = Literal["squares", "absolute"]
 
 
 @dataclass(frozen=True)
@@ -67,19 +74,19 @@ def pair_rows(problem: DistanceProblem, distances: Distances) -> Rows:
     """The terms of eq. 9 one by one: differences between pairs of sets, then gauge terms."""
     first, second = set_pairs(distances)
     problem._check_size(len(first))
-    rows = np.arange(len(first))
-    shape = (len(first), len(distances.length))
-    plus = sp.coo_array((np.ones(len(rows)), (rows, first)), shape=shape)
-    minus = sp.coo_array((np.ones(len(rows)), (rows, second)), shape=shape)
-    return _with_gauge(problem, distances, sp.csr_array(plus - minus))
+    count = len(distances.length)
+    return _with_gauge(problem, distances, sp.csr_array(_selected(first, count) - _selected(second, count)))
+
+
+def _selected(at: Ints, count: int) -> sp.csr_array:
+    """Matrix (k, count) that picks the rows `at` (k,)."""
+    return sp.csr_array((np.ones(len(at)), (np.arange(len(at)), at)), shape=(len(at), count))
 
 
 def _with_gauge(problem: DistanceProblem, distances: Distances, compare: sp.csr_array) -> Rows:
     at, which = problem.gauge_matches(distances)
     known = len(problem.gauge)
-    pick = sp.csr_array(
-        sp.coo_array((np.ones(len(at)), (np.arange(len(at)), at)), shape=(len(at), len(distances.length)))
-    )
+    pick = _selected(at, len(distances.length))
     # The error of a gauge length shifts all rows that compare with it.
     spread = sp.csr_array(-problem.gauge.spread[which])
     matrix = sp.vstack([compare, pick], format="csr")
@@ -91,13 +98,9 @@ def _with_gauge(problem: DistanceProblem, distances: Distances, compare: sp.csr_
 
 
 def solve_distances(
-    problem: DistanceProblem,
-    norm: Literal["squares", "absolute"],
-    *,
-    start: Floats | None = None,
-    held: Bools | None = None,
+    problem: DistanceProblem, norm: Norm, *, start: Floats | None = None, held: Bools | None = None
 ) -> Estimate:
-    """Minimise eq. 9 over the combinations that the readings determine: not its own minimum (`equation_9`).
+    """Minimise eq. 9 over the combinations that the readings determine.
 
     From zero, or from `start` (q,), where unknowns that are `held` (q,) stay.
 
@@ -106,42 +109,89 @@ def solve_distances(
     NetworkError
         When no pair of targets was seen from two stations (or faces), and no gauge.
     """
-    size = problem.prior_sigma.size
-    unknowns: Floats = np.zeros(size) if start is None else start
+    unknowns, free = _begun(problem, start, held)
     rows = mean_rows(problem, problem.at(unknowns))
-    if not np.any(rows.by_unknown):
-        raise NetworkError("no distance can be compared: stations share no pair of targets, and there is no gauge")
-    kept, left_out = determined(rows, None if held is None else ~held)
+    _require_compared(rows, np.ones_like(free))
+    kept, left_out = determined(rows, free)
     moved, iterations = np.inf, 0
     while iterations < CAP and not moved < CLOSED:
         iterations += 1
         rows = compared_rows(problem, unknowns, norm)
-        step = kept @ _step(rows.by_unknown @ kept, rows.residual, norm)
+        step = kept @ _least(rows.by_unknown @ kept, rows.residual, norm)
         unknowns = unknowns + step
         moved = float(np.max(np.abs(step), initial=0.0))
-    spread, noise = uncertainty(rows, kept, norm)
-    prior = np.stack([d.vector for d in left_out], axis=1) if left_out else np.zeros((size, 0))
-    total = objective(rows, norm)
-    return Estimate(unknowns, spread + prior @ prior.T, noise, left_out, total, iterations, moved < CLOSED)
+    return _estimate(rows, norm, (unknowns, kept, left_out), iterations, moved < CLOSED)
 
 
-def compared_rows(problem: DistanceProblem, unknowns: Floats, norm: str) -> Rows:
+def solve_equation_9(
+    problem: DistanceProblem,
+    norm: Norm,
+    *,
+    box: float | None = None,
+    start: Floats | None = None,
+    held: Bools | None = None,
+) -> Estimate:
+    """The minimum of eq. 9, with every unknown within `box` prior sigmas; arguments and errors of `solve_distances`.
+
+    Raises
+    ------
+    ModelError
+        When the box is not positive.
+    """
+    if box is not None and not box > 0:
+        raise ModelError(f"the box is {box}, expected a positive number of prior sigmas")
+    unknowns, free = _begun(problem, start, held)
+    rows, iterations, moved = compared_rows(problem, unknowns, norm), 0, np.inf
+    _require_compared(rows, free)
+    while iterations < LEAST_CAP and not moved < LEAST_CLOSED:
+        iterations += 1
+        step = np.zeros(len(unknowns))
+        step[free] = _step(rows, unknowns[free], free, norm, box)
+        unknowns, rows, fallen = _searched(problem, unknowns, step, rows, norm)
+        moved = min(float(np.max(np.abs(step))), fallen)
+    seen, unseen = _seen(rows, free)
+    left = tuple(Direction(vector, 0.0) for vector in unseen.T)
+    return _estimate(rows, norm, (unknowns, seen, left), iterations, moved < LEAST_CLOSED)
+
+
+def _begun(problem: DistanceProblem, start: Floats | None, held: Bools | None) -> tuple[Floats, Bools]:
+    """Unknowns (q,) to begin with, and those that are free."""
+    size = problem.prior_sigma.size
+    unknowns: Floats = np.zeros(size) if start is None else start.copy()
+    return unknowns, np.ones(size, dtype=bool) if held is None else ~held
+
+
+def _require_compared(rows: Rows, free: Bools) -> None:
+    if not np.any(rows.by_unknown[:, free]):
+        raise NetworkError("no distance can be compared: stations share no pair of targets, and there is no gauge")
+
+
+def _estimate(
+    rows: Rows, norm: Norm, found: tuple[Floats, Floats, tuple[Direction, ...]], iterations: int, converged: bool
+) -> Estimate:
+    """What was found: unknowns, the combinations (q, k) that were estimated, and those that were left out."""
+    unknowns, kept, left = found
+    covariance, noise = uncertainty(rows, kept, norm)
+    prior = np.array([d.vector for d in left]).reshape(len(left), len(unknowns))
+    return Estimate(unknowns, covariance + prior.T @ prior, noise, left, objective(rows, norm), iterations, converged)
+
+
+def compared_rows(problem: DistanceProblem, unknowns: Floats, norm: Norm) -> Rows:
     """The rows whose sum of squares, or of absolute values, is eq. 9."""
     distances = problem.at(unknowns)
     return mean_rows(problem, distances) if norm == "squares" else pair_rows(problem, distances)
 
 
-def objective(rows: Rows, norm: str) -> float:
+def objective(rows: Rows, norm: Norm) -> float:
     """Eq. 9 [m^2], or its sum of absolute values [m]."""
     return float(np.sum(rows.residual**2) if norm == "squares" else np.sum(np.abs(rows.residual)))
 
 
-def determined(rows: Rows, free: Bools | None = None) -> tuple[Floats, tuple[Direction, ...]]:
+def determined(rows: Rows, free: Bools) -> tuple[Floats, tuple[Direction, ...]]:
     """Combinations (q, k) of the `free` (q,) unknowns to estimate, and those to leave at zero with their gains."""
-    chosen = np.ones(rows.by_unknown.shape[1], dtype=bool) if free is None else free
-    strength, own = np.linalg.eigh(rows.by_unknown[:, chosen].T @ rows.by_unknown[:, chosen])
-    vectors = np.zeros((len(chosen), len(own)))
-    vectors[chosen] = own
+    strength, own = np.linalg.eigh(rows.by_unknown[:, free].T @ rows.by_unknown[:, free])
+    vectors = np.zeros((len(free), len(own)))
+    vectors[free] = own
     known = strength > 1e-12 * strength[-1]
     carried = np.asarray((rows.by_noise.T @ (rows.by_unknown @ vectors)).T)
     variance = np.full(len(strength), np.inf)
@@ -152,19 +202,68 @@ def determined(rows: Rows, free: Bools | None = None) -> tuple[Floats, tuple[Dir
     return vectors[:, keep], tuple(sorted(left, key=lambda d: d.gain))
 
 
-def _step(design: Floats, residual: Floats, norm: str) -> Floats:
-    """Minimise |residual + design @ step| in the chosen norm."""
+def _seen(rows: Rows, free: Bools) -> tuple[Floats, Floats]:
+    """Combinations (q, k) of the free unknowns that change a compared distance, and those that do not."""
+    _, strength, own = np.linalg.svd(rows.by_unknown[:, free], full_matrices=False)
+    vectors = np.zeros((len(free), len(own)))
+    vectors[free] = own.T
+    known = strength > NOTHING * strength[0]
+    return vectors[:, known], vectors[:, ~known]
+
+
+def _least(design: Floats, residual: Floats, norm: Norm) -> Floats:
+    """The step that minimises |residual + design @ step| in the norm."""
     if norm == "squares":
-        return -_least_squares(design, residual)
+        return -np.asarray(np.linalg.lstsq(design, residual, rcond=None)[0], dtype=np.float64)
     return -least_absolute(design, residual)
 
 
-def _least_squares(design: Floats, goal: Floats) -> Floats:
-    x = np.linalg.lstsq(design, goal, rcond=None)[0]
-    return np.asarray(x, dtype=np.float64)
+def _step(rows: Rows, at: Floats, free: Bools, norm: Norm, box: float | None) -> Floats:
+    """Step (f,) of the free unknowns to the minimum of the linearised objective."""
+    design = rows.by_unknown[:, free]
+    if box is None:
+        seen = _seen(rows, free)[0][free]
+        return seen @ _least(design @ seen, rows.residual, norm)
+    within = _squares_in_box if norm == "squares" else _absolute_in_box
+    return within(design, rows.residual, (-box - at, box - at))
 
 
-def uncertainty(rows: Rows, kept: Floats, norm: str) -> tuple[Floats, Floats]:
+def _squares_in_box(design: Floats, residual: Floats, bounds: tuple[Floats, Floats]) -> Floats:
+    scale = float(np.linalg.norm(residual))
+    found = lsq_linear(design / scale, -residual / scale, bounds, method="bvls", tol=1e-14)
+    return np.asarray(found.x, dtype=np.float64)
+
+
+def _absolute_in_box(design: Floats, residual: Floats, bounds: tuple[Floats, Floats]) -> Floats:
+    """The linear program: residual + design @ step = above - below, both positive, their sum least."""
+    count, size = design.shape
+    scale = float(np.mean(np.abs(residual)))
+    weights = np.concatenate([np.zeros(size), np.ones(2 * count)])
+    one = sp.eye_array(count)
+    matrix = sp.hstack([sp.csr_array(design / scale), -one, one], format="csr")
+    limits = [*zip(*bounds, strict=True), *[(0.0, None)] * (2 * count)]
+    found = linprog(weights, A_eq=matrix, b_eq=-residual / scale, bounds=limits, method="highs")
+    if found.x is None:
+        raise NetworkError(f"eq. 9 in the box: the linear program has no solution ({found.message})")
+    return np.asarray(found.x[:size], dtype=np.float64)
+
+
+def _searched(
+    problem: DistanceProblem, unknowns: Floats, step: Floats, rows: Rows, norm: Norm
+) -> tuple[Floats, Rows, float]:
+    """Go along a step as far as the objective falls; unknowns, rows there, and by what share it fell."""
+    before, share = objective(rows, norm), 1.0
+    while share > 1e-3:
+        there = unknowns + share * step
+        found = compared_rows(problem, there, norm)
+        fallen = 1.0 - objective(found, norm) / before
+        if fallen > 0.0:
+            return there, found, fallen
+        share *= 0.5
+    return unknowns, rows, 0.0
+
+
+def uncertainty(rows: Rows, kept: Floats, norm: Norm) -> tuple[Floats, Floats]:
     """Covariance (q, q) of the estimate and its covariance (q, 3 n + g) with the whitened noise.
 
     For absolute deviations by the asymptotic law of the median for correlated normal rows: the score is the sign,
@@ -185,3 +284,15 @@ def uncertainty(rows: Rows, kept: Floats, norm: str) -> tuple[Floats, Floats]:
     inverse = np.linalg.inv(curvature)
     covariance = kept @ inverse @ score @ inverse.T @ kept.T
     return covariance, kept @ (-inverse @ carried)
+
+
+def with_minimum(problem: DistanceProblem, norm: Norm, estimate: Estimate, held: Bools) -> tuple[str, ...]:
+    """A sentence: the objective at an estimate that leaves combinations out, and the least that eq. 9 reaches."""
+    least = solve_equation_9(problem, norm, start=estimate.unknowns, held=held).objective
+    power, unit = (1e6, "mm^2") if norm == "squares" else (1e3, "mm")
+    method = "equation-9" if norm == "squares" else "equation-9-l1"
+    return (
+        f"eq. 9 is {power * estimate.objective:.4g} {unit} here, with {len(estimate.left_out)} combinations left at "
+        f"zero that the readings hardly determine; its own minimum is {power * least:.4g} {unit} (method {method}, "
+        "which fits these to the noise)",
+    )

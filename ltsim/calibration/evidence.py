@@ -1,14 +1,28 @@
-"""What a calibration says without its prior."""
+"""What estimates and their covariance say: without the prior, several parameters together, as amplitude and phase."""
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import linalg
 
 from ltsim.arrays import Floats
+from ltsim.calibration.schema import DeterminedEntry, HarmonicEntry
+from ltsim.effects.signature import Parameter
 from ltsim.remedies.undetermined import SILENT
+from ltsim.units import DEGREE
+
+DETERMINED = 0.25
+"""A combination is told where its deviation is at most this share of what it would be were its members independent."""
+WHOLE = 1.2
+"""Members are told until they leave so many times the deviation that all parameters together have."""
+DEFINED = 2.0
+"""Least amplitude, in its sigmas, at which a phase is given."""
+# 'azimuth-eccentricity-cos', and 'J1.eY_cos2' with an order behind.
+_COSINE = re.compile(r"^(?P<front>.+[-_])cos(?P<order>\d?)$")
 
 
 @dataclass(frozen=True)
@@ -44,3 +58,78 @@ def change_seen(information: Floats, surprise: Floats, variance: Floats) -> tupl
     """
     keeps = np.linalg.inv(np.eye(len(surprise)) + information @ variance)
     return keeps @ surprise, keeps @ information
+
+
+def determined(parameters: Sequence[Parameter], values: Floats, covariance: Floats) -> list[DeterminedEntry]:
+    """Combinations that are known far better than each of their members; values (p,), covariance (p, p) [SI].
+
+    On a single face, say, the vertical index and two eccentricities of the circle are known to 12 urad each, and their
+    weighted sum to 0.3 urad: a person who asks whether something changed asks the combination. Combinations are of one
+    unit: eigenvectors of the covariance that join several parameters.
+    """
+    found = []
+    for unit in dict.fromkeys(p.unit for p in parameters):
+        at = np.array([i for i, p in enumerate(parameters) if p.unit == unit])
+        own, factor = covariance[np.ix_(at, at)], parameters[at[0]].factor
+        alone = np.sqrt(np.diag(own))
+        variances, vectors = np.linalg.eigh(own)
+        for variance, vector in zip(variances, vectors.T, strict=True):
+            vector = vector * np.sign(vector[np.argmax(np.abs(vector))])
+            for count in range(1, len(at) + 1):
+                members = np.sort(np.argsort(-np.abs(vector) * alone)[:count])
+                weights = vector[members]
+                sigma = float(np.sqrt(weights @ own[np.ix_(members, members)] @ weights))
+                if sigma <= WHOLE * np.sqrt(max(variance, 0.0)):
+                    break
+            if count < 2 or sigma > DETERMINED * float(np.linalg.norm(weights * alone[members])):
+                continue
+            told = {parameters[at[i]].name: float(w) for i, w in zip(members, weights, strict=True)}
+            value = float(weights @ values[at[members]]) / factor
+            found.append(DeterminedEntry(combination=told, value=value, sigma=sigma / factor, unit=unit))
+    return found
+
+
+def amplitude_and_phase(coefficients: Floats, covariance: Floats) -> tuple[float, float, float | None, float | None]:
+    """Amplitude, its sigma, phase [rad] and its sigma of cosine and sine coefficients (2,) with covariance (2, 2).
+
+    a cos x + b sin x = A cos(x - phase), to first order in the covariance. Without a defined phase the sigma is that of
+    a coefficient along no particular direction, the root of half the trace.
+    """
+    amplitude = float(np.hypot(*coefficients))
+    if amplitude > 0:
+        along = coefficients / amplitude
+        sigma = float(np.sqrt(along @ covariance @ along))
+        if amplitude > DEFINED * sigma:
+            across = np.array([-along[1], along[0]])
+            phase_sigma = float(np.sqrt(across @ covariance @ across)) / amplitude
+            return amplitude, sigma, float(np.arctan2(coefficients[1], coefficients[0])), phase_sigma
+    return amplitude, float(np.sqrt(0.5 * np.trace(covariance))), None, None
+
+
+def cosine_and_sine(names: Sequence[str]) -> Iterator[tuple[str, int, int]]:
+    """Each harmonic among parameters: its name, the places of its cosine and its sine."""
+    for i, name in enumerate(names):
+        found = _COSINE.match(name)
+        if found:
+            sine = f"{found['front']}sin{found['order']}"
+            if sine in names:
+                yield found["front"].rstrip("-_") + found["order"], i, list(names).index(sine)
+
+
+def harmonics(parameters: Sequence[Parameter], values: Floats, covariance: Floats) -> list[HarmonicEntry]:
+    """Amplitude and phase of every pair of a cosine and a sine coefficient; values (p,), covariance (p, p) [SI]."""
+    found = []
+    for name, *at in cosine_and_sine([p.name for p in parameters]):
+        parameter = parameters[at[0]]
+        amplitude, sigma, phase, spread = amplitude_and_phase(values[at], covariance[np.ix_(at, at)])
+        found.append(
+            HarmonicEntry(
+                name=name,
+                amplitude=amplitude / parameter.factor,
+                sigma=sigma / parameter.factor,
+                unit=parameter.unit,
+                phase_deg=None if phase is None else phase / DEGREE,
+                sigma_phase_deg=None if spread is None else spread / DEGREE,
+            )
+        )
+    return found

@@ -2,40 +2,34 @@
 
 from __future__ import annotations
 
-import difflib
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from ltsim.arrays import Floats
-from ltsim.calibration.amplitude import Harmonic, harmonics
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.events import Event, events
 from ltsim.calibration.history import Change, History
 from ltsim.calibration.history_schema import (
     CalibrationOf,
     ChangeEntry,
-    ChiSquareEntry,
     CourseEntry,
     DifferenceEntry,
     EventEntry,
     HistoryFile,
 )
 from ltsim.calibration.result import named
-from ltsim.calibration.schema import (
-    RESIDUALS,
-    TARGETS,
-    CalibrationFile,
-    Fit,
-    HarmonicEntry,
-    ParameterEntry,
-    VerdictEntry,
-)
-from ltsim.errors import ModelError, RecordError
-from ltsim.model.construction import Construction, with_parameters
-from ltsim.recording.files import shown
+from ltsim.calibration.schema import RESIDUALS, TARGETS, CalibrationFile, Fit, VerdictEntry
+from ltsim.errors import ModelError, RecordError, unknown_name
+from ltsim.model.construction import with_parameters
+from ltsim.recording.files import read_text, shown
 from ltsim.recording.result_file import read_result, write_result
-from ltsim.units import DEGREE, FACTOR, MILLIMETRE
+from ltsim.units import FACTOR, MILLIMETRE
+
+CalibrationSource = Calibration | str | Path
+"""A calibration, its file, or the folder that holds it."""
 
 
 def write_calibration(calibration: Calibration, folder: Path) -> CalibrationFile:
@@ -56,59 +50,18 @@ def write_calibration(calibration: Calibration, folder: Path) -> CalibrationFile
 
 def calibration_file(calibration: Calibration) -> CalibrationFile:
     """The content of `calibration.json`; the covariance is in the units of the parameters."""
-    factors = _factors(calibration)
+    factors = np.tile([p.factor for p in calibration.construction.parameters], len(calibration.instruments))
     judged = calibration.verdict
-    same: tuple[str, ...] = (
-        "recording",
-        "method",
-        "fit",
-        "frame",
-        "parameters",
-        "undetermined",
-        "determined",
-        "stations",
-        "outliers",
-    )
-    same += (
-        "robust",
-        "known",
-        "noise",
-        "noise_estimated",
-        "lost_targets",
-        "axes",
-        "informed",
-        "correction",
-        "effects",
-        "notes",
-    )
-    return CalibrationFile(
-        construction=calibration.construction.name,
-        covariance=(calibration.covariance / np.outer(factors, factors)).tolist(),
-        harmonics=tuple(_harmonic(harmonic) for harmonic in harmonics(calibration)),
-        criteria=calibration.criteria.as_json() if calibration.criteria else {},
-        verdict=VerdictEntry()
+    content = {name: getattr(calibration, name) for name in CalibrationFile.model_fields if hasattr(calibration, name)}
+    content |= {
+        "construction": calibration.construction.name,
+        "covariance": (calibration.covariance / np.outer(factors, factors)).tolist(),
+        "criteria": calibration.criteria.as_json() if calibration.criteria else {},
+        "verdict": VerdictEntry()
         if judged is None
         else VerdictEntry(case=judged.case.value, sentence=judged.sentence, scale_by_sigma0=judged.by_estimate),
-        **{name: getattr(calibration, name) for name in same},
-    )
-
-
-def _factors(calibration: Calibration) -> Floats:
-    own = [p.factor for p in calibration.construction.parameters]
-    return np.tile(np.array(own, dtype=np.float64), len(calibration.instruments))
-
-
-def _harmonic(harmonic: Harmonic) -> HarmonicEntry:
-    factor = harmonic.parameter.factor
-    return HarmonicEntry(
-        name=harmonic.name,
-        amplitude=harmonic.amplitude / factor,
-        sigma=harmonic.sigma / factor,
-        unit=harmonic.parameter.unit,
-        phase_deg=None if harmonic.phase is None else harmonic.phase / DEGREE,
-        sigma_phase_deg=None if harmonic.phase_sigma is None else harmonic.phase_sigma / DEGREE,
-        **({"instrument": harmonic.instrument} if harmonic.instrument else {}),
-    )
+    }
+    return CalibrationFile(**content)
 
 
 def read_targets(file: Path) -> tuple[tuple[str, ...], Floats, Floats]:
@@ -119,9 +72,14 @@ def read_targets(file: Path) -> tuple[tuple[str, ...], Floats, Floats]:
     RecordError
         When a column is missing or a field is no number.
     """
-    names, values = TARGETS.read(file)
-    columns = np.stack([values[name] for name in TARGETS.header[1:]], axis=1) * MILLIMETRE
-    return tuple(names["target"]), columns[:, :3], columns[:, 3:]
+    found = TARGETS.parsed(read_text(file), file)
+    numbers = found.numbers(*TARGETS.header[1:]) * MILLIMETRE
+    return tuple(found.column("target")), numbers[:, :3], numbers[:, 3:]
+
+
+def calibration_of(source: CalibrationSource) -> Calibration:
+    """The calibration itself, read where a path was given."""
+    return source if isinstance(source, Calibration) else read_calibration(Path(source))
 
 
 def read_calibration(path: Path) -> Calibration:
@@ -141,25 +99,31 @@ def read_calibration(path: Path) -> Calibration:
 
 
 def _calibration(content: CalibrationFile, file: Path) -> Calibration:
-    built = _construction(content, file)
-    instruments = tuple(dict.fromkeys(row.instrument for row in content.parameters)) or ("",)
+    rows = content.parameters
+    try:
+        built = with_parameters(content.construction, [row.name for row in rows])
+    except ModelError as problem:
+        raise RecordError(str(problem), file=file) from None
+    instruments = tuple(dict.fromkeys(row.instrument for row in rows)) or ("",)
     place = {(i, name): k for k, (i, name) in enumerate((i, n) for i in instruments for n in built.names)}
-    prior = np.array([p.prior_sigma for _ in instruments for p in built.parameters])
-    values, sigma, factor = np.zeros(len(place)), prior.copy(), np.ones(len(place))
-    held, applied = np.zeros(len(place), dtype=bool), np.zeros(len(place))
-    at = [_place(row, place, built, number, file) for number, row in enumerate(content.parameters, start=1)]
-    for number, (k, row) in enumerate(zip(at, content.parameters, strict=True), start=1):
-        if at.index(k) != number - 1:
-            raise RecordError(f"parameters: '{shown(row.name)}' stands there twice", file=file, row=number)
-        factor[k] = FACTOR[row.unit]
-        values[k] = row.value * factor[k]
-        prior[k] = prior[k] if row.prior_sigma is None else row.prior_sigma * factor[k]
-        sigma[k] = prior[k] if row.sigma is None else row.sigma * factor[k]
-        held[k] = row.held
-        applied[k] = values[k] if row.applied is None else row.applied * factor[k]
-    covariance = np.diag(sigma**2)
+    at = _places(content, place, built.names, file)
+    factor = np.array([FACTOR[row.unit] for row in rows])
+
+    def filled(default: Floats, cells: Sequence[float | None]) -> Floats:
+        """The default with what the file says, in SI."""
+        found, told = default.copy(), np.array([np.nan if cell is None else cell for cell in cells]) * factor
+        found[at] = np.where(np.isnan(told), default[at], told)
+        return found
+
+    stated = np.array([p.prior_sigma for _ in instruments for p in built.parameters])
+    values = filled(np.zeros(len(place)), [row.value for row in rows])
+    prior = filled(stated, [row.prior_sigma for row in rows])
+    applied = filled(values, [row.applied for row in rows])
+    covariance = np.diag(filled(prior, [row.sigma for row in rows]) ** 2)
     if content.covariance:
-        covariance[np.ix_(at, at)] = np.array(content.covariance) * np.outer(factor[at], factor[at])
+        covariance[np.ix_(at, at)] = np.array(content.covariance) * np.outer(factor, factor)
+    held = np.zeros(len(place), dtype=bool)
+    held[at] = [row.held for row in rows]
     shape = (len(instruments), built.size)
     return Calibration(
         method=content.method,
@@ -182,19 +146,20 @@ def _calibration(content: CalibrationFile, file: Path) -> Calibration:
     )
 
 
-def _place(row: ParameterEntry, place: dict[tuple[str, str], int], built: Construction, number: int, file: Path) -> int:
-    """Where a parameter of the file belongs; its name and unit are checked."""
-    if (row.instrument, row.name) not in place:
-        close = difflib.get_close_matches(row.name, built.names, n=1, cutoff=0.4)
-        instead = f"; did you mean {close[0]}?" if close else f": those are {', '.join(built.names)}"
-        raise RecordError(
-            f"parameters: '{shown(row.name)}' is none of construction {built.name}{instead}", file=file, row=number
-        )
-    if row.unit not in FACTOR:
-        raise RecordError(
-            f"parameters: unknown unit '{shown(row.unit)}'; expected one of {', '.join(FACTOR)}", file=file, row=number
-        )
-    return place[row.instrument, row.name]
+def _places(content: CalibrationFile, place: dict[tuple[str, str], int], names: Sequence[str], file: Path) -> list[int]:
+    """Where the parameters of the file belong; their names and units are checked."""
+    at: list[int] = []
+    for number, row in enumerate(content.parameters, start=1):
+        if (row.instrument, row.name) not in place:
+            kind = f"parameter of construction {content.construction}"
+            raise RecordError(f"parameters: {unknown_name(kind, shown(row.name), names)}", file=file, row=number)
+        if row.unit not in FACTOR:
+            expected = f"expected one of {', '.join(FACTOR)}"
+            raise RecordError(f"parameters: unknown unit '{shown(row.unit)}'; {expected}", file=file, row=number)
+        at.append(place[row.instrument, row.name])
+        if at[-1] in at[:-1]:
+            raise RecordError(f"parameters: '{shown(row.name)}' stands there twice", file=file, row=number)
+    return at
 
 
 def _missing(names: list[str], file: Path) -> tuple[str, ...]:
@@ -203,13 +168,6 @@ def _missing(names: list[str], file: Path) -> tuple[str, ...]:
         return ()
     which = "one parameter is" if len(names) == 1 else f"{len(names)} parameters are"
     return (f"{file}: {which} not in the file and taken as zero: {named(names)}",)
-
-
-def _construction(content: CalibrationFile, file: Path) -> Construction:
-    try:
-        return with_parameters(content.construction, [row.name for row in content.parameters])
-    except ModelError as problem:
-        raise RecordError(str(problem), file=file) from None
 
 
 def history_file(history: History) -> HistoryFile:
@@ -223,7 +181,7 @@ def history_file(history: History) -> HistoryFile:
         ),
         parameters=tuple(_course(history, k) for k in range(history.construction.size)),
         mean_covariance=(history.population.covariance / np.outer(factors, factors)).tolist(),
-        constant=ChiSquareEntry(**history.constancy().entry),
+        constant=history.constancy(),
         changes=tuple(_change(history, change) for change in history.changes()),
         events=tuple(_event(history, event) for event in events(history)),
         since_first=_change(history, history.change(0, len(history) - 1)),
@@ -240,33 +198,31 @@ def _course(history: History, k: int) -> CourseEntry:
         prior_sigma=history.prior_sigma[k] / parameter.factor,
         mean=known.mean[k] / parameter.factor,
         spread=known.spread[k] / parameter.factor,
-        constant=ChiSquareEntry(**history.constancy(k).entry),
+        constant=history.constancy(k),
     )
 
 
 def _event(history: History, event: Event) -> EventEntry:
     parameter = history.construction.parameters[event.parameter]
-    content = {
-        "from": history.labels[event.step],
-        "to": history.labels[event.step + 1],
-        "name": parameter.name,
-        "difference": event.difference / parameter.factor,
-        "sigma": event.sigma / parameter.factor,
-        "usual": event.usual / parameter.factor,
-        "unit": parameter.unit,
-        "p_value": event.p_value,
-    }
-    return EventEntry.model_validate(content)
+    ends: dict[str, Any] = {"from": history.labels[event.step], "to": history.labels[event.step + 1]}
+    return EventEntry(
+        **ends,
+        name=parameter.name,
+        difference=event.difference / parameter.factor,
+        sigma=event.sigma / parameter.factor,
+        usual=event.usual / parameter.factor,
+        unit=parameter.unit,
+        p_value=event.p_value,
+    )
 
 
 def _change(history: History, change: Change) -> ChangeEntry:
     parameters = history.construction.parameters
-    content = {
-        "from": change.first,
-        "to": change.second,
-        **change.joint.entry,
-        "changed": [parameters[k].name for k in change.changed()],
-        "parameters": [
+    told: dict[str, Any] = {"from": change.first, "to": change.second, **change.joint.model_dump()}
+    return ChangeEntry(
+        **told,
+        changed=tuple(parameters[k].name for k in change.changed()),
+        parameters=tuple(
             DifferenceEntry(
                 name=parameter.name,
                 difference=change.difference[k] / parameter.factor,
@@ -275,6 +231,5 @@ def _change(history: History, change: Change) -> ChangeEntry:
                 p_value=change.p_values[k],
             )
             for k, parameter in enumerate(parameters)
-        ],
-    }
-    return ChangeEntry.model_validate(content)
+        ),
+    )

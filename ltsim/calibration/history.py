@@ -7,18 +7,18 @@ unchanged instrument would give, drawn from the prior and measured anew each tim
 
 from __future__ import annotations
 
+import datetime
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from scipy import linalg, special
 
 from ltsim.arrays import Floats
 from ltsim.calibration.calibration import Calibration
-from ltsim.calibration.dates import days_of
 from ltsim.calibration.evidence import Evidence, evidence
+from ltsim.calibration.history_schema import ChiSquareEntry
 from ltsim.chances import p_is
 from ltsim.errors import RecordError, option
 from ltsim.model.construction import Construction
@@ -33,24 +33,6 @@ LEVEL = 0.01
 
 
 @dataclass(frozen=True)
-class ChiSquare:
-    """A chi-square statistic, its degrees of freedom, and the chance of a larger one without any change."""
-
-    chi2: float
-    dof: int
-
-    @property
-    def p_value(self) -> float:
-        """Chance of a larger chi2 for an instrument that has not changed; 1 without degrees of freedom."""
-        return float(special.chdtrc(self.dof, max(self.chi2, 0.0))) if self.dof else 1.0
-
-    @property
-    def entry(self) -> dict[str, Any]:
-        """As `history.json` has it."""
-        return {**vars(self), "p_value": self.p_value}
-
-
-@dataclass(frozen=True)
 class Change:
     """Later minus earlier calibration."""
 
@@ -61,7 +43,7 @@ class Change:
     sigma: Floats
     """(p,) [SI]: of each parameter, and what noise alone would make of it; 0 where neither calibration tells anything.
     """
-    joint: ChiSquare
+    joint: ChiSquareEntry
     """Of all parameters together."""
 
     @property
@@ -124,15 +106,14 @@ class History(Result):
         """
         if len(named) < 2:
             raise RecordError(f"found {len(named)} calibration(s), expected at least two to compare")
-        constructions = {c.construction.names for _, c in named}
-        if len(constructions) > 1:
+        if len({c.construction.names for _, c in named}) > 1:
             raise RecordError("the calibrations hold different parameters, expected one construction for all")
         if not named[0][1].construction.size:
             raise RecordError("the calibrations hold no instrument parameters, expected those of `ltsim calibrate`")
         for label, calibration in named:
             if calibration.informed:
-                message = f"was calibrated with earlier calibrations as its prior ({option('prior')})"
-                raise RecordError(f"{label} {message}; expected calibrations that know nothing of each other")
+                how = f"{label} was calibrated with earlier calibrations as its prior ({option('prior')})"
+                raise RecordError(f"{how}; expected calibrations that know nothing of each other")
         chosen = _estimated([one_instrument(calibration, instrument, label) for label, calibration in named])
         for (label, _), calibration in zip(named, chosen, strict=True):
             unsure = np.flatnonzero(~(calibration.sigma[0] > 0))
@@ -224,13 +205,13 @@ class History(Result):
         """Each calibration against the one before."""
         return [self.change(i, i + 1) for i in range(len(self) - 1)]
 
-    def constancy(self, parameter: int | None = None) -> ChiSquare:
+    def constancy(self, parameter: int | None = None) -> ChiSquareEntry:
         """Whether one set of values explains all calibrations: of all parameters, or of one by its place."""
         contrast = np.diff(np.eye(len(self)), axis=0)
         if parameter is None:
             return _test(*self._contrasted(contrast, self._told))
         if not self._gain[parameter] > SILENT:
-            return ChiSquare(0.0, 0)
+            return ChiSquareEntry.of(0.0, 0)
         return _test(*self._contrasted(contrast, np.eye(self.construction.size)[:, [parameter]]))
 
     def _contrasted(self, contrast: Floats, combination: Floats) -> tuple[Floats, Floats]:
@@ -306,50 +287,40 @@ def one_instrument(calibration: Calibration, instrument: str | None, label: str)
         return calibration
     if instrument not in names:
         raise RecordError(f"{label} holds the instruments {', '.join(names)}: say which ({option('instrument')})")
-    i, size = names.index(instrument), calibration.construction.size
-    at = slice(i * size, (i + 1) * size)
-    return replace(
-        calibration,
-        instruments=(instrument,),
-        values=calibration.values[i : i + 1],
-        prior_sigma=calibration.prior_sigma[i : i + 1],
-        covariance=calibration.covariance[at, at],
-        held=calibration.held[i : i + 1],
-        correction=None,
-    )
+    return calibration.part(names.index(instrument), np.arange(calibration.construction.size))
 
 
 def _estimated(calibrations: Sequence[Calibration]) -> tuple[Calibration, ...]:
-    """Calibrations (of one instrument) with the parameters that none of them held.
-
-    Raises
-    ------
-    RecordError
-        When there is none.
-    """
+    """Calibrations (of one instrument) with the parameters that none of them held; raises RecordError for none."""
     held = np.any([c.held[0] for c in calibrations], axis=0)
-    if not held.any():
-        return tuple(calibrations)
     if held.all():
         raise RecordError("every parameter was held in one of the calibrations, expected one that all estimated")
-    keep = np.flatnonzero(~held)
-    return tuple(
-        replace(
-            c,
-            construction=c.construction.only(keep),
-            values=c.values[:, keep],
-            prior_sigma=c.prior_sigma[:, keep],
-            covariance=c.covariance[np.ix_(keep, keep)],
-            held=c.held[:, keep],
-            correction=None,
-        )
-        for c in calibrations
-    )
+    return tuple(c.part(0, np.flatnonzero(~held)) if held.any() else c for c in calibrations)
 
 
-def _test(gap: Floats, spread: Floats) -> ChiSquare:
+def _test(gap: Floats, spread: Floats) -> ChiSquareEntry:
     """Chi-square of a vector (m,) over the combinations that its covariance (m, m) resolves."""
     values, vectors = linalg.eigh(0.5 * (spread + spread.T))
     kept = values > RESOLVED * max(float(values[-1]), 0.0)
     z = (vectors[:, kept].T @ gap) / np.sqrt(values[kept])
-    return ChiSquare(float(z @ z), int(kept.sum()))
+    return ChiSquareEntry.of(float(z @ z), int(kept.sum()))
+
+
+def days_of(labels: Sequence[str], dates: Sequence[str | None]) -> Floats | None:
+    """Days (K,) since the first of dates in ISO form; None where one is missing; raises RecordError."""
+    if len(dates) != len(labels):
+        raise RecordError(f"found {len(dates)} dates for {len(labels)} calibrations, expected one each")
+    stated = [date for date in dates if date]
+    if len(stated) < len(dates):
+        return None
+    try:
+        times = [datetime.datetime.fromisoformat(date).replace(tzinfo=None) for date in stated]
+    except ValueError:
+        raise RecordError(f"found the dates {', '.join(stated)}, expected such as 2026-05-31") from None
+    days = np.array([(time - times[0]) / datetime.timedelta(days=1) for time in times])
+    back = np.flatnonzero(np.diff(days) < 0)
+    if len(back):
+        i = int(back[0])
+        message = f"{labels[i]} ({stated[i]}) stands before {labels[i + 1]} ({stated[i + 1]})"
+        raise RecordError(f"{message}; expected calibrations in the order of time")
+    return days

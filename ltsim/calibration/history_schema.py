@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
+from scipy import special
 
 from ltsim.calibration.schema import Fit, NotNegative
 from ltsim.recording.result_file import Entry, Finite, Known, ResultFile
@@ -18,7 +19,12 @@ class ChiSquareEntry(Entry):
     dof: int
     """Degrees of freedom."""
     p_value: Finite
-    """Chance of as much or more in a correct model."""
+    """Chance of as much or more in a correct model; 1 without degrees of freedom."""
+
+    @classmethod
+    def of(cls, chi2: float, dof: int) -> Self:
+        """The test of a statistic."""
+        return cls(chi2=chi2, dof=dof, p_value=float(special.chdtrc(dof, max(chi2, 0.0))) if dof else 1.0)
 
 
 class DifferenceEntry(Entry):

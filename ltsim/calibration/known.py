@@ -1,25 +1,28 @@
-"""What earlier calibrations say of an instrument's parameters, as the prior of the next one."""
+"""What is known before a calibration: what a person decides about its parameters, and what earlier ones found."""
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
-from ltsim.adjustment.prior import ParameterPrior
-from ltsim.arrays import Floats
+from ltsim.adjustment.prior import ParameterPrior, prior_sigmas
+from ltsim.arrays import Bools, Floats
 from ltsim.calibration.calibration import Calibration
-from ltsim.calibration.files import read_calibration
-from ltsim.calibration.history import History, Population
-from ltsim.calibration.history_schema import CourseEntry, HistoryFile
+from ltsim.calibration.files import history_file, read_calibration
+from ltsim.calibration.history import History
+from ltsim.calibration.history_schema import HistoryFile
 from ltsim.calibration.schema import CalibrationFile
-from ltsim.errors import RecordError
-from ltsim.model.construction import Construction
-from ltsim.recording.result_file import read_result
+from ltsim.errors import ModelError, RecordError, SetupError, unknown_name
+from ltsim.model.construction import Construction, every_parameter_name
+from ltsim.recording.recording import Recording
+from ltsim.recording.result_file import read_json, read_result
 from ltsim.units import FACTOR
+
+WIDE = 1000.0
+"""Prior sigmas that stand for no prior: 10 to 20 mm and 15 mrad, within which the equations hold."""
 
 
 @dataclass(frozen=True)
@@ -47,8 +50,14 @@ class Known:
         if isinstance(source, Calibration):
             return cls._of_calibration(source)
         if isinstance(source, History):
-            return cls._of_history(source)
-        return cls._read(Path(source))
+            return cls._of_history(history_file(source))
+        path = Path(source)
+        names = (CalibrationFile.FILE, HistoryFile.FILE)
+        held = [path / name for name in names if (path / name).is_file()] or [path / names[0]]
+        file = held[0] if path.is_dir() else path
+        if str(read_json(file, CalibrationFile.FILE).get("format", "")).startswith("ltsim-history/"):
+            return cls._of_history(read_result(file, HistoryFile), file)
+        return cls._of_calibration(read_calibration(file))
 
     @classmethod
     def _of_calibration(cls, found: Calibration) -> Known:
@@ -61,34 +70,18 @@ class Known:
         return cls(found.construction.name, names, found.instruments, found.values[:, free], own, np.zeros(len(free)))
 
     @classmethod
-    def _of_history(cls, history: History) -> Known:
-        known, names = history.population, history.construction.names
-        return cls._of_population(history.construction.name, names, known, len(history))
-
-    @classmethod
-    def _of_population(cls, construction: str, names: tuple[str, ...], known: Population, count: int) -> Known:
-        covariance = np.diag(known.spread**2) + known.covariance
-        return cls(construction, names, ("",), known.mean[None], covariance[None], known.spread, count)
-
-    @classmethod
-    def _read(cls, path: Path) -> Known:
-        file = path
-        if path.is_dir():
-            held = [path / kind.FILE for kind in (CalibrationFile, HistoryFile) if (path / kind.FILE).is_file()]
-            file = held[0] if held else path / CalibrationFile.FILE
-        if not _is_history(file):
-            return cls._of_calibration(read_calibration(file))
-        content = read_result(file, HistoryFile)
+    def _of_history(cls, content: HistoryFile, file: Path | None = None) -> Known:
         courses = content.parameters
-        factor = np.array([_factor(course, file) for course in courses])
-        names, size = tuple(course.name for course in courses), len(courses)
-        if np.shape(content.mean_covariance) != (size, size):
+        strange = next((course for course in courses if course.unit not in FACTOR), None)
+        if strange is not None:
+            raise RecordError(f"parameters: unknown unit '{strange.unit}' of {strange.name}", file=file)
+        if np.shape(content.mean_covariance) != (len(courses), len(courses)):
             raise RecordError("found no covariance of the means; make it again by `ltsim history`", file=file)
+        factor = np.array([FACTOR[course.unit] for course in courses])
         mean, spread = (np.array([getattr(course, what) for course in courses]) * factor for what in ("mean", "spread"))
-        covariance = np.array(content.mean_covariance) * np.outer(factor, factor)
-        return cls._of_population(
-            content.construction, names, Population(mean, covariance, spread), len(content.calibrations)
-        )
+        covariance = np.diag(spread**2) + np.array(content.mean_covariance) * np.outer(factor, factor)
+        names = tuple(course.name for course in courses)
+        return cls(content.construction, names, ("",), mean[None], covariance[None], spread, len(content.calibrations))
 
     def over(self, stated: ParameterPrior, construction: Construction, instruments: tuple[str, ...]) -> ParameterPrior:
         """The `stated` prior of a recording's instruments with what is known in the place of it.
@@ -107,27 +100,88 @@ class Known:
         there = [self.parameters.index(name) for name in common]
         mean, covariance = stated.mean.copy(), stated.covariance.copy()
         for i, name in enumerate(instruments):
-            k = 0 if len(self.instruments) == 1 else self._instrument(name)
+            if len(self.instruments) > 1 and name not in self.instruments:
+                known = ", ".join(self.instruments)
+                raise RecordError(f"earlier calibrations know the instruments {known}, not '{name}'")
+            k = 0 if len(self.instruments) == 1 else self.instruments.index(name)
             mean[i, here] = self.mean[k, there]
             covariance[i][np.ix_(here, here)] = self.covariance[k][np.ix_(there, there)]
         return ParameterPrior(mean, covariance, stated.held)
 
-    def _instrument(self, name: str) -> int:
-        if name not in self.instruments:
-            raise RecordError(f"earlier calibrations know the instruments {', '.join(self.instruments)}, not '{name}'")
-        return self.instruments.index(name)
+
+@dataclass(frozen=True)
+class Choice:
+    """What is estimated, and from what prior; without arguments everything, from what the set-up states.
+
+    A name is that of a parameter (`beam-tilt`), of several by their common beginning (`azimuth-eccentricity`, `J1.eX`),
+    or of one instrument's alone (`beam-tilt@TRACKER`).
+    """
+
+    parameters: Sequence[str] | None = None
+    """The only parameters to estimate; the others are held at zero."""
+    without: Sequence[str] = ()
+    """Parameters to hold at zero."""
+    hold: Mapping[str, float] = field(default_factory=dict)
+    """Parameters to hold at a value, in the parameter's unit."""
+    prior: Known | None = None
+    """What earlier calibrations say, in place of the set-up's prior."""
+    free: bool = False
+    """Without a prior: parameters may be `WIDE` times as large as the set-up says, which no instrument's are."""
+
+    def applied(self, recording: Recording, construction: Construction) -> ParameterPrior:
+        """The prior of a recording's instruments that follows; raises ModelError, SetupError."""
+        check_names(recording, construction)
+        stated = ParameterPrior.independent(prior_sigmas(recording, construction) * (WIDE if self.free else 1.0))
+        if self.prior is not None:
+            stated = self.prior.over(stated, construction, recording.instruments)
+
+        def places(*wanted: str) -> list[int]:
+            return [k for name in wanted for k in places_of(name, construction.names, recording.instruments)]
+
+        held = np.zeros(stated.mean.shape, dtype=bool)
+        values = np.zeros(stated.mean.shape)
+        if self.parameters is not None:
+            held[:] = True
+            held.flat[places(*self.parameters)] = False
+        held.flat[places(*self.without)] = True
+        for name, value in self.hold.items():
+            at = places(name)
+            if len({k % construction.size for k in at}) > 1:
+                raise ModelError(f"'{name}' stands for several parameters; a value belongs to one")
+            held.flat[at] = True
+            values.flat[at] = float(value) * construction.parameters[at[0] % construction.size].factor
+        if held.all():
+            raise ModelError("no parameter is left to estimate")
+        return _holding(stated, held, values)
 
 
-def _is_history(file: Path) -> bool:
-    """Whether a file says that it is a history; whatever else is wrong with it is for its reader to say."""
-    try:
-        content = json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return False
-    return isinstance(content, Mapping) and str(content.get("format", "")).startswith("ltsim-history/")
+def _holding(prior: ParameterPrior, held: Bools, values: Floats) -> ParameterPrior:
+    """The prior with parameters held at values (I, p): they tell nothing about the others."""
+    covariance = prior.covariance.copy()
+    own = np.eye(held.shape[1], dtype=bool)
+    covariance[(held[:, :, None] | held[:, None, :]) & ~own] = 0.0
+    return ParameterPrior(np.where(held, values, prior.mean), covariance, held)
 
 
-def _factor(course: CourseEntry, file: Path) -> float:
-    if course.unit not in FACTOR:
-        raise RecordError(f"parameters: unknown unit '{course.unit}' of {course.name}", file=file)
-    return FACTOR[course.unit]
+def places_of(wanted: str, parameters: Sequence[str], instruments: Sequence[str]) -> list[int]:
+    """Places in the flat vector (I p) of a parameter, or of several by their beginning; raises ModelError."""
+    name, at, instrument = wanted.strip().partition("@")
+    if at and instrument not in instruments:
+        raise unknown_name("instrument", instrument, [known or "unnamed" for known in instruments])
+    own = [k for k, p in enumerate(parameters) if p == name]
+    own = own or [k for k, p in enumerate(parameters) if p.startswith((name + "-", name + "_", name + "."))]
+    if not own:
+        raise unknown_name("parameter", name, parameters)
+    chosen = [instruments.index(instrument)] if at else range(len(instruments))
+    return [i * len(parameters) + k for i in chosen for k in own]
+
+
+def check_names(recording: Recording, construction: Construction) -> None:
+    """Raise SetupError where the set-up states a prior of a parameter that no construction has."""
+    setup = recording.setup
+    tables = {"instrument": setup.instrument, **{f"instruments.{k}": i for k, i in setup.instruments.items()}}
+    known = {*construction.names, *every_parameter_name()}
+    for table, instrument in tables.items():
+        for name in instrument.prior.parameters:
+            if name not in known:
+                raise SetupError(f"[{table}.prior.parameters]: {unknown_name('parameter', name, construction.names)}")

@@ -9,36 +9,22 @@ from typing import Any
 
 import numpy as np
 
-from ltsim.adjustment import Adjustment, adjust
+from ltsim.adjustment import Adjustment, adjust as adjusted_network
 from ltsim.adjustment.components import Grouping
 from ltsim.adjustment.doubt import require_result
 from ltsim.adjustment.prior import ParameterPrior
+from ltsim.calibration import result
 from ltsim.calibration.beside import Wanted, estimated_beside
 from ltsim.calibration.calibration import Calibration
-from ltsim.calibration.choice import WIDE, Choice
 from ltsim.calibration.conflict import beyond_prior, disagreement, widened
-from ltsim.calibration.known_values import known_of
-from ltsim.calibration.result import (
-    axes_of,
-    criteria_of,
-    directions_of,
-    fit_of,
-    frame_of,
-    noise_of,
-    notes_on_axes,
-    notes_on_hand,
-    notes_on_modes,
-    notes_on_plan,
-    outliers_of,
-    stations_of,
-    undetermined_of,
-    verdict_of,
-)
+from ltsim.calibration.known import WIDE, Choice
 from ltsim.calibration.worth import correction_of
 from ltsim.effects.range_mode import RangeMode
 from ltsim.effects.signature import Signature
+from ltsim.effects.verbs import names
 from ltsim.errors import NetworkError
 from ltsim.model.construction import Construction, ideal, stated_construction
+from ltsim.recording.exchange import RecordingSource, recording_of
 from ltsim.recording.recording import MODE_COLUMN, Recording
 from ltsim.recording.result_file import SourceEntry
 
@@ -55,21 +41,10 @@ def calibrate_network(
     weigh: bool = True,
     beside: Sequence[Wanted] = (),
 ) -> Calibration:
-    """Estimate the parameters of an instrument from a network, with everything else that is unknown.
+    """The method `network` of `ltsim.calibrate`, whose options and errors it has, and further ones of programs.
 
     Parameters
     ----------
-    recording : Recording
-    construction : Construction, optional
-        Default: that of the set-up; the misalignments of a source in the head (16 parameters), or of a steering mirror.
-    advise : bool
-        Compute which further measurements would cure undetermined combinations (half of the time it takes).
-    robust : bool
-        Leave out readings that do not belong, each tested again at the end.
-    noise_from_data : bool
-        Estimate the noise of each observable of each instrument, and of the levels, from the residuals.
-    datum : sequence of str, optional
-        Targets that define the datum by inner constraints; default those that the set-up chose.
     choice : Choice, optional
         Which parameters to estimate and from what prior; default all, from what the set-up states.
     weigh : bool
@@ -77,20 +52,6 @@ def calibrate_network(
         prior follow the readings; without it the estimates are those of the stated priors, linear in the readings.
     beside : sequence of Wanted
         Effects of the catalogue, and laws, to estimate too.
-
-    Raises
-    ------
-    NetworkError
-        When stations share too few targets, most pointings or the known points contradict the rest, or control points
-        leave nothing to a datum that was asked for.
-    ModelError
-        When the datum names a target that does not exist, or too few, or the choice a parameter.
-    SetupError
-        When the set-up states a prior of a parameter that does not exist.
-    RecordError
-        When the choice's prior belongs to other instruments or another construction.
-    ConvergenceError
-        When the adjustment does not converge.
     """
     built = construction or stated_construction(recording)
     chosen = choice or Choice()
@@ -108,22 +69,51 @@ def calibrate_network(
     if weigh:
         wider = WIDE if chosen.free else None
         worth, weighed = correction_of(found, calibration.names, informed=informed, wider=wider)
-        calibration = replace(calibration, correction=worth, weighed=weighed)
-        calibration = replace(calibration, criteria=criteria_of(found.recording, found, built, calibration.applied))
+        criteria = result.criteria_of(found.recording, found, built, weighed)
+        calibration = replace(calibration, correction=worth, weighed=weighed, criteria=criteria)
     calibration = replace(calibration, prior_sigma=prior.sigma, informed=informed)
     return replace(calibration, notes=(*calibration.notes, *disagreement(calibration, freed)))
 
 
-def adjust_network(
-    recording: Recording,
+def adjust(
+    recording: RecordingSource,
     *,
     robust: bool = False,
     noise_from_data: bool = False,
-    datum: Sequence[str] | None = None,
+    datum: str | Sequence[str] | None = None,
 ) -> Calibration:
-    """The same network without instrument parameters, in the same form; arguments and errors of `calibrate_network`."""
-    found = _adjusted(recording, ideal(), robust, noise_from_data, datum)
-    return _calibration(recording, found, "adjustment", advise=False, robust=robust)
+    """Adjust the network of a recording, taking the instrument as it is: targets, stations, outliers.
+
+    Parameters
+    ----------
+    recording : Recording, str or Path
+    robust : bool
+        Leave out readings that do not belong, each tested again at the end.
+    noise_from_data : bool
+        Estimate the noise of each observable and instrument from the residuals.
+    datum : str or sequence of str, optional
+        Targets that define the datum by inner constraints; default those that the set-up chose.
+
+    Returns
+    -------
+    Calibration
+        Without instrument parameters.
+
+    Raises
+    ------
+    NetworkError
+        When the network cannot be solved; the message names stations or targets.
+
+    Examples
+    --------
+    >>> import ltsim as lt
+    >>> recording, _ = lt.simulate("paper-workshop", seed=7)
+    >>> lt.adjust(recording).to_dataframe("targets").shape
+    (28, 7)
+    """
+    seen = recording_of(recording)
+    found = _adjusted(seen, ideal(), robust, noise_from_data, None if datum is None else names(datum))
+    return _calibration(seen, found, "adjustment", advise=False, robust=robust)
 
 
 def _adjusted(
@@ -137,7 +127,7 @@ def _adjusted(
 ) -> Adjustment:
     grouping: Grouping | None = "instrument" if noise_from_data else None
     how: dict[str, Any] = {"robust": robust, "variance_components": grouping, "datum": datum, "prior": prior}
-    found = adjust(recording, construction, effects=effects, **how)
+    found = adjusted_network(recording, construction, effects=effects, **how)
     require_result(found)
     if datum and not found.problem.free.shape[1]:
         raise NetworkError("the control points define the frame already: leave the datum out, or their coordinates")
@@ -150,8 +140,8 @@ def _calibration(source: Recording, adjustment: Adjustment, method: str, *, advi
     held = adjustment.problem.prior.held
     free = ~held.ravel()
     covariance = np.where(free[:, None] & free, adjustment.kept_covariance[at[:, None], at], 0.0)
-    prior = adjustment.problem.prior_sigma
-    values = adjustment.state.instrument
+    prior = adjustment.problem.prior.sigma
+    values, directions = adjustment.state.instrument, result.directions_of(covariance, prior)
     return Calibration(
         method=method,
         construction=construction,
@@ -160,27 +150,22 @@ def _calibration(source: Recording, adjustment: Adjustment, method: str, *, advi
         prior_sigma=prior,
         covariance=covariance,
         held=held,
-        fit=fit_of(adjustment),
-        undetermined=undetermined_of(adjustment, construction, directions_of(covariance, prior), advise=advise),
-        frame=frame_of(adjustment),
-        stations=stations_of(adjustment),
+        fit=result.fit_of(adjustment),
+        undetermined=result.undetermined_of(adjustment, construction, directions, advise=advise),
+        frame=result.frame_of(adjustment),
+        stations=result.stations_of(adjustment),
         targets=recording.targets,
         points=adjustment.state.points,
         target_covariance=adjustment.target_covariance,
-        criteria=criteria_of(recording, adjustment, construction, values),
-        outliers=outliers_of(adjustment),
-        verdict=verdict_of(adjustment),
+        criteria=result.criteria_of(recording, adjustment, construction, values),
+        outliers=result.outliers_of(adjustment),
+        verdict=result.verdict_of(adjustment),
         robust=robust,
-        noise=noise_of(adjustment),
-        known=known_of(adjustment),
+        noise=result.noise_of(adjustment),
+        known=result.known_of(adjustment),
         lost_targets=adjustment.lost_targets,
-        axes=axes_of(adjustment),
+        axes=result.axes_of(adjustment),
         recording=SourceEntry.of(source),
-        notes=(
-            *notes_on_axes(adjustment),
-            *notes_on_modes(adjustment),
-            *notes_on_hand(adjustment),
-            *notes_on_plan(adjustment),
-        ),
+        notes=result.notes_on(adjustment),
         adjustment=adjustment,
     )

@@ -156,9 +156,9 @@ class DistanceProblem:
         low = np.minimum(self.gauge.first, self.gauge.second)
         high = np.maximum(self.gauge.first, self.gauge.second)
         known = {int(key): i for i, key in enumerate(low * count + high)}
-        found = [(r, known[int(g)]) for r, g in enumerate(distances.group) if int(g) in known]
-        rows, which = zip(*found, strict=True) if found else ((), ())
-        return np.array(rows, dtype=np.int64), np.array(which, dtype=np.int64)
+        which = np.array([known.get(int(group), -1) for group in distances.group], dtype=np.int64)
+        rows = np.flatnonzero(which >= 0)
+        return rows, which[rows]
 
 
 def centring(distances: Distances) -> tuple[sp.csr_array, Floats]:

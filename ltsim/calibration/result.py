@@ -6,15 +6,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ltsim.adjustment.adjustment import Adjustment, observable_name
+from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.datum import about
 from ltsim.adjustment.frame import Frame
-from ltsim.adjustment.screening import gross_pointings
+from ltsim.adjustment.known import KnownTest
+from ltsim.adjustment.snooping import screened
 from ltsim.adjustment.start import reached_network
 from ltsim.adjustment.verdict import Case, Verdict, verdict
 from ltsim.arrays import Bools, Floats
-from ltsim.calibration.calibration import SHOWN_UNITS, Combination, Fit, NoiseRow, OutlierRow, StationPose
-from ltsim.calibration.schema import AxesEntry
+from ltsim.calibration.calibration import SHOWN_UNITS
+from ltsim.calibration.schema import AxesEntry, Combination, Fit, KnownEntry, NoiseRow, OutlierRow, StationPose
 from ltsim.chances import AGREES
 from ltsim.effects.motions import exact_target_change
 from ltsim.errors import NetworkError
@@ -37,7 +38,7 @@ UP = np.array([False, False, True])
 def gross_rows(recording: Recording) -> Bools:
     """(n,) True for pointings that land elsewhere by more than any tracker error; raises NetworkError."""
     tied, reached = tied_readings(recording)
-    return gross_pointings(tied, *reached)
+    return screened(tied, *reached)[1]
 
 
 def tied_readings(recording: Recording) -> tuple[Recording, tuple[Floats, Floats, Floats]]:
@@ -89,7 +90,7 @@ def outliers_of(adjustment: Adjustment) -> tuple[OutlierRow, ...]:
     def row(i: int, column: int, size: float, w: float, *, gross: bool = False, left_out: bool = False) -> OutlierRow:
         unit, factor = SHOWN_UNITS[column]
         station, target = recording.stations[recording.station[i]], recording.targets[recording.target[i]]
-        observable = observable_name(column)
+        observable = OBSERVABLES[column]
         named = {"row": i + 1, "station": station, "target": target, "observable": observable, "unit": unit}
         return OutlierRow(size=size / factor, w=w, gross=gross, left_out=left_out, **named)
 
@@ -100,7 +101,8 @@ def outliers_of(adjustment: Adjustment) -> tuple[OutlierRow, ...]:
     single = adjustment.rejected & ~adjustment.gross[:, None] & _has_size(adjustment, scaled)
     for i, k in sorted(np.argwhere(single).tolist(), key=lambda at: -abs(scaled[at[0], at[1]])):
         found.append(row(i, k, adjustment.residuals[i, k], float(scaled[i, k]), left_out=True))
-    estimated = verdict_of(adjustment).case is Case.SMALLER_NOISE and verdict_of(adjustment).by_estimate
+    judged = verdict_of(adjustment)
+    estimated = judged.case is Case.SMALLER_NOISE and judged.by_estimate
     return (*found, *(row(o.row, o.observable, o.size, o.w) for o in adjustment.outliers(estimated=estimated)))
 
 
@@ -145,6 +147,29 @@ def noise_of(adjustment: Adjustment) -> tuple[NoiseRow, ...]:
     return tuple(rows)
 
 
+def known_of(adjustment: Adjustment) -> tuple[KnownEntry, ...]:
+    """Known coordinates, lengths and levels, each tested by the rest: an entry a component."""
+    return tuple(_known_entry(test, k) for test in adjustment.known for k in range(len(test.error)))
+
+
+def _known_entry(test: KnownTest, k: int) -> KnownEntry:
+    unit, factor = ("arcsec", ARCSECOND) if test.kind == "level" else ("mm", MILLIMETRE)
+    one, sure = len(test.error) == 1 and not test.axes, bool(np.isfinite(test.sigma_error[k]))
+    return KnownEntry(
+        kind=test.kind,
+        name=test.name,
+        component="" if one else (test.axes or "xy")[k],
+        residual=float(test.residual[k]) / factor,
+        error=float(test.error[k]) / factor,
+        sigma_error=float(test.sigma_error[k]) / factor if sure else None,
+        minimal_detectable=float(test.minimal_detectable[k]) / factor if sure else None,
+        unit=unit,
+        redundancy=float(test.redundancy[k]),
+        w=test.w,
+        left_out=test.left_out,
+    )
+
+
 def axes_of(adjustment: Adjustment) -> AxesEntry | None:
     """Standard deviations of axes that stated coordinates give, by what these miss the network; None without."""
     kept = [test for test in adjustment.axes if not test.left_out]
@@ -164,7 +189,13 @@ def axes_of(adjustment: Adjustment) -> AxesEntry | None:
     )
 
 
-def notes_on_axes(adjustment: Adjustment) -> tuple[str, ...]:
+def notes_on(adjustment: Adjustment) -> tuple[str, ...]:
+    """What a reader should know of an adjusted network: its axes, its range zeros, whether it is a mirror image."""
+    kinds = (_notes_on_axes, notes_on_modes, _notes_on_hand, _notes_on_plan)
+    return tuple(note for notes_of in kinds for note in notes_of(adjustment))
+
+
+def _notes_on_axes(adjustment: Adjustment) -> tuple[str, ...]:
     """How the coordinates fit that only give the axes."""
     kept = [test for test in adjustment.axes if not test.left_out]
     fitted = axes_of(adjustment)
@@ -283,13 +314,12 @@ def _one_ball(recording: Recording, adjustment: Adjustment) -> Recording:
     return recording.replace(readings=readings, setup=recording.setup.model_copy(update={"reflectors": {}}))
 
 
-def notes_on_hand(adjustment: Adjustment) -> tuple[str, ...]:
+def _notes_on_hand(adjustment: Adjustment) -> tuple[str, ...]:
     """What is to be said of a network of ranges alone: whether it may be the mirror image of the hall."""
     recording, state = adjustment.recording, adjustment.state
     if recording.measured[:, 1:].any() or adjustment.problem.free.shape[1] == 0:
         return ()
-    every = np.arange(len(recording.stations)), np.arange(len(recording.targets))
-    if Frame.of(recording).hand(every[0], state.position, every[1], state.points)[1]:
+    if Frame.of(recording).tells_hand(state.position, state.points):
         return ()
     return (
         "ranges alone do not tell a network from its mirror image: rough places of a few targets and stations that are "
@@ -297,14 +327,12 @@ def notes_on_hand(adjustment: Adjustment) -> tuple[str, ...]:
     )
 
 
-def notes_on_plan(adjustment: Adjustment) -> tuple[str, ...]:
+def _notes_on_plan(adjustment: Adjustment) -> tuple[str, ...]:
     """Which targets have no height."""
     names = [adjustment.recording.targets[t] for t in np.flatnonzero(adjustment.open_heights)]
     if not names:
         return ()
-    more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
-    named = ", ".join(names[:MOST_NAMED])
-    return (f"in plan alone, as no reading tells their height: {named}{more}",)
+    return (f"in plan alone, as no reading tells their height: {named(names)}",)
 
 
 def notes_on_modes(adjustment: Adjustment) -> tuple[str, ...]:

@@ -10,18 +10,16 @@ from pydantic import BeforeValidator, Field, model_validator
 from scipy import special
 
 from ltsim.arrays import Floats
-from ltsim.calibration.known_values import KnownEntry
 from ltsim.chances import p_is
-from ltsim.evaluation.schema import CriterionEntry
+from ltsim.evaluation.criteria import CriterionEntry
 from ltsim.notation import number, with_sigma
 from ltsim.recording.result_file import Entry, Finite, Known, ResultFile, Vector, known
 from ltsim.recording.result_table import ResultTable
-from ltsim.results import Column, Table, columns_of, numbers, texts
+from ltsim.results import numbers, texts
 from ltsim.units import ARCSECOND, MILLIMETRE
 
 NotNegative = Annotated[Finite, Field(ge=0)]
 Sigma = Annotated[NotNegative | None, BeforeValidator(known)]
-"""A standard deviation; null for what has none."""
 Positive = Annotated[Finite, Field(gt=0)]
 
 COORDINATES = (
@@ -29,9 +27,7 @@ COORDINATES = (
     *numbers(".6f", x_mm="coordinate", y_mm="coordinate", z_mm="coordinate"),
     *numbers(".6f", sigma_x_mm="its standard deviation", sigma_y_mm="as sigma_x_mm", sigma_z_mm="as sigma_x_mm"),
 )
-TARGETS = ResultTable(
-    "targets.csv", "adjusted targets; what the readings do not determine has no row, or no height", COORDINATES
-)
+TARGETS = ResultTable("targets.csv", "adjusted targets; what readings do not tell has no row or height", COORDINATES)
 RESIDUALS = ResultTable(
     "residuals.csv",
     "one row an observation that was used",
@@ -57,9 +53,7 @@ class Fit(Entry):
     sigma0: Known = None
     """Square root of chi-square over degrees of freedom."""
     p_value: Known = None
-    """Chance of as much or more in a correct model: near 1 where the readings scatter less than stated. What is printed
-    is two-sided, twice the smaller of it and of its complement.
-    """
+    """Chance of as much or more in a correct model, near 1 where readings scatter less; printed two-sided."""
     iterations: int = 0
     """Steps of Gauss-Newton."""
     status: str = "not stated"
@@ -110,22 +104,30 @@ class HarmonicEntry(Entry):
     """Where there are several."""
 
 
-class Combination(Entry):
-    """A combination of parameters, in prior sigmas, that is not determined; `gain` is the share told of it."""
+class Terms(Entry):
+    """A combination of parameters."""
 
     combination: dict[str, Finite]
     """Coefficient of each parameter."""
+
+    @property
+    def terms(self) -> str:
+        """The combination in a line."""
+        return " ".join(f"{weight:+.2f} {name}" for name, weight in self.combination.items())
+
+
+class Combination(Terms):
+    """A combination of parameters, in prior sigmas, that is not determined; `gain` is the share told of it."""
+
     gain: Known = None
     """Share of the prior variance that the readings removed."""
     cure: str = ""
     """The measurement that would determine it."""
 
 
-class DeterminedEntry(Entry):
+class DeterminedEntry(Terms):
     """A combination of parameters that the recording determines far better than each of them."""
 
-    combination: dict[str, Finite]
-    """Coefficient of each parameter."""
     value: Finite
     """Its size."""
     sigma: Known = None
@@ -134,11 +136,6 @@ class DeterminedEntry(Entry):
     """Of both."""
     instrument: str = ""
     """Where there are several."""
-
-    @property
-    def terms(self) -> str:
-        """The combination in a line."""
-        return " ".join(f"{weight:+.2f} {name}" for name, weight in self.combination.items())
 
 
 class StationPose(Entry):
@@ -210,6 +207,33 @@ class OutlierRow(Entry):
     """It did not take part in the adjustment."""
 
 
+class KnownEntry(Entry):
+    """A component of a known value, tested like a reading; what gives only axes has the kind `axes`."""
+
+    kind: Literal["point", "length", "level", "mark", "axes"]
+    """What is known."""
+    name: str
+    """Target, both ends of a length, or station."""
+    component: str = ""
+    """x, y or z of a point; the two tilts of a level are x and y."""
+    residual: Finite
+    """Stated less adjusted."""
+    error: Finite
+    """By how much it is wrong by what the rest says."""
+    sigma_error: Known = None
+    """Standard deviation of the error; null where the rest says nothing."""
+    minimal_detectable: Known = None
+    """Smallest error that the test finds with 80 %."""
+    unit: str
+    """Of residual, error and what follows them."""
+    redundancy: Finite
+    """Share of an error that the residual shows."""
+    w: Finite
+    """Root of the fall of chi-square without the whole known value."""
+    left_out: bool = False
+    """It contradicts the rest and had no say."""
+
+
 class NoiseRow(Entry):
     """Noise that was found from the readings; no `factor_sigma`: too little redundancy, the factor is as stated."""
 
@@ -248,9 +272,7 @@ class Correction(Entry):
     plausible_scale: tuple[Positive, Positive]
     """The same from and to, each with 95 %."""
     uncorrected_um: NotNegative
-    """Expected error of a new point as it is read: rms of its distance from the truth in one set-up's frame, by the
-    instrument's constants alone, without the noise of its own reading.
-    """
+    """Expected rms error of a new point as it is read, in its set-up's frame, by the instrument's constants alone."""
     corrected_um: NotNegative
     """The same after the correction."""
     noise_um: NotNegative = 0.0
@@ -305,7 +327,7 @@ class FittedEffectEntry(Entry):
     @property
     def sentence(self) -> str:
         """All of it for a person."""
-        name = f"{self.effect} at {self.where}" if self.where else self.effect
+        name = self.effect + (f" at {self.where}" if self.where else "")
         if not self.freedom:
             return f"{name}: this recording cannot tell it from poses, targets and parameters; it was left out"
         shown = ", ".join(
@@ -314,28 +336,6 @@ class FittedEffectEntry(Entry):
         )
         tried = f", the best of {self.tried}" if self.tried > 1 else ""
         return f"{name}: {shown}; chi-square falls by {self.chi2_drop:.1f} ({p_is(self.p_value)}{tried})"
-
-
-PARAMETERS = Table(
-    "parameters.csv",
-    "estimates of the instrument's parameters, each in its unit",
-    columns_of(
-        ParameterEntry,
-        "name instrument value sigma unit prior_sigma held applied",
-        value={"sigma": "sigma"},
-        prior_sigma={"shown": ".3g"},
-        name={"name": "parameter"},
-    ),
-)
-
-
-OUTLIERS = Table("outliers.csv", "readings that do not belong", columns_of(OutlierRow))
-NOISE = Table(
-    "noise.csv",
-    "noise found from the readings",
-    columns_of(NoiseRow, factor={"sigma": "factor_sigma"}, redundancy={"shown": ".1f"}, typical={"shown": ".3g"}),
-)
-STATIONS = Table("stations.csv", "adjusted stations", (Column("station", "name", "text"), *COORDINATES[1:]))
 
 
 class CalibrationFile(ResultFile):

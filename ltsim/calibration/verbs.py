@@ -9,70 +9,26 @@ from typing import Any
 
 from ltsim.calibration import (
     Calibration,
-    adjust_network,
     calibrate_distance,
     calibrate_network,
-    correct as corrected_by,
     read_calibration,
 )
 from ltsim.calibration.beside import Wanted
-from ltsim.calibration.choice import Choice
+from ltsim.calibration.distance import METHODS
+from ltsim.calibration.files import CalibrationSource, calibration_of
 from ltsim.calibration.history import History
-from ltsim.calibration.known import Known
+from ltsim.calibration.known import Choice, Known
 from ltsim.calibration.result import gross_rows
 from ltsim.effects.effect import Effect
 from ltsim.effects.verbs import effect_from, names
 from ltsim.errors import LtsimError, ModelError, RecordError, option, unknown_name
 from ltsim.evaluation import Criteria, evaluate as criteria_of, read_nominal, verify as verified
 from ltsim.laws.words import read_law
-from ltsim.model.construction import Construction, built_construction
+from ltsim.model.construction import Construction, construction as construction_called
 from ltsim.recording import Recording
 from ltsim.recording.exchange import RecordingSource, read, recording_of
 
-METHODS = ("network", "distance", "distance-l1", "equation-9", "equation-9-l1")
 NO_PRIOR = "none"
-CalibrationSource = Calibration | str | Path
-"""A calibration, its file, or the folder that holds it."""
-
-
-def adjust(
-    recording: RecordingSource,
-    *,
-    robust: bool = False,
-    noise_from_data: bool = False,
-    datum: str | Sequence[str] | None = None,
-) -> Calibration:
-    """Adjust the network of a recording, taking the instrument as it is: targets, stations, outliers.
-
-    Parameters
-    ----------
-    recording : Recording, str or Path
-    robust : bool
-        Leave out readings that do not belong, each tested again at the end.
-    noise_from_data : bool
-        Estimate the noise of each observable and instrument from the residuals.
-    datum : str or sequence of str, optional
-        Targets that define the datum by inner constraints; default those that the set-up chose.
-
-    Returns
-    -------
-    Calibration
-        Without instrument parameters.
-
-    Raises
-    ------
-    NetworkError
-        When the network cannot be solved; the message names stations or targets.
-
-    Examples
-    --------
-    >>> import ltsim as lt
-    >>> recording, _ = lt.simulate("paper-workshop", seed=7)
-    >>> lt.adjust(recording).to_dataframe("targets").shape
-    (28, 7)
-    """
-    held = None if datum is None else names(datum)
-    return adjust_network(recording_of(recording), robust=robust, noise_from_data=noise_from_data, datum=held)
 
 
 def calibrate(
@@ -98,33 +54,34 @@ def calibrate(
     Parameters
     ----------
     recording : Recording, str or Path
-    method : str
-        `network` (rigorous adjustment), `distance` or `distance-l1` (the paper's objective over what the readings
-        determine, least squares or least absolute deviations), `equation-9` or `equation-9-l1` (its own minimum).
-    construction : str or Construction, optional
-        `misalignment` (source in the head, 16 parameters), `steering-mirror` (21) or `dh` (the paper's
-        Denavit-Hartenberg chain, 78); by default what the set-up states.
+    method : {`network`, `distance`, `distance-l1`, `equation-9`, `equation-9-l1`}
+        Rigorous network adjustment; the paper's distance objective over what the readings determine, least squares or
+        least absolute deviations (`l1`); or its own minimum, which fits the rest to the noise (`equation-9`).
+    construction : {`misalignment`, `dh`, `steering-mirror`} or Construction, optional
+        Misalignments of a source in the head (16), of a steering mirror (21), or the paper's Denavit-Hartenberg chain
+        (78); by default what the set-up states.
     robust, noise_from_data, datum
         As of `adjust`; with method `network` only.
     parameters : str or sequence of str, optional
-        The only parameters to estimate: their names, or what several begin with (`azimuth-eccentricity`); with
-        ``@NAME`` those of one instrument. The others are held at zero.
+        The only parameters to estimate: their names, or what several begin with (`azimuth-eccentricity`);
+        ``NAME@INSTRUMENT`` is that of one instrument. The others are held at zero.
     without : str or sequence of str
         Parameters to hold at zero.
     hold : mapping of str to float, optional
-        Parameters to hold at a value, in the parameter's unit.
+        Parameters to hold at a value, each in its unit; several can be given.
     prior : Calibration, History, str or Path, optional
-        What earlier calibrations found, with its covariance, as the prior, or `"none"`: nothing is known beforehand,
-        and what is applied is chosen by the readings alone. Method `network` only.
-    harmonics, degree : int, optional
-        Orders of a D-H chain's error functions; 2 by default.
+        What earlier calibrations found, with its covariance, in place of what the set-up knows, or `none`: nothing is
+        known beforehand, and what is applied is chosen by the readings alone. Method `network` only.
+    harmonics : int, optional
+        Order of a D-H chain's joint errors, 0 to 4; default 2.
+    degree : int, optional
+        Degree of a D-H chain's range errors, 0 to 9; default 2.
     box : float, optional
         Bound on every parameter in prior sigmas, with the methods `equation-9` and `equation-9-l1`.
     with_effects : str, Effect or sequence of them
-        Effects to estimate too: objects (`lt.Effect(...)`, or of a class of your own), or in words, `NAME` or
-        `NAME:WHERE,...`, with stations, targets, and constants as `law=visit` in the effect's units. What is not said,
-        the readings choose. Or laws in the words of a diagnosis,
-        `CARRIER ~ DRIVER` or `CARRIER ~ DRIVER:WHERE,...`. Method `network` only.
+        Effects of the catalogue to estimate too, `NAME` or `NAME:WHERE,...`, with stations, targets, and constants as
+        `law=visit` in the effect's units; what is not said, the readings choose. Or laws as a diagnosis tells them,
+        `vertical index ~ time:S3`. Several can be given; from Python as objects too. Method `network` only.
     advise : bool
         Say which further measurements would determine what is not determined.
 
@@ -147,8 +104,8 @@ def calibrate(
     >>> found.to_dataframe("parameters").columns.tolist()
     ['parameter', 'instrument', 'value', 'sigma', 'unit', 'prior_sigma', 'held', 'applied']
     """
-    if method not in METHODS:
-        raise unknown_name("method", method, METHODS)
+    if method not in ("network", *METHODS):
+        raise unknown_name("method", method, ("network", *METHODS))
     if isinstance(construction, Construction):
         if harmonics is not None or degree is not None:
             raise ModelError("harmonics and degree go with a construction's name: this one is built already")
@@ -211,36 +168,10 @@ def _in_words(text: str, recording: Recording) -> Wanted:
 def _named_construction(name: str | None, harmonics: int | None, degree: int | None) -> Construction | None:
     """The construction of a name; None for what the set-up states."""
     if name is not None:
-        return built_construction(name, harmonics, degree)
+        return construction_called(name, harmonics, degree)
     if harmonics is not None or degree is not None:
         raise ModelError(f"{option('harmonics')} and {option('degree')} go with the construction dh")
     return None
-
-
-def correct(recording: RecordingSource, calibration: CalibrationSource, *, again: bool = False) -> Recording:
-    """The recording that an ideal tracker would have made, by a calibration of the instrument.
-
-    Parameters
-    ----------
-    recording : Recording, str or Path
-    calibration : Calibration, str or Path
-    again : bool
-        Correct readings too that the set-up says are corrected.
-
-    Raises
-    ------
-    RecordError
-        When the calibration does not know the recording's instrument, or a file is malformed.
-
-    Examples
-    --------
-    >>> import ltsim as lt
-    >>> recording, _ = lt.simulate("paper-workshop", seed=7)
-    >>> corrected = lt.correct(recording, lt.calibrate(recording))
-    >>> len(corrected)
-    140
-    """
-    return corrected_by(recording_of(recording), calibration_of(calibration), again=again)
 
 
 def evaluate(recording: RecordingSource, calibration: CalibrationSource | None = None) -> Criteria:
@@ -349,8 +280,3 @@ def _labelled(number: int, source: RecordingSource | Calibration, options: dict[
         return label, calibrate(recording, advise=False, **options)
     except LtsimError as problem:
         raise RecordError(f"{label} cannot be calibrated: {problem}") from None
-
-
-def calibration_of(source: CalibrationSource) -> Calibration:
-    """The calibration itself, read where a path was given."""
-    return source if isinstance(source, Calibration) else read_calibration(Path(source))

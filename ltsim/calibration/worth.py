@@ -2,8 +2,7 @@
 
 The estimates and their covariance are those of the stated prior. What is taken out of readings may be less:
 
-* a term that predicts targets worse than going without it, when they take no part in its estimation
-  (`calibrate.held_out`);
+* a term that predicts targets worse than going without it, when they take no part in its estimation (`HeldOut`);
 * where the readings contradict the scale of the prior, the correction follows the scale that they make most likely;
 * where some scale that they leave plausible expects the correction to do harm, the correction of the smallest plausible
   scale, which none of them expects to.
@@ -18,16 +17,19 @@ parameters is then applied by the share, between 0 and 1, by which it is expecte
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import block_diag
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.arrays import Floats
+from ltsim.arrays import Floats, Ints
 from ltsim.calibration.calibration import Correction
-from ltsim.calibration.held_out import unheld
+from ltsim.calibration.evidence import cosine_and_sine
 from ltsim.geometry.rigid import less_rigid
 from ltsim.recording.recording import Recording
+from ltsim.remedies.undetermined import SILENT
+from ltsim.solve.design import as_dense
 from ltsim.units import MICROMETRE
 
 SCALES = np.geomspace(1e-4, 1e4, 161)
@@ -39,6 +41,13 @@ UNLIKELY = 30.0
 """Scale beyond which what the readings show is none of these parameters: no instrument is so far off in all of them."""
 NOTHING = 0.02
 """Share of the estimated correction below which it counts as none."""
+WORSE = 2.0
+"""Sum of squares over the targets held out by which a term has to be worse: what Akaike's criterion asks of one."""
+LARGEST = 400
+"""Most unknown poses and parameters of a network that is tested."""
+MOST_TARGETS = 150
+FEWEST = 5
+"""Targets that predict each other."""
 
 
 def correction_of(
@@ -217,3 +226,103 @@ def point_errors(adjustment: Adjustment) -> Floats:
         own = slice(instrument * size, (instrument + 1) * size)
         total[own, own] += error.T @ error
     return total / max(int(whole.sum()), 1)
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """What one target's readings leave when the others predict them.
+
+    They check each other once its place is eliminated. With r their residual (m,) and A (m, K) their design by poses
+    and parameters, both so reduced, C the covariance of these from all readings, H = A C A' and S = (1 - H)^-1, the
+    target held out leaves S r; a term fixed at zero changes what the others predict by a rank-one step for each of its
+    parameters. So all that is needed is m x m and p x p: one adjustment serves for every target and term.
+    """
+
+    residual: Floats
+    """(m,): S r."""
+    by_parameter: Floats
+    """(m, q): covariance S B' of the prediction with the parameters, B = C A'."""
+    covariance: Floats
+    """(q, q): of the parameters, from the other targets."""
+    shift: Floats
+    """(q,): b S r: the estimate from all readings less that from the others."""
+
+    def squares(self, values: Floats, fixed: Ints) -> float:
+        """Sum of squares with the parameters `fixed` at zero; `values` (q,) are the estimates from all readings."""
+        if not len(fixed):
+            return float(self.residual @ self.residual)
+        moved = np.linalg.solve(self.covariance[np.ix_(fixed, fixed)], self.shift[fixed] - values[fixed])
+        left = self.residual - self.by_parameter[:, fixed] @ moved
+        return float(left @ left)
+
+
+def unheld(adjustment: Adjustment) -> Ints:
+    """Places, in the flat vector of parameters (I p), of those that targets are better predicted without.
+
+    The term that is worst is taken away first, then the next, as long as that helps. None in a network that is large
+    or has few targets.
+    """
+    none = np.zeros(0, dtype=np.int64)
+    unknowns = adjustment.problem.unknowns
+    if unknowns.kept > LARGEST:
+        return none
+    targets = held_out_targets(adjustment)
+    if len(targets) < FEWEST:
+        return none
+    values = adjustment.state.instrument.ravel()
+    gone, now = none, sum(t.squares(values, none) for t in targets)
+    candidates = _terms(adjustment)
+    while candidates:
+        tried = [np.concatenate([gone, term]) for term in candidates]
+        after = [sum(t.squares(values, fixed) for t in targets) for fixed in tried]
+        best = int(np.argmin(after))
+        if now - after[best] <= WORSE:
+            break
+        gone, now = tried[best], after[best]
+        del candidates[best]
+    return np.sort(gone)
+
+
+def _terms(adjustment: Adjustment) -> list[Ints]:
+    """Places of each term: a cosine and its sine, or a parameter; of what was estimated and the readings tell of."""
+    prior, at = adjustment.problem.prior, adjustment.problem.unknowns.instrument.ravel()
+    left = np.diag(adjustment.kept_covariance)[at] / prior.sigma.ravel() ** 2
+    open_ = ~prior.held.ravel() & (left < 1.0 - SILENT)
+    sines = {i: j for _, i, j in cosine_and_sine(adjustment.construction.names)}
+    each = [[k, sines[k]] if k in sines else [k] for k in range(prior.mean.shape[1]) if k not in sines.values()]
+    terms = [[i * prior.mean.shape[1] + k for k in term] for i in range(len(prior.mean)) for term in each]
+    chosen = [[k for k in term if open_[k]] for term in terms]
+    return [np.array(term, dtype=np.int64) for term in chosen if term]
+
+
+def held_out_targets(adjustment: Adjustment) -> list[HeldOut]:
+    """Every target whose readings check each other and whose place is an unknown of its own, held out."""
+    problem, unknowns = adjustment.problem, adjustment.problem.unknowns
+    system, kept = adjustment.solution.system, adjustment.problem.unknowns.kept
+    row_target = adjustment.recording.target[np.nonzero(problem.use)[0]]
+    own = np.flatnonzero(unknowns.target[:, 0] >= kept)
+    own = own[:: max(1, -(-len(own) // MOST_TARGETS))]
+    found = []
+    for target in own.tolist():
+        rows = np.flatnonzero(row_target == target)
+        if len(rows) > 3:
+            design = as_dense(system.design[rows])
+            reduced = _without(design[:, unknowns.target[target]], design[:, :kept], system.residual[rows])
+            found.append(_held_out(adjustment, *reduced))
+    return found
+
+
+def _without(place: Floats, design: Floats, residual: Floats) -> tuple[Floats, Floats]:
+    """Design (m, K) and residual (m,) of a target's rows with its place (m, 3) eliminated."""
+    basis = np.linalg.qr(place)[0]
+    return design - basis @ (basis.T @ design), residual - basis @ (basis.T @ residual)
+
+
+def _held_out(adjustment: Adjustment, design: Floats, residual: Floats) -> HeldOut:
+    covariance, at = adjustment.kept_covariance, adjustment.problem.unknowns.instrument.ravel()
+    spread = covariance @ design.T
+    alone = np.linalg.inv(np.eye(len(residual)) - design @ spread)
+    by_parameter = alone @ spread[at].T
+    own = covariance[np.ix_(at, at)] + spread[at] @ by_parameter
+    left = alone @ residual
+    return HeldOut(left, by_parameter, own, spread[at] @ left)

@@ -1,53 +1,233 @@
-"""The calibrators of a campaign behind one door: a block of trials in, calibrated trials out."""
+"""The methods of a campaign file as calibrators of trials that share a geometry, and of trials that do not.
+
+Trials whose stations see the same targets are one stack: their geometries are arrays that end in the trial, as
+everything else does. What is large is done for all of them at once (exact readings, residuals and gradients, points,
+criteria); each has its own normal matrix, which sets its steps.
+"""
 
 from __future__ import annotations
 
-from typing import Protocol
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field, fields
+from functools import cached_property
 
-from ltsim.arrays import Ints
-from ltsim.campaigns.cell import fitted_construction, fitted_effects
+import numpy as np
+
+from ltsim.arrays import Floats, Ints
 from ltsim.campaigns.distance import BatchDistance
-from ltsim.campaigns.engine import Calibrated, Engine
-from ltsim.campaigns.equation_9 import BatchEquation9
-from ltsim.campaigns.single import Single
+from ltsim.campaigns.engine import Calibrated, Calibrator, Engine, Single, suspects
+from ltsim.campaigns.judge import Judge
+from ltsim.campaigns.kernels import readings_of
+from ltsim.campaigns.network import BatchNetwork, Known, Stacked
+from ltsim.campaigns.program import ChainProgram
 from ltsim.campaigns.spec import Method
 from ltsim.campaigns.truth import Block, Truth
 from ltsim.effects.effect import Effect
-from ltsim.errors import SetupError
-from ltsim.model.construction import Construction
+from ltsim.errors import ModelError, NetworkError, SetupError
+from ltsim.model.construction import Construction, construction, dh
+from ltsim.model.measurement import State
+from ltsim.simulation.draws import Normal
+from ltsim.simulation.physics import effect_from
 
 
-class Calibrator(Protocol):
-    """What a campaign needs of a method."""
+def fitted_construction(method: Method) -> Construction:
+    """The construction whose parameters a method estimates."""
+    if method.construction == "dh":
+        return dh(method.harmonics, method.degree)
+    return construction(method.construction)
 
-    @property
-    def construction(self) -> Construction:
-        """Whose parameters are estimated."""
-        ...
 
-    @property
-    def effects(self) -> tuple[Effect, ...]:
-        """Further effects that are estimated."""
-        ...
-
-    def calibrate(self, block: Block, wanted: Ints) -> Calibrated:
-        """Calibrate a block; trials that are not wanted may be left out (NaN)."""
-        ...
-
-    def difference(self, block: Block, trial: int, found: Calibrated) -> float:
-        """Largest difference [sigma] of a trial from the calibrator that users have; NaN where that is itself."""
-        ...
+def fitted_effects(method: Method) -> tuple[Effect, ...]:
+    """The further effects that a method estimates; raises SetupError, naming its entry and what would be right."""
+    found = []
+    for number, entry in enumerate(method.effects):
+        places = {"stations": entry.stations, "targets": entry.targets}
+        try:
+            found.append(effect_from(entry.name, places, entry.shape))
+        except (ModelError, ValueError, TypeError, KeyError) as problem:
+            raise SetupError(f"methods.{method.title}.effects.{number + 1}: {problem}") from None
+    return tuple(found)
 
 
 def calibrator_of(method: Method, truth: Truth) -> Calibrator:
     """The calibrator that a campaign file asks for."""
     if method.method != "network" and not truth.recorded.all():
         raise SetupError(f"methods.{method.title}: {method.method} compares points, which ranges or angles alone lack")
-    construction, effects = fitted_construction(method), fitted_effects(method)
+    built, effects = fitted_construction(method), fitted_effects(method)
     if method.solver == "single":
-        return Single(truth, construction, effects, method.method, applied=method.applied)
-    if method.method.startswith("equation-9"):
-        return BatchEquation9(truth, construction, method.method.replace("equation-9", "distance"))
+        return Single(truth, built, effects, method.method, applied=method.applied)
     if method.method != "network":
-        return BatchDistance(truth, construction, method.method)
-    return Engine(truth, construction, effects)
+        return BatchDistance(truth, built, method.method)
+    return Engine(truth, built, effects)
+
+
+@dataclass(frozen=True)
+class Stack(Truth):
+    """Truths whose stations see the same targets; geometries end in the trial."""
+
+    truths: tuple[Truth, ...] = ()
+    """One a trial; what they share is that of the first."""
+    rows: Ints = field(default_factory=lambda: np.zeros((0, 0), dtype=np.int64))
+    """(n, B): where the pointings of the first are in each trial, which may take them in another order."""
+
+    @classmethod
+    def of(cls, truths: tuple[Truth, ...]) -> Stack:
+        """The stack of truths of one pattern."""
+        first = truths[0]
+        shared = {f.name: getattr(first, f.name) for f in fields(Truth) if f.name != "state"}
+        states = [truth.state for truth in truths]
+        position, rotation, points = (
+            np.ascontiguousarray(np.stack([getattr(state, name) for state in states], axis=-1))
+            for name in ("position", "rotation", "points")
+        )
+        order = [np.argsort(_keys(truth)) for truth in truths]
+        rows = np.empty((len(order[0]), len(truths)), dtype=np.int64)
+        rows[order[0]] = np.stack(order, axis=1)
+        return cls(**shared, state=State(position, rotation, points, first.state.instrument), truths=truths, rows=rows)
+
+    def gathered(self, each: Iterable[Floats]) -> Floats:
+        """Arrays (n, ...) of the trials in the common order, with a last index for the trial."""
+        return np.ascontiguousarray(np.stack([a[r] for a, r in zip(each, self.rows.T, strict=True)], axis=-1))
+
+    def own(self, together: Floats, trial: int) -> Floats:
+        """What belongs to one trial of a gathered array (n, ..., B), in its own order."""
+        own = np.empty(together.shape[:-1])
+        own[self.rows[:, trial]] = together[..., trial]
+        return own
+
+    @cached_property
+    def nominal(self) -> Floats:
+        """(n, 3, B): nominal readings."""
+        return self.gathered(truth.recording.readings for truth in self.truths)
+
+    @cached_property
+    def local(self) -> Floats:
+        """(n, 3, B): targets in the instruments' frames."""
+        return self.gathered(truth.sightings.local for truth in self.truths)
+
+    @cached_property
+    def jacobian(self) -> Floats:
+        """(n, 3, 3, B): ideal derivative of the readings by the local point."""
+        return self.gathered(truth.sightings.jacobian for truth in self.truths)
+
+    def _design_of(self, effects: tuple[Effect, ...]) -> Floats:
+        return self.gathered(truth.design_of(effects)[..., 0] for truth in self.truths)
+
+    def _laid_out(self, built: Construction) -> tuple[ChainProgram, Floats]:
+        """The chain of all trials, and the derivative (n, 3, p, B)."""
+        flat = np.swapaxes(self.nominal, 1, 2).reshape(-1, 3)
+        by_value = built.reading_design(flat, np.zeros(built.size))[1]
+        apart = np.moveaxis(by_value.reshape(*self.rows.shape, *by_value.shape[1:]), 1, -1)
+        return ChainProgram.of(built, flat).spread(len(self.truths)), np.ascontiguousarray(apart)
+
+    def _exact(self, values: Floats) -> Floats:
+        which, (program, by_value) = self.recording.instrument, self.chain_of(self.construction)
+        deviation = np.einsum("nckb,nkb->ncb", by_value, values[which])
+        readings_of(program, which, self.local, self.jacobian, values, deviation)
+        return deviation
+
+    def draw_trials(self, seed: int, numbers: Ints) -> tuple[Block, tuple[Block, ...]]:
+        """The trials of these numbers together, and each by itself in the order of its own pointings."""
+        each = Normal(seed, numbers).one_by_one()
+        draws = [truth.population.draw(own) for truth, own in zip(self.truths, each, strict=True)]
+        values = np.concatenate([draw.values for draw in draws], axis=2)
+        exact = self._exact(values)
+        alone = tuple(
+            truth.read(draw, self.own(exact, k)[:, :, None])
+            for k, (truth, draw) in enumerate(zip(self.truths, draws, strict=True))
+        )
+        amounts = tuple(
+            np.concatenate(parts, axis=1) for parts in zip(*(block.amounts for block in alone), strict=True)
+        )
+        gauge_error = np.concatenate([block.gauge_error for block in alone], axis=1)
+        deviation = self.gathered(block.deviation[:, :, 0] for block in alone)
+        return Block(numbers, values, amounts, deviation, gauge_error), alone
+
+
+def stacks(truths: dict[int, Truth]) -> Iterator[tuple[Stack, Ints]]:
+    """Stacks of trials that see the same and can be judged in the same way, with the numbers of their trials."""
+    groups: dict[tuple[object, ...], list[int]] = {}
+    for number, truth in truths.items():
+        judge = Judge(truth)
+        names = truth.recording.stations, truth.recording.targets
+        whole = truth.recording.measured.all(axis=0).all()
+        pattern = np.sort(_keys(truth)).tobytes() if whole else number
+        key = (*names, pattern, judge.comparable, judge.fitted.tobytes())
+        groups.setdefault(key, []).append(number)
+    for numbers in groups.values():
+        yield Stack.of(tuple(truths[number] for number in numbers)), np.array(numbers)
+
+
+def _keys(truth: Truth) -> Ints:
+    """(n,) what tells a pointing from the others of its recording."""
+    r = truth.recording
+    return ((r.repeat * len(r.stations) + r.station) * 3 + r.face) * len(r.targets) + r.target
+
+
+@dataclass(frozen=True)
+class StackCalibrator:
+    """A method on a stack: the batch for all trials at once; trial by trial whatever else, and where that gives up."""
+
+    stack: Stack
+    blocks: tuple[Block, ...]
+    """Each trial by itself."""
+    method: Method
+
+    def alone(self, trial: int) -> Calibrator:
+        """The calibrator of a trial by itself."""
+        return calibrator_of(self.method, self.stack.truths[trial])
+
+    @cached_property
+    def _first(self) -> Calibrator:
+        return self.alone(0)
+
+    @property
+    def construction(self) -> Construction:
+        """Whose parameters are estimated."""
+        return self._first.construction
+
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """Further effects that are estimated."""
+        return self._first.effects
+
+    def calibrate(self, block: Block, wanted: Ints) -> Calibrated:
+        """Calibrate a block; a trial whose own geometry determines too little has failed."""
+        found = Calibrated.none(self.stack, self.construction, self.effects, len(self.blocks))
+        together = isinstance(self._first, Engine) and not self.effects
+        left = self._together(block, found) if together else wanted
+        for trial in left.tolist():
+            try:
+                own = self.alone(trial).calibrate(self.blocks[trial], np.zeros(1, dtype=np.int64))
+            except (NetworkError, SetupError):
+                continue
+            found.take(trial, own, 0)
+        return found
+
+    def _together(self, block: Block, found: Calibrated) -> Ints:
+        """The batch; which trials it leaves."""
+        stack, built = self.stack, self.construction
+        program, by_value = stack.chain_of(built)
+        parts: list[BatchNetwork] = []
+        for k, truth in enumerate(stack.truths):
+            recording = stack.recording.with_readings(stack.nominal[:, :, k])
+            known = Known(parts[0], stack.jacobian[..., k], by_value[..., k]) if parts else None
+            parts.append(BatchNetwork(recording, truth.state, built, program, known=known, recorded=truth.recorded))
+        network = Stacked(stack.recording, stack.state, built, program, parts=tuple(parts))
+        try:
+            fit = network.fit(block.deviation, block.gauge_error)
+        except SetupError:
+            return np.arange(len(self.blocks))
+        status = np.zeros(len(self.blocks), dtype=np.int64)
+        together = Calibrated(fit.values, network.sigma_values, fit.points, fit.chi2, status)
+        doubtful = ~fit.converged | suspects(block.deviation, stack.local)
+        for trial in np.flatnonzero(~doubtful):
+            found.take(int(trial), together, int(trial))
+        return np.flatnonzero(doubtful)
+
+    def difference(self, block: Block, trial: int, found: Calibrated) -> float:
+        """Largest difference [sigma] of a trial from the calibrator that users have."""
+        one = slice(trial, trial + 1)
+        arrays = found.values[..., one], found.sigma[..., trial], found.points[..., one]
+        own = Calibrated(*arrays, found.chi2[one], found.status[one])
+        return self.alone(trial).difference(self.blocks[trial], 0, own)

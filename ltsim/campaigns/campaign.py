@@ -12,19 +12,19 @@ import subprocess
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import llvmlite.binding
 from joblib import Parallel, delayed, parallel_config
 
-from ltsim.campaigns.cell import fitted_construction, fitted_effects
+from ltsim.campaigns.calibrators import fitted_construction, fitted_effects
 from ltsim.campaigns.design import Factor, label
 from ltsim.campaigns.rows import Task, rows_of, run_task, task_of
 from ltsim.campaigns.schema import CellEntry, ManifestFile
 from ltsim.campaigns.spec import JUDGE, Campaign, Cell, beside, cad_files, cells_of, load_campaign, read_cad
-from ltsim.campaigns.stopping import Shard, neighbours, rounds
+from ltsim.campaigns.stopping import Shard, rounds
 from ltsim.campaigns.store import SOURCE, Store
 from ltsim.errors import SetupError, WorkerError
 from ltsim.recording.settings import to_toml
@@ -76,29 +76,9 @@ def run_campaign(
     changes: Mapping[str, Any] | None = None,
     progress: Progress = lambda trials: None,
 ) -> Outcome:
-    """Run, continue or extend the campaign of a file.
+    """Run, continue or extend the campaign of a file: as `ltsim.campaign`, by any workers.
 
-    Parameters
-    ----------
-    file : Path
-    folder : Path
-        For the results.
-    workers : Workers, optional
-        Default: one process, this one. The rows do not depend on it.
-    resume : bool
-        Continue what the folder holds. Where the file has further levels, trials or statistics by now, only what is
-        missing is done.
-    force : bool
-        Begin anew in a folder that holds a campaign or other files of the same names; they are lost.
-    changes : mapping, optional
-        As of `load_campaign`.
-    progress : callable
-        Told the number of trials that were done.
-
-    Raises
-    ------
-    SetupError
-        In one sentence, for a file that cannot be run, a folder that holds another campaign or cannot be written to.
+    `progress` is told the number of trials that were done.
     """
     campaign, scenarios = load_campaign(file, changes)
     factors, cells = cells_of(campaign, scenarios, file)
@@ -106,8 +86,9 @@ def run_campaign(
     sources = _sources(campaign, cells, file, changes)
     taken = [] if store.begun or force else store.taken(sources)
     if taken:
-        listed = ", ".join(taken)
-        raise SetupError(f"{folder}: holds {listed} but no campaign; name another --out, or replace them with --force")
+        raise SetupError(
+            f"{folder}: holds {', '.join(taken)} but no campaign; name another --out, or replace them with --force"
+        )
     with store.lock():
         if force and not resume:
             store.clear()
@@ -115,11 +96,12 @@ def run_campaign(
             campaign, cells = _grown(store, campaign, cells, file, resume=resume)
             notes += _check_same(store)
         manifest = _manifest(campaign, factors, cells)
-        if not store.begun or _without_place(store.manifest()) != _without_place(manifest):
+        made_here = {name: getattr(manifest, name) for name in ("commit", "processor", "versions")}
+        if not store.begun or store.manifest().model_copy(update=made_here) != manifest:
             store.begin(manifest, sources)
         store.sweep()
         done, kept = 0, 0
-        for wanted in rounds(campaign, len(cells), neighbours([cell.levels for cell in cells]), store.rows):
+        for wanted in rounds(campaign, len(cells), store.rows):
             waiting, damaged = _waiting(store, campaign, cells, wanted, progress)
             notes += damaged
             done, kept = done + len(waiting), kept + len(wanted) - len(waiting)
@@ -146,7 +128,7 @@ def _sources(
         whole = path.resolve()
         name = whole.relative_to(root).as_posix() if whole.is_relative_to(root) else path.name
         kept[name] = read_cad(path)
-    said = campaign.model_dump(mode="json", by_alias=True, exclude_none=True)
+    said = campaign.model_dump(mode="json", by_alias=True, exclude_none=True) if changes else {}
     return kept | {SOURCE: to_toml(said).encode() if changes else file.read_bytes()}
 
 
@@ -184,33 +166,26 @@ def _grown(
         raise SetupError(
             f"{store.folder}: begun by an earlier version of ltsim; begin anew with another --out, or with --force"
         )
-    left = list(cells)
-    kept = [next((cell for cell in left if cell.mark == old.mark), None) for old in manifest.cells]
-    if any(cell is None for cell in kept):
-        now, before = campaign.model_dump(mode="json", by_alias=True), manifest.settings
-        changed = [key for key in now if key not in GROWS and before.get(key) != now[key]] or ["the scenario"]
-        raise SetupError(
-            f"{file}: changed since this campaign began ({', '.join(changed)}); its rows in {store.folder} stay: "
-            f"continue with {store.folder / SOURCE}, or begin anew with another --out"
-        )
-    for cell in kept:
-        left.remove(cell)  # type: ignore[arg-type]
+    before, kept, left = manifest.settings, list[Cell](), list(cells)
+    for old in manifest.cells:
+        same = next((cell for cell in left if cell.mark == old.mark), None)
+        if same is None:
+            now = campaign.model_dump(mode="json", by_alias=True)
+            changed = [key for key in now if key not in GROWS and before.get(key) != now[key]] or ["the scenario"]
+            raise SetupError(
+                f"{file}: changed since this campaign began ({', '.join(changed)}); its rows in {store.folder} stay: "
+                f"continue with {store.folder / SOURCE}, or begin anew with another --out"
+            )
+        left.remove(same)
+        kept.append(same)
     if [*manifest.cells[0].levels] != [*cells[0].levels]:
         raise SetupError(
             f"{file}: varies {', '.join(cells[0].levels) or 'nothing'}, the campaign in {store.folder} "
             f"{', '.join(manifest.cells[0].levels) or 'nothing'}: a further factor needs another --out"
         )
-    before = manifest.settings
-    more = {
-        "trials": max(campaign.trials, manifest.trials),
-        "statistics": tuple(dict.fromkeys((*before.get("statistics", ()), *campaign.statistics))),
-    }
-    return campaign.model_copy(update=more), (*(cell for cell in kept if cell is not None), *left)
-
-
-def _without_place(manifest: ManifestFile) -> ManifestFile:
-    """What of a manifest decides the rows."""
-    return manifest.model_copy(update={"commit": None, "processor": "", "versions": {}})
+    statistics = tuple(dict.fromkeys((*before.get("statistics", ()), *campaign.statistics)))
+    more = {"trials": max(campaign.trials, manifest.trials), "statistics": statistics}
+    return campaign.model_copy(update=more), (*kept, *left)
 
 
 def _check_same(store: Store) -> list[str]:
@@ -223,24 +198,17 @@ def _check_same(store: Store) -> list[str]:
                 f"{store.folder}: begun with {name} {then.get(name)}, this is {today[name]}, whose rows may differ; "
                 "continue with the same version, or begin anew with another --out"
             )
-    notes, (begun, now_at) = [], (manifest.commit, commit())
-    if begun != now_at:
-        notes.append(f"begun at commit {begun}, continued at {now_at}; where the solver changed, rows may differ")
-    built, here = manifest.processor, processor()
-    if built != here:
+    notes = []
+    if (begun := manifest.commit) != (now := commit()):
+        notes.append(f"begun at commit {begun}, continued at {now}; where the solver changed, rows may differ")
+    if (built := manifest.processor) != (here := processor()):
         notes.append(f"begun on a processor of type {built}, continued on {here}; last digits of rows may differ")
     return [f"{store.folder}: {note}" for note in notes]
 
 
 def _versions() -> dict[str, str]:
     """Versions of everything that decides a row's bytes."""
-    found = {"python": platform.python_version()}
-    for name in DECIDING:
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:
-            found[name] = "unknown"
-    return found
+    return {"python": platform.python_version()} | {name: version(name) for name in DECIDING}
 
 
 def processor() -> str:
@@ -250,18 +218,11 @@ def processor() -> str:
 
 def commit() -> str | None:
     """The commit of the checkout that the package runs from; None where it is no checkout."""
+    command, place = ["git", "rev-parse", "HEAD"], Path(__file__).parent
     try:
-        done = subprocess.run(
-            ["git", "rev-parse", "HEAD"],
-            cwd=Path(__file__).parent,
-            capture_output=True,
-            text=True,
-            timeout=10,
-            check=False,
-        )
-    except (OSError, subprocess.TimeoutExpired):
+        return subprocess.run(command, cwd=place, capture_output=True, text=True, timeout=10, check=True).stdout.strip()
+    except (OSError, subprocess.SubprocessError):
         return None
-    return done.stdout.strip() or None if done.returncode == 0 else None
 
 
 def _manifest(campaign: Campaign, factors: Sequence[Factor], cells: Sequence[Cell]) -> ManifestFile:
@@ -289,7 +250,7 @@ def _waiting(
 ) -> tuple[list[Task], list[str]]:
     """Shards to be done of those that are wanted; those that are damaged are set aside and done again."""
     waiting, notes, known = [], [], store.digests()
-    numbers = dict.fromkeys(cell for cell, _ in wanted)
+    numbers = {cell for cell, _ in wanted}
     first = {k: task_of(campaign, cells[k].scenario, cells[k].mark, k, 0, cells[k].judge) for k in numbers}
     for cell, shard in wanted:
         task = replace(first[cell], shard=shard)
@@ -306,18 +267,13 @@ def _waiting(
 
 def _results(tasks: list[Task], workers: Workers) -> Iterator[tuple[Task, bytes]]:
     """Shards as they are finished, in any order."""
-    calls = ((task,) for task in tasks)
     if workers.backend == "local":
         jobs = min(workers.jobs, max(len(tasks), 1))
-        yield from parallel(_labelled, calls, jobs, ordered=False)
+        yield from parallel(run_task, ((task,) for task in tasks), jobs, ordered=False)
         return
     with _cluster(workers):
         pool = Parallel(n_jobs=-1, return_as="generator_unordered", batch_size=1)
-        yield from pool(delayed(_labelled)(*call) for call in calls)
-
-
-def _labelled(task: Task) -> tuple[Task, bytes]:
-    return task, run_task(task)
+        yield from pool(delayed(run_task)(task) for task in tasks)
 
 
 @contextmanager

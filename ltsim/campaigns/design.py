@@ -14,8 +14,7 @@ from ltsim.arrays import Floats
 from ltsim.randomness import stream
 from ltsim.recording.result_file import Entry
 from ltsim.recording.setup import Finite, Section
-from ltsim.simulation.keys import Kind, kind_of, unit_of, value_at
-from ltsim.simulation.scenario import Scenario
+from ltsim.simulation.keys import Kind, kind_of, value_at
 from ltsim.units import unit_of_key
 
 TAKEN = frozenset(
@@ -107,16 +106,6 @@ class Factor(Entry):
         if isinstance(level, bool):
             text = "yes" if level else "no"
         return f"{text} {self.unit}" if self.unit and not unit_of_key(self.name) and level is not None else text
-
-
-def factors_of(names: Sequence[str], link: Mapping[str, Sequence[str]], scenario: Scenario) -> tuple[Factor, ...]:
-    """The factors of what a campaign file varies: dotted keys, or names of `[link]`."""
-    given = {name: tuple(link.get(name, (name,))) for name in names}
-    titles = short_names(names)
-    return tuple(
-        Factor(name=titles[name], keys=keys, unit=unit_of(scenario, keys[0]), kind=kind_of(keys[0]))
-        for name, keys in given.items()
-    )
 
 
 def short_names(keys: Sequence[str]) -> dict[str, str]:

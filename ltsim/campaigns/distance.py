@@ -5,7 +5,8 @@ exact at each trial's own readings and parameters, so the iteration ends at the 
 are estimated and how many are left at zero is decided once, at the nominal network.
 
 Least absolute deviations take each step from a linear program with the trial's own matrix and combinations: an edge of
-the program may be longer than what the matrices of two trials differ by.
+the program may be longer than what the matrices of two trials differ by. Equation 9 as printed leaves no combination at
+zero that changes a compared distance at all; weak ones move far, so each step takes the trial's own matrix too.
 """
 
 from __future__ import annotations
@@ -18,15 +19,13 @@ import numpy as np
 from ltsim.adjustment.prior import prior_sigmas
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.calibration.distance import METHODS
-from ltsim.calibration.distance_solver import Estimate, Rows, mean_rows, pair_rows, solve_distances
+from ltsim.calibration.distance_solver import Estimate, Rows, mean_rows, pair_rows, solve_distances, solve_equation_9
 from ltsim.calibration.objective import DistanceProblem, Distances
-from ltsim.campaigns.cloud_kernels import station_means
-from ltsim.campaigns.distance_kernels import distance_forces
-from ltsim.campaigns.engine import STATUSES, Calibrated, Engine
+from ltsim.campaigns.cloud_kernels import distance_forces, station_means
+from ltsim.campaigns.engine import FAILED, FULL, STATUSES, Calibrated, Engine, Single
 from ltsim.campaigns.kernels import points_of, pull_points
 from ltsim.campaigns.network import BatchFit
 from ltsim.campaigns.program import ChainProgram
-from ltsim.campaigns.single import Single
 from ltsim.campaigns.truth import Block, Truth
 from ltsim.effects.effect import Effect
 from ltsim.evaluation.clouds import on_points
@@ -34,7 +33,8 @@ from ltsim.geometry.polar import wrap
 from ltsim.model.construction import Construction, ideal
 from ltsim.solve.absolute import least_absolute
 
-CAP = 10
+CAP, CAP_OF_WEAK = 10, 30
+"""Steps at most; the second where weak combinations move by least squares."""
 CLOSED = 3e-5
 """Converged when no unknown moves by more than this share of its prior sigma; what remains is a hundredth of it."""
 
@@ -46,9 +46,19 @@ class BatchDistance:
     truth: Truth
     construction: Construction
     method: str = "distance"
-    """`distance`: least squares; `distance-l1`: least absolute deviations."""
+    """`distance` or `equation-9`, by least squares; with `-l1` by least absolute deviations."""
     effects: tuple[Effect, ...] = ()
     """None: the method estimates instrument parameters only."""
+
+    @property
+    def absolute(self) -> bool:
+        """By least absolute deviations."""
+        return self.method.endswith("-l1")
+
+    @property
+    def as_printed(self) -> bool:
+        """Every combination that the objective sees is estimated."""
+        return self.method.startswith("equation-9")
 
     @cached_property
     def single(self) -> Single:
@@ -64,6 +74,8 @@ class BatchDistance:
     @cached_property
     def estimate(self) -> Estimate:
         """What the estimator gives at nominal readings: zero, its covariance, and what it leaves out."""
+        if self.as_printed:
+            return solve_equation_9(self.problem, "absolute" if self.absolute else "squares")
         return solve_distances(self.problem, METHODS[self.method])
 
     @cached_property
@@ -115,7 +127,7 @@ class BatchDistance:
 
     def calibrate(self, block: Block, wanted: Ints) -> Calibrated:
         """Calibrate a block; trials with a suspect pointing, or that do not converge, go to the single calibrator."""
-        values, moved = self._squares(block, wanted) if self.method == "distance" else self._absolute(block, wanted)
+        values, moved = self._squares(block) if self.method == "distance" else self._one_by_one(block, wanted)
         fit = self._adjusted(block, values)
         spread = np.sqrt(np.diag(self.estimate.covariance)).reshape(values.shape[:2]) * self.problem.prior_sigma
         status = np.zeros(len(moved), dtype=np.int64)
@@ -126,10 +138,11 @@ class BatchDistance:
             one_by_one = self.single.calibrate(block, places)
             for trial in places.tolist():
                 found.take(trial, one_by_one, trial)
-            status[places] = np.where(one_by_one.status[places] == 0, STATUSES.index("full solver"), 2)
+            lost = one_by_one.status[places] != 0
+            status[places] = np.where(lost, STATUSES.index(FAILED), STATUSES.index(FULL))
         return found
 
-    def _squares(self, block: Block, wanted: Ints) -> tuple[Floats, Floats]:
+    def _squares(self, block: Block) -> tuple[Floats, Floats]:
         """Parameters (I, p, B) [SI], and the largest last move (B,) in prior sigmas."""
         deviation, prior = block.deviation, self.problem.prior_sigma[:, :, None]
         sets, seen, share, gauge = self._membership
@@ -138,13 +151,13 @@ class BatchDistance:
         values = np.zeros((*self.problem.prior_sigma.shape, trials))
         points, moved = np.empty(deviation.shape), np.full(trials, np.inf)
         for _ in range(CAP):
-            points_of(self._program.arrays, recording.instrument, deviation, values, points)
+            points_of(self._program, recording.instrument, deviation, values, points)
             clouds = np.zeros((*seen.shape, 3, trials))
             station_means(points, sets, recording.target, share, clouds)
             forces, gradient = np.zeros_like(clouds), np.zeros_like(values)
             distance_forces(clouds, seen, gauge, length, forces, np.zeros(trials))
             membership = (recording.instrument, sets, recording.target, share)
-            pull_points(self._program.arrays, *membership, deviation, values, forces, gradient)
+            pull_points(self._program, *membership, deviation, values, forces, gradient)
             step = self.step_matrix @ (gradient * prior).reshape(-1, trials)
             values += step.reshape(values.shape) * prior
             moved = np.abs(step).max(axis=0)
@@ -152,28 +165,27 @@ class BatchDistance:
                 break
         return values, moved
 
-    def _absolute(self, block: Block, wanted: Ints) -> tuple[Floats, Floats]:
-        """The same by least absolute deviations, for the wanted trials; the others have not moved at all (inf)."""
+    def _one_by_one(self, block: Block, wanted: Ints) -> tuple[Floats, Floats]:
+        """The same for the wanted trials, each by its own matrix; the others have not moved at all (inf)."""
         prior, trials = self.problem.prior_sigma[:, :, None], block.deviation.shape[2]
         unknowns, moved = np.zeros((self.problem.prior_sigma.size, trials)), np.full(trials, np.inf)
-        kept = {int(trial): self._own(self._readings(block, trial)) for trial in wanted}
-        for iteration in range(CAP):
+        readings = {trial: self.truth.recording.readings + block.deviation[:, :, trial] for trial in wanted.tolist()}
+        kept = {trial: self._kept if self.as_printed else self._own(own) for trial, own in readings.items()}
+        for iteration in range(CAP if self.absolute else CAP_OF_WEAK):
             active = wanted[moved[wanted] >= CLOSED]
             if not len(active):
                 break
             residual = self._residual(block, unknowns[:, active].reshape(*prior.shape[:2], -1) * prior, active)
             for gap, trial in zip(residual.T, active.tolist(), strict=True):
-                by_unknown = self.problem.by_parameter(self._readings(block, trial), unknowns[:, trial])
+                by_unknown = self.problem.by_parameter(readings[trial], unknowns[:, trial])
                 design = self._pair_rows.compare @ (by_unknown @ kept[trial])
-                # Every step but the first is short.
-                near = np.zeros(design.shape[1]) if iteration else None
-                step = kept[trial] @ least_absolute(design, -gap, near=near)
-                unknowns[:, trial] += step
-                moved[trial] = np.abs(step).max()
+                if self.absolute:  # every step but the first is short
+                    step = least_absolute(design, -gap, near=np.zeros(design.shape[1]) if iteration else None)
+                else:
+                    step = np.linalg.solve(design.T @ design, -design.T @ gap)
+                unknowns[:, trial] += kept[trial] @ step
+                moved[trial] = np.abs(kept[trial] @ step).max()
         return unknowns.reshape(*prior.shape[:2], trials) * prior, moved
-
-    def _readings(self, block: Block, trial: int) -> Floats:
-        return self.truth.recording.readings + block.deviation[:, :, trial]
 
     def _own(self, readings: Floats) -> Floats:
         """A trial's combinations (q, k): those of its objective's axes that are nearest to what is estimated."""
@@ -186,7 +198,7 @@ class BatchDistance:
         """The terms of eq. 9 (R, B) of some trials at their parameters (I, p, B)."""
         deviation, values = (np.ascontiguousarray(a) for a in (block.deviation[:, :, trials], values))
         points = np.empty(deviation.shape)
-        points_of(self._program.arrays, self.truth.recording.instrument, deviation, values, points)
+        points_of(self._program, self.truth.recording.instrument, deviation, values, points)
         change = self.problem.lengths(points) - self._distances.length[:, None]
         rows, gauge = self._pair_rows, self.problem.gauge
         stated = gauge.whitened(block.gauge_error[:, trials])
@@ -197,7 +209,7 @@ class BatchDistance:
         """The network of the corrected readings."""
         deviation = block.deviation
         points = np.empty(deviation.shape)
-        points_of(self._program.arrays, self.truth.recording.instrument, deviation, values, points)
+        points_of(self._program, self.truth.recording.instrument, deviation, values, points)
         x, y, z = points[:, 0], points[:, 1], points[:, 2]
         flat = np.hypot(x, y)
         back = (self.truth.recording.face == 2)[:, None]

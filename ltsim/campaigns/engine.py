@@ -1,4 +1,4 @@
-"""Batched trials: draw, calibrate, judge. What a block of trials gives is a table of columns.
+"""Calibrators of blocks of trials: the one that users have, recording after recording, and the batched network.
 
 Where the time of a trial goes (paper's workshop: 420 readings, 130 unknowns, one core): see benchmarks/README.md.
 """
@@ -8,13 +8,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.adjustment.datum import InnerDatum
 from ltsim.arrays import Bools, Floats, Ints
-from ltsim.campaigns.judge import Columns, Judge
+from ltsim.calibration import calibrate_distance, calibrate_network
 from ltsim.campaigns.network import BatchNetwork
 from ltsim.campaigns.truth import Block, Truth
 from ltsim.effects.effect import Effect
@@ -22,7 +23,6 @@ from ltsim.errors import LtsimError
 from ltsim.evaluation.clouds import on_points
 from ltsim.geometry.rigid import rigid_motion
 from ltsim.model.construction import Construction
-from ltsim.randomness import BLOCK
 from ltsim.recording.lengths import KnownLengths
 from ltsim.recording.recording import Recording
 from ltsim.simulation.simulator import certified_by
@@ -31,9 +31,8 @@ SUSPECT = 0.6e-3
 SUSPECT_FACTOR = 10.0
 """A pointing this far off [m], and this many times further than the usual one, the full solver may screen out."""
 
-CONVERGED, FULL, FAILED = "converged", "full solver", "failed"
+STATUSES = CONVERGED, FULL, FAILED = "converged", "full solver", "failed"
 """Status of a trial: in the batch; by the full solver, since the batch was not enough; not at all."""
-STATUSES = (CONVERGED, FULL, FAILED)
 
 
 @dataclass(frozen=True)
@@ -43,7 +42,7 @@ class Calibrated:
     values: Floats
     """(I, p, B) [SI]."""
     sigma: Floats
-    """(I, p) [SI]: predicted standard deviations."""
+    """(I, p) or (I, p, B) [SI]: predicted standard deviations."""
     points: Floats
     """(T, 3, B) [m]: adjusted targets less true ones, in any frame; NaN where the method gives none."""
     chi2: Floats
@@ -78,6 +77,28 @@ class Calibrated:
         self.chi2[trial], self.status[trial] = adjustment.chi2, STATUSES.index(status)
         if len(self.extra):
             self.extra[:, trial] = adjustment.state.extra
+
+
+class Calibrator(Protocol):
+    """What a campaign needs of a method."""
+
+    @property
+    def construction(self) -> Construction:
+        """Whose parameters are estimated."""
+        ...
+
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """Further effects that are estimated."""
+        ...
+
+    def calibrate(self, block: Block, wanted: Ints) -> Calibrated:
+        """Calibrate a block; trials that are not wanted may be left out (NaN)."""
+        ...
+
+    def difference(self, block: Block, trial: int, found: Calibrated) -> float:
+        """Largest difference [sigma] of a trial from the calibrator that users have; NaN where that is itself."""
+        ...
 
 
 def recording_of(truth: Truth, block: Block, trial: int) -> Recording:
@@ -115,6 +136,55 @@ def suspects(deviation: Floats, local: Floats) -> Bools:
 
 
 @dataclass(frozen=True)
+class Single:
+    """One recording after the other, by the calibrator that users have."""
+
+    truth: Truth
+    construction: Construction
+    effects: tuple[Effect, ...]
+    method: str
+    applied: bool = False
+    """What is taken out of readings stands in place of the estimates, which keep their sigmas."""
+
+    def calibrate(self, block: Block, wanted: Ints) -> Calibrated:
+        """Calibrate the wanted trials of a block."""
+        found = Calibrated.none(self.truth, self.construction, self.effects, block.deviation.shape[2])
+        for trial in wanted.tolist():
+            try:
+                adjustment, values, sigma = self._one(recording_of(self.truth, block, trial))
+            except LtsimError:
+                continue
+            if adjustment is None or not np.all(np.isfinite(values)):
+                continue
+            found.values[:, :, trial], found.sigma[:, :, trial] = values, sigma
+            if self.effects:
+                found.extra_sigma[:, trial] = np.sqrt(np.diag(adjustment.extra_covariance))
+            found.put(trial, adjustment, self.truth.state.points, CONVERGED)
+        return found
+
+    def _one(self, recording: Recording) -> tuple[Adjustment | None, Floats, Floats]:
+        """The adjustment of a recording, its instruments' parameters and their standard deviations (I, p) [SI]."""
+        if self.applied:
+            calibration = calibrate_network(recording, self.construction, advise=False)
+            return calibration.adjustment, calibration.applied, calibration.sigma
+        if self.method == "network":
+            adjustment = adjust(recording, self.construction, effects=self.effects)
+            adjustment.solution.require_success()
+            return adjustment, adjustment.state.instrument, network_sigma(adjustment)
+        calibration = calibrate_distance(recording, self.construction, method=self.method, advise=False)
+        return calibration.adjustment, calibration.values, calibration.sigma
+
+    def difference(self, block: Block, trial: int, found: Calibrated) -> float:
+        """It is what others are compared with."""
+        return float("nan")
+
+
+def network_sigma(adjustment: Adjustment) -> Floats:
+    """Standard deviations (I, p) [SI] of the instruments' parameters."""
+    return np.sqrt(np.diag(adjustment.kept_covariance)[adjustment.problem.unknowns.instrument])
+
+
+@dataclass(frozen=True)
 class Engine:
     """Network calibrations of trials that share a geometry."""
 
@@ -138,32 +208,27 @@ class Engine:
 
     def calibrate(self, block: Block, wanted: Ints | None = None) -> Calibrated:
         """Calibrate a block whole; trials for which the batch is not enough go to the full solver."""
-        fit = self.network.fit(block.deviation, block.gauge_error)
-        status = np.zeros(len(fit.chi2), dtype=np.int64)
-        network = self.network
-        found = Calibrated(
-            fit.values, network.sigma_values, fit.points, fit.chi2, status, fit.extra, network.sigma_extra[:, None]
-        )
-        for trial in np.flatnonzero(~fit.converged | self.suspect(block.deviation)):
-            self._by_full_solver(block, int(trial), found)
+        network, fit = self.network, self.network.fit(block.deviation, block.gauge_error)
+        status, sigma = np.zeros(len(fit.chi2), dtype=np.int64), network.sigma_values
+        found = Calibrated(fit.values, sigma, fit.points, fit.chi2, status, fit.extra, network.sigma_extra[:, None])
+        for trial in np.flatnonzero(~fit.converged | self.suspect(block.deviation)).tolist():
+            adjustment = self.full(block, trial)
+            if adjustment is None:
+                status[trial] = STATUSES.index(FAILED)
+                for array in (found.values, found.points, found.chi2, found.extra):
+                    array[..., trial] = np.nan
+            else:
+                found.values[:, :, trial] = adjustment.state.instrument
+                found.put(trial, adjustment, self.truth.state.points, FULL)
         return found
 
-    def _by_full_solver(self, block: Block, trial: int, found: Calibrated) -> None:
-        adjustment = self.full(block, trial)
-        if adjustment is None or not adjustment.solution.converged:
-            found.status[trial] = STATUSES.index(FAILED)
-            for array in (found.values, found.points, found.chi2, found.extra):
-                array[..., trial] = np.nan
-            return
-        found.values[:, :, trial] = adjustment.state.instrument
-        found.put(trial, adjustment, self.truth.state.points, FULL)
-
     def full(self, block: Block, trial: int) -> Adjustment | None:
-        """One trial by the full solver, from its readings alone; None where it gives up."""
+        """One trial by the full solver, from its readings alone; None where it does not converge."""
         try:
-            return adjust(recording_of(self.truth, block, trial), self.construction, effects=self.effects)
+            found = adjust(recording_of(self.truth, block, trial), self.construction, effects=self.effects)
         except LtsimError:
             return None
+        return found if found.solution.converged else None
 
     def difference(self, block: Block, trial: int, found: Calibrated) -> float:
         """Largest difference [sigma] of a calibrated trial from the full solver's, over parameters and targets.
@@ -171,7 +236,7 @@ class Engine:
         Targets are compared after a rigid fit, by their standard deviations in that frame. NaN for a failed one.
         """
         adjustment = self.full(block, trial)
-        if adjustment is None or not adjustment.solution.converged:
+        if adjustment is None:
             return float("nan")
         values = np.abs(adjustment.state.instrument - found.values[:, :, trial]) / found.sigma
         batch = self.truth.state.points + found.points[:, :, trial]
@@ -188,68 +253,3 @@ class Engine:
         datum = InnerDatum.tied_to(rigid_motion(points, points.mean(axis=0)), columns, covariance.__matmul__)
         blocks = datum.transformed(covariance[columns[:, :, None], columns[:, None, :]], columns)
         return np.sqrt(np.einsum("tii->ti", blocks))
-
-
-@dataclass(frozen=True)
-class Bench:
-    """Judges any method on the blocks of a truth; what does not depend on the method is computed once a block."""
-
-    truth: Truth
-
-    @cached_property
-    def judge(self) -> Judge:
-        """The judge of this truth's network."""
-        truth = self.truth
-        return Judge(truth.recording, truth.state, truth.program_of, truth.recorded)
-
-    def nowhere(self, trials: int) -> Floats:
-        """Points (T, 3, B) of a method that adjusted none here."""
-        return np.full((*self.truth.state.points.shape, trials), np.nan)
-
-    def before(self, block: Block) -> Columns:
-        """Columns that all methods share: criteria and error before, error with the true parameters."""
-        raw = self.judge.clouds(block.deviation)
-        perfect = self.judge.clouds(block.deviation, self.truth.construction, block.values)
-        columns: Columns = self.judge.criteria(raw, "before") if self.judge.comparable else {}
-        columns["error_raw_um"] = self.judge.cloud_error(raw)
-        columns["error_true_parameters_um"] = self.judge.cloud_error(perfect)
-        return columns
-
-    def after(
-        self, block: Block, found: Calibrated, construction: Construction, effects: Sequence[Effect] = ()
-    ) -> Columns:
-        """Columns of a method: criteria and errors after its parameters and the effects that it estimated."""
-        deviation = block.deviation
-        if effects:
-            deviation = deviation - np.einsum("ncqb,qb->ncb", self.truth.design_of(tuple(effects)), found.extra)
-        calibrated = self.judge.clouds(deviation, construction, found.values)
-        columns: Columns = self.judge.criteria(calibrated, "after") if self.judge.comparable else {}
-        columns["error_calibrated_um"] = self.judge.cloud_error(calibrated)
-        columns["target_error_um"] = self.judge.target_error(found.points)
-        return columns
-
-
-def parameter_columns(construction: Construction, instruments: tuple[str, ...], values: Floats, prefix: str) -> Columns:
-    """Parameters (I, p, B) [SI] as columns in display units: ``estimate:beam-tilt``, with ``@name`` of several."""
-    names = construction.names_of(instruments)
-    shown = (values / np.array([p.factor for p in construction.parameters])[:, None]).reshape(-1, values.shape[2])
-    return {f"{prefix}:{name}": own for name, own in zip(names, shown, strict=True)}
-
-
-def effect_columns(effects: Sequence[Effect], values: Floats, prefix: str) -> Columns:
-    """Parameters (q, B) [SI] of effects in display units, with place and number: ``true:head-sag:sag S2``."""
-    columns: Columns = {}
-    rows = iter(values)
-    for effect in effects:
-        for parameter in effect.parameters:
-            name = f"{prefix}:{effect.name}:{parameter.name}" + (f" {effect.place}" if effect.place else "")
-            again = sum(known == name or known.startswith(f"{name} #") for known in columns)
-            columns[f"{name} #{again + 1}" if again else name] = next(rows) / (
-                1.0 if prefix == "z" else parameter.factor
-            )
-    return columns
-
-
-def trials_of(number: int) -> Ints:
-    """Numbers (B,) of a block's trials."""
-    return BLOCK * number + np.arange(BLOCK)

@@ -58,10 +58,7 @@ def checked_command(command: str) -> list[str]:
 def estimates_by(calibrator: Calibrator, recording: Recording, where: str) -> dict[str, Estimate] | None:
     """What a calibrator makes of a recording; None where it ends without a result (another status than 0, None).
 
-    Raises
-    ------
-    SetupError, RecordError
-        When it cannot be started, or what it gives is not as documented; `where` is named.
+    Raises SetupError or RecordError, naming `where`, when it cannot be started or gives what is not as documented.
     """
     if not isinstance(calibrator, str):
         given = calibrator(recording)
@@ -79,9 +76,7 @@ def estimates_by(calibrator: Calibrator, recording: Recording, where: str) -> di
             return None
         try:
             content = json.loads((out / "calibration.json" if out.is_dir() else out).read_text(encoding="utf-8"))
-            listed = {
-                entry["name"]: [entry["value"], entry.get("sigma"), entry["unit"]] for entry in content["parameters"]
-            }
+            listed = {e["name"]: [e["value"], e.get("sigma"), e["unit"]] for e in content["parameters"]}
         except (OSError, ValueError, KeyError, TypeError) as problem:
             raise RecordError(f"no list of parameters with name, value and unit ({problem!r})", file=where) from None
         return _checked(listed, where)

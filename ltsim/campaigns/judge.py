@@ -5,8 +5,8 @@ The same quantities as in `ltsim.evaluation`, which judges one recording at a ti
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -23,11 +23,11 @@ from ltsim.campaigns.cloud_kernels import (
     station_means,
     to_network,
 )
+from ltsim.campaigns.engine import Calibrated
 from ltsim.campaigns.kernels import points_of
-from ltsim.campaigns.program import ChainProgram
+from ltsim.campaigns.truth import Block, Truth
+from ltsim.effects.effect import Effect
 from ltsim.model.construction import Construction, ideal
-from ltsim.model.measurement import State
-from ltsim.recording.recording import Recording
 
 FLAT = 1e-3
 """Targets that are this near to one line, as a share of their spread along it, do not fix a rotation."""
@@ -38,25 +38,16 @@ Columns = dict[str, NDArray[Any]]
 
 @dataclass(frozen=True)
 class Judge:
-    """Judges trials of one network."""
+    """Judges any method on the blocks of a truth; what does not depend on the method is computed once a block."""
 
-    recording: Recording
-    """With nominal readings."""
-    state: State
-    """The truth: poses and targets; of trials with geometries of their own, which fix the same frames, a last index is
-    the trial.
-    """
-    program_of: Callable[[Construction], ChainProgram]
-    """Gives the chain of a construction around the nominal readings."""
-    recorded: Bools = field(default_factory=lambda: np.ones(3, dtype=bool))
-    """(3,): which of range, azimuth and elevation are recorded."""
+    truth: Truth
 
     @cached_property
     def seen(self) -> Bools:
         """(S, T) which station measured which target whole."""
-        seen = np.zeros((len(self.state.position), len(self.state.points)), dtype=np.bool_)
+        seen = np.zeros((len(self.truth.state.position), len(self.truth.state.points)), dtype=np.bool_)
         whole = self._whole
-        seen[self.recording.station[whole], self.recording.target[whole]] = True
+        seen[self.truth.recording.station[whole], self.truth.recording.target[whole]] = True
         return seen
 
     @cached_property
@@ -80,13 +71,13 @@ class Judge:
     @property
     def _whole(self) -> Bools:
         """(n,) pointings with all three readings."""
-        return np.asarray(self.recording.measured.all(axis=1) & self.recorded.all())
+        return np.asarray(self.truth.recording.measured.all(axis=1) & self.truth.recorded.all())
 
     @cached_property
     def _share(self) -> Floats:
         """One over the number of pointings that a pointing's mean is taken over; 0 for one not whole."""
         whole = self._whole
-        key = self.recording.station * len(self.state.points) + self.recording.target
+        key = self.truth.recording.station * len(self.truth.state.points) + self.truth.recording.target
         count = np.bincount(key[whole], minlength=self.seen.size)[key]
         return np.where(whole, 1.0 / np.maximum(count, 1), 0.0)
 
@@ -95,25 +86,15 @@ class Judge:
     ) -> Floats:
         """Means (S, T, 3, B) [m] over faces and repeats of the points that readings describe, in the nominal frame.
 
-        Raw without a construction.
-
-        Parameters
-        ----------
-        deviation : (n, 3, B) float
-            Readings less nominal readings.
-        construction, values : (I, p, B)
-            What corrects them.
+        `deviation` (n, 3, B) is readings less nominal readings, corrected by a construction's `values` (I, p, B).
         """
-        trials = deviation.shape[2]
+        recording, trials = self.truth.recording, deviation.shape[2]
         if construction is None or values is None:
-            program, values = self.program_of(ideal()), np.zeros((len(self.recording.instruments), 0, trials))
-        else:
-            program = self.program_of(construction)
-        points = np.empty(deviation.shape)
-        points_of(program.arrays, self.recording.instrument, deviation, values, points)
-        clouds = np.zeros((*self.seen.shape, 3, trials))
-        station_means(points, self.recording.station, self.recording.target, self._share, clouds)
-        to_network(clouds, np.ascontiguousarray(self.state.rotation), self.state.position)
+            construction, values = ideal(), np.zeros((len(recording.instruments), 0, trials))
+        points, clouds = np.empty(deviation.shape), np.zeros((*self.seen.shape, 3, trials))
+        points_of(self.truth.program_of(construction), recording.instrument, deviation, values, points)
+        station_means(points, recording.station, recording.target, self._share, clouds)
+        to_network(clouds, np.ascontiguousarray(self.truth.state.rotation), self.truth.state.position)
         return clouds
 
     def criteria(self, clouds: Floats, suffix: str) -> Columns:
@@ -135,7 +116,7 @@ class Judge:
 
     def _truth(self, trials: int) -> Floats:
         """True targets (T, 3, B)."""
-        points = self.state.points
+        points = self.truth.state.points
         return points if points.ndim == 3 else np.ascontiguousarray(np.repeat(points[:, :, None], trials, axis=2))
 
     def cloud_error(self, clouds: Floats) -> Floats:
@@ -171,3 +152,25 @@ class Judge:
         rigid_fit(truth + points, truth, use, moved)
         count = add_square_error(moved, truth, use, total)
         return MICRO * np.sqrt(total / count)
+
+    def before(self, block: Block) -> Columns:
+        """Columns that all methods share: criteria and error before, error with the true parameters."""
+        raw = self.clouds(block.deviation)
+        perfect = self.clouds(block.deviation, self.truth.construction, block.values)
+        columns: Columns = self.criteria(raw, "before") if self.comparable else {}
+        columns["error_raw_um"] = self.cloud_error(raw)
+        columns["error_true_parameters_um"] = self.cloud_error(perfect)
+        return columns
+
+    def after(
+        self, block: Block, found: Calibrated, construction: Construction, effects: Sequence[Effect] = ()
+    ) -> Columns:
+        """Columns of a method: criteria and errors after its parameters and the effects that it estimated."""
+        deviation = block.deviation
+        if effects:
+            deviation = deviation - np.einsum("ncqb,qb->ncb", self.truth.design_of(tuple(effects)), found.extra)
+        calibrated = self.clouds(deviation, construction, found.values)
+        columns: Columns = self.criteria(calibrated, "after") if self.comparable else {}
+        columns["error_calibrated_um"] = self.cloud_error(calibrated)
+        columns["target_error_um"] = self.target_error(found.points)
+        return columns

@@ -9,12 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from ltsim.calibration import Calibration
-from ltsim.calibration.verbs import correct
+from ltsim.calibration import Calibration, correct
 from ltsim.campaigns.spec import JUDGE, judge_of
 from ltsim.evaluation.clouds import measured_points
 from ltsim.evaluation.share_removed import ShareRemoved, cloud_error
-from ltsim.results import Column, Result, Table
+from ltsim.results import Result, Table, numbers, texts
 from ltsim.simulation.fieldwork import fieldwork
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.simulator import measure
@@ -25,11 +24,14 @@ JUDGED = Table(
     "new_points.csv",
     "errors of points that no calibration used, rms over stations and points, the new readings' noise in them",
     (
-        Column("calibration", "its name", "text"),
-        Column("error_raw_um", "readings as they are", shown=".1f"),
-        Column("error_calibrated_um", "readings corrected as found", shown=".1f"),
-        Column("error_true_parameters_um", "readings corrected by the true parameters: the floor", shown=".1f"),
-        Column("share_removed", "of the mean square above the floor", shown=".3f"),
+        *texts(calibration="its name"),
+        *numbers(
+            shown=".1f",
+            error_raw_um="readings as they are",
+            error_calibrated_um="readings corrected as found",
+            error_true_parameters_um="readings corrected by the true parameters: the floor",
+        ),
+        *numbers(shown=".3f", share_removed="of the mean square above the floor"),
     ),
 )
 

@@ -14,14 +14,11 @@ import numpy as np
 
 from ltsim.arrays import Floats, Ints
 from ltsim.campaigns.compiled import at, compiled, inlined
+from ltsim.campaigns.program import ChainProgram
 
 REACHED = 1e-9
 """[m, rad] Newton's method ends with a step below this: what remains is a factor of 1e-4 smaller."""
 STEPS = 8
-
-
-ChainArrays = tuple[Ints, Ints, Floats, Ints, Floats, Ints, Ints, Ints, Floats, Floats]
-"""`ChainProgram.arrays`."""
 
 
 @inlined
@@ -48,7 +45,7 @@ def _rotated(u: float, v: float, w: float, x: float, y: float, z: float) -> tupl
 
 
 @compiled
-def _amounts(i: int, chain: ChainArrays, deviation: Floats, values: Floats, out: Floats) -> None:
+def _amounts(i: int, chain: ChainProgram, deviation: Floats, values: Floats, out: Floats) -> None:
     """Deviation (M, B) of each motion's amount at pointing i for reading deviations (3, B) and values (p, B)."""
     _, _, sign, driven, _, first, fed, varies, basis, slope = chain
     trials = out.shape[1]
@@ -79,7 +76,7 @@ def _amounts(i: int, chain: ChainArrays, deviation: Floats, values: Floats, out:
 
 
 @compiled
-def _walk(i: int, chain: ChainArrays, moved: Floats, path: Floats) -> None:
+def _walk(i: int, chain: ChainProgram, moved: Floats, path: Floats) -> None:
     """Carry the point from the target inwards: path[m] (3, B) is the point behind motion m, path[0] the result."""
     turns, axis, _, _, amount, _, _, _, _, _ = chain
     trials = moved.shape[1]
@@ -111,7 +108,7 @@ def _walk(i: int, chain: ChainArrays, moved: Floats, path: Floats) -> None:
 @compiled
 def _pull_back(
     i: int,
-    chain: ChainArrays,
+    chain: ChainProgram,
     deviation: Floats,
     moved: Floats,
     path: Floats,
@@ -158,7 +155,7 @@ def _pull_back(
 
 @compiled
 def points_of(
-    chain: ChainArrays,
+    chain: ChainProgram,
     instrument: Ints,
     deviation: Floats,
     values: Floats,
@@ -178,7 +175,7 @@ def points_of(
 
 @compiled
 def readings_of(
-    chain: ChainArrays,
+    chain: ChainProgram,
     instrument: Ints,
     local: Floats,
     by_point: Floats,
@@ -215,7 +212,7 @@ def readings_of(
 
 @compiled
 def pull_points(
-    chain: ChainArrays,
+    chain: ChainProgram,
     instrument: Ints,
     owner: Ints,
     target: Ints,
@@ -244,7 +241,7 @@ def pull_points(
 
 @compiled
 def network_gradient(
-    chain: ChainArrays,
+    chain: ChainProgram,
     instrument: Ints,
     station: Ints,
     target: Ints,

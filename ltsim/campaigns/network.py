@@ -29,8 +29,7 @@ from ltsim.model.construction import Construction
 from ltsim.model.measurement import MeasurementModel, Prediction, State, sightings_of
 from ltsim.recording.recording import Recording
 from ltsim.solve.chain import inverse_of
-from ltsim.solve.design import as_dense
-from ltsim.solve.rank import cholesky_where_determined, unit_diagonal
+from ltsim.solve.design import as_dense, cholesky_where_determined, unit_diagonal
 
 CAP = 8
 RATE = 1e-3
@@ -43,8 +42,6 @@ TOLERANCE = 5e-5
 class BatchFit:
     """Adjusted trials; the last index is the trial."""
 
-    pose: Floats
-    """(S, 6, B): translation [m] and rotation vector [rad] from the nominal pose, network frame."""
     points: Floats
     """(T, 3, B) [m]: targets less nominal targets."""
     values: Floats
@@ -55,7 +52,6 @@ class BatchFit:
     """(B,)."""
     left: Floats
     """(B,): what the last step leaves of the way to the optimum, in standard deviations."""
-    iterations: int
 
     @property
     def converged(self) -> Bools:
@@ -160,10 +156,7 @@ class BatchNetwork:
     def root(self) -> tuple[Floats, Floats]:
         """Lower Cholesky factor (K, K) of the normal matrix of unit columns at the nominal state; their scale (K,).
 
-        Raises
-        ------
-        SetupError
-            When the network does not determine its unknowns.
+        Raises SetupError when the network does not determine its unknowns.
         """
         design = self._system[0]
         normal = (design.T @ design)[self.order[:, None], self.order]
@@ -248,19 +241,11 @@ class BatchNetwork:
         )
 
     def fit(self, deviation: Floats, gauge_error: Floats | None = None) -> BatchFit:
-        """Adjust trials.
-
-        Parameters
-        ----------
-        deviation : (n, 3, B) float, [m, rad, rad]
-            Readings less nominal readings.
-        gauge_error : (g, B) float, optional, [m]
-            Errors of the known lengths.
-        """
+        """Adjust trials with readings less nominal readings (n, 3, B) and errors of the known lengths (g, B) [m]."""
         x, predicted = self._linear_start(deviation, gauge_error)
         before = np.full(x.shape[1], np.inf)
         gradient, cost = np.empty_like(x), np.empty(x.shape[1])
-        for iteration in range(2, CAP + 1):  # noqa: B007 - its last value is reported
+        for _ in range(2, CAP + 1):
             self._gradient(x, deviation, gauge_error, predicted, gradient, cost)
             step = self.step(gradient)
             x += step
@@ -269,7 +254,7 @@ class BatchNetwork:
             if not np.any(left >= TOLERANCE):
                 break
             before = squared
-        return BatchFit(*self.split(x), cost - squared, left, iteration)
+        return BatchFit(*self.split(x)[1:], cost - squared, left)
 
     @cached_property
     def _start_matrices(self) -> tuple[Floats, Floats, Floats]:
@@ -310,7 +295,7 @@ class BatchNetwork:
         pose, points, values, _ = self.split(x)
         by_pose, by_points, by_values, by_extra = self.split(gradient)
         residual = np.empty(deviation.shape)
-        arrays = (self.program.arrays, *self._geometry, deviation, pose, points, values, predicted)
+        arrays = (self.program, *self._geometry, deviation, pose, points, values, predicted)
         network_gradient(*arrays, residual, by_pose, by_points, by_values, cost)
         if self.effects:
             whitened = self._extra_design / self.sigma[:, :, None]

@@ -23,10 +23,12 @@ Place = tuple[int, str]
 
 @dataclass(frozen=True)
 class Difference:
-    """Of a statistic between two methods or levels on the same draws, trial by trial: `first` less `second`."""
+    """Of a statistic between two methods or levels on the same draws, trial by trial: `first` less `second`.
+
+    `settings` are what both have in common; `low` and `high` bound the difference with 95 %.
+    """
 
     settings: Mapping[str, Any]
-    """What both have in common."""
     first: str
     second: str
     statistic: str
@@ -35,7 +37,6 @@ class Difference:
     difference: float
     low: float
     high: float
-    """95 % interval of the difference."""
 
     @property
     def sentence(self) -> str:

@@ -8,12 +8,11 @@ parameters of 10 urad, 1e-12 m at 5 m for 100 um and 100 urad.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from ltsim.arrays import Floats, Ints
-from ltsim.campaigns.kernels import ChainArrays
 from ltsim.kinematics.chain import Motion, Turn
 from ltsim.model.construction import Construction
 
@@ -21,9 +20,8 @@ PROBE = 1e-4
 """Step of the central difference that gives a basis' derivative: error 1e-9 of it."""
 
 
-@dataclass(frozen=True)
-class ChainProgram:
-    """M motions from the base outwards, n pointings, p parameters."""
+class ChainProgram(NamedTuple):
+    """M motions from the base outwards, n pointings, p parameters, in the order in which the kernels take them."""
 
     turns: Ints
     """(M,): 1 for a rotation, 0 for a translation."""
@@ -45,22 +43,6 @@ class ChainProgram:
     """(p, n)."""
     slope: Floats
     """(p, n, 3): derivative of the basis by the readings."""
-
-    @property
-    def arrays(self) -> ChainArrays:
-        """What a kernel takes, in its order."""
-        return (
-            self.turns,
-            self.axis,
-            self.sign,
-            self.driven,
-            self.amount,
-            self.first,
-            self.fed,
-            self.varies,
-            self.basis,
-            self.slope,
-        )
 
     @classmethod
     def of(cls, construction: Construction, raw: Floats) -> ChainProgram:
@@ -90,7 +72,7 @@ class ChainProgram:
             own = rows.reshape(rows.shape[0], rows.shape[1] // trials, trials, *rows.shape[2:])
             return np.ascontiguousarray(np.moveaxis(own, 2, -1))
 
-        return replace(self, amount=apart(self.amount), basis=apart(self.basis), slope=apart(self.slope))
+        return self._replace(amount=apart(self.amount), basis=apart(self.basis), slope=apart(self.slope))
 
 
 def _driven(motion: Motion) -> int:

@@ -21,6 +21,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from scipy import stats
@@ -28,7 +29,8 @@ from scipy import stats
 from ltsim.arrays import Floats
 from ltsim.calibration import Calibration, calibrate_distance, calibrate_network
 from ltsim.calibration.beside import Wanted
-from ltsim.campaigns.foreign import Calibrator, Estimate, estimates_by
+from ltsim.calibration.verbs import wanted
+from ltsim.campaigns.foreign import Calibrator, Estimate, checked_command, estimates_by
 from ltsim.campaigns.recovery_checks import (
     COVERED,
     FALSE_ALARM,
@@ -40,25 +42,24 @@ from ltsim.campaigns.recovery_checks import (
 )
 from ltsim.campaigns.schema import CHECKS, TRIALS, Errors
 from ltsim.campaigns.scoring import Trial, check_known, score, true_values
-from ltsim.errors import ConvergenceError, LtsimError, SetupError
-from ltsim.model.construction import Construction
+from ltsim.errors import ConvergenceError, LtsimError, SetupError, option, unknown_name
+from ltsim.model.construction import Construction, construction as construction_called
 from ltsim.recording import Recording
 from ltsim.results import Columns, Result, Table
 from ltsim.simulation.fieldwork import fieldwork
-from ltsim.simulation.physics import instrument_law
+from ltsim.simulation.physics import construction_of, instrument_law
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.simulator import measure, place_key
 from ltsim.simulation.truth import Truth
+from ltsim.simulation.verbs import ScenarioSource, scenario as scenario_of, simulate
 from ltsim.units import FACTOR, in_unit
 from ltsim.workers import parallel
 
 
-@dataclass(frozen=True)
-class Tolerance:
-    """What an error may be."""
+class Tolerance(NamedTuple):
+    """What an error may be: in the parameter's unit, and as it was given."""
 
     value: float
-    """In the parameter's unit."""
     words: str
 
 
@@ -196,55 +197,94 @@ class How:
 
 
 def recover(
+    source: ScenarioSource,
+    *,
+    trials: int = 200,
+    method: str = "network",
+    construction: str | None = None,
+    with_effects: Sequence[str] = (),
+    calibrator: Calibrator | None = None,
+    tolerance: Mapping[str, str] | None = None,
+    errors: Errors | None = None,
+    seed: int = 0,
+    jobs: int = 1,
+    progress: Callable[[int], None] = lambda trials: None,
+) -> Recovery:
+    """Make an instrument with errors, measure, calibrate, compare with the truth; many times.
+
+    Parameters
+    ----------
+    source : Scenario, str or Path
+    trials : int
+        How many recordings to simulate.
+    method, with_effects
+        Of ltsim's calibrator, as of `calibrate`.
+    construction : str, optional
+        Of ltsim's calibrator; by default that of the scenario.
+    calibrator : callable or str, optional
+        One of your own, checked beside ltsim's: a command ``CMD {recording} {out}`` that reads a recording and writes
+        parameters as JSON; in Python also a function that takes a recording and gives value, sigma (or None) and unit
+        of each parameter by name. Effects are named ``head-sag:sag``.
+    tolerance : mapping of str to str, optional
+        Within which 95 % of a parameter's errors should lie, as `2 urad` for `beam-tilt`; only such parameters are
+        checked then.
+    errors : {`drawn`, `stated`}, optional
+        Errors drawn from the prior, or as the scenario states them; default stated where it does.
+    seed : int
+        Root of all draws. Trial N is that of `simulate` with this seed and places of its own (`per-trial`).
+    jobs : int
+        Processes to work with; functions run in this one.
+    progress : callable
+        Told of every trial that is done.
+
+    Returns
+    -------
+    Recovery
+        `failures()` lists the checks that fail; a correct model fails any in one run of a hundred.
+
+    Examples
+    --------
+    >>> import ltsim as lt
+    >>> lt.recover("paper-workshop-re-aimed", trials=12).failures()
+    []
+    """
+    scenario, given = scenario_of(source), tolerance or {}
+    own, mode = construction_of(scenario), errors or errors_of(scenario)
+    if own.name == "dh" and construction not in (None, "dh"):
+        raise SetupError(f"the scenario's instrument is a dh one: recover with {option('construction')} dh")
+    if mode not in ("drawn", "stated"):
+        raise unknown_name("mode of errors", mode, ("drawn", "stated"))
+    if isinstance(calibrator, str):
+        checked_command(calibrator)
+    elif calibrator is not None:
+        jobs = 1
+    named = [with_effects] if isinstance(with_effects, str) else with_effects
+    seen = simulate(scenario, seed=seed).recording if named else None
+    beside = tuple(wanted(text, seen) for text in named if seen is not None)
+    how = How(method, own if construction is None else construction_called(construction), beside, calibrator)
+    began, found, within = time.monotonic(), [], dict[str, Tolerance]()
+    for trial in run_trials(scenario, trials, how, seed=seed, jobs=jobs, errors=mode):
+        if trial is not None:
+            within = within or _within(given, trial)
+        found.append(trial)
+        progress(1)
+    return Recovery(tuple(found), mode, within, time.monotonic() - began)
+
+
+def run_trials(
     scenario: Scenario, trials: int, how: How | None = None, *, seed: int = 0, jobs: int = 1, errors: Errors = "drawn"
 ) -> Iterator[Trial | None]:
     """Run the trials one by one, in order; the same for any number of jobs.
 
-    Parameters
-    ----------
-    scenario : Scenario
-    trials, seed, jobs : int
-    how : How, optional
-        The calibrator; default ltsim's with the construction of the simulated instrument.
-    errors : str
-        `drawn` from the prior whatever the scenario says of them, or as it has them `stated`.
-
-    Raises
-    ------
-    SetupError
-        When the calibrator's parameters are not among those that are drawn.
+    Raises SetupError when the calibrator's parameters are not among those that are drawn.
     """
     made = from_prior(scenario) if errors == "drawn" else scenario
     work = ((made, seed, index, how or How(), errors) for index in range(trials))
     return parallel(run_trial, work, min(jobs, trials), batch=4)
 
 
-def recovered(
-    trials: Iterator[Trial | None],
-    progress: Callable[[int], None],
-    errors: Errors = "drawn",
-    tolerance: Mapping[str, str] | None = None,
-) -> Recovery:
-    """All trials, with the time that they took; tolerances such as ``2 urad`` by parameter.
-
-    Raises
-    ------
-    SetupError
-        When a tolerance is of no parameter that was found, or no quantity of its kind.
-    """
-    began, found = time.monotonic(), []
-    for trial in trials:
-        if trial is not None:
-            _within(tolerance or {}, trial)
-        found.append(trial)
-        progress(1)
-    first = next((trial for trial in found if trial is not None), None)
-    given = {} if first is None else _within(tolerance or {}, first)
-    return Recovery(tuple(found), errors, given, time.monotonic() - began)
-
-
 def _within(tolerance: Mapping[str, str], trial: Trial) -> dict[str, Tolerance]:
-    """Tolerances in the units of a trial's parameters."""
+    """Tolerances such as ``2 urad`` in the units of a trial's parameters; raises SetupError for another kind."""
     given = {}
     for name, words in tolerance.items():
         if name not in trial.names:

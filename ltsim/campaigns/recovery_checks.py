@@ -125,22 +125,12 @@ def parameter_checks(name: str, z: Floats, level: float) -> list[Check]:
     tails = stats.chi2.ppf([level / 2, 1 - level / 2], count - 1) / (count - 1)
     inside = stats.binom.ppf([level / 2, 1 - level / 2], count, COVERED) / count
     covered = float(np.mean(np.abs(z) <= stats.norm.isf(0.5 * (1 - COVERED))))
+    apart = min(1 - SPREAD_WITHIN, np.sqrt(tails[0])), max(1 + SPREAD_WITHIN, np.sqrt(tails[1]))
+    held = min(COVERED - COVERAGE_WITHIN, inside[0]), max(COVERED + COVERAGE_WITHIN, inside[1])
     return [
         Check.of(name, "mean z-score", float(z.mean()), -shift, shift),
-        Check.of(
-            name,
-            "standard deviation of the z-scores",
-            float(z.std(ddof=1)),
-            float(min(1 - SPREAD_WITHIN, np.sqrt(tails[0]))),
-            float(max(1 + SPREAD_WITHIN, np.sqrt(tails[1]))),
-        ),
-        Check.of(
-            name,
-            "coverage of 95 % intervals",
-            covered,
-            float(min(COVERED - COVERAGE_WITHIN, inside[0])),
-            float(max(COVERED + COVERAGE_WITHIN, inside[1])),
-        ),
+        Check.of(name, "standard deviation of the z-scores", float(z.std(ddof=1)), *map(float, apart)),
+        Check.of(name, "coverage of 95 % intervals", covered, *map(float, held)),
     ]
 
 

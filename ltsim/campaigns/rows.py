@@ -14,29 +14,27 @@ import pyarrow as pa
 from threadpoolctl import threadpool_limits
 
 from ltsim.arrays import Floats, Ints
-from ltsim.campaigns.calibrators import Calibrator, calibrator_of
-from ltsim.campaigns.cell import fitted_effects, truth_of
-from ltsim.campaigns.columns import parameter_units, with_settings
-from ltsim.campaigns.design import Factor
-from ltsim.campaigns.engine import (
-    FAILED,
-    STATUSES,
-    Bench,
-    Calibrated,
+from ltsim.campaigns.calibrators import StackCalibrator, calibrator_of, fitted_effects, stacks
+from ltsim.campaigns.columns import (
     effect_columns,
+    effect_z_scores,
     parameter_columns,
-    trials_of,
+    parameter_units,
+    per_trial,
+    rows_of_method,
+    with_settings,
+    z_scores,
 )
-from ltsim.campaigns.judge import Columns
-from ltsim.campaigns.schema import column_of
+from ltsim.campaigns.design import Factor
+from ltsim.campaigns.engine import FAILED, STATUSES, Calibrated, Calibrator
+from ltsim.campaigns.judge import Columns, Judge
+from ltsim.campaigns.schema import CHECKED, column_of
 from ltsim.campaigns.spec import JUDGE, Campaign
-from ltsim.campaigns.stack import StackCalibrator, stacks
 from ltsim.campaigns.store import encoded
-from ltsim.campaigns.truth import Block, Truth
+from ltsim.campaigns.truth import Block, Truth, truth_of
 from ltsim.effects import CATALOGUE
 from ltsim.effects.effect import Effect
 from ltsim.errors import SetupError
-from ltsim.model.construction import Construction
 from ltsim.randomness import BLOCK, stream
 from ltsim.simulation.draws import Normal
 from ltsim.simulation.physics import construction_of, effects_of
@@ -46,8 +44,6 @@ from ltsim.simulation.workshop import Layout, planned
 
 TOGETHER = 64
 """Trials with geometries of their own that are done side by side, as far as their stations see the same."""
-CHECKED = "full_difference_sigma"
-"""Column of the trials that were calibrated once more by the full solver: largest difference in sigmas."""
 
 
 @dataclass(frozen=True)
@@ -74,15 +70,6 @@ class Task:
 
 
 @dataclass(frozen=True)
-class Ready:
-    """A geometry ready to work: what all its trials share."""
-
-    truth: Truth
-    bench: Bench
-    calibrators: Sequence[Calibrator]
-
-
-@dataclass(frozen=True)
 class Prepared:
     """A cell ready to work: everything its trials share."""
 
@@ -91,17 +78,15 @@ class Prepared:
     judge: Scenario | None = None
 
     @cached_property
-    def shared(self) -> Ready:
+    def shared(self) -> tuple[Judge, list[Calibrator]]:
         """The geometry that all trials share, with the calibrators in the order of the file's methods."""
         truth = truth_of(self.scenario, self.campaign.seed)
-        return Ready(truth, Bench(truth), [calibrator_of(method, truth) for method in self.campaign.methods])
+        return Judge(truth), [calibrator_of(method, truth) for method in self.campaign.methods]
 
     @cached_property
-    def elsewhere(self) -> Bench | None:
+    def elsewhere(self) -> Judge | None:
         """The place of `judge_in`, where the same instruments measure what no calibration used."""
-        if self.judge is None:
-            return None
-        return Bench(truth_of(self.judge, self.campaign.seed, JUDGE))
+        return None if self.judge is None else Judge(truth_of(self.judge, self.campaign.seed, JUDGE))
 
     @cached_property
     def factors(self) -> tuple[Factor, ...]:
@@ -124,30 +109,29 @@ class Prepared:
     def _plan(self) -> Layout:
         return planned(self.scenario)
 
-    def blocks(self, first: int, last: int) -> Iterator[tuple[Ready, Block, Ints]]:
-        """Blocks that hold the trials ``first`` to ``last - 1``, with the numbers (B,) of their trials.
+    def blocks(self, first: int, last: int) -> Iterator[tuple[Judge, Sequence[Calibrator], Block]]:
+        """Blocks that hold the trials ``first`` to ``last - 1``, with their geometry's judge and calibrators.
 
         A trial whose own geometry is impossible, a station that sees nothing, is in none.
         """
         seed, methods = self.campaign.seed, self.campaign.methods
         if self.campaign.geometry == "shared":
+            judge, calibrators = self.shared
             for number in range(first // BLOCK, -(-last // BLOCK)):
-                yield self.shared, self.shared.truth.draw(seed, number), trials_of(number)
+                yield judge, calibrators, judge.truth.draw(seed, number)
             return
         for low in range(first, last, TOGETHER):
             for stack, numbers in stacks(self._own(range(low, min(low + TOGETHER, last)))):
                 block, alone = stack.draw_trials(seed, numbers)
-                yield Ready(stack, Bench(stack), [StackCalibrator(stack, alone, m) for m in methods]), block, numbers
+                yield Judge(stack), [StackCalibrator(stack, alone, m) for m in methods], block
 
     def _own(self, trials: range) -> dict[int, Truth]:
         """The geometry of each trial that has a possible one; they share the set-up with the common one."""
-        found = {}
+        found, seed = {}, self.campaign.seed
         for trial in trials:
             with suppress(SetupError):
-                key = place_key(trial, self.campaign.geometry)
-                found[trial] = truth_of(
-                    self.scenario, self.campaign.seed, *key, like=self.shared.truth, plan=self._plan
-                )
+                key, like = place_key(trial, self.campaign.geometry), self.shared[0].truth
+                found[trial] = truth_of(self.scenario, seed, *key, like=like, plan=self._plan)
         return found
 
 
@@ -158,12 +142,12 @@ def prepared(campaign: str, scenario: str, judge: str) -> Prepared:
     return Prepared(Campaign.model_validate_json(campaign), Scenario.model_validate_json(scenario), there)
 
 
-def run_task(task: Task) -> bytes:
-    """A shard as the bytes of its file; one thread, so that sums keep their order on any worker."""
+def run_task(task: Task) -> tuple[Task, bytes]:
+    """A shard as the bytes of its file, with its task; one thread, so that sums keep their order on any worker."""
     for kind in task.effects:
         CATALOGUE.add(kind)
     with threadpool_limits(limits=1):
-        return encoded(shard_rows(task), task.key)
+        return task, encoded(shard_rows(task), task.key)
 
 
 def shard_rows(task: Task) -> pa.Table:
@@ -175,17 +159,22 @@ def shard_rows(task: Task) -> pa.Table:
     checked = _checked_trials(campaign, task.shard, first, last)
     parts: list[list[Columns]] = [[] for _ in campaign.methods]
     missing = set(range(first, last))
-    for ready, block, numbers in cell.blocks(first, last):
+    for judge, calibrators, block in cell.blocks(first, last):
+        numbers = block.trials
         wanted = np.flatnonzero((numbers >= first) & (numbers < last))
         missing -= set(numbers[wanted].tolist())
-        work = Work(campaign, ready.bench, block, cell.elsewhere, wanted, wanted[np.isin(numbers[wanted], checked)])
-        for part, calibrator in zip(parts, ready.calibrators, strict=True):
+        work = Work(campaign, judge, block, cell.elsewhere, wanted, wanted[np.isin(numbers[wanted], checked)])
+        for part, calibrator in zip(parts, calibrators, strict=True):
             columns = {"trial": numbers} | work.columns(calibrator)
             part.append({name: column[wanted] for name, column in columns.items()})
     if missing:
+        empty = np.full(len(missing), np.nan)
+        failed = {"status": np.full(len(missing), STATUSES.index(FAILED)), "chi2": empty, CHECKED: empty}
         for part in parts:
-            part.append({"trial": np.array(sorted(missing))} | _failed(len(missing)))
-    tables = [_table(task.cell, method.title, part) for method, part in zip(campaign.methods, parts, strict=True)]
+            part.append({"trial": np.array(sorted(missing))} | failed)
+    tables = [
+        rows_of_method(task.cell, method.title, part) for method, part in zip(campaign.methods, parts, strict=True)
+    ]
     whole = pa.concat_tables(tables, promote_options="default").combine_chunks()
     return with_settings(whole, cell.factors, cell.levels, cell.units)
 
@@ -195,9 +184,9 @@ class Work:
     """A block that every method calibrates."""
 
     campaign: Campaign
-    bench: Bench
+    judge: Judge
     block: Block
-    elsewhere: Bench | None
+    elsewhere: Judge | None
     wanted: Ints
     checked: Ints
     """Places in the block of the trials that rows are wanted of, and of those that the full solver repeats."""
@@ -205,10 +194,10 @@ class Work:
     @cached_property
     def shared(self) -> Columns:
         """Columns that all methods share."""
-        return self.bench.before(self.block)
+        return self.judge.before(self.block)
 
     @cached_property
-    def new_points(self) -> tuple[Bench, Block, Columns] | None:
+    def new_points(self) -> tuple[Judge, Block, Columns] | None:
         """The same instruments elsewhere: noise of their own, the same amounts of the effects that act there too."""
         if self.elsewhere is None:
             return None
@@ -221,7 +210,7 @@ class Work:
         values, share = self.block.values, self.campaign.judge_drift
         if not share:
             return values
-        population = self.bench.truth.population
+        population = self.judge.truth.population
         moves = np.array([p.unit != "ppm" for p in population.construction.parameters])
         step = Normal(self.campaign.seed, self.block.trials)(values[:, :, 0].size, "drift")
         return values + share * (population.sigma * moves)[:, :, None] * step.reshape(values.shape)
@@ -230,22 +219,20 @@ class Work:
         """The columns of a method that the campaign wants."""
         found, wanted = calibrator.calibrate(self.block, self.wanted), self.campaign.statistics
         construction, effects = calibrator.construction, calibrator.effects
-        truth, block = self.bench.truth, self.block
+        truth, block = self.judge.truth, self.block
         names = truth.recording.instruments
         columns: Columns = {"status": found.status, "chi2": found.chi2}
         columns[CHECKED] = np.full(len(found.chi2), np.nan)
         for place in self.checked:
             columns[CHECKED][place] = calibrator.difference(block, int(place), found)
-        judged = (
-            self.shared | self.bench.after(block, found, construction, effects) | self._elsewhere(found, calibrator)
-        )
+        judged = self.shared | self.judge.after(block, found, construction, effects)
+        judged |= self._elsewhere(found, calibrator)
         columns |= {name: own for name, own in judged.items() if (known := column_of(name)) and known.group in wanted}
         if "z-scores" in wanted:
-            columns |= z_scores(truth, block, found, construction, names)
-            columns |= _effect_z_scores(truth, block, found, effects)
+            columns |= z_scores(truth, block, found, construction) | effect_z_scores(truth, block, found, effects)
         if "estimates" in wanted:
             columns |= parameter_columns(construction, names, found.values, "estimate")
-            spread = np.broadcast_to(_per_trial(found.sigma), found.values.shape)
+            spread = np.broadcast_to(per_trial(found.sigma), found.values.shape)
             columns |= parameter_columns(construction, names, spread, "sigma")
             columns |= effect_columns(effects, found.extra, "estimate")
             columns |= effect_columns(effects, np.broadcast_to(found.extra_sigma, found.extra.shape), "sigma")
@@ -259,80 +246,16 @@ class Work:
         """Errors of new points."""
         if self.new_points is None:
             return {}
-        bench, block, before = self.new_points
-        after = bench.after(
-            block, replace(found, points=bench.nowhere(len(found.chi2))), calibrator.construction, calibrator.effects
-        )
+        there, block, before = self.new_points
+        nowhere = np.full((*there.truth.state.points.shape, len(found.chi2)), np.nan)  # no target is adjusted there
+        after = there.after(block, replace(found, points=nowhere), calibrator.construction, calibrator.effects)
         return {f"new_point_{name}": own for name, own in (before | after).items() if name.startswith("error_")}
-
-
-def _failed(trials: int) -> Columns:
-    """Of a method that gave nothing."""
-    empty = np.full(trials, np.nan)
-    return {"status": np.full(trials, STATUSES.index(FAILED)), "chi2": empty, CHECKED: empty}
 
 
 def _checked_trials(campaign: Campaign, shard: int, first: int, last: int) -> Ints:
     """Trials of a shard that the full solver repeats: a sample drawn by key."""
     draw = stream(campaign.seed, "campaign", "verify", shard)
     return first + draw.choice(last - first, size=min(campaign.verify, last - first), replace=False)
-
-
-def _per_trial(sigma: Floats) -> Floats:
-    """Standard deviations with a last index for trials."""
-    return sigma[:, :, None] if sigma.ndim == 2 else sigma
-
-
-def z_scores(
-    truth: Truth, block: Block, found: Calibrated, construction: Construction, names: tuple[str, ...]
-) -> Columns:
-    """(estimate - truth) / sigma of the parameters that the true instrument has under the same name."""
-    both = [name for name in construction.names if name in truth.construction.names]
-    fitted = [construction.index(name) for name in both]
-    true = [truth.construction.index(name) for name in both]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        z = (found.values[:, fitted] - block.values[:, true]) / _per_trial(found.sigma)[:, fitted]
-    flat = np.array(construction.names_of(names)).reshape(len(names), construction.size)[:, fitted].ravel()
-    return {f"z:{name}": own for name, own in zip(flat, z.reshape(len(flat), z.shape[2]), strict=True)}
-
-
-def _effect_z_scores(truth: Truth, block: Block, found: Calibrated, effects: Sequence[Effect]) -> Columns:
-    """The same of fitted effects that are among the true ones."""
-    if not effects:
-        return {}
-    both = [(law.effect, own) for law, own in zip(truth.effects, block.amounts, strict=True) if law.effect in effects]
-    columns: Columns = {}
-    parts = np.split(np.arange(len(found.extra)), np.cumsum([len(e.parameters) for e in effects])[:-1])
-    for effect, rows in zip(effects, parts, strict=True):
-        true = next((own for other, own in both if other == effect), None)
-        if true is not None:
-            z = (found.extra[rows] - true) / found.extra_sigma[rows]
-            columns |= effect_columns([effect], z, "z")
-    return columns
-
-
-def _table(cell: int, method: str, parts: list[Columns]) -> pa.Table:
-    """Columns as a table; numbers that people read are kept to seven digits, empty where a geometry has none."""
-    names = dict.fromkeys(name for part in parts for name in part)
-    merged = {
-        name: np.concatenate([part[name] if name in part else np.full(len(part["trial"]), np.nan) for part in parts])
-        for name in names
-    }
-    order = np.argsort(merged["trial"])
-    merged = {name: values[order] for name, values in merged.items()}
-    trial, status = merged.pop("trial"), merged.pop("status").astype(np.int64)
-    count = len(trial)
-    lost = status == STATUSES.index(FAILED)
-    columns: dict[str, pa.Array] = {
-        "cell": pa.array(np.full(count, cell), pa.int32()),
-        "method": pa.array([method] * count, pa.string()),
-        "trial": pa.array(trial, pa.int64()),
-        "status": pa.array([STATUSES[s] for s in status], pa.string()),
-    }
-    for name, values in merged.items():
-        empty = np.isnan(values) | (lost if name.startswith(("z:", "estimate:")) or "after" in name else False)
-        columns[name] = pa.array(values.astype(np.float32), pa.float32(), mask=empty)
-    return pa.table(columns)
 
 
 def task_of(

@@ -18,6 +18,8 @@ LEVELS = (0.025, 0.05, 0.25, 0.5, 0.75, 0.95, 0.975)
 """Of the quantiles."""
 
 SUMMARY = "summary.csv"
+CHECKED = "full_difference_sigma"
+"""Column of the trials that were calibrated once more by the full solver."""
 OF_PARAMETER = "of the parameter"
 Errors = Literal["drawn", "stated"]
 Statistic = Literal["criteria", "errors", "z-scores", "estimates", "truth"]
@@ -41,56 +43,54 @@ class RowColumn(Column):
     """Which of the statistics of the campaign's file it belongs to; None for what all rows have."""
 
 
-def _column(name: str, unit: str, group: Statistic | None, meaning: str) -> RowColumn:
-    return RowColumn(name, meaning, unit=unit, group=group)
+def _columns(group: Statistic | None, unit: str, **about: str) -> list[RowColumn]:
+    """Columns of a group in one unit: name and what it means."""
+    return [RowColumn(name, meaning, unit=unit, group=group) for name, meaning in about.items()]
+
+
+def _per_parameter(name: str, unit: str, group: Statistic, meaning: str) -> RowColumn:
+    return RowColumn(f"{name}:", meaning, unit=unit, group=group)
 
 
 def _criterion(kind: str, what: str) -> list[RowColumn]:
-    return [
-        _column(f"{kind}_{when}_{which}_um", "um", "criteria", f"{word} of {what}, {said}")
+    sizes = {
+        f"{kind}_{when}_{which}_um": f"{word} of {what}, {said}"
         for when, said in (("before", "readings as they are"), ("after", "readings corrected"))
         for which, word in (("mean", "mean"), ("max", "largest"))
-    ] + [
-        _column(
-            f"{kind}_improvement_percent", "%", "criteria", f"100 (1 - after / before) of the mean {kind} criterion"
-        ),
-    ]
+    }
+    gain = {f"{kind}_improvement_percent": f"100 (1 - after / before) of the mean {kind} criterion"}
+    return _columns("criteria", "um", **sizes) + _columns("criteria", "%", **gain)
 
 
 def _errors(prefix: str, what: str) -> list[RowColumn]:
-    return [
-        _column(f"{prefix}error_raw_um", "um", "errors", f"{what}; readings as they are"),
-        _column(f"{prefix}error_calibrated_um", "um", "errors", f"{what}; readings corrected as found"),
-        _column(
-            f"{prefix}error_true_parameters_um",
-            "um",
-            "errors",
-            f"{what}; readings corrected by the true parameters: the floor of noise, and of what no parameter removes",
-        ),
-        _column(f"{prefix}share_removed", "", "errors", POOLED.format(prefix)),
-    ]
+    floor = "readings corrected by the true parameters: the floor of noise, and of what no parameter removes"
+    sizes = {
+        f"{prefix}error_raw_um": f"{what}; readings as they are",
+        f"{prefix}error_calibrated_um": f"{what}; readings corrected as found",
+        f"{prefix}error_true_parameters_um": f"{what}; {floor}",
+    }
+    return _columns("errors", "um", **sizes) + _columns(
+        "errors", "", **{f"{prefix}share_removed": POOLED.format(prefix)}
+    )
 
 
 COLUMNS: tuple[RowColumn, ...] = (
-    _column("chi2", "", None, "least sum of squares of the weighted residuals"),
-    _column(
-        "full_difference_sigma", "sigma", None, "largest difference of parameters and targets from the full solver"
-    ),
+    *_columns(None, "", chi2="least sum of squares of the weighted residuals"),
+    *_columns(None, "sigma", **{CHECKED: "largest difference of parameters and targets from the full solver"}),
     *_criterion("distance", "the distance criterion: deviations of distances from their mean over stations"),
     *_criterion("coordinate", "the coordinate criterion: deviations of coordinates after a rigid fit (eq. 12)"),
     *_errors("", BY_READING),
-    _column(
-        "target_error_um",
-        "um",
+    *_columns(
         "errors",
-        "rms over targets of the 3D distance from the true point to the adjusted one, all fitted rigidly to the true "
-        "ones; the noise of the readings that were adjusted is in it",
+        "um",
+        target_error_um="rms over targets of the 3D distance from the true point to the adjusted one, all fitted "
+        "rigidly to the true ones; the noise of the readings that were adjusted is in it",
     ),
     *_errors("new_point_", NEW_POINT + BY_READING),
-    _column("z:", "", "z-scores", "(estimate - truth) / sigma of a parameter that is estimated and true"),
-    _column("estimate:", OF_PARAMETER, "estimates", "estimate of a parameter"),
-    _column("sigma:", OF_PARAMETER, "estimates", "standard deviation of an estimate"),
-    _column("true:", OF_PARAMETER, "truth", "true value of a parameter"),
+    _per_parameter("z", "", "z-scores", "(estimate - truth) / sigma of a parameter that is estimated and true"),
+    _per_parameter("estimate", OF_PARAMETER, "estimates", "estimate of a parameter"),
+    _per_parameter("sigma", OF_PARAMETER, "estimates", "standard deviation of an estimate"),
+    _per_parameter("true", OF_PARAMETER, "truth", "true value of a parameter"),
 )
 """Every result that rows and statistics can hold, defined once: for files, docs and report."""
 SHARES = tuple(column.name for column in COLUMNS if column.name.endswith("share_removed"))

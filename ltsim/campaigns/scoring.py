@@ -78,24 +78,14 @@ def check_known(names: Sequence[str], true: Mapping[str, float], truth: Truth) -
 
 
 def score(found: Calibration, truth: Truth, law: Mapping[str, tuple[float, float]]) -> Trial:
-    """What ltsim's calibration says of a truth.
+    """What ltsim's calibration says of a truth; raises SetupError where that lacks parameters of the calibration.
 
-    Parameters
-    ----------
-    found : Calibration
-    truth : Truth
-    law : mapping of str to (float, float)
-        Mean and standard deviation [SI] from which each true parameter was drawn; 0 for a stated one.
-
-    Raises
-    ------
-    SetupError
-        When the truth does not hold all of the calibration's parameters.
+    `law` holds mean and standard deviation [SI] from which each true parameter was drawn; 0 for a stated one.
     """
     check_known(found.names, truth.instrument, truth)
     true = np.array([truth.instrument[name] for name in found.names])
     prior = found.prior_sigma.ravel()
-    mean, drawn = (np.array([law[name][i] for name in found.names]) / prior for i in (0, 1))
+    mean, drawn = np.array([law[name] for name in found.names]).T / prior
     error, stated = (found.values.ravel() - true) / prior, found.sigma.ravel() / prior
     left = stated**2 - found.missed**2 @ (1.0 - drawn**2)
     noisy = left > NOISELESS * stated**2
@@ -105,19 +95,16 @@ def score(found: Calibration, truth: Truth, law: Mapping[str, tuple[float, float
     )
     units = tuple(truth.units[name] for name in found.names)
     factor = np.array([FACTOR[unit] for unit in units])
-    columns = (found.values.ravel() / factor, found.sigma.ravel() / factor, true / factor, standard)
-    names, more, effects = tuple(found.names), true_values(truth), _of_effects(found)
-    fitted = {name: entry for name, entry in effects.items() if name in more}
-    right = [more[name] / FACTOR[entry.unit] for name, entry in fitted.items()]
+    own = np.stack([found.values.ravel() / factor, found.sigma.ravel() / factor, true / factor, standard])
+    more = true_values(truth)
+    fitted = {name: entry for name, entry in _of_effects(found).items() if name in more}
     plain = 1.0 if _as_the_prior(mean, drawn) else np.nan  # else the parameters' priors move effects too
-    beside = np.array([[e.value, e.sigma or np.nan, t] for e, t in zip(fitted.values(), right, strict=True)]).reshape(
-        -1, 3
-    )
-    z = plain * (beside[:, 0] - beside[:, 2]) / beside[:, 1]
-    own = np.stack(columns)
-    value, sigma, known, scores = np.concatenate([own, np.concatenate([beside.T, z[None]])], axis=1)
-    shown = units + tuple(entry.unit for entry in fitted.values())
-    return Trial(names + tuple(fitted), shown, value, sigma, known, scores, network)
+    beside = np.array([[e.value, e.sigma or np.nan, more[name] / FACTOR[e.unit]] for name, e in fitted.items()])
+    beside = beside.reshape(-1, 3).T
+    z = plain * (beside[0] - beside[2]) / beside[1]
+    value, sigma, right, scores = np.concatenate([own, np.vstack([beside, z])], axis=1)
+    names, shown = tuple(found.names) + tuple(fitted), units + tuple(e.unit for e in fitted.values())
+    return Trial(names, shown, value, sigma, right, scores, network)
 
 
 def _of_effects(found: Calibration) -> dict[str, Estimate]:
@@ -172,9 +159,9 @@ def _network_scores(found: Calibration, truth: Truth, mean: Floats, drawn: Float
     targets = float(np.mean((found.points - points - bias[unknowns.target]) ** 2 / variance))
     squares = []
     for i, station in enumerate(found.stations[1:], start=1):
-        there = (truth.position[i] - origin) @ turn + held.position[0]
+        there, at = (truth.position[i] - origin) @ turn + held.position[0], unknowns.pose[i]
         apart = Rotation.from_quat(station.quaternion) * Rotation.from_matrix(turn.T @ truth.rotation[i]).inv()
-        error = np.concatenate([station.position - there, apart.as_rotvec()]) - bias[unknowns.pose[i]]
+        error = np.concatenate([station.position - there, apart.as_rotvec()]) - bias[at]
         sigma = np.concatenate([station.sigma_position, station.sigma_rotation])
-        squares.append(error**2 / (sigma**2 - less[unknowns.pose[i]]))
+        squares.append(error**2 / (sigma**2 - less[at]))
     return targets, float(np.mean(squares)) if squares else float("nan")

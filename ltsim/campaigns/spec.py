@@ -12,13 +12,13 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from ltsim.campaigns.design import Design, Factor, factors_of
+from ltsim.campaigns.design import Design, Factor, short_names
 from ltsim.campaigns.schema import Statistic, column_of
 from ltsim.errors import SetupError, as_setup_error
 from ltsim.evaluation.verification import read_nominal
 from ltsim.recording.settings import checked, load_settings
 from ltsim.recording.setup import Finite, Positive, Section
-from ltsim.simulation.keys import quantity
+from ltsim.simulation.keys import kind_of, quantity, unit_of
 from ltsim.simulation.scenario import NONE, Scenario, changed, load_scenario, scenario_to_toml
 from ltsim.units import MILLIMETRE
 
@@ -85,17 +85,13 @@ class Method(Section):
 class Stop(Section):
     """When a cell needs no further trials, told after each round from the rows so far: half as many again a round.
 
-    A cell stops when the mean of `statistic` is known `within` its bound for every method. With `apart`, cells that are
-    neighbours (one step along one factor) go on beyond that until the difference of their means, trial by trial on the
-    same draws, is clear of zero or known to `apart`: trials are spent where it is open whether cells differ.
+    A cell stops when the mean of `statistic` is known `within` its bound for every method.
     """
 
     statistic: str = "target_error_um"
     """A column of the rows, or an improvement."""
     within: Positive
     """Half of the 95 % interval of the mean, in the statistic's unit."""
-    apart: Positive | None = None
-    """Half of the interval of a difference between neighbours, in the statistic's unit."""
 
 
 class Campaign(Section):
@@ -200,7 +196,11 @@ class Campaign(Section):
 
     def factors(self, scenario: Scenario) -> tuple[Factor, ...]:
         """What differs between cells; `scenario` is that of any cell."""
-        return factors_of(self.varied, self.link, scenario)
+        titles, given = short_names(self.varied), {name: self.link.get(name, (name,)) for name in self.varied}
+        return tuple(
+            Factor(name=titles[name], keys=keys, unit=unit_of(scenario, keys[0]), kind=kind_of(keys[0]))
+            for name, keys in given.items()
+        )
 
     def combinations(self) -> Iterator[dict[str, Any]]:
         """What each cell changes in the scenario, by dotted key."""

@@ -16,10 +16,9 @@ import pyarrow.parquet as pq
 from ltsim.arrays import Floats
 from ltsim.campaigns.columns import TYPES
 from ltsim.campaigns.cube import cube
-from ltsim.campaigns.engine import FAILED
+from ltsim.campaigns.engine import FAILED, FULL
 from ltsim.campaigns.paired import Paired, errors_of, paired, terms_of
-from ltsim.campaigns.rows import CHECKED
-from ltsim.campaigns.schema import LEVELS, SHARES, column_of, summary_table
+from ltsim.campaigns.schema import CHECKED, LEVELS, SHARES, column_of, summary_table
 from ltsim.campaigns.stopping import level_of, quantile
 from ltsim.campaigns.store import Store
 from ltsim.errors import ModelError, SetupError, unknown_name
@@ -31,7 +30,7 @@ if TYPE_CHECKING:
 NORMAL_95 = 1.959963984540054
 MEMORY = "1GB"
 MOST_EXACT = 50_000_000
-"""Rows whose quantiles are exact: these take all values of a column at once."""
+"""Rows whose quantiles are exact: these take all values of a column at once; of more they come from a t-digest."""
 IMPROVEMENTS = ("distance", "coordinate")
 
 
@@ -158,24 +157,31 @@ class Results(Result):
             f"{self.query('SELECT count(*) FROM rows')[0][0]} rows in {self.folder}",
         ]
 
-    def _tables(self) -> Mapping[str, Callable[[], Columns]]:
+    def _tables(self) -> Mapping[str, Callable[[], Table | Columns]]:
         summary = self.summary
         return {
-            "summary": lambda: _tidy(summary())[1],
+            "summary": self._summary,
             "cells": self._cells().to_pydict,
-            "ends": lambda: self._with_settings(summary()["ends"]),
-            "z_scores": lambda: self._with_settings(summary()["z_scores"]),
+            "ends": lambda: by_row(self._with_settings(summary()["ends"])),
+            "z_scores": lambda: by_row(self._with_settings(summary()["z_scores"])),
             "rows": self._rows,
         }
+
+    def _summary(self) -> Table:
+        """`summary.csv`: a row a cell, method and column."""
+        table = summary_table({factor.name: factor.kind for factor in self.factors})
+        quantiles = table.header[-len(LEVELS) :]
+        rows = self._with_settings(self.summary()["columns"])
+        return table.filled(row | dict(zip(quantiles, row["quantiles"], strict=True)) for row in rows)
 
     def _rows(self) -> Columns:
         rows = self._base.execute("SELECT * FROM rows ORDER BY cell, method, trial")
         names = [column[0] for column in rows.description]
         return dict(zip(names, zip(*rows.fetchall(), strict=True), strict=True))
 
-    def _with_settings(self, entries: list[dict[str, Any]]) -> Columns:
-        """Entries of cells as columns, the settings behind the cell's number."""
-        return by_row([{"cell": entry["cell"]} | self.levels[entry["cell"]] | entry for entry in entries])
+    def _with_settings(self, entries: list[dict[str, Any]]) -> list[dict[str, Any]]:
+        """Entries of cells, the settings behind the cell's number."""
+        return [{"cell": entry["cell"]} | self.levels[entry["cell"]] | entry for entry in entries]
 
     def query(self, sql: str) -> list[tuple[Any, ...]]:
         """Rows of any query over `rows` and `cells`.
@@ -199,12 +205,6 @@ class Results(Result):
             raise unknown_name("column of these rows", column, self.columns)
         return f'"{column}"'
 
-    def _quantiles(self, value: str) -> str:
-        """SQL of the quantiles; those of very many rows would not fit into memory and come from a t-digest."""
-        size = self.manifest.trials * len(self.manifest.cells) * len(self.manifest.methods)
-        kind = "quantile_cont" if size <= MOST_EXACT else "approx_quantile"
-        return f"{kind}({value}, [{', '.join(str(level) for level in LEVELS)}])"
-
     def half(self, count: int, deviation: float) -> float:
         """Half of the 95 % interval of a mean, or of a ratio of means, from the deviation of what is averaged."""
         stops = bool(self.manifest.settings.get("stop"))
@@ -215,27 +215,35 @@ class Results(Result):
         """Mean, spread and quantiles of a column in every cell and for every method."""
         name = self._known(column)
         if column in SHARES:
-            return [self._share(column, row) for row in self.query(_SHARE.format(*terms_of(column)))]
-        found = self.query(
-            f"SELECT cell, method, count({name}), avg({name}), stddev_samp({name}), min({name}), max({name}), "
-            f"{self._quantiles(name)} FROM rows WHERE {name} IS NOT NULL GROUP BY cell, method "
-            "ORDER BY cell, method"
-        )
-        return [
-            Spread(
-                cell, method, column, count, mean, mean - half, mean + half, _number(sd), low, high, tuple(quantiles)
-            )
-            for cell, method, count, mean, sd, low, high, quantiles in found
-            for half in [self.half(count, _number(sd))]
-        ]
+            return self._shares(column)
+        size = self.manifest.trials * len(self.manifest.cells) * len(self.manifest.methods)
+        kind = "quantile_cont" if size <= MOST_EXACT else "approx_quantile"
+        what = f"count({name}), avg({name}), stddev_samp({name}), min({name}), max({name}), {kind}({name}, {[*LEVELS]})"
+        found = []
+        for cell, method, count, mean, deviation, low, high, quantiles in self._each(what, f"{name} IS NOT NULL"):
+            half, own = self.half(count, _number(deviation)), (_number(deviation), low, high, tuple(quantiles))
+            found.append(Spread(cell, method, column, count, mean, mean - half, mean + half, *own))
+        return found
 
-    def _share(self, column: str, row: tuple[Any, ...]) -> Spread:
-        """A ratio of means with the interval of its linear form (delta method)."""
-        cell, method, count, gained, correctable, by_gained, by_both, by_correctable = row
-        value = gained / correctable if correctable > 0 else math.nan
-        variance = _number(by_gained) - 2 * value * _number(by_both) + value**2 * _number(by_correctable)
-        half = self.half(count, math.sqrt(max(variance, 0.0)) / correctable) if correctable > 0 else math.nan
-        return Spread(cell, method, column, count, value, value - half, value + half)
+    def _each(self, what: str, where: str = "true", rows: str = "rows") -> list[tuple[Any, ...]]:
+        """What SQL says of every cell and method, in their order."""
+        return self.query(
+            f"SELECT cell, method, {what} FROM {rows} WHERE {where} GROUP BY cell, method ORDER BY cell, method"
+        )
+
+    def _shares(self, column: str) -> list[Spread]:
+        """Ratios of means with the interval of their linear form (delta method)."""
+        gained, correctable = terms_of(column)
+        terms = f"(SELECT cell, method, {gained} AS a, {correctable} AS b FROM rows)"
+        what = "count(a), avg(a), avg(b), var_samp(a), covar_samp(a, b), var_samp(b)"
+        found = []
+        for cell, method, count, above, below, *moments in self._each(what, "a IS NOT NULL AND b IS NOT NULL", terms):
+            value = half = math.nan
+            if below > 0:
+                value, (aa, ab, bb) = above / below, map(_number, moments)
+                half = self.half(count, math.sqrt(max(aa - 2 * value * ab + value**2 * bb, 0.0)) / below)
+            found.append(Spread(cell, method, column, count, value, value - half, value + half))
+        return found
 
     def values(self, column: str, cell: int, method: str, *, most: int) -> Floats:
         """Finite values (n,) of a column in a cell for a method, of the first `most` trials."""
@@ -250,26 +258,16 @@ class Results(Result):
         """Mean, spread and coverage of the z-scores of every parameter."""
         found = []
         for column in (c for c in self.columns if c.startswith("z:")):
-            name = self._known(column)
-            rows = self.query(
-                f"SELECT cell, method, count({name}), avg({name}), stddev_samp({name}), "
-                f"avg((abs({name}) <= {NORMAL_95})::INT) FROM rows WHERE isfinite({name}) "
-                "GROUP BY cell, method ORDER BY cell, method"
-            )
-            found += [
-                Scores(cell, method, column.removeprefix("z:"), count, mean, _number(deviation), coverage)
-                for cell, method, count, mean, deviation, coverage in rows
-            ]
+            name, parameter = self._known(column), column.removeprefix("z:")
+            what = f"count({name}), avg({name}), stddev_samp({name}), avg((abs({name}) <= {NORMAL_95})::INT)"
+            for cell, method, count, mean, deviation, coverage in self._each(what, f"isfinite({name})"):
+                found.append(Scores(cell, method, parameter, count, mean, _number(deviation), coverage))
         return sorted(found, key=lambda s: (s.cell, s.method))
 
     def checked(self) -> list[Checked]:
         """Ends of the trials, and the largest difference from the full solver on the sample that was verified."""
-        rows = self.query(
-            f"SELECT cell, method, count(*), count(*) FILTER (status = '{FAILED}'), "
-            f"count(*) FILTER (status = 'full solver'), count({CHECKED}), max({CHECKED}) "
-            "FROM rows GROUP BY cell, method ORDER BY cell, method"
-        )
-        return [Checked(*row) for row in rows]
+        ended = f"count(*) FILTER (status = '{FAILED}'), count(*) FILTER (status = '{FULL}')"
+        return [Checked(*row) for row in self._each(f"count(*), {ended}, count({CHECKED}), max({CHECKED})")]
 
     def paired(self, statistic: str, **between: tuple[Any, Any]) -> Paired:
         """Differences of a statistic between two methods, or two levels of a factor, on the same draws.
@@ -341,29 +339,6 @@ def _known(value: Any) -> Any:
     if isinstance(value, tuple):
         return tuple(_known(own) for own in value)
     return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def summary_csv(summary: Mapping[str, Any]) -> str:
-    """The content of `summary.csv`: one line a cell, method and column."""
-    table, columns = _tidy(summary)
-    return table.filled(zip(*columns.values(), strict=True)).csv()
-
-
-def _tidy(summary: Mapping[str, Any]) -> tuple[Table, Columns]:
-    """The statistics with the settings of their cells, column by column, and how they are written."""
-    table = summary_table({factor["name"]: factor["kind"] for factor in summary["factors"]})
-    levels = {cell["cell"]: cell["levels"] for cell in summary["cells"]}
-    rows = [entry | levels[entry["cell"]] for entry in summary["columns"]]
-    fixed = {name: [row[name] for row in rows] for name in table.header[: -len(LEVELS)]}
-    quantiles = {name: [row["quantiles"][k] for row in rows] for k, name in enumerate(table.header[-len(LEVELS) :])}
-    return table, fixed | quantiles
-
-
-_SHARE = (
-    "SELECT cell, method, count(a), avg(a), avg(b), var_samp(a), covar_samp(a, b), var_samp(b) "
-    "FROM (SELECT cell, method, {0} AS a, {1} AS b FROM rows) WHERE a IS NOT NULL AND b IS NOT NULL "
-    "GROUP BY cell, method ORDER BY cell, method"
-)
 
 
 def _units(schema: pa.Schema) -> dict[str, str]:

@@ -12,8 +12,8 @@ variance is known and a mean of skewed values is near normal.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 
 import numpy as np
 import pyarrow as pa
@@ -28,11 +28,10 @@ GROWTH = 1.5
 LEAST = 64
 """Trials before the first look."""
 LEVEL = 0.05
-"""Two-sided, of every interval; of the differences all together."""
+"""Two-sided, of every interval."""
 IMPROVEMENT = "_improvement_percent"
 Shard = tuple[int, int]
 """Cell and number."""
-Read = Callable[[int, int], pa.Table]
 
 
 @dataclass
@@ -85,61 +84,6 @@ def schedule(trials: int, shard: int) -> list[int]:
     return done
 
 
-@dataclass
-class Watch:
-    """What the rows say so far of the statistic that decides."""
-
-    campaign: Campaign
-    """With a `stop`."""
-    pairs: Sequence[tuple[int, int]]
-    """Cells that are neighbours."""
-    read: Read
-    """Gives the rows of a finished shard."""
-    done: dict[int, int] = field(default_factory=dict)
-    means: dict[tuple[int, str], Mean] = field(default_factory=dict)
-    gaps: dict[tuple[int, int, str], Mean] = field(default_factory=dict)
-    compared: dict[tuple[int, int], int] = field(default_factory=dict)
-
-    def take(self, shards: Sequence[Shard]) -> None:
-        """Take in the rows of a finished round."""
-        for cell, shard in shards:
-            for method, values in self._values(cell, shard).items():
-                self.means.setdefault((cell, method), Mean()).add(values)
-            self.done[cell] = shard + 1
-        for pair in self.pairs if self._apart else ():
-            first, last = self.compared.get(pair, 0), min(self.done.get(cell, 0) for cell in pair)
-            for shard in range(first, last):
-                one, other = (self._values(cell, shard) for cell in pair)
-                for method, values in one.items():
-                    self.gaps.setdefault((*pair, method), Mean()).add(values - other[method])
-            self.compared[pair] = last
-
-    @property
-    def _apart(self) -> float | None:
-        return self.campaign.stop.apart if self.campaign.stop else None
-
-    def _values(self, cell: int, shard: int) -> Mapping[str, Floats]:
-        """The statistic (n,) of a shard for each method."""
-        assert self.campaign.stop is not None
-        rows = self.read(cell, shard)
-        values = statistic_of(rows, self.campaign.stop.statistic)
-        methods = np.array(rows["method"].to_pylist())
-        return {method.title: values[methods == method.title] for method in self.campaign.methods}
-
-    def wanting(self) -> set[int]:
-        """Cells that are not known well enough."""
-        stop = self.campaign.stop
-        assert stop is not None
-        level = level_of(self.campaign.trials, self.campaign.shard, stops=True)
-        found = {cell for (cell, _), mean in self.means.items() if mean.half(level) > stop.within}
-        level /= max(len(self.gaps), 1)
-        for (one, other, _), gap in self.gaps.items():
-            half = gap.half(level)
-            if stop.apart is not None and not (half <= stop.apart or abs(gap.mean) > half):
-                found |= {one, other}
-        return found
-
-
 def statistic_of(rows: pa.Table, name: str) -> Floats:
     """A column (n,) of rows, or an improvement [%]; NaN where there is none. Raises ModelError for another name."""
 
@@ -155,41 +99,25 @@ def statistic_of(rows: pa.Table, name: str) -> Floats:
     return 100.0 * (1.0 - column(f"{kind}_after_mean_um") / column(f"{kind}_before_mean_um"))
 
 
-def rounds(campaign: Campaign, cells: int, pairs: Sequence[tuple[int, int]], read: Read) -> Iterator[list[Shard]]:
+def rounds(campaign: Campaign, cells: int, read: Callable[[int, int], pa.Table]) -> Iterator[list[Shard]]:
     """Shards to be done, round by round; a round is asked for when all of the one before are finished.
 
-    Parameters
-    ----------
-    campaign : Campaign
-    cells : int
-    pairs : sequence of (int, int)
-        Cells that are neighbours.
-    read : callable
-        Gives the rows of a finished shard.
+    `read` gives the rows of a finished shard, named by its cell and number.
     """
-    if campaign.stop is None:
+    if (stop := campaign.stop) is None:
         yield [(cell, shard) for cell in range(cells) for shard in range(campaign.shards)]
         return
-    watch, open_ = Watch(campaign, pairs, read), list(range(cells))
-    done, looks = dict.fromkeys(range(cells), 0), schedule(campaign.trials, campaign.shard)
-    while open_:
-        goal = {cell: next(count for count in looks if count > done[cell]) for cell in open_}
-        now = [(cell, shard) for cell in open_ for shard in range(done[cell], goal[cell])]
+    means = [{method.title: Mean() for method in campaign.methods} for _ in range(cells)]
+    level, open_, done = level_of(campaign.trials, campaign.shard, stops=True), list(range(cells)), 0
+    for goal in schedule(campaign.trials, campaign.shard):
+        now = [(cell, shard) for cell in open_ for shard in range(done, goal)]
         yield now
-        watch.take(now)
-        done |= goal
-        wanting = watch.wanting()
-        open_ = [cell for cell in range(cells) if cell in wanting and done[cell] < campaign.shards]
-
-
-def neighbours(levels: Sequence[Mapping[str, object]]) -> list[tuple[int, int]]:
-    """Pairs of cells that are one step apart along one factor and the same in all others."""
-    steps = {name: list(dict.fromkeys(cell[name] for cell in levels)) for name in (levels[0] if levels else ())}
-    places = {tuple(steps[name].index(cell[name]) for name in steps): k for k, cell in enumerate(levels)}
-    pairs = []
-    for place, cell in places.items():
-        for axis in range(len(place)):
-            beside = places.get((*place[:axis], place[axis] + 1, *place[axis + 1 :]))
-            if beside is not None:
-                pairs.append((cell, beside))
-    return pairs
+        for cell, shard in now:
+            rows = read(cell, shard)
+            values, methods = statistic_of(rows, stop.statistic), np.array(rows["method"].to_pylist())
+            for title, mean in means[cell].items():
+                mean.add(values[methods == title])
+        done = goal
+        open_ = [cell for cell in open_ if any(mean.half(level) > stop.within for mean in means[cell].values())]
+        if not open_:
+            return

@@ -31,8 +31,7 @@ from ltsim.campaigns.schema import SUMMARY, ManifestFile
 from ltsim.errors import RecordError, SetupError
 from ltsim.recording.result_file import read_result
 
-MANIFEST, SOURCE, ROWS, LOCK = ManifestFile.FILE, "campaign.toml", "rows", ".lock"
-DIGESTS, SUMMED = "rows.sha256", SUMMARY
+MANIFEST, SOURCE, ROWS, LOCK, DIGESTS = ManifestFile.FILE, "campaign.toml", "rows", ".lock", "rows.sha256"
 
 
 def encoded(table: pa.Table, key: Mapping[str, str]) -> bytes:
@@ -66,11 +65,6 @@ class Store:
 
     folder: Path
 
-    @property
-    def manifest_path(self) -> Path:
-        """Where the manifest lies."""
-        return self.folder / MANIFEST
-
     def shard_path(self, cell: int, shard: int) -> Path:
         """Where a shard lies."""
         return self.folder / ROWS / f"cell-{cell:04d}" / f"shard-{shard:06d}.parquet"
@@ -88,13 +82,7 @@ class Store:
             raise SetupError(f"{path}: cannot be read ({problem}); go on with --resume to repair it") from None
 
     def verify(self, marks: Mapping[int, str]) -> None:
-        """Make sure that every finished shard is as it was written, for the cell of its mark.
-
-        Raises
-        ------
-        OSError, ValueError, pyarrow.ArrowException
-            When one is not.
-        """
+        """Raise OSError, ValueError or pyarrow.ArrowException where a shard is not as it was written for its cell."""
         known = self.digests()
         for path in self.shards():
             name = path.relative_to(self.folder).as_posix()
@@ -117,14 +105,14 @@ class Store:
     @property
     def begun(self) -> bool:
         """True when the folder holds a campaign."""
-        return self.manifest_path.exists()
+        return (self.folder / MANIFEST).exists()
 
     def manifest(self) -> ManifestFile:
         """The manifest; raises SetupError when the folder holds no campaign, or its manifest is damaged."""
         if not self.begun:
             raise SetupError(f"{self.folder}: there is no campaign here (no {MANIFEST})")
         try:
-            return read_result(self.manifest_path, ManifestFile)
+            return read_result(self.folder, ManifestFile)
         except RecordError as problem:
             raise SetupError(f"{problem}; begin again in another folder, the rows in this one stay") from None
 
@@ -135,16 +123,10 @@ class Store:
             for name, content in sources.items():
                 (self.folder / name).parent.mkdir(parents=True, exist_ok=True)
                 _write(self.folder / name, content)
-            _write(self.manifest_path, manifest.text().encode())
+            _write(self.folder / MANIFEST, manifest.text().encode())
 
     def write_shard(self, cell: int, shard: int, content: bytes) -> None:
-        """Put a shard in its place at once.
-
-        Raises
-        ------
-        SetupError
-            When the disk is full or the folder cannot be written to; what is finished stays.
-        """
+        """Put a shard in its place at once; raises SetupError when the disk is full or cannot be written to."""
         path = self.shard_path(cell, shard)
         with self._writing():
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -154,13 +136,14 @@ class Store:
 
     def taken(self, sources: Mapping[str, bytes]) -> list[str]:
         """Names in the folder that beginning a campaign with some sources would replace by something else."""
-        others = [name for name in (ROWS, DIGESTS, SUMMED) if (self.folder / name).exists()]
-        return others + [n for n, content in sources.items() if _differs(self.folder / n, content)]
+        others = [name for name in (ROWS, DIGESTS, SUMMARY) if (self.folder / name).exists()]
+        there = {name: self.folder / name for name in sources if (self.folder / name).exists()}
+        return others + [n for n, path in there.items() if not path.is_file() or path.read_bytes() != sources[n]]
 
     def clear(self) -> None:
         """Remove manifest, rows and what was made of them."""
         with self._writing():
-            for name in (MANIFEST, DIGESTS, SUMMED):
+            for name in (MANIFEST, DIGESTS, SUMMARY):
                 (self.folder / name).unlink(missing_ok=True)
             if (self.folder / ROWS).exists():
                 shutil.rmtree(self.folder / ROWS)
@@ -200,13 +183,7 @@ class Store:
 
     @contextlib.contextmanager
     def lock(self) -> Iterator[None]:
-        """Keep others from working in the folder at the same time; the lock ends with the process, however it ends.
-
-        Raises
-        ------
-        SetupError
-            When another process holds it.
-        """
+        """Keep others from working in the folder at the same time; the lock ends with the process, however it ends."""
         with self._writing():
             self.folder.mkdir(parents=True, exist_ok=True)
             handle = os.open(self.folder / LOCK, os.O_RDWR | os.O_CREAT, 0o644)
@@ -240,10 +217,6 @@ def _label(table: pa.Table) -> dict[str, str]:
 def _digest(path: Path) -> str:
     with path.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
-
-
-def _differs(path: Path, content: bytes) -> bool:
-    return path.exists() and not (path.is_file() and path.read_bytes() == content)
 
 
 def _write(path: Path, content: bytes) -> None:

@@ -7,7 +7,7 @@ are compared. Cells of a grid use the same streams: they differ by their setting
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from typing import Any
 
@@ -17,15 +17,19 @@ from ltsim.arrays import Bools, Floats, Ints
 from ltsim.campaigns.kernels import readings_of
 from ltsim.campaigns.program import ChainProgram
 from ltsim.effects.effect import Effect
+from ltsim.errors import SetupError
 from ltsim.geometry.polar import wrap
 from ltsim.model.construction import Construction
 from ltsim.model.measurement import State
 from ltsim.randomness import BLOCK as BLOCK
-from ltsim.recording.recording import Recording
+from ltsim.recording.recording import OBSERVABLES, Recording
 from ltsim.scene.sightings import Sightings
 from ltsim.simulation.draws import Draw, EffectLaw, Normal, Population
-from ltsim.simulation.fieldwork import Fieldwork
-from ltsim.simulation.simulator import mistakes, simulate_readings
+from ltsim.simulation.fieldwork import Fieldwork, fieldwork
+from ltsim.simulation.physics import resolution_of, stated_noise
+from ltsim.simulation.scenario import Scenario
+from ltsim.simulation.simulator import error_free, mistakes, population_of, simulate_readings
+from ltsim.simulation.workshop import Layout
 
 TURN = 2 * np.pi
 LINEAR = 1e-3
@@ -89,35 +93,25 @@ class Truth:
         return np.concatenate([effect.design(self.sightings) for effect in effects], axis=2)[..., None]
 
     @cached_property
-    def _programs(self) -> list[tuple[Construction, ChainProgram]]:
+    def _chains(self) -> list[tuple[Construction, tuple[ChainProgram, Floats]]]:
         return []
 
-    def program_of(self, construction: Construction) -> ChainProgram:
-        """A construction's chain around the nominal readings, laid out once."""
-        for known, program in self._programs:  # comparing a few is quicker than hashing one
+    def chain_of(self, construction: Construction) -> tuple[ChainProgram, Floats]:
+        """A construction's chain around the nominal readings, and their derivative (n, 3, p) by its parameters."""
+        for known, chain in self._chains:  # comparing a few is quicker than hashing one
             if known == construction:
-                return program
-        self._programs.append((construction, self._laid_out(construction)))
-        return self._programs[-1][1]
+                return chain
+        self._chains.append((construction, self._laid_out(construction)))
+        return self._chains[-1][1]
 
-    def _laid_out(self, construction: Construction) -> ChainProgram:
-        return ChainProgram.of(construction, self.recording.readings)
+    def _laid_out(self, construction: Construction) -> tuple[ChainProgram, Floats]:
+        nominal = self.recording.readings
+        by_value = construction.reading_design(nominal, np.zeros(construction.size))[1]
+        return ChainProgram.of(construction, nominal), by_value
 
-    @property
-    def program(self) -> ChainProgram:
-        """The true instrument's chain around the nominal readings."""
-        return self.program_of(self.construction)
-
-    @cached_property
-    def _by_value(self) -> Floats:
-        return self._by_value_of(self.construction)
-
-    def _by_value_of(self, construction: Construction) -> Floats:
-        return construction.reading_design(self.recording.readings, np.zeros(construction.size))[1]
-
-    def by_value_of(self, construction: Construction) -> Floats:
-        """Derivative (n, 3, p) of the readings by a construction's parameters, at none."""
-        return self._by_value if construction == self.construction else self._by_value_of(construction)
+    def program_of(self, construction: Construction) -> ChainProgram:
+        """A construction's chain around the nominal readings."""
+        return self.chain_of(construction)[0]
 
     @cached_property
     def _linear_effects(self) -> list[tuple[Floats, Floats] | None]:
@@ -168,13 +162,12 @@ class Truth:
 
     def _exact(self, values: Floats) -> Floats:
         """Exact readings of the true instrument less nominal readings; Newton's method from the linear ones."""
-        which = self.recording.instrument
-        linear = [self._by_value[which == i] @ own for i, own in enumerate(values)]
+        which, sightings = self.recording.instrument, self.sightings
+        program, by_value = self.chain_of(self.construction)
         deviation = np.empty((len(which), 3, values.shape[2]))
-        for i, part in enumerate(linear):
-            deviation[which == i] = part
-        sightings = self.sightings
-        readings_of(self.program.arrays, which, sightings.local, sightings.jacobian, values, deviation)
+        for i, own in enumerate(values):
+            deviation[which == i] = by_value[which == i] @ own
+        readings_of(program, which, sightings.local, sightings.jacobian, values, deviation)
         return deviation
 
     def _shift(self, place: int, amounts: Floats) -> Floats:
@@ -201,3 +194,45 @@ class Truth:
         readings[:, 1] = np.where(np.abs(readings[:, 1]) < TURN, wrap(readings[:, 1]), readings[:, 1])
         readings[:, ~self.recorded] = np.nan
         return readings
+
+
+def truth_of(
+    scenario: Scenario, seed: int, *key: str | int, like: Truth | None = None, plan: Layout | None = None
+) -> Truth:
+    """The truth of a scenario with its geometry drawn once; raises SetupError.
+
+    `key` is of the geometry; without it that of the recording which `simulate` makes. A truth `like` it, of the same
+    scenario with another geometry, saves stating the set-up anew where the same targets are seen; `plan` is the
+    scenario's.
+    """
+    read = {frozenset(tracker.observables) for tracker in scenario.trackers.values()}
+    if len(read) > 1:
+        raise SetupError("instruments: observables differ between the trackers; trials want the same of all")
+    work = fieldwork(scenario, seed, *key, plan=plan)
+    if work.sightings.lift is not None and np.any(work.sightings.lift):
+        raise SetupError("reflectors: trials in batch measure with one ball; give all balls of the scenario one radius")
+    s, known = work.sightings, None if like is None else like.recording
+    if like and known and not scenario.lengths and (s.station_names, s.target_names) == (known.stations, known.targets):
+        pointings = {name: getattr(s, name) for name in ("station", "target", "face", "repeat", "time", "covariates")}
+        there = replace(like.population, sightings=s, noise=stated_noise(scenario, s))
+        seen, state = known.replace(**pointings, readings=s.raw, notes=work.notes), _start_frame(work, there.mean)
+        return replace(like, recording=seen, state=state, population=there, work=work)
+    recording = error_free(work)
+    population = population_of(work, recording)
+    return Truth(
+        recording=recording,
+        state=_start_frame(work, population.mean),
+        population=population,
+        step=resolution_of(scenario),
+        recorded=np.isin(OBSERVABLES, [*next(iter(read))]),
+        work=work,
+    )
+
+
+def _start_frame(work: Fieldwork, mean: Floats) -> State:
+    """The true geometry in the frame of the first station, or in the workshop's where levels define the vertical."""
+    s = work.sightings
+    if any(station.levelled for station in work.scenario.stations.values()):
+        return State(s.position, s.rotation, s.points, mean)
+    origin, turn = s.position[0], s.rotation[0]
+    return State((s.position - origin) @ turn, turn.T @ s.rotation, (s.points - origin) @ turn, mean)

@@ -40,7 +40,7 @@ def campaign(
     force : bool
         Begin anew in a folder that holds a campaign; its rows are lost.
     changes : mapping, optional
-        Other values of keys of the file (``{"trials": 200}``) or of the scenario (``{"work.faces": 2}``).
+        Other values of keys of the file, as 200 for `trials`, or of the scenario, as 2 for `work.faces`.
 
     Returns
     -------
@@ -75,30 +75,20 @@ def campaign(
         with TemporaryDirectory() as place:
             file = Path(place) / "campaign.toml"
             file.write_text(to_toml(_from_here(source)), encoding="utf-8")
-            return _run(file, Path(out), jobs, resume=resume, force=force, changes=changes)
+            return campaign(file, out=out, jobs=jobs, resume=resume, force=force, changes=changes)
+    require_packages()
+    from ltsim.campaigns.campaign import Workers, run_campaign
+    from ltsim.campaigns.statistics import Results
+
     path = Path(source)
     if path.is_dir():
-        return _results(path)
+        return Results(path)
     folder = path.with_suffix("") if out is None else Path(out)
-    return _run(path, folder, jobs, resume=resume, force=force, changes=changes)
+    run_campaign(path, folder, workers=Workers(jobs), resume=resume, force=force, changes=changes)
+    return Results(folder)
 
 
 def _from_here(tables: Mapping[str, Any]) -> dict[str, Any]:
     """The tables with files named from the root, since a file of them lies elsewhere."""
     named = {key: Path(str(tables[key])) for key in ("scenario", "judge_in") if tables.get(key)}
     return {**tables, **{key: str(path.resolve()) for key, path in named.items() if path.is_file()}}
-
-
-def _run(file: Path, folder: Path, jobs: int, **how: Any) -> Results:
-    require_packages()
-    from ltsim.campaigns.campaign import Workers, run_campaign
-
-    run_campaign(file, folder, workers=Workers(jobs), **how)
-    return _results(folder)
-
-
-def _results(folder: Path) -> Results:
-    require_packages()
-    from ltsim.campaigns.statistics import Results
-
-    return Results(folder)

@@ -1,26 +1,35 @@
-"""`ltsim campaign`: many trials over a grid of settings."""
+"""`ltsim campaign`, `recover`: many trials over a grid of settings, and a check that what is injected is recovered."""
 
 from __future__ import annotations
 
+import os
 import sys
-import tomllib
+from dataclasses import replace
 from enum import StrEnum
 from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
+from xml.etree.ElementTree import Element, SubElement, tostring
 
 import typer
 
+import ltsim as lt
 from ltsim.campaigns import require_packages
-from ltsim.cli.options import Jobs
-from ltsim.cli.places import Force
+from ltsim.cli.options import Out
+from ltsim.cli.places import Force, claim, claim_file
+from ltsim.cli.simulate import ScenarioName
 from ltsim.cli.terminal import Terminal, table
 from ltsim.errors import SetupError, StoppedError
 from ltsim.recording.files import write_text
+from ltsim.workers import MOST
 
 if TYPE_CHECKING:
     from ltsim.campaigns.campaign import Outcome
+    from ltsim.campaigns.recovery import Recovery
+    from ltsim.campaigns.schema import RecoveryFile
     from ltsim.campaigns.statistics import Results
+    from ltsim.results import Table
+
 
 AGREED = 1e-3
 """[sigma] how far the batch may be from the full solver."""
@@ -44,30 +53,27 @@ class Backend(StrEnum):
     DASK = "dask"
 
 
+CampaignFile = Annotated[Path | None, typer.Argument(metavar="FILE", help="A campaign file (ltsim-campaign/1).")]
+Example = Annotated[bool, typer.Option("--show", help="Print a commented campaign file to edit, and do nothing else.")]
+Rows = Annotated[
+    Path | None, typer.Option("--out", metavar="DIR", help="Folder for the rows; default: FILE without its ending.")
+]
+BackendName = Annotated[Backend, typer.Option(help="Processes on this machine, or workers of a dask cluster.")]
+Scheduler = Annotated[
+    str, typer.Option(metavar="ADDRESS", help="Of the dask scheduler, such as tcp://host:8786, or its cluster file.")
+]
+
+
 def campaign(
-    file: Annotated[Path | None, typer.Argument(metavar="FILE", help="A campaign file (ltsim-campaign/1).")] = None,
-    show_example: Annotated[
-        bool, typer.Option("--show", help="Print a commented campaign file to edit, and do nothing else.")
-    ] = False,
-    out: Annotated[
-        Path | None, typer.Option("--out", metavar="DIR", help="Folder for the rows; default: FILE without its ending.")
-    ] = None,
-    jobs: Jobs = 1,
-    resume: Annotated[bool, typer.Option("--resume", help="Continue what the folder holds.")] = False,
-    backend: Annotated[Backend, typer.Option(help="Processes on this machine, or workers of a dask cluster.")] = (
-        Backend.LOCAL
-    ),
-    scheduler: Annotated[
-        str,
-        typer.Option(metavar="ADDRESS", help="Of the dask scheduler, such as tcp://host:8786, or its cluster file."),
-    ] = "",
-    changes: Annotated[
-        list[str] | None,
-        typer.Option("--set", metavar="KEY=VALUE", help="Another value of a key, as trials=200 or work.faces=2."),
-    ] = None,
+    file: CampaignFile = None,
+    show_example: Example = False,
+    out: Rows = None,
+    backend: BackendName = Backend.LOCAL,
+    scheduler: Scheduler = "",
     force: Force = False,
     *,
     terminal: Terminal,
+    **options: Any,
 ) -> int:
     """Simulate, calibrate and judge many trials, safely: rows are kept whatever stops it, and --resume goes on.
 
@@ -92,26 +98,24 @@ def campaign(
     from ltsim.campaigns.campaign import Workers, run_campaign
     from ltsim.campaigns.kernels import compiled_before
     from ltsim.campaigns.spec import load_campaign
-    from ltsim.campaigns.statistics import Results, summary_csv
+    from ltsim.campaigns.statistics import Results
     from ltsim.campaigns.store import Store
 
     folder = out or file.with_suffix("")
-    given = parsed(changes or [])
-    settings, scenarios = load_campaign(file, given)
+    settings, scenarios = load_campaign(file, options["changes"])
     total = settings.trials * len(settings.methods) * len(scenarios)
-    workers = Workers(jobs, backend.value, scheduler)
-    how: dict[str, Any] = {"workers": workers, "resume": resume, "force": force, "changes": given}
+    workers = Workers(options.pop("jobs"), backend.value, scheduler)
     if not compiled_before():
         terminal.note("compiling the solver, which takes half a minute: the first campaign of an installation does")
     try:
         with terminal.progress("trials", total) as advance:
-            outcome = run_campaign(file, folder, progress=advance, **how)
+            outcome = run_campaign(file, folder, progress=advance, workers=workers, force=force, **options)
     except KeyboardInterrupt:
         kept = len(Store(folder).shards())
         raise StoppedError(f"{kept} finished shards are kept in {folder}; go on with --resume") from None
     results = Results(folder)
     summary = results.summary()
-    write_text(folder / "summary.csv", summary_csv(summary))
+    write_text(folder / "summary.csv", results.table("summary").csv())
     terminal.answer(summary)
     show(terminal, outcome, results, summary)
     failures = [disagreement(e, results) for e in summary["ends"] if (e["largest_difference_sigma"] or 0.0) > AGREED]
@@ -130,37 +134,40 @@ def disagreement(end: dict[str, Any], results: Results) -> str:
     )
 
 
-def parsed(changes: list[str]) -> dict[str, Any]:
-    """`KEY=VALUE` as key and value, which is read as in a file; what is no value there is a text. Raises SetupError."""
-    found = {}
-    for text in changes:
-        key, equals, value = (part.strip() for part in text.partition("="))
-        if not equals or not key or not value:
-            raise SetupError(f"--set '{text}': expected KEY=VALUE, such as work.faces=2")
-        try:
-            found[key] = tomllib.loads(f"value = {value}")["value"]
-        except tomllib.TOMLDecodeError:
-            found[key] = value
-    return found
-
-
 def show(terminal: Terminal, outcome: Outcome, results: Results, summary: dict[str, Any]) -> None:
     """The answer in tables for a person: cell by cell, or of very many by their factors."""
     for note in outcome.notes:
         terminal.note(note)
     again = f", {outcome.kept} were finished before" if outcome.kept else ""
     terminal.say(f"{outcome.shards} shards written to {outcome.folder}{again}\n")
-    settings = [[f.words(level[f.name]) for f in results.factors] for level in results.levels]
-    names = [f.name for f in results.factors]
-    shown = [c for c in summary["columns"] if c["column"] in SHOWN]
-    if len(summary["ends"]) > MOST_ROWS:
-        failed = sum(e["failed"] for e in summary["ends"])
-        terminal.say(f"{len(settings)} cells, {sum(e['trials'] for e in summary['ends'])} trials, {failed} failed\n")
+    names = " ".join(f.name for f in results.factors)
+    ends, cells = (_worded(results, results.table(name)) for name in ("ends", "summary"))
+    if len(ends.rows) > MOST_ROWS:
+        trials, failed = (sum(ends.column(name)) for name in ("trials", "failed"))
+        terminal.say(f"{len(results.levels)} cells, {trials} trials, {failed} failed\n")
+        settings = [[f.words(level[f.name]) for f in results.factors] for level in results.levels]
+        shown = [c for c in summary["columns"] if c["column"] in SHOWN]
         heads = ["factor", "level", "method", "statistic", "mean", "least cell", "largest cell"]
-        terminal.say(table(heads, by_factor(names, settings, shown), left=4))
+        terminal.say(table(heads, by_factor(names.split(), settings, shown), left=4))
     else:
-        _by_cell(terminal, names, settings, summary["ends"], shown)
+        terminal.say(ends.only(f"{names} method trials failed by_full_solver checked largest_difference_sigma").text())
+        at = cells.header.index("column")
+        chosen = replace(cells, rows=tuple(row for row in cells.rows if row[at] in SHOWN))
+        quantiles = "quantile_5_percent quantile_50_percent quantile_95_percent"
+        terminal.say("\n" + chosen.only(f"{names} method column mean low high {quantiles}").text())
+        terminal.say("low, high: 95 % confidence of the mean; quantiles are of the trials")
     terminal.say(f"\nall statistics: {outcome.folder / 'summary.csv'}; a page: ltsim report {outcome.folder}")
+
+
+def _worded(results: Results, made: Table) -> Table:
+    """A table of cells with their settings in words."""
+    words = {f.name: f.words for f in results.factors}
+    columns = tuple(replace(c, kind="text") if c.name in words else c for c in made.columns)
+    rows = (
+        tuple(words[c.name](value) if c.name in words else value for c, value in zip(columns, row, strict=True))
+        for row in made.rows
+    )
+    return replace(made, columns=columns, rows=tuple(rows))
 
 
 def by_factor(names: list[str], settings: list[list[str]], shown: list[dict[str, Any]]) -> list[list[str]]:
@@ -175,29 +182,123 @@ def by_factor(names: list[str], settings: list[list[str]], shown: list[dict[str,
     ]
 
 
-def _by_cell(
+RecoverJobs = Annotated[
+    int | None,
+    typer.Option(
+        "--jobs", "-j", min=1, max=MOST, help="Processes to work with; default all cores, one for few trials."
+    ),
+]
+
+
+JunitFile = Annotated[
+    Path | None, typer.Option("--junit", metavar="FILE", help="Write the checks as JUnit XML too, for CI.")
+]
+MODES = {"drawn": "drawn from the prior", "stated": "as the scenario states them"}
+FEW = 100
+"""Trials that take less time than starting further processes."""
+
+
+def recover(
+    scenario: ScenarioName,
+    jobs: RecoverJobs = None,
+    junit: JunitFile = None,
+    out: Out = None,
+    force: Force = False,
+    *,
     terminal: Terminal,
-    names: list[str],
-    settings: list[list[str]],
-    ends: list[dict[str, Any]],
-    shown: list[dict[str, Any]],
+    **options: Any,
 ) -> None:
+    """Make an instrument with errors, measure, calibrate, compare with the truth; many times.
+
+    Errors are those that the scenario states, or drawn from the prior where it states none. Exit status 1, naming what
+    fails: z-scores of every parameter (with drawn errors standard normal; with stated ones no wider, the value inside
+    its interval as often as promised), chi-square, targets and stations. Writes recovery.json and trials.csv to --out.
+
+    Example: ltsim recover paper-workshop-re-aimed --trials 1000 --jobs 2
+    """
+    from ltsim.campaigns.recovery_checks import FALSE_ALARM
+    from ltsim.campaigns.schema import TRIALS, RecoveryFile
+
+    claim(out, RecoveryFile, (TRIALS.file,), force=force)
+    claim_file(junit, force=force)
+    if junit is not None:
+        _make_folder(junit.parent)
+    workers = jobs or (1 if options["trials"] < FEW else os.cpu_count() or 1)
+    with terminal.progress("trials", options["trials"]) as step:
+        result = lt.recover(scenario, progress=step, jobs=workers, **options)
+    content = recovery_file(result, options["seed"])
+    if out is not None:
+        from ltsim.recording.result_file import write_result
+
+        content = write_result(out, content, {TRIALS.file: result.table("trials").csv()})
+    if junit is not None:
+        junit.write_text(junit_xml(result, str(scenario)), encoding="utf-8")
+    terminal.answer(content.content())
+    terminal.say(recovery_table(result))
+    failures = result.failures()
+    for failure in failures:
+        print(failure.sentence(), file=sys.stderr)
+    if failures:
+        raise typer.Exit(1)
+    rate = "" if result.tolerance else f" (a correct model fails this check in {100 * FALSE_ALARM:.0f} % of runs)"
+    done = f"{len(result.trials)} trials, errors {MODES[result.errors]}"
+    terminal.say(f"{done}: everything is recovered within {result.what}{rate}")
+
+
+def _make_folder(folder: Path) -> None:
+    """The folder of a file that is written after all trials."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as problem:
+        raise SetupError(f"{folder}: cannot be made ({problem.strerror})") from None
+
+
+def recovery_file(result: Recovery, seed: int) -> RecoveryFile:
+    """The outcome for a program."""
+    from ltsim.campaigns.schema import RecoveryFile
+
+    checks = result.checks()
+    return RecoveryFile(
+        passed=all(check.passed for check in checks),
+        errors=result.errors,
+        trials=len(result.trials),
+        converged=len(result.converged),
+        seed=seed,
+        checks=tuple(checks),
+    )
+
+
+def junit_xml(result: Recovery, suite: str) -> str:
+    """The checks as JUnit XML: a test case each, with value and limits; they share the time of all trials."""
+    checks = result.checks()
+    failed, each = str(sum(not check.passed for check in checks)), f"{result.seconds / len(checks):.3f}"
+    counts: dict[str, str] = {
+        "tests": str(len(checks)),
+        "failures": failed,
+        "errors": "0",
+        "time": f"{result.seconds:.3f}",
+    }
+    root = Element("testsuite", {"name": f"ltsim recover {suite}", **counts})
+    for check in checks:
+        case = SubElement(root, "testcase", classname=f"recover.{check.what}", name=check.statistic, time=each)
+        inside = SubElement(case, "properties")
+        for name in ("value", "low", "high"):
+            SubElement(inside, "property", name=name, value=f"{getattr(check, name):.6g}")
+        if not check.passed:
+            SubElement(case, "failure", message=check.sentence())
+    return tostring(root, encoding="unicode", xml_declaration=True) + "\n"
+
+
+def recovery_table(result: Recovery) -> str:
+    """One row a parameter: its errors, beside ltsim's where another calibrator is checked, and its z-scores."""
+    if len(result.converged) < 2:
+        return "fewer than two trials gave a result"
+    columns = result.parameters()
+    heads = {"rms_error": "rms error", "ltsim_rms_error": "ltsim's", "mean_z": "mean z", "deviation_z": "sd of z"}
+    shown = [name for name in ("parameter", "unit", *heads) if name in columns]
+    cover = ["" if c != c else f"{100 * c:.1f} %" for c in columns["coverage_95"]]
     rows = [
-        [
-            *settings[e["cell"]],
-            e["method"],
-            *(str(e[key]) for key in ("trials", "failed", "by_full_solver", "checked")),
-            "" if e["largest_difference_sigma"] is None else f"{e['largest_difference_sigma']:.1e}",
-        ]
-        for e in ends
+        [value if isinstance(value, str) else "" if value != value else f"{value:.3g}" for value in row] + [covered]
+        for row, covered in zip(zip(*(columns[name] for name in shown), strict=True), cover, strict=True)
     ]
-    header = [*names, "method", "trials", "failed", "full solver", "verified", "largest difference [sigma]"]
-    terminal.say(table(header, rows, left=len(names) + 1))
-    rows = [
-        [*settings[c["cell"]], c["method"], c["column"], f"{c['mean']:.3f}", f"{c['low']:.3f} to {c['high']:.3f}"]
-        + ["" if c["quantiles"][k] is None else f"{c['quantiles'][k]:.2f}" for k in (1, 3, 5)]
-        for c in shown
-    ]
-    if rows:
-        heads = [*names, "method", "statistic", "mean", "95 % confidence", "5 %", "50 %", "95 %"]
-        terminal.say("\n" + table(heads, rows, left=len(names) + 2))
+    return table([*(heads.get(name, name) for name in shown), "95 % covers"], rows, left=2)

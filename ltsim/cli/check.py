@@ -1,4 +1,4 @@
-"""`ltsim check`: go or no-go in the field, from what was measured twice."""
+"""`ltsim check`, `accept`, `bench`: one instrument in the field, against its maker's limits, and its reflector."""
 
 from __future__ import annotations
 
@@ -6,23 +6,23 @@ import re
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+import ltsim as lt
 from ltsim.cli.options import Out, Reading, Source
 from ltsim.cli.places import Force, claim
-from ltsim.cli.terminal import Terminal
+from ltsim.cli.terminal import Terminal, table
 from ltsim.errors import NetworkError, RecordError
+from ltsim.notation import with_sigma
 from ltsim.recording.files import is_number
 
 if TYPE_CHECKING:
+    from ltsim.acceptance.files import AcceptanceFile
+    from ltsim.evaluation.bench import BenchFile, EstimateEntry
     from ltsim.fieldcheck import Check, Item
 
-LEVEL = 0.01
-Level = Annotated[
-    float, typer.Option("--level", min=1e-6, max=0.5, help="Chance of one false alarm in the whole recording.")
-]
 MpeOption = Annotated[
     str | None,
     typer.Option(
@@ -33,13 +33,14 @@ MpeOption = Annotated[
     ),
 ]
 Watch = Annotated[bool, typer.Option("--watch", help="Follow a recording that grows; say at once what goes wrong.")]
+AcceptFile = Annotated[Path, typer.Argument(metavar="FILE", help="An acceptance file (ltsim-acceptance/1).")]
+BenchTable = Annotated[Path, typer.Argument(metavar="FILE", help="A table angle_deg,length_um,probe_um.")]
 POLL = 1.0
 """[s] between two looks at the files of a recording that grows."""
 
 
 def check(
     source: Source,
-    level: Level = LEVEL,
     mpe: MpeOption = None,
     watch: Watch = False,
     out: Out = None,
@@ -47,6 +48,7 @@ def check(
     reading: Reading,
     force: Force = False,
     terminal: Terminal,
+    **options: Any,
 ) -> int:
     """Go or no-go: two-face differences, gross pointings, bumps, drift, level and scatter; status 1 for no-go.
 
@@ -55,7 +57,6 @@ def check(
 
     Example: ltsim check my-recording --mpe 20,6 --out my-check
     """
-    import ltsim as lt
     from ltsim.fieldcheck import check_file, write_check
     from ltsim.fieldcheck.files import TWO_FACE, CheckFile
 
@@ -63,14 +64,14 @@ def check(
     limit = mpe_of(mpe)
 
     def look() -> Check:
-        return lt.check(reading.of(source, growing=True), level=level, mpe=limit)
+        return lt.check(reading.of(source, growing=True), mpe=limit, **options)
 
     if watch:
         follow(terminal, look, changes(source))
         return 0
     recording = reading.open(source, terminal)
     with terminal.busy("checking"):
-        found = lt.check(recording, level=level, mpe=limit)
+        found = lt.check(recording, mpe=limit, **options)
     content = check_file(found)
     if out is not None:
         from ltsim.pages.style import svg  # most checks draw nothing
@@ -107,7 +108,6 @@ def changes(source: Path) -> Iterator[None]:
 
 
 def _state(source: Path) -> tuple[tuple[str, int, int], ...]:
-    """Names, sizes and times of the files."""
     files = sorted(source.iterdir()) if source.is_dir() else [source]
     found = []
     for file in files:
@@ -147,3 +147,89 @@ def follow(terminal: Terminal, look: Callable[[], Check], steps: Iterator[None])
 
 def _key(item: Item) -> tuple[str, str, tuple[str, ...]]:
     return item.station, item.kind, item.targets
+
+
+def accept(file: AcceptFile, out: Out = None, force: Force = False, *, terminal: Terminal) -> int:
+    """Predict acceptance tests of a tracker, or judge errors that were found, against its maker's limits.
+
+    Writes accept.json and accept.csv to --out. Exit status 1 when an error that was found is over its limit.
+
+    Example: ltsim accept my-tracker.toml --out acceptance
+    """
+    from ltsim.acceptance.files import TESTS, AcceptanceFile, write_acceptance
+
+    claim(out, AcceptanceFile, (TESTS.file,), force=force)
+    with terminal.busy("looking at the tests"):
+        content = lt.accept(file)
+    if out is not None:
+        content = write_acceptance(content, out)
+    terminal.answer(content.content())
+    show_acceptance(terminal, content)
+    terminal.written(out)
+    return int(content.kind != "predicted" and content.passes < 1)
+
+
+def show_acceptance(terminal: Terminal, content: AcceptanceFile) -> None:
+    """The answer, a line a group, and what the tests are blind to."""
+    from ltsim.acceptance.files import passes_words
+
+    terminal.say(content.sentence)
+    if content.assumption:
+        terminal.say(f"assumed: {content.assumption}")
+    rows = [
+        [g.name, str(g.tests), passes_words(content, g.passes), f"{100 * g.largest_share:.0f} %"]
+        for g in content.groups
+    ]
+    terminal.say("")
+    share = "error + U over limit" if content.kind == "predicted" else "error over limit"
+    terminal.say(table(["tests", "number", "passed", share], rows, left=1))
+    worst = content.worst_passing
+    if worst is not None:
+        blind = [s.name for s in content.sensitivities if s.smallest_failing is None]
+        if blind:
+            terminal.say(f"\nno test sees {', '.join(blind)}")
+        terminal.say(
+            f"an instrument can pass every test and still place points {worst.rms_um:.0f} um off "
+            f"({worst.largest_um:.0f} um at most), 1.5 to 9 m away"
+        )
+
+
+def bench(file: BenchTable, *, out: Out = None, force: Force = False, terminal: Terminal, **options: Any) -> None:
+    """Find a reflector's range error against incidence from its bench test, with uncertainty.
+
+    The table turns the reflector; the probe's first harmonic is the eccentricity, which is taken off the lengths.
+    Writes bench.json to --out.
+
+    Example: ltsim bench my-reflector.csv --out my-reflector
+    """
+    from ltsim.evaluation.bench import BenchFile
+    from ltsim.recording.result_file import write_result
+
+    claim(out, BenchFile, force=force)
+    content = lt.bench(file, **options)
+    if out is not None:
+        content = write_result(out, content, {})
+    terminal.answer(content.content())
+    show_bench(terminal, content)
+    terminal.written(out)
+
+
+def show_bench(terminal: Terminal, found: BenchFile) -> None:
+    """The table, what explains it, and the line for a scenario."""
+    from ltsim.effects.smr_incidence import TABLE_ANGLES
+    from ltsim.units import DEGREE
+
+    off = f"{words(found.eccentricity_forward)} forward, {words(found.eccentricity_side)} to the side"
+    terminal.say(f"sphere off the table's axis: {off}; run-out {found.run_out_um:.1f} um\n")
+    terminal.say(found.table().text())
+    vertex = f"{words(found.vertex_axial)} axial, {words(found.vertex_side)} to the side"
+    terminal.say(f"\nas a vertex off the centre (smr-centring): {vertex}")
+    terminal.say(f"what no offset explains (smr-incidence): {found.remainder_um:.2f} um rms")
+    if [round(r.angle_deg, 3) for r in found.angles] == [round(float(a) / DEGREE, 3) for a in TABLE_ANGLES]:
+        values = ", ".join(f"{r.error_um:.2f}" for r in found.angles)
+        terminal.say(f"\nfor a scenario: [smr] incidence_error = true, table_um = [{values}]")
+
+
+def words(entry: EstimateEntry) -> str:
+    """A length with its standard deviation."""
+    return with_sigma(entry.value_um, entry.sigma_um, "um")

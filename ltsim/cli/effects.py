@@ -49,7 +49,6 @@ def effects(name: Name = None, *, terminal: Terminal) -> None:
 
 
 def _about(effect: type[Effect]) -> str:
-    """An effect and its cause, in a line."""
     card = card_of(effect)
     return f"{card.title}: {card.cause}"
 

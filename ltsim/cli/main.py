@@ -6,14 +6,14 @@ import errno
 import os
 import sys
 import traceback
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from importlib import import_module
 from typing import Annotated, Any
 
 import typer
 from typer.core import TyperGroup
 
-from ltsim.cli.options import ungrouped
+from ltsim.cli.options import command_of
 from ltsim.errors import LtsimError, StoppedError, options_are_flags, printable
 
 BAD_INPUT, UNEXPECTED, INTERRUPTED = 2, 70, 130
@@ -23,36 +23,43 @@ UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG)
 # Typer brings its own copy of click or the library's, by version; its errors are reached through a public one.
 UsageProblem: type[Exception] = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException")
 
-# To add a verb: a module of its name with a function of its name, and one line here.
+# To add a verb: a function of its name in one of these modules, and one line here.
 VERBS = {
-    "demo": "simulate, calibrate, repeat, hide, diagnose: one page",
-    "simulate": "measure a virtual workshop once",
-    "check": "go or no-go in the field: two faces, drift, bumps",
-    "adjust": "adjust the network of a recording, no instrument parameters",
-    "calibrate": "find the instrument's parameters from a recording",
-    "correct": "write the recording that an ideal tracker would have made",
-    "evaluate": "how far the stations disagree, before and after",
-    "verify": "apply a calibration to another recording",
-    "recover": "is what was injected recovered? a check for CI",
-    "campaign": "many trials over a grid of settings, safely",
-    "compare": "did points move between two recordings",
-    "convert": "read a recording in one format, write it in another",
-    "effects": "the catalogue of physical effects",
-    "inject": "put a cause into a recording: would it be seen?",
-    "diagnose": "do recording and model agree; if not, where and why",
-    "history": "follow an instrument's parameters over calibrations",
-    "plan": "find a layout of stations and reflectors, or what to measure next",
-    "report": "one page that opens offline, about any folder of results",
-    "uncertainty": "what a task on a recording is worth: budget, verdict",
-    "accept": "acceptance tests of a tracker: predicted, or judged",
-    "bench": "a reflector's range error against incidence from its bench test",
-    "view": "show the workshop in 3D",
+    "demo": ("simulate", "simulate, calibrate, repeat, hide, diagnose: one page"),
+    "simulate": ("simulate", "measure a virtual workshop once"),
+    "check": ("check", "go or no-go in the field: two faces, drift, bumps"),
+    "adjust": ("adjustment", "adjust the network of a recording, no instrument parameters"),
+    "calibrate": ("adjustment", "find the instrument's parameters from a recording"),
+    "correct": ("adjustment", "write the recording that an ideal tracker would have made"),
+    "evaluate": ("adjustment", "how far the stations disagree, before and after"),
+    "verify": ("adjustment", "apply a calibration to another recording"),
+    "recover": ("campaign", "is what was injected recovered? a check for CI"),
+    "campaign": ("campaign", "many trials over a grid of settings, safely"),
+    "compare": ("tasks", "did points move between two recordings"),
+    "convert": ("convert", "read a recording in one format, write it in another"),
+    "effects": ("effects", "the catalogue of physical effects"),
+    "inject": ("simulate", "put a cause into a recording: would it be seen?"),
+    "diagnose": ("diagnose", "do recording and model agree; if not, where and why"),
+    "history": ("diagnose", "follow an instrument's parameters over calibrations"),
+    "plan": ("plan", "find a layout of stations and reflectors, or what to measure next"),
+    "report": ("view", "one page that opens offline, about any folder of results"),
+    "uncertainty": ("tasks", "what a task on a recording is worth: budget, verdict"),
+    "accept": ("check", "acceptance tests of a tracker: predicted, or judged"),
+    "bench": ("check", "a reflector's range error against incidence from its bench test"),
+    "view": ("view", "show the workshop in 3D"),
 }
+"""The module of each verb, and its line in the help."""
 SETTINGS: dict[str, Any] = {
     "pretty_exceptions_enable": False,
     "rich_markup_mode": None,
     "context_settings": {"help_option_names": ["-h", "--help"]},
 }
+
+
+def verb_of(name: str) -> Callable[..., Any]:
+    """The function of a verb; its module is imported when it is used."""
+    function: Callable[..., Any] = getattr(import_module(f"ltsim.cli.{VERBS[name][0]}"), name)
+    return function
 
 
 class Verbs(TyperGroup):
@@ -71,13 +78,13 @@ class Verbs(TyperGroup):
         if cmd_name not in VERBS:
             return None
         verb = typer.Typer(add_completion=False, **SETTINGS)
-        verb.command(cmd_name)(ungrouped(getattr(import_module(f"ltsim.cli.{cmd_name}"), cmd_name)))
+        verb.command(cmd_name)(command_of(cmd_name, verb_of(cmd_name)))
         return typer.main.get_command(verb)
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """A line a verb."""
         with formatter.section("Commands"):
-            formatter.write_dl(list(VERBS.items()))
+            formatter.write_dl([(name, about) for name, (_, about) in VERBS.items()])
 
 
 app = typer.Typer(cls=Verbs, name="ltsim", no_args_is_help=True, **SETTINGS)

@@ -1,17 +1,23 @@
-"""Arguments and options that several verbs share, single and in groups, and what is done with them."""
+"""Arguments and options that several verbs share, in groups too, and those that a public function declares."""
 
 from __future__ import annotations
 
+import ast
 import inspect
-from collections.abc import Callable
+import re
+import tomllib
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields, is_dataclass
+from enum import StrEnum
+from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, get_args, get_type_hints
 
 import typer
 
+import ltsim as lt
 from ltsim.cli.terminal import Terminal
-from ltsim.errors import RecordError
+from ltsim.errors import SPECIAL, RecordError, SetupError
 from ltsim.workers import MOST
 
 if TYPE_CHECKING:
@@ -24,7 +30,6 @@ Out = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Folder t
 _IN_FILE = typer.Option("--calibration", metavar="FILE", help="A calibration.json, or the folder that holds it.")
 CalibrationFile = Annotated[Path, _IN_FILE]
 OptionalCalibrationFile = Annotated[Path | None, _IN_FILE]
-Seed = Annotated[int, typer.Option("--seed", min=0, help="Root of all random draws; the same seed, the same result.")]
 Jobs = Annotated[
     int, typer.Option("--jobs", "-j", min=1, max=MOST, help="Processes to work with; the result is the same.")
 ]
@@ -67,20 +72,6 @@ ControlFile = Annotated[
         "sigma_z_mm); an empty coordinate is not known. One that the readings contradict is named and left out.",
     ),
 ]
-Robust = Annotated[
-    bool, typer.Option("--robust", help="Leave out readings that do not belong; each is tested again at the end.")
-]
-NoiseFromData = Annotated[
-    bool,
-    typer.Option("--noise-from-data", help="Estimate the noise of each observable and instrument from the readings."),
-]
-Datum = Annotated[
-    str | None,
-    typer.Option("--datum", metavar="T01,T02,...", help="Targets that define the datum, by inner constraints."),
-]
-PointsFile = Annotated[
-    Path | None, typer.Option("--points", metavar="FILE", help="Write the adjusted points too: .csv, .ply or .glb.")
-]
 
 
 def names_of(listed: str | None) -> tuple[str, ...] | None:
@@ -109,19 +100,6 @@ def hints_of(pairs: list[str] | None, columns: str | None = None, *, growing: bo
             raise RecordError(f"--hint {pair}: {key} can be {' or '.join(choices[key])}")
         given[key] = Path(value) if key in ("points", "setup") else value
     return Hints(**given, columns=columns, growing=growing)
-
-
-@dataclass(frozen=True)
-class Treatment:
-    """How an adjustment treats its readings."""
-
-    robust: Robust = False
-    noise_from_data: NoiseFromData = False
-    datum: Datum = None
-
-    def as_options(self) -> dict[str, Any]:
-        """The same as `ltsim.adjust` takes it."""
-        return {"robust": self.robust, "noise_from_data": self.noise_from_data, "datum": names_of(self.datum)}
 
 
 @dataclass(frozen=True)
@@ -163,25 +141,33 @@ class FramedReading(Reading):
         return found if self.frame is None else in_axes(found, self.frame)
 
 
-def ungrouped(verb: Callable[..., Any]) -> Callable[..., Any]:
-    """A verb as Typer wants it: for a parameter that is a dataclass of options, the options themselves."""
+def command_of(name: str, verb: Callable[..., Any]) -> Callable[..., Any]:
+    """A verb as Typer wants it: groups of options spread out, `**options` replaced by those of public functions.
+
+    These are the options of `lt.NAME`, or of the functions that the annotation of `**options` names, each perhaps
+    followed by the options to take of it; what the verb declares itself is not taken.
+    """
     hints = get_type_hints(verb, include_extras=True)
-    groups: dict[str, Any] = {name: group for name, group in hints.items() if is_dataclass(group)}
+    groups: dict[str, Any] = {key: group for key, group in hints.items() if is_dataclass(group)}
+    own = inspect.signature(verb).parameters
     single: list[inspect.Parameter] = []
-    for name, parameter in inspect.signature(verb).parameters.items():
-        if name in groups:
-            kinds = get_type_hints(groups[name], include_extras=True)
-            single += [
-                inspect.Parameter(f.name, parameter.kind, default=f.default, annotation=kinds[f.name])
-                for f in fields(groups[name])
-            ]
+    taken: list[Public] = []
+    for key, parameter in own.items():
+        if key in groups:
+            kinds = get_type_hints(groups[key], include_extras=True)
+            single += [_option(f.name, kinds[f.name], f.default) for f in fields(groups[key])]
+        elif parameter.kind is parameter.VAR_KEYWORD:
+            sources = [text.split() for text in get_args(hints[key])[1:]] or [[name]]
+            taken = [o for source, *wanted in sources for o in public_options(source, wanted) if o.name not in own]
         else:
-            single.append(parameter.replace(annotation=hints[name]))
+            single.append(_option(key, hints[key], parameter.default))
+    at = next((i for i, p in enumerate(single) if p.name in ("out", *Reading.__dataclass_fields__)), len(single))
+    single[at:at] = [option.parameter for option in taken]
 
     def run(**given: Any) -> Any:
-        for name, group in groups.items():
-            given[name] = group(**{f.name: given.pop(f.name) for f in fields(group)})
-        return verb(**given)
+        for key, group in groups.items():
+            given[key] = group(**{f.name: given.pop(f.name) for f in fields(group)})
+        return verb(**given | {option.name: option.value(given[option.name]) for option in taken})
 
     run.__doc__ = verb.__doc__
     run.__annotations__ = {parameter.name: parameter.annotation for parameter in single}
@@ -189,15 +175,169 @@ def ungrouped(verb: Callable[..., Any]) -> Callable[..., Any]:
     return run
 
 
+def _option(name: str, kind: Any, default: Any) -> inspect.Parameter:
+    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=kind)
+
+
+PROGRAMS = ("advise", "again", "geometry", "cad", "about", "recording", "title", "format", "hints", "follower")
+"""Parameters that only a program gives, or that their verb reads in its own way."""
+BOUNDS: dict[str, tuple[float, float | None]] = {
+    "seed": (0, None), "trial": (0, None), "trials": (2, None), "starts": (1, None), "injections": (1, None),
+    "jobs": (1, MOST), "level": (1e-6, 0.5), "noncentrality": (1e-3, None), "length_sigma": (1e-6, None),
+}  # fmt: skip
+SHORT = {"trials": "-n", "jobs": "-j"}
+METAVARS = {"prior": "FILE|none", "with_effects": "EFFECT[:WHERE,...]", "calibrator": "'CMD {recording} {out}'"}
+
+
+def _number(text: str) -> float:
+    value = float(text)
+    if not isfinite(value):
+        raise ValueError
+    return value
+
+
+def _toml(text: str) -> Any:
+    """A value as in a file; what is no value there is a text."""
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return text
+
+
+def _place(text: str) -> tuple[float, ...]:
+    place = tuple(_number(part) for part in text.split(","))
+    if len(place) not in (2, 3):
+        raise ValueError
+    return place
+
+
+PAIRS: dict[str, tuple[str, str, Callable[[str], Any]]] = {
+    "hold": ("NAME=VALUE", "NAME=VALUE with a number, e.g. beam-tilt=2.5", _number),
+    "tolerance": ("NAME=QUANTITY", "NAME=QUANTITY, such as beam-tilt='2 urad'", lambda text: text.strip("'\"")),
+    "changes": ("KEY=VALUE", "KEY=VALUE, such as work.faces=2", _toml),
+    "move": ("STATION=X,Y[,Z]", "STATION=X,Y or STATION=X,Y,Z in mm, such as S2=5000,3000", _place),
+}
+"""Options that are mappings: how they are written, what is said of a wrong one, how a value is read."""
+
+
+@dataclass(frozen=True)
+class Public:
+    """A parameter of a public function as an option: its default from the signature, its help from the docstring."""
+
+    name: str
+    kind: str
+    default: Any
+    help: str
+    of: str
+    """Its type in words, where the docstring says more than the signature."""
+
+    @property
+    def choices(self) -> list[str]:
+        """What it can be, where the docstring lists that: {`mm`, `m`}."""
+        return re.findall(r"`([^`]+)`", self.of) if self.of.startswith("{") else []
+
+    @property
+    def flag(self) -> str:
+        """As it is written: `--noise-from-data`."""
+        return SPECIAL.get(self.name, "--set" if self.name == "changes" else "--" + self.name.replace("_", "-"))
+
+    @property
+    def several(self) -> bool:
+        """Whether it can be repeated; a list of names is written with commas."""
+        return self.name in PAIRS or "Effect" in self.kind or self.kind.startswith("Sequence")
+
+    @property
+    def names(self) -> bool:
+        """Whether it is a list of names with commas."""
+        return not self.several and "Sequence[str]" in self.kind
+
+    @property
+    def parameter(self) -> inspect.Parameter:
+        """For Typer."""
+        low, high = BOUNDS.get(self.name, (None, None))
+        words = [self.flag, *([SHORT[self.name]] if self.name in SHORT else [])]
+        kind: Any = float if "float" in self.kind else int if "int" in self.kind else str
+        metavar = PAIRS[self.name][0] if self.name in PAIRS else METAVARS.get(self.name)
+        if self.kind.startswith("bool"):
+            kind = bool
+            words = words if self.default is False else [f"{self.flag}/--no-{self.flag[2:]}"]
+        elif self.choices:
+            kind, metavar = StrEnum(self.name.title(), {c: c for c in self.choices}), None
+        elif self.names:
+            metavar = "NAME,..."
+        elif low is None and metavar is None:
+            metavar = "FILE" if "Path" in self.kind else "NAME" if kind is str else "N"
+        default = self.default
+        if self.several or default is None or default == ():
+            kind, default = (list[str] if self.several else kind) | None, None
+        option = typer.Option(*words, help=self.help, metavar=metavar, min=low, max=high)
+        return _option(self.name, Annotated[kind, option], default)
+
+    def value(self, given: Any) -> Any:
+        """What the function is called with; raises SetupError for what cannot be read."""
+        if given is None or given == []:
+            return self.default
+        if self.name in PAIRS:
+            return dict(self._pair(text) for text in given)
+        if self.names:
+            return names_of(given)
+        return tuple(given) if self.several else given.value if self.choices else given
+
+    def _pair(self, text: str) -> tuple[str, Any]:
+        _, form, read = PAIRS[self.name]
+        key, _, value = (part.strip() for part in text.partition("="))
+        try:
+            if key and value:
+                return key, read(value)
+        except ValueError:
+            pass
+        raise SetupError(f"{self.flag} {text}: expected {form}")
+
+
+def public_options(function: str, wanted: list[str]) -> list[Public]:
+    """The keyword parameters of a public function, or the wanted ones.
+
+    Its source is read, not imported: help need not wait for what the function needs.
+    """
+    tree = ast.parse((Path(lt.__file__).parent / f"{lt._HOME[function].replace('.', '/')}.py").read_text("utf-8"))
+    node = next(n for n in tree.body if isinstance(n, ast.FunctionDef) and n.name == function)
+    meanings = dict(_meanings(inspect.cleandoc(ast.get_docstring(node) or "")))
+    named = {ast.unparse(n.targets[0]): n.value for n in tree.body if isinstance(n, ast.Assign)}
+    found = []
+    for argument, stated in zip(node.args.kwonlyargs, node.args.kw_defaults, strict=True):
+        name, kind = argument.arg, ast.unparse(argument.annotation or ast.Constant("str"))
+        value = named.get(stated.id) if isinstance(stated, ast.Name) else stated
+        if (wanted and name not in wanted) or name in PROGRAMS or not isinstance(value, ast.Constant | ast.Tuple):
+            continue
+        of, text = meanings[name]
+        if other := re.search(r"[Aa]s of `(\w+)`", text):
+            like = {option.name: option for option in public_options(other[1], [name])}
+            of, text = like[name].of, like[name].help
+        found.append(Public(name, kind, ast.literal_eval(value), text.replace("`", ""), of))
+    return found
+
+
+def _meanings(docstring: str) -> Iterator[tuple[str, tuple[str, str]]]:
+    """Names of parameters, each with its type and its text, of a docstring as numpy writes it."""
+    section = re.search(r"Parameters\n-+\n(.*?)(?:\n\n\S[^\n]*\n-+\n|\Z)", docstring, re.DOTALL)
+    entries = re.split(r"\n(?=\S)", section[1]) if section else []
+    for entry in entries:
+        head, _, text = entry.partition("\n")
+        names, _, of = head.partition(" : ")
+        for name in names.split(","):
+            yield name.strip(), (of, " ".join(text.split()))
+
+
 def in_axes(recording: Recording, frame: Path) -> Recording:
     """The recording with its datum in the axes of a file or a built-in scenario; raises RecordError or SetupError."""
-    from ltsim.adjustment.axes import in_axes_of_points, in_axes_of_three, read_axes
+    from ltsim.adjustment.axes import in_axes_of_points, in_axes_of_three
+    from ltsim.recording.coordinates import read_points
     from ltsim.recording.settings import read_toml
     from ltsim.simulation.builtin import builtin_names
 
     if frame.exists() and str(frame) not in builtin_names():
         if frame.suffix.lower() != ".toml":
-            return in_axes_of_points(recording, read_axes(frame), str(frame))
+            return in_axes_of_points(recording, read_points(frame, strict=False).by_name, str(frame))
         named = read_toml(frame, "frame")
         if {"origin", "x_axis", "xy_plane"} <= named.keys():
             return in_axes_of_three(recording, *(str(named[key]) for key in ("origin", "x_axis", "xy_plane")))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -31,8 +30,6 @@ PlanSource = Annotated[
 PlanOut = Annotated[
     Path | None, typer.Option("--out", metavar="DIR", help="Folder to write to; default plan-NAME, none with --json.")
 ]
-PlanSeed = Annotated[int | None, typer.Option("--seed", min=0, help="Root of the search; default as the file says.")]
-Starts = Annotated[int | None, typer.Option("--starts", min=1, help="Independent searches; default as the file says.")]
 Show = Annotated[bool, typer.Option("--show", help="Print a built-in plan as a file to edit, and do nothing else.")]
 After = Annotated[
     Path | None, typer.Option("--after", metavar="REC", help="Rank further measurements after this recording.")
@@ -46,12 +43,6 @@ Between = Annotated[
 Without = Annotated[
     str | None, typer.Option("--without", metavar="STATION", help="Other places for a station, the others as they are.")
 ]
-Move = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--move", metavar="STATION=X,Y[,Z]", help="Judge the layout with a station elsewhere [mm]; no search."
-    ),
-]
 MOST_SHOWN = 6
 SO_FAR = "best-so-far.toml"
 PICTURES = ("floor.png", "tradeoff.png")
@@ -61,18 +52,16 @@ PAGE = "work-order.html"
 def plan(
     source: PlanSource = None,
     out: PlanOut = None,
-    seed: PlanSeed = None,
-    starts: Starts = None,
     jobs: Jobs = 2,
     show: Show = False,
     after: After = None,
     between: Between = None,
     without: Without = None,
-    move: Move = None,
     *,
     reading: Reading,
     force: Force = False,
     terminal: Terminal,
+    **options: Any,
 ) -> None:
     """Find a layout of stations and reflectors and say why; or, with --after, what to measure next.
 
@@ -99,7 +88,7 @@ def plan(
     if show:
         print(plan_text(source), end="")
         return None
-    changes = _moves(move or [])
+    changes = options.pop("move")
     if without is not None and (changes or out is not None):
         raise SetupError("--without lists places for a station; judge one of them with --move, which takes --out")
     if without is not None:
@@ -111,22 +100,8 @@ def plan(
         with terminal.busy("judging the layout"):
             made = lt.plan(source, move=changes)
     else:
-        made = _searched(terminal, source, folder, {"starts": starts, "seed": seed, "jobs": jobs})
+        made = _searched(terminal, source, folder, {"jobs": jobs, **options})
     return _write(terminal, made, folder)
-
-
-def _moves(given: list[str]) -> dict[str, tuple[float, ...]]:
-    """Places by station of `--move STATION=X,Y[,Z]`."""
-    found = {}
-    for text in given:
-        name, _, place = text.partition("=")
-        try:
-            found[name] = tuple(float(v) for v in place.split(","))
-        except ValueError:
-            found[name] = ()
-        if len(found[name]) not in (2, 3) or not all(isfinite(v) for v in found[name]):
-            raise SetupError(f"--move {text}: expected STATION=X,Y or STATION=X,Y,Z in mm, such as S2=5000,3000")
-    return found
 
 
 def _show_places(terminal: Terminal, found: Sequence[Alternative]) -> None:
@@ -227,8 +202,8 @@ def pictures_of(made: Plan) -> dict[str, bytes]:
     from io import BytesIO
 
     from ltsim.pages.figures.floor_plan import floor_plan
-    from ltsim.pages.figures.trade_off import Layout, trade_off
-    from ltsim.pages.planned import from_scenario
+    from ltsim.pages.figures.plan import Layout, trade_off
+    from ltsim.pages.workshop import from_scenario
     from ltsim.planning.files import planned_scenario
 
     layouts = []

@@ -1,19 +1,28 @@
-"""`ltsim simulate`: a recording from a scenario, and apart from it the truth."""
+"""`ltsim simulate`, `inject`, `demo`: a recording from a scenario, a cause put into one, the main job end to end."""
 
 from __future__ import annotations
 
+import json
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 import ltsim as lt
-from ltsim.cli.options import Seed
-from ltsim.cli.places import Force, claim_file, claim_recording
+from ltsim.campaigns import require_packages
+from ltsim.cli.options import FramedReading, Source
+from ltsim.cli.places import Force, claim_empty, claim_file, claim_recording
 from ltsim.cli.terminal import Terminal
-from ltsim.errors import SetupError
-from ltsim.recording.files import write_text
+from ltsim.errors import ModelError, SetupError
+from ltsim.recording.files import write_text, write_texts
 from ltsim.simulation.builtin import builtin_names, builtin_text
+
+if TYPE_CHECKING:
+    from ltsim.recording import Recording
+
 
 ScenarioName = Annotated[
     str, typer.Argument(metavar="SCENARIO", help=f"A scenario file, or one of: {', '.join(builtin_names())}.")
@@ -26,11 +35,27 @@ NominalFile = Annotated[
     Path | None,
     typer.Option("--nominal", metavar="FILE", help="File for the points of the measuring machine, for verify."),
 ]
-Trial = Annotated[int, typer.Option(min=0, help="Which trial of a campaign with this scenario and seed.")]
 OwnPlaces = Annotated[
     bool, typer.Option("--per-trial", help="As in a campaign whose trials have places of their own (geometry).")
 ]
 Show = Annotated[bool, typer.Option("--show", help="Print the scenario as a file to edit, and stop.")]
+Causes = Annotated[
+    list[str],
+    typer.Argument(
+        metavar="EFFECT...",
+        help="Effects of the catalogue, or laws as 'CARRIER ~ DRIVER', each with :STATION,TARGET,CONSTANT=VALUE,"
+        "PARAMETER=VALUE behind it; what is not said is drawn.",
+    ),
+]
+Injected = Annotated[
+    Path | None, typer.Option("--out", metavar="REC2", help="Folder of the recording, or of the curve.")
+]
+PutIn = Annotated[
+    Path | None, typer.Option("--truth", metavar="FILE", help="File for what was put in; no diagnosis opens it.")
+]
+Curve = Annotated[
+    bool, typer.Option("--curve", help="Inject it at six strengths and tell the share found, placed and named.")
+]
 
 
 def simulate(
@@ -38,13 +63,12 @@ def simulate(
     out: Destination = None,
     truth: TruthFile = None,
     nominal: NominalFile = None,
-    seed: Seed = 0,
-    trial: Trial = 0,
     per_trial: OwnPlaces = False,
     show: Show = False,
     force: Force = False,
     *,
     terminal: Terminal,
+    **options: Annotated[Any, "simulate seed trial"],
 ) -> None:
     """Measure a virtual workshop once.
 
@@ -60,7 +84,7 @@ def simulate(
         claim_file(file, force=force)
     from ltsim.simulation.truth import nominal_csv
 
-    recording, true = lt.simulate(scenario, seed=seed, trial=trial, geometry="per-trial" if per_trial else "shared")
+    recording, true = lt.simulate(scenario, **options, geometry="per-trial" if per_trial else "shared")
     table = nominal_csv(true) if nominal is not None else ""
     lt.write(recording, out)
     if truth is not None:
@@ -68,13 +92,203 @@ def simulate(
     if nominal is not None:
         write_text(nominal, table)
     terminal.notes(recording.notes)
-    terminal.answer({"pointings": len(recording), "stations": len(recording.stations), "seed": seed, "trial": trial})
+    terminal.answer({"pointings": len(recording), "stations": len(recording.stations), **options})
     terminal.say(recording.headline)
     terminal.say(f"written to {out}" + (f", its truth to {truth}" if truth else ""))
 
 
 def _spelled_out(scenario: str) -> str:
-    """The scenario of a file, every setting spelled out."""
     from ltsim.simulation.scenario import load_scenario, scenario_to_toml
 
     return scenario_to_toml(load_scenario(scenario))
+
+
+def inject(
+    source: Source,
+    causes: Causes,
+    out: Injected = None,
+    truth: PutIn = None,
+    curve: Curve = False,
+    *,
+    reading: FramedReading,
+    force: Force = False,
+    terminal: Terminal,
+    **options: Annotated[Any, "inject", "injection_curve injections"],
+) -> None:
+    """Put causes into the readings of a recording through the exact model; nothing else is changed.
+
+    Example: ltsim inject my-recording range-step:S3 --noncentrality 100 --out injected --truth injected.json
+    """
+    if curve and len(causes) != 1:
+        raise ModelError(f"a curve is of one cause, not of {len(causes)}")
+    if curve:
+        file = None if out is None else out / "curve.csv"
+        claim_file(file, force=force)
+        del options["noncentrality"]
+        return _curve(terminal, reading.open(source, terminal), causes, file, options)
+    if out is None:
+        raise ModelError("give a folder for the recording with --out REC2, or ask for the --curve")
+    claim_recording(out, force=force)
+    claim_file(truth, force=force)
+    recording = reading.open(source, terminal)
+    del options["injections"]
+    made, told = lt.inject(recording, *causes, **options)
+    lt.write(made, out)
+    if truth is not None:
+        write_text(truth, json.dumps(told.to_json(), indent=1, allow_nan=False) + "\n")
+    terminal.answer({"pointings": len(made), "injected": len(told.causes), "seed": options["seed"]})
+    if truth is None:
+        terminal.say(repr(told))
+    terminal.say(f"written to {out}" + (f", what was put in to {truth}" if truth else ""))
+    return None
+
+
+def _curve(
+    terminal: Terminal, recording: Recording, causes: list[str], file: Path | None, options: dict[str, Any]
+) -> None:
+    """The share found, placed and named over strengths."""
+    with terminal.busy("injecting and diagnosing"):
+        found = lt.injection_curve(recording, causes[0], **options)
+    table = found.table()
+    terminal.answer({"background": list(found.background), "curve": table.json()})
+    terminal.say(found._lines()[0])
+    terminal.say(table.text())
+    if file is not None:
+        write_text(file, table.csv())
+        terminal.say(f"written to {file}")
+
+
+Folder = Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for everything.")]
+
+HIDDEN: tuple[dict[str, Any], ...] = tuple(
+    {"name": "station-weather", "stations": [station], "values": {"station-weather": size}}
+    for station, size in (("S2", 6.0), ("S3", -5.0), ("S4", 7.0), ("S5", -6.0))
+)
+"""What the demonstration may conceal: a thermometer some kelvin off; where is drawn by the seed and told to nobody."""
+
+TITLE = "Demonstration: a fault is hidden in a simulated workshop, and found"
+CAMPAIGN = """format = "ltsim-campaign/1"
+title = "Calibrations of drawn instruments in the paper's workshop"
+scenario = "paper-workshop"
+seed = {seed}
+trials = 500
+
+[[methods]]
+name = "network"
+
+[[methods]]
+name = "distance"
+method = "distance"
+"""
+
+
+@dataclass(frozen=True)
+class Step:
+    """A part of the demonstration: what is done, and the function that does it and says what came out."""
+
+    title: str
+    run: Callable[[Path, int], str]
+
+
+def demo(
+    out: Folder = Path("ltsim-demo"),
+    force: Force = False,
+    *,
+    terminal: Terminal,
+    **options: Annotated[Any, "simulate seed"],
+) -> None:
+    """Simulate, calibrate, repeat, hide an effect and diagnose it, and leave one page to open.
+
+    Example: ltsim demo --out ltsim-demo
+    """
+    require_packages()
+    from ltsim.campaigns.kernels import compiled_before  # the compiler takes a second to load
+
+    claim_empty(out, force=force)
+    said = []
+    if not compiled_before():
+        terminal.note("compiling the solver on the way, which takes half a minute: the first demo does")
+    for number, step in enumerate(STEPS, start=1):
+        began = time.perf_counter()
+        with terminal.busy(step.title):
+            outcome = step.run(out, options["seed"])
+        spent = time.perf_counter() - began
+        terminal.say(f"{number}. {step.title} ({spent:.1f} s)\n   {outcome}")
+        said.append({"step": step.title, "outcome": outcome, "seconds": round(spent, 2)})
+    terminal.answer({"folder": str(out), "steps": said})
+
+
+def simulated(out: Path, seed: int) -> str:
+    """Measure the paper's workshop with a drawn instrument."""
+    recording, truth = lt.simulate("paper-workshop", seed=seed)
+    lt.write(recording, out / "workshop" / "recording")
+    lt.write(truth, out / "workshop" / "truth.json")
+    return (
+        f"{len(recording.stations)} stations, {len(recording.targets)} reflectors, {len(recording)} pointings; "
+        "the instrument's errors are drawn from its maker's limits"
+    )
+
+
+def calibrated(out: Path, seed: int) -> str:
+    """Calibrate that recording."""
+    recording, _ = lt.simulate("paper-workshop", seed=seed)
+    found = lt.calibrate(recording)
+    lt.write(found, out / "workshop")
+    if found.criteria is None:
+        return f"{len(found.names)} parameters"
+    distance, coordinate = found.criteria.distance, found.criteria.coordinate
+    return (
+        f"{len(found.names)} parameters; the distance criterion improves by {distance.improvement_percent:.0f} %, the "
+        f"coordinate criterion by {coordinate.improvement_percent:.0f} % (the paper: 40 % and 14 %); "
+        f"{len(found.undetermined)} combinations are not determined in one face, and a cure is named for each"
+    )
+
+
+def diagnosed(out: Path, seed: int) -> str:
+    """Hide an effect in another recording and let the diagnosis find it."""
+    from ltsim.randomness import stream
+
+    entry = HIDDEN[int(stream(seed, "demo", "hidden").integers(len(HIDDEN)))]
+    recording, truth = lt.simulate("paper-workshop-two-face", seed=seed, changes={"effects": [entry]})
+    folder = out / "concealed"
+    found = lt.diagnose(recording, seed=seed, held_out=True)
+    lt.write(found, folder, recording=recording)
+    lt.write(truth, folder / "truth.json")
+    return (
+        f"hidden was {entry['name']} ({entry['stations'][0]}); the diagnosis, which was not told, says: {found.summary}"
+    )
+
+
+def repeated(out: Path, seed: int) -> str:
+    """Repeat the calibration on many drawn instruments, by the network and by the paper's distances."""
+    write_texts(out, {"campaign.toml": CAMPAIGN.format(seed=seed)})
+
+    results = lt.campaign(out / "campaign.toml", force=True)
+    write_texts(out / "campaign", {"summary.csv": results.table("summary").csv()})
+    parts = []
+    for column, title in (
+        ("distance_improvement_percent", "distance"),
+        ("coordinate_improvement_percent", "coordinate"),
+    ):
+        spreads = {spread.method: spread for spread in results.spread(column)}
+        figures = ", ".join(
+            f"{method} {spread.quantiles[3]:.0f} % ({spread.quantiles[1]:.0f} to {spread.quantiles[5]:.0f})"
+            for method, spread in spreads.items()
+        )
+        parts.append(f"{title} criterion: {figures}")
+    return "improvement over the trials, median and 90 % of them; " + "; ".join(parts)
+
+
+def reported(out: Path, seed: int) -> str:
+    """Put everything on one page."""
+    return f"open {lt.report(out, title=TITLE, about={'instrument': 'simulated'})}"
+
+
+STEPS: tuple[Step, ...] = (
+    Step("simulate the paper's workshop", simulated),
+    Step("calibrate it", calibrated),
+    Step("repeat that on 500 drawn instruments, two methods side by side", repeated),
+    Step("hide an effect in another recording, and diagnose it", diagnosed),
+    Step("write one page about it", reported),
+)
+"""What the demonstration does, in order; a step is one function and one line here."""

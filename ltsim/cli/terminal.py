@@ -108,13 +108,3 @@ class Terminal:
         finally:
             done.set()
             thread.join()
-
-
-def digits(value: float, sigma: float) -> tuple[str, str]:
-    """A value and its sigma with two digits of the sigma."""
-    if not sigma > 0:
-        return f"{value:.4g}", "0"
-    decimals = 0
-    while sigma * 10**decimals < 9.5 and decimals < 9:
-        decimals += 1
-    return f"{value:.{decimals}f}", f"{sigma:.{decimals}f}"

@@ -1,43 +1,23 @@
-"""`ltsim view`: the workshop in 3D."""
+"""`ltsim view`, `report`: the workshop in 3D, and the page a person reads."""
 
 from __future__ import annotations
 
 import os
 import sys
 import webbrowser
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from pydantic import ValidationError
 
 import ltsim as lt
 from ltsim.cli.options import FramedReading
 from ltsim.cli.places import Force, claim_file
 from ltsim.cli.terminal import Quiet, Terminal
 from ltsim.errors import RecordError, SetupError, require
-
-
-class Colour(StrEnum):
-    """What colours the lines of sight."""
-
-    INCIDENCE = "incidence"
-    RESIDUAL = "residual"
-
-
-class CadUnit(StrEnum):
-    """Unit of the coordinates in a CAD file."""
-
-    MM = "mm"
-    M = "m"
-
-
-class CadUp(StrEnum):
-    """Axis of a CAD file that points up."""
-
-    Y = "y"
-    Z = "z"
-
+from ltsim.recording.settings import sentence
+from ltsim.recording.setup import About
 
 Place = Annotated[
     str | None, typer.Argument(metavar="SCENARIO-or-REC", help="A built-in scenario, a scenario file, or a recording.")
@@ -59,9 +39,18 @@ Html = Annotated[
 Cad = Annotated[
     Path | None, typer.Option("--cad", metavar="FILE", help="CAD file (STL, OBJ, GLB, STEP) to stand in the room.")
 ]
-Unit = Annotated[CadUnit | None, typer.Option(help="Unit of the coordinates in --cad; default by its format.")]
-Up = Annotated[CadUp | None, typer.Option(help="Axis of --cad that points up; default by its format.")]
-By = Annotated[Colour, typer.Option("--colour", help="What colours the lines of sight of a recording.")]
+Folder = Annotated[
+    Path, typer.Argument(metavar="DIR", help="A folder that another verb wrote, or one of such folders.")
+]
+Behind = Annotated[
+    Path | None,
+    typer.Option(
+        "--recording", metavar="REC", help="The recording behind a calibration or diagnosis, if not near DIR."
+    ),
+]
+Title = Annotated[str | None, typer.Option("--title", metavar="TEXT", help="Of the page.")]
+Line = Annotated[str | None, typer.Option(metavar="TEXT", help="For the head; default from [report] of setup.toml.")]
+Day = Annotated[str | None, typer.Option("--date", metavar="YYYY-MM-DD", help="Day of the measurement.")]
 
 
 def view(
@@ -70,15 +59,13 @@ def view(
     png: Png = None,
     html: Html = None,
     cad: Cad = None,
-    cad_unit: Unit = None,
-    cad_up: Up = None,
-    colour: By = Colour.INCIDENCE,
     *,
     reading: FramedReading,
     force: Force = False,
     out: Out = None,
     port: Port = 0,
     quiet: Quiet = False,
+    **options: Any,
 ) -> None:
     """Show the workshop in 3D: stations, shadow cones, targets, lines of sight, uncertainty, corrections.
 
@@ -103,7 +90,7 @@ def view(
         claim_file(file, force=force)
     with terminal.busy("looking at the workshop"):
         source = place if reading == FramedReading() else reading.of(Path(place))
-        shown = lt.view(source, cad=cad, cad_unit=cad_unit, cad_up=cad_up, colour=colour.value)
+        shown = lt.view(source, cad=cad, **options)
         if png is not None:
             shown.png(png)
         if html is not None:
@@ -136,5 +123,43 @@ def _by_hand(terminal: Terminal, plan: str, out: Path, port: int, *, force: bool
 
 
 def _has_screen() -> bool:
-    """Whether a window can open."""
     return sys.platform in ("darwin", "win32") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
+def report(
+    folder: Folder,
+    recording: Behind = None,
+    title: Title = None,
+    instrument: Line = None,
+    date: Day = None,
+    operator: Line = None,
+    customer: Line = None,
+    force: Force = False,
+    quiet: Quiet = False,
+) -> None:
+    """Write report.html into DIR: one page that opens offline, the answer first, then tables, figures and the 3D view.
+
+    DIR may hold a recording, a calibration, a diagnosis, a campaign, a plan, or folders of them. The head names
+    instrument, date, operator and customer from the table [report] of setup.toml, or from the options; without a word
+    there, the instruments by their model and serial.
+
+    Coordinates stand in the axes in which they were computed: --frame belongs to adjust, calibrate, diagnose, convert.
+
+    Example: ltsim report my-calibration --customer "Hall 3" --instrument "AT960, 751234"
+    """
+    from ltsim.pages.page import NAME
+
+    terminal = Terminal(quiet)
+    about = _about(instrument=instrument, date=date, operator=operator, customer=customer)
+    claim_file(folder / NAME, force=force)
+    with terminal.busy("drawing the report"):
+        page = lt.report(folder, recording=recording, title=title, about=about, tell=terminal.note)
+    terminal.say(f"written to {page}")
+
+
+def _about(**given: str | None) -> About:
+    """The options as a table of the set-up; raises SetupError."""
+    try:
+        return About.model_validate(given)
+    except ValidationError as problem:
+        raise SetupError(f"--{sentence(problem.errors()[0], About)}") from None

@@ -9,9 +9,8 @@ from math import ceil
 import numpy as np
 
 from ltsim.adjustment import Adjustment, adjust
-from ltsim.adjustment.gross import GrossFinding, explain_gross
+from ltsim.adjustment.gross import GrossFinding, explain_gross, mend_faces, mend_stations
 from ltsim.adjustment.known import KnownTest
-from ltsim.adjustment.mixed_up import mend_faces, mend_stations
 from ltsim.adjustment.refit import Refit
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.arrays import Bools

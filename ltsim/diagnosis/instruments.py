@@ -11,8 +11,7 @@ from scipy.special import erfc
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.prior import prior_sigmas
 from ltsim.arrays import Floats, Ints
-from ltsim.calibration.determined import determined
-from ltsim.calibration.evidence import Evidence, change_seen, evidence
+from ltsim.calibration.evidence import Evidence, change_seen, determined, evidence
 from ltsim.diagnosis.evidence import log_average, log_evidence
 from ltsim.diagnosis.prior import log_share
 from ltsim.diagnosis.schema import Estimate, InstrumentEntry

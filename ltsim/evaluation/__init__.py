@@ -6,5 +6,5 @@ from ltsim.evaluation.criteria import (
     Differences as Differences,
     evaluate as evaluate,
 )
-from ltsim.evaluation.share_removed import ShareRemoved as ShareRemoved, share_removed as share_removed
+from ltsim.evaluation.share_removed import ShareRemoved as ShareRemoved
 from ltsim.evaluation.verification import read_nominal as read_nominal, verify as verify

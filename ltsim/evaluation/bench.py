@@ -1,26 +1,109 @@
 """The reflector's bench test evaluated: the eccentricity taken off the lengths gives the error against incidence.
 
-The geometry is that of `simulate.bench`: turned by alpha, a sphere off the table's axis by c changes the length by
--(c_x cos alpha - c_y sin alpha), and a probe tells c. An interferometer records changes only: the table is found less
-its value at 0 deg, a constant that a tracker's range offset takes up.
+Turned by alpha, a sphere off the table's axis by c changes the length by -(c_x cos alpha - c_y sin alpha), and a probe
+tells c. An interferometer records changes only: the table is found less its value at 0 deg, a constant that a tracker's
+range offset takes up.
 
 Source: Sensors 2021, 21, 7479, sections 2.2 and 3.1.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
+from pydantic import Field
 
 from ltsim.arrays import Floats
 from ltsim.errors import RecordError
-from ltsim.evaluation.schema import BENCH, BenchFile, BenchRow, EstimateEntry
+from ltsim.notation import with_sigma
+from ltsim.recording.result_file import Entry, Finite, ResultFile
+from ltsim.recording.result_table import ResultTable
+from ltsim.results import Result, Table, columns_of, numbers
 from ltsim.units import DEGREE, MICROMETRE
 
 FEWEST_LENGTHS, FEWEST_PROBED = 3, 4
 """A vertex has two coordinates beside the zero; an eccentricity too, and one reading more shows the scatter."""
+
+BENCH = ResultTable(
+    "bench.csv",
+    "a reflector on the roundness table, which `bench` evaluates; empty where a length or the probe was not read",
+    numbers(
+        ".4f",
+        angle_deg="turn of the table, 0 where the reflector looks at the interferometer",
+        length_um="length by the interferometer, from any zero",
+        probe_um="displacement of the sphere's surface at the probe, outward",
+    ),
+)
+
+
+class EstimateEntry(Entry):
+    """A length with its standard deviation."""
+
+    value_um: Finite
+    """Estimate."""
+    sigma_um: Finite
+    """Standard deviation."""
+
+
+class BenchRow(Entry):
+    """The reflector at one angle of incidence; all less the value nearest 0 deg."""
+
+    angle_deg: Finite
+    """Turn of the table."""
+    as_read_um: Finite
+    """Length with the eccentricity still in it."""
+    error_um: Finite
+    """The reflector's own range error, reading minus truth."""
+    sigma_um: Finite
+    """Standard deviation of the error."""
+
+
+ANGLES = Table(
+    "angles.csv",
+    "the reflector's range error against incidence",
+    columns_of(
+        BenchRow,
+        angle_deg={"title": "incidence", "shown": "+.1f"},
+        as_read_um={"shown": ".2f"},
+        error_um={"title": "range error", "sigma": "sigma_um"},
+    ),
+)
+
+
+class BenchFile(ResultFile, Result):
+    """`bench.json`: from `bench`."""
+
+    FILE: ClassVar[str] = "bench.json"
+    format: Literal["ltsim-bench/1"] = "ltsim-bench/1"
+    """Which format and version this file is in."""
+    eccentricity_forward: EstimateEntry
+    """Sphere's centre off the table's axis at 0 deg, towards the interferometer."""
+    eccentricity_side: EstimateEntry
+    """The same to the side."""
+    run_out_um: Finite
+    """Largest less smallest displacement that the probe saw."""
+    angles: tuple[BenchRow, ...] = Field(alias="table")
+    """Range error against incidence."""
+    vertex_axial: EstimateEntry
+    """Vertex of the mirrors off the sphere's centre, out of the open face, if an offset is the cause."""
+    vertex_side: EstimateEntry
+    """The same to the side."""
+    remainder_um: Finite
+    """Root mean square of what no offset of the vertex explains: optics."""
+
+    __repr__ = __str__ = Result.__repr__
+
+    def _lines(self) -> list[str]:
+        worst = max(self.angles, key=lambda row: abs(row.error_um))
+        size = with_sigma(worst.error_um, worst.sigma_um, "um")
+        return [f"Bench: {len(self.angles)} angles, range error at most {size} at {worst.angle_deg:+.1f} deg"]
+
+    def _tables(self) -> Mapping[str, Callable[[], Table]]:
+        return {"angles": lambda: ANGLES.filled(self.angles)}
 
 
 @dataclass(frozen=True)
@@ -53,18 +136,16 @@ class BenchResult:
     """(a,) [m]: standard deviation of `table`."""
 
 
-@dataclass(frozen=True)
-class Vertex:
-    """A table explained by the vertex of the mirrors off the sphere's centre, and what is left."""
+class Vertex(NamedTuple):
+    """A table explained by the vertex of the mirrors off the sphere's centre, and what is left; [m] each."""
 
     axial: float
     side: float
-    """[m]: vertex off the centre, out of the open face and to the side."""
+    """Out of the open face and to the side."""
     axial_sigma: float
     side_sigma: float
-    """[m] each."""
     remainder: float
-    """[m]: rms of what no offset explains: optics."""
+    """Rms of what no offset explains: optics."""
 
 
 def along_beam(angles: Floats) -> Floats:
@@ -73,20 +154,10 @@ def along_beam(angles: Floats) -> Floats:
 
 
 def read_bench(path: Path, *, probe_direction: float, length_sigma: float) -> BenchRecord:
-    """A bench recording: a table ``angle_deg,length_um,probe_um``, cells empty where one of them was not read.
+    """A bench recording: a table ``angle_deg,length_um,probe_um``; raises RecordError where it holds too little.
 
-    Parameters
-    ----------
-    path : Path
-    probe_direction : float, [rad]
-        Where the probe stands, from the interferometer, against the way in which the table turns.
-    length_sigma : float, [m]
-        One standard deviation of the interferometer.
-
-    Raises
-    ------
-    RecordError
-        When the file is malformed or holds too little; one sentence.
+    The probe stands at `probe_direction` [rad] from the interferometer, against the way in which the table turns;
+    `length_sigma` [m] is one standard deviation of the interferometer.
     """
     columns = BENCH.read(path)[1]
     angle, length, probe = (columns[name] for name in BENCH.header)
@@ -142,21 +213,50 @@ def as_vertex(angles: Floats, table: Floats, sigma: float) -> Vertex:
     return Vertex(float(found[1]), float(found[2]), float(spread[1]), float(spread[2]), remainder)
 
 
-def bench_file(record: BenchRecord, found: BenchResult) -> BenchFile:
-    """The outcome for a program, in the units that people read."""
+def bench(source: str | Path, *, probe_direction: float = 90.0, length_sigma: float = 0.1) -> BenchFile:
+    """Find a reflector's range error against incidence from its test on a roundness table.
+
+    Parameters
+    ----------
+    source : str or Path
+        A table ``angle_deg,length_um,probe_um``; cells are empty where one of them was not read.
+    probe_direction : float, [deg]
+        Where the probe stands, from the interferometer.
+    length_sigma : float, [um]
+        Standard deviation of the interferometer.
+
+    Raises
+    ------
+    RecordError
+        When the table is malformed, or holds too few angles.
+
+    Examples
+    --------
+    >>> import ltsim as lt
+    >>> from pathlib import Path
+    >>> rows = [[str(a), str(0.1 * a) if abs(a) <= 30 else "", "0.0"] for a in range(-180, 180, 15)]
+    >>> lines = [",".join(row) for row in [["angle_deg", "length_um", "probe_um"], *rows]]
+    >>> _ = Path("reflector.csv").write_text(chr(10).join(lines))
+    >>> [round(row.error_um, 1) for row in lt.bench("reflector.csv").angles]
+    [-3.0, -1.5, 0.0, 1.5, 3.0]
+    """
+    how = {"probe_direction": probe_direction * DEGREE, "length_sigma": length_sigma * MICROMETRE}
+    record = read_bench(Path(source), **how)
+    found = evaluate_bench(record)
     vertex = as_vertex(record.angles, found.table, float(found.sigma.max()))
     off = np.sqrt(np.diag(found.eccentricity_covariance))
 
     def entry(value: float, sigma: float) -> EstimateEntry:
         return EstimateEntry(value_um=value / MICROMETRE, sigma_um=sigma / MICROMETRE)
 
+    columns = zip(found.uncorrected / MICROMETRE, found.table / MICROMETRE, found.sigma / MICROMETRE, strict=True)
     return BenchFile(
         eccentricity_forward=entry(found.eccentricity[0], off[0]),
         eccentricity_side=entry(found.eccentricity[1], off[1]),
         run_out_um=found.run_out / MICROMETRE,
         table=tuple(
-            BenchRow(angle_deg=a / DEGREE, as_read_um=u / MICROMETRE, error_um=t / MICROMETRE, sigma_um=s / MICROMETRE)
-            for a, u, t, s in zip(record.angles, found.uncorrected, found.table, found.sigma, strict=True)
+            BenchRow(angle_deg=angle, as_read_um=read, error_um=error, sigma_um=sigma)
+            for angle, (read, error, sigma) in zip(record.angles / DEGREE, columns, strict=True)
         ),
         vertex_axial=entry(vertex.axial, vertex.axial_sigma),
         vertex_side=entry(vertex.side, vertex.side_sigma),

@@ -17,13 +17,7 @@ def measured_points(
 ) -> Floats:
     """Points (n, 3) [m] in the instruments' frames; NaN where a reading is missing.
 
-    Parameters
-    ----------
-    recording : Recording
-    construction : Construction, optional
-        Default: an ideal tracker, the points before calibration.
-    values : (p,) or (n, p) float, optional [SI]
-        Its parameters, one row a pointing where instruments differ.
+    They are corrected by a construction's parameters (p,), or (n, p) where instruments differ [SI]; by default raw.
     """
     whole = recording.measured.all(axis=1)
     points = np.full((len(recording), 3), np.nan)
@@ -51,10 +45,7 @@ def station_means(recording: Recording, points: Floats, use: Bools | None = None
 def on_points(cloud: Floats, goal: Floats) -> Floats:
     """A cloud (T, 3) moved rigidly onto `goal` (T, 3) by least squares over the targets both have.
 
-    Raises
-    ------
-    NetworkError
-        When they share fewer than three targets off one line.
+    Raises NetworkError when they share fewer than three targets off one line.
     """
     shared = np.isfinite(cloud[:, 0]) & np.isfinite(goal[:, 0])
     rotation, translation = align(cloud[shared], goal[shared])
@@ -65,12 +56,8 @@ def in_first_frame(clouds: Floats, names: tuple[str, ...]) -> Floats:
     """Clouds (S, T, 3), each moved rigidly into the first station's frame.
 
     A station that shares fewer than three targets with the first is moved onto the mean of those that are
-    there already; the paper's stations all see all targets.
-
-    Raises
-    ------
-    NetworkError
-        When a station cannot be joined; the message names it.
+    there already; the paper's stations all see all targets. Raises NetworkError, naming a station that cannot be
+    joined.
     """
     placed = np.full_like(clouds, np.nan)
     placed[0] = clouds[0]

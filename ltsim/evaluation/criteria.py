@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from ltsim.evaluation.clouds import in_first_frame, measured_points, station_mea
 from ltsim.model.construction import Construction
 from ltsim.recording.recording import Recording
 from ltsim.recording.reflectors import require_one_radius
+from ltsim.recording.result_file import Entry, Known, ResultFile
 from ltsim.results import Column, Result, Table
 from ltsim.units import MICROMETRE
 
@@ -31,12 +32,9 @@ AT_ONCE = 2_000_000
 
 @dataclass(frozen=True)
 class Differences:
-    """Sizes of disagreement, one an item."""
+    """Sizes of disagreement (k,) [m]: one a pair of targets for distances, one a target for coordinates."""
 
-    items: np.ndarray
-    """(k, c): which: pairs of targets for distances (c = 2), targets for coordinates (c = 1)."""
     values: Floats
-    """(k,) [m]."""
 
     @property
     def mean(self) -> float:
@@ -133,6 +131,40 @@ class Criteria(Result):
         return entry
 
 
+class SpreadEntry(Entry):
+    """How far stations disagree [um]."""
+
+    mean_um: Known = None
+    """Mean over pairs or targets."""
+    max_um: Known = None
+    """Largest."""
+
+
+class CriterionEntry(Entry):
+    """A criterion before and after a calibration."""
+
+    before: SpreadEntry = SpreadEntry()
+    """Readings as they are."""
+    after: SpreadEntry = SpreadEntry()
+    """Readings corrected."""
+    improvement_percent: Known = None
+    """Of the mean."""
+
+
+class CriteriaFile(ResultFile):
+    """`criteria.json`: from `evaluate` and `verify`."""
+
+    FILE: ClassVar[str] = "criteria.json"
+    format: Literal["ltsim-criteria/1"] = "ltsim-criteria/1"
+    """Which format and version this file is in."""
+    distance: CriterionEntry
+    """Deviations of distances from their mean over stations."""
+    coordinate: CriterionEntry
+    """Deviations of coordinates after a rigid fit (eq. 12)."""
+    distance_to_first: CriterionEntry | None = None
+    """Deviations of distances from the first station's (eq. 11)."""
+
+
 def pair_distances(cloud: Floats) -> Floats:
     """Distances (..., P) between all pairs k < l of points (..., T, 3), in the order of `np.triu_indices`."""
     first, second = np.triu_indices(cloud.shape[-2], k=1)
@@ -141,22 +173,19 @@ def pair_distances(cloud: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class Sights:
-    """Some pairs (p, 2) of points, and every observer's distance (q,) [m] between two of them that it sees.
+    """Every observer's distance (q,) [m] between two points that it sees, of some pairs of points."""
 
-    place (q,) is the pair, observer (q,) who sees it, in ascending order.
-    """
-
-    pairs: Ints
+    pairs: int
     place: Ints
     observer: Ints
+    """(q,): which pair, and who sees it, in ascending order."""
     length: Floats
 
     def sum(self, values: Floats, which: Bools) -> tuple[Floats, Ints]:
         """Sum (p,) and number (p,) of some of the values (q,), pair by pair."""
-        place, size = self.place[which], len(self.pairs)
-        total = np.bincount(place, values[which], size).astype(np.float64)
-        count: Ints = np.bincount(place, minlength=size)
-        return total, count
+        place = self.place[which]
+        total = np.bincount(place, values[which], self.pairs).astype(np.float64)
+        return total, np.bincount(place, minlength=self.pairs)
 
 
 def sights_of_pairs(clouds: Floats) -> Iterator[Sights]:
@@ -180,23 +209,21 @@ def sights_of_pairs(clouds: Floats) -> Iterator[Sights]:
         a, b, s = (np.concatenate(part) for part in (first, second, observer))
         pairs, place = np.unique(a * seen.shape[1] + b, return_inverse=True)
         length = np.linalg.norm(clouds[s, a] - clouds[s, b], axis=1)
-        yield Sights(np.stack(np.divmod(pairs, seen.shape[1]), axis=1), place, s, length)
+        yield Sights(len(pairs), place, s, length)
 
 
 def distance_differences(clouds: Floats) -> Differences:
     """Per pair of targets, the mean over stations of |distance - its mean over stations| (section 3.2.1).
 
-    Parameters
-    ----------
-    clouds : (S, T, 3) float, [m]
-        Each station's targets in its own frame; NaN where not seen. Pairs seen by one station are left out.
+    `clouds` (S, T, 3) [m] are each station's targets in its own frame; NaN where not seen. Pairs seen by one station
+    are left out.
     """
     found = []
     for sights in sights_of_pairs(clouds):
         everywhere = np.ones(len(sights.place), dtype=bool)
         total, count = sights.sum(sights.length, everywhere)
         off, _ = sights.sum(np.abs(sights.length - (total / count)[sights.place]), everywhere)
-        found.append((sights.pairs[count >= 2], (off / count)[count >= 2]))
+        found.append((off / count)[count >= 2])
     return _joined(found)
 
 
@@ -205,33 +232,28 @@ def distance_differences_to_first(clouds: Floats) -> Differences:
     found = []
     for sights in sights_of_pairs(clouds[:, np.isfinite(clouds[0, :, 0])]):
         others = sights.observer > 0
-        own = np.zeros(len(sights.pairs))
+        own = np.zeros(sights.pairs)
         own[sights.place[~others]] = sights.length[~others]
         total, count = sights.sum(np.abs(sights.length - own[sights.place]), others)
-        found.append((sights.pairs[count >= 1], total[count >= 1] / count[count >= 1]))
-    pairs = _joined(found)
-    return Differences(np.flatnonzero(np.isfinite(clouds[0, :, 0]))[pairs.items], pairs.values)
+        found.append(total[count >= 1] / count[count >= 1])
+    return _joined(found)
 
 
-def _joined(found: list[tuple[Ints, Floats]]) -> Differences:
-    items = [np.zeros((0, 2), dtype=np.int64), *(pairs for pairs, _ in found)]
-    return Differences(np.concatenate(items), np.concatenate([np.zeros(0), *(values for _, values in found)]))
+def _joined(found: list[Floats]) -> Differences:
+    return Differences(np.concatenate([np.zeros(0), *found]))
 
 
 def coordinate_differences(placed: Floats) -> Differences:
     """Per target, the mean over pairs of stations of the distance between its two places (eq. 12).
 
-    Parameters
-    ----------
-    placed : (S, T, 3) float, [m]
-        All stations' targets in one frame; NaN where not seen.
+    `placed` (S, T, 3) [m] are all stations' targets in one frame; NaN where not seen.
     """
     total, count = np.zeros(placed.shape[1]), np.zeros(placed.shape[1])
     for sights in sights_of_pairs(np.swapaxes(placed, 0, 1)):
         total += np.bincount(sights.observer, sights.length, len(total))
         count += np.bincount(sights.observer, minlength=len(total))
     shared = count >= 1
-    return Differences(np.flatnonzero(shared)[:, None], total[shared] / count[shared])
+    return Differences(total[shared] / count[shared])
 
 
 def evaluate(
@@ -242,23 +264,12 @@ def evaluate(
     shift: Floats | None = None,
     use: Bools | None = None,
 ) -> Criteria:
-    """The criteria of a recording, before and after calibration.
+    """The criteria of a recording, before and after parameters (p,) or (n, p) [SI] of a construction correct it.
 
-    Parameters
-    ----------
-    recording : Recording
-    construction, values
-        The parameters (p,) or (n, p) [SI] that correct it; without them there is no "after".
-    shift : (n, 3) float, optional [m, rad, rad]
-        What effects that were estimated too change the readings by: "after" takes it out.
-    use : (n,) bool, optional
-        Pointings to use; faces and repeats of a target from a station are averaged.
-
-    Raises
-    ------
-    NetworkError
-        When fewer than two stations share targets, the network is too large to compare every station's cloud, or balls
-        of several radii stood at different places.
+    `shift` (n, 3) [m, rad, rad] is what effects that were estimated too change the readings by: "after" takes it out.
+    Of the pointings in use (n,), faces and repeats of a target from a station are averaged. Raises NetworkError when
+    fewer than two stations share targets, the network is too large to compare every station's cloud, or balls of
+    several radii stood at different places.
     """
     require_one_radius(recording, "the comparison of stations")
     stations, targets = len(recording.stations), len(recording.targets)

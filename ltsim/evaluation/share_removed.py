@@ -13,8 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ltsim.arrays import Floats
-from ltsim.evaluation.clouds import measured_points, on_points, station_means
-from ltsim.model.construction import Construction
+from ltsim.evaluation.clouds import on_points, station_means
 from ltsim.recording.recording import Recording
 
 
@@ -39,39 +38,11 @@ def share(raw: Floats | float, calibrated: Floats | float, true_parameters: Floa
     return (before - after) / (before - perfect) if before > perfect else float("nan")
 
 
-def share_removed(
-    recording: Recording,
-    true_points: Floats,
-    construction: Construction,
-    *,
-    calibrated: Floats,
-    true_parameters: Floats,
-) -> ShareRemoved:
-    """Errors of what the stations measured, raw, calibrated, and with the true parameters.
-
-    Each station's targets are fitted rigidly to the true ones first, since a pose is never known: an error
-    that a pose absorbs whole (azimuth index, station height) is none to a user.
-
-    Parameters
-    ----------
-    recording : Recording
-    true_points : (T, 3) float, [m]
-        In the order of ``recording.targets``.
-    construction : Construction
-        That both parameter vectors belong to.
-    calibrated, true_parameters : (p,) or (n, p) float [SI]
-    """
-
-    def error(values: Floats | None) -> float:
-        return cloud_error(recording, measured_points(recording, construction, values), true_points)
-
-    return ShareRemoved(error(None), error(calibrated), error(true_parameters))
-
-
 def cloud_error(recording: Recording, points: Floats, true_points: Floats) -> float:
     """Rms [m] over stations and targets of the distance to the truth, after a rigid fit of each station.
 
-    `points` (n, 3) [m] are in the instruments' frames.
+    `points` (n, 3) [m] are in the instruments' frames. A pose is never known: an error that it absorbs whole (azimuth
+    index, station height) is none to a user.
     """
     clouds = station_means(recording, points)
     gap = np.stack([on_points(cloud, true_points) - true_points for cloud in clouds])

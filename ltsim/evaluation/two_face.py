@@ -78,19 +78,10 @@ def face_pairs(recording: Recording) -> Ints:
 
 
 def two_face(recording: Recording, construction: Construction | None = None, values: Floats | None = None) -> TwoFace:
-    """Half differences of a recording, with the parameters of `construction` applied.
+    """Half differences of a recording, with parameters (p,) or (n, p) [SI] of a construction applied.
 
-    Parameters
-    ----------
-    recording : Recording
-    construction : Construction, optional
-        Default: an ideal tracker, that is, the readings as they are.
-    values : (p,) or (n, p) float, optional [SI]
-
-    Raises
-    ------
-    NetworkError
-        When no target was measured on both faces.
+    By default of an ideal tracker, that is, the readings as they are. Raises NetworkError when no target was measured
+    on both faces.
     """
     pairs = face_pairs(recording)
     if not len(pairs):

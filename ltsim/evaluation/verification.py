@@ -16,21 +16,22 @@ from ltsim.arrays import Floats
 from ltsim.errors import NetworkError, RecordError
 from ltsim.evaluation.clouds import measured_points, on_points, station_means
 from ltsim.evaluation.criteria import Comparison, Criteria, Differences, pair_distances
-from ltsim.evaluation.schema import NOMINAL
 from ltsim.model.construction import Construction
 from ltsim.recording.files import shown
 from ltsim.recording.recording import Recording
+from ltsim.recording.result_table import ResultTable
+from ltsim.results import numbers, texts
 from ltsim.units import MILLIMETRE
+
+NOMINAL = ResultTable(
+    "nominal.csv",
+    "points of a measuring machine, which `verify` compares with",
+    (*texts(target="name"), *numbers(".4f", x_mm="coordinate", y_mm="coordinate", z_mm="coordinate")),
+)
 
 
 def read_nominal(path: Path) -> dict[str, Floats]:
-    """Nominal points (3,) [m] by target, from a table ``target,x_mm,y_mm,z_mm``; other columns are ignored.
-
-    Raises
-    ------
-    RecordError
-        When the file is missing or malformed; one sentence with row and column.
-    """
+    """Nominal points (3,) [m] by target, from a table ``target,x_mm,y_mm,z_mm``; raises RecordError."""
     names, columns = NOMINAL.read(path)
     points: dict[str, Floats] = {}
     places = np.stack([columns[name] for name in NOMINAL.header[1:]], axis=1) * MILLIMETRE
@@ -48,22 +49,19 @@ def read_nominal(path: Path) -> dict[str, Floats]:
 
 def distance_errors(clouds: Floats, nominal: Floats) -> Differences:
     """Per pair of targets, the mean over stations of |distance - nominal distance| (eq. 13, as meant)."""
-    gap = np.abs(pair_distances(clouds) - pair_distances(nominal))
-    return _over_stations(gap, np.stack(np.triu_indices(len(nominal), k=1), axis=1))
+    return _over_stations(np.abs(pair_distances(clouds) - pair_distances(nominal)))
 
 
 def coordinate_errors(clouds: Floats, nominal: Floats) -> Differences:
     """Per target, the mean over stations of the distance to its nominal point after a rigid fit (eq. 14)."""
     placed = np.stack([on_points(cloud, nominal) for cloud in clouds])
-    gap = np.linalg.norm(placed - nominal, axis=2)
-    return _over_stations(gap, np.arange(len(nominal))[:, None])
+    return _over_stations(np.linalg.norm(placed - nominal, axis=2))
 
 
-def _over_stations(gap: Floats, items: np.ndarray) -> Differences:
+def _over_stations(gap: Floats) -> Differences:
     have = np.isfinite(gap)
     count = have.sum(axis=0)
-    seen = count > 0
-    return Differences(items[seen], np.where(have, gap, 0.0).sum(axis=0)[seen] / count[seen])
+    return Differences(np.where(have, gap, 0.0).sum(axis=0)[count > 0] / count[count > 0])
 
 
 def verify(
@@ -72,20 +70,10 @@ def verify(
     construction: Construction | None = None,
     values: Floats | None = None,
 ) -> Criteria:
-    """Errors against nominal points, before and after calibration.
+    """Errors of a laboratory's recording against nominal points (3,) [m], before and after calibration.
 
-    Parameters
-    ----------
-    recording : Recording
-        Of the laboratory; another one than that of the calibration.
-    nominal : mapping of str to (3,) float, [m]
-    construction, values
-        The parameters (p,) or (n, p) [SI] to apply; without them there is no "after".
-
-    Raises
-    ------
-    NetworkError
-        When a station saw fewer than three nominal targets.
+    "After" applies parameters (p,) or (n, p) [SI]. Raises NetworkError when a station saw fewer than three nominal
+    targets.
     """
     missing = np.full(3, np.nan)
     goal = np.stack([nominal.get(name, missing) for name in recording.targets])

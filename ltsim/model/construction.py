@@ -3,21 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
 
 import numpy as np
 
 from ltsim.arrays import Floats, Ints
 from ltsim.effects import BASELINE
-from ltsim.effects.effect import Lobe, Parameter, Power, SlotEffect, Term, one
+from ltsim.effects.azimuth_eccentricity import AzimuthEccentricity
+from ltsim.effects.azimuth_second_order import AzimuthSecondOrder
+from ltsim.effects.effect import Basis, Lobe, Parameter, Power, SlotEffect, Term, one
+from ltsim.effects.range_offset import RangeOffset
+from ltsim.effects.range_scale import RangeScale
+from ltsim.effects.signature import PriorKind
+from ltsim.effects.transit_offset import TransitOffset
+from ltsim.effects.transit_tilt import TransitTilt
+from ltsim.effects.vertical_index import VerticalIndex
 from ltsim.errors import ModelError, NetworkError, unknown_name
 from ltsim.geometry.polar import polar_jacobian, to_face, to_polar, wrap
-from ltsim.kinematics.chain import Chain, Motion, point, point_and_derivatives
+from ltsim.kinematics.chain import Chain, point, point_and_derivatives
 from ltsim.kinematics.dh import DH
 from ltsim.kinematics.misalignment import MISALIGNMENT
 from ltsim.kinematics.steering_mirror import STEERING_MIRROR
-from ltsim.model.steering_mirror import PARAMETERS as MIRROR_PARAMETERS
 from ltsim.recording.recording import Recording
 from ltsim.units import ARCSECOND, MICROMETRE, PPM
 
@@ -65,30 +72,17 @@ class Construction:
         return Construction(self.name, self.chain, parameters, terms)
 
     @cached_property
-    def _moving(self) -> tuple[Motion, Motion, Motion]:
-        """The motions driven by range, azimuth and elevation, in this order."""
-        probe = np.zeros((1, 3))
-        driven = []
+    def _moving(self) -> tuple[Chain, tuple[str, ...]]:
+        """The chain with slots on all motions that a reading drives, and those of range, azimuth and elevation."""
+        still, chain, slots = np.zeros((1, 3)), list(self.chain), []
         for column in range(3):
-            moved = probe.copy()
-            moved[0, column] = 1.0
-            driven.append(
-                next(m for m in self.chain if m.nominal is not None and m.nominal(moved)[0] != m.nominal(probe)[0])
-            )
-        return driven[0], driven[1], driven[2]
-
-    @cached_property
-    def _named_chain(self) -> Chain:
-        """The chain with a private slot on motions driven by a reading that have none of their own."""
-        renamed = {
-            id(m): type(m)(m.axis, m.slot or f"reading-{i}", m.nominal, m.sign) for i, m in enumerate(self._moving)
-        }
-        return tuple(renamed.get(id(m), m) for m in self.chain)
-
-    @cached_property
-    def _reading_slots(self) -> tuple[str, str, str]:
-        slots = [m.slot or f"reading-{i}" for i, m in enumerate(self._moving)]
-        return slots[0], slots[1], slots[2]
+            moved = np.eye(3)[[column]]
+            driven = (m.nominal is not None and m.nominal(moved)[0] != m.nominal(still)[0] for m in self.chain)
+            place = list(driven).index(True)
+            motion = self.chain[place]
+            slots.append(motion.slot or f"reading-{column}")
+            chain[place] = replace(motion, slot=slots[-1])
+        return tuple(chain), tuple(slots)
 
     def bases(self, raw: Floats) -> Floats:
         """(n, p): each parameter's basis at raw readings (n, 3)."""
@@ -122,10 +116,10 @@ class Construction:
         The derivative by the readings leaves out that the bases depend on them (a relative 1e-5 of it, the
         size of the errors themselves); Newton's method corrects for that, as does Gauss-Newton.
         """
-        slots = {term.slot for term in self.terms} | set(self._reading_slots)
-        bases = self.bases(raw)
-        p, by_slot = point_and_derivatives(self._named_chain, raw, self._amounts(bases, values), slots)
-        by_reading = np.stack([by_slot[slot] for slot in self._reading_slots], axis=2)
+        (chain, driven), bases = self._moving, self.bases(raw)
+        slots = {term.slot for term in self.terms} | set(driven)
+        p, by_slot = point_and_derivatives(chain, raw, self._amounts(bases, values), slots)
+        by_reading = np.stack([by_slot[slot] for slot in driven], axis=2)
         if not self.terms:
             return p, by_reading, np.zeros((len(raw), 3, 0))
         by_value = np.stack([by_slot[term.slot] for term in self.terms], axis=2)
@@ -170,7 +164,7 @@ class Construction:
     def reading_design(self, raw: Floats, values: Floats) -> tuple[Floats, Floats]:
         """Derivative of the raw readings by the local point (n, 3, 3) and by the parameters (n, 3, p)."""
         _, by_reading, by_value = self.linearised(raw, values)
-        by_point: Floats = np.asarray(np.linalg.inv(by_reading), dtype=np.float64)
+        by_point = np.asarray(np.linalg.inv(by_reading), dtype=np.float64)
         return by_point, -by_point @ by_value
 
 
@@ -185,42 +179,33 @@ def misalignment(effects: Iterable[SlotEffect] = BASELINE) -> Construction:
     )
 
 
+BOUNDS: dict[str, tuple[str, float]] = {
+    "offset": ("um", 20 * MICROMETRE),
+    "angle": ("urad", 3 * ARCSECOND),
+    "range_offset": ("um", 10 * MICROMETRE),
+    "range_scale": ("ppm", 2 * PPM),
+}
+"""Unit and prior sigma of a parameter by the guarantee that bounds it."""
+
 SUFFIX = ("c", "sin", "cos", "sin2", "cos2", "sin3", "cos3", "sin4", "cos4")
 """Names of the coefficients of a rotary joint's error function."""
+MOTIONS = ("eX", "eY", "eZ", "dX", "dY", "dZ")
+HIGHEST_ORDER, HIGHEST_DEGREE = 4, 9
 
-DH_PHYSICAL = {
+DH_PHYSICAL: dict[str, PriorKind] = {
     "J1.dX_c": "offset",
     "T.dX_0": "offset",
     "T.dY_0": "offset",
-    "J2.eX_c": "angle",
-    "J1.eX_c": "angle",
-    "J2.eY_c": "angle",
-    "J1.eY_sin": "angle",
-    "J1.eY_cos": "angle",
-    "J1.eY_sin2": "angle",
-    "J1.eY_cos2": "angle",
-    "J2.eY_sin": "angle",
-    "J2.eY_cos": "angle",
-    "J2.eY_sin2": "angle",
-    "J2.eY_cos2": "angle",
+    **dict.fromkeys(("J1.eX_c", "J2.eX_c", "J2.eY_c"), "angle"),
+    **dict.fromkeys(
+        (f"{joint}.eY_{wave}" for joint in ("J1", "J2") for wave in ("sin", "cos", "sin2", "cos2")), "angle"
+    ),
     "T.dZ_0": "range_offset",
     "T.dZ_1": "range_scale",
 }
 """D-H coefficients that span the misalignments of a source in the head, with the guarantee that bounds each."""
 
 _SPAN = 5.0
-
-
-def _harmonic(column: int, k: int) -> Term:
-    """Basis number k of a joint's error function: 1, sin x, cos x, sin 2x, cos 2x, ..."""
-    if k == 0:
-        return Term("", one)
-    return Term("", Lobe("sin" if k % 2 else "cos", column, (k + 1) // 2))
-
-
-def _power(k: int) -> Term:
-    """Basis number k of the range axis' polynomials: range to the power k."""
-    return Term("", Power(k))
 
 
 def dh(harmonics: int = 2, degree: int = 2, *, extra: float = 0.05) -> Construction:
@@ -241,37 +226,67 @@ def dh(harmonics: int = 2, degree: int = 2, *, extra: float = 0.05) -> Construct
     Sine and cosine coefficients replace the paper's amplitude and phase, which is undefined at zero
     amplitude. Units: um and urad; a polynomial's coefficient k is per metre^k.
     """
-    parameters: list[Parameter] = []
-    terms: list[Term] = []
-
-    def add(name: str, slot: str, term: Term, angular: bool, scale: float) -> None:
+    joints = [(f"{joint}.{motion}", column) for joint, column in (("J1", 1), ("J2", 2)) for motion in MOTIONS]
+    waves = range(2 * harmonics + 1)
+    rows = [(slot, SUFFIX[k], _harmonic(column, k), 1.0) for slot, column in joints for k in waves]
+    rows += [(f"T.{motion}", str(k), Power(k), _SPAN**-k) for motion in MOTIONS for k in range(degree + 1)]
+    parameters, terms = [], []
+    for slot, end, basis, scale in rows:
+        name = f"{slot}_{end}"
         kind = DH_PHYSICAL.get(name)
-        full = 3 * ARCSECOND if angular else 20 * MICROMETRE
-        if kind in ("range_offset", "range_scale"):
-            full = 10 * MICROMETRE if kind == "range_offset" else 2 * PPM
-        penalised = extra * (ARCSECOND if angular else 5 * MICROMETRE) * scale
-        unit = "ppm" if kind == "range_scale" else ("urad" if angular else "um")
-        sigma = full if kind else penalised
-        meaning = f"coefficient {name} of eq. 8"
-        parameters.append(Parameter(name, unit, meaning, sigma, kind))  # type: ignore[arg-type]
-        terms.append(Term(slot, term.basis))
-
-    for joint, column in (("J1", 1), ("J2", 2)):
-        for motion in ("eX", "eY", "eZ", "dX", "dY", "dZ"):
-            for k in range(2 * harmonics + 1):
-                name = f"{joint}.{motion}_{SUFFIX[k]}"
-                add(name, f"{joint}.{motion}", _harmonic(column, k), motion[0] == "e", 1.0)
-    for motion in ("eX", "eY", "eZ", "dX", "dY", "dZ"):
-        for k in range(degree + 1):
-            name = f"T.{motion}_{k}"
-            add(name, f"T.{motion}", _power(k), motion[0] == "e", _SPAN**-k)
+        penalised = ("urad", ARCSECOND) if ".e" in slot else ("um", 5 * MICROMETRE)
+        unit, sigma = BOUNDS[kind] if kind else (penalised[0], extra * penalised[1] * scale)
+        parameters.append(Parameter(name, unit, f"coefficient {name} of eq. 8", sigma, kind))
+        terms.append(Term(slot, basis))
     return Construction("dh", DH, tuple(parameters), tuple(terms))
+
+
+def _harmonic(column: int, k: int) -> Basis:
+    """Basis number k of a joint's error function: 1, sin x, cos x, sin 2x, cos 2x, ..."""
+    return Lobe("sin" if k % 2 else "cos", column, (k + 1) // 2) if k else one
+
+
+SHARED: tuple[SlotEffect, ...] = (
+    RangeOffset(),
+    RangeScale(),
+    TransitOffset(),
+    TransitTilt(),
+    VerticalIndex(),
+    AzimuthEccentricity(),
+    AzimuthSecondOrder(),
+)
+"""Causes that the design with the source in the head has too; they feed the same slots of another chain."""
+MIRROR: tuple[tuple[str, PriorKind, Lobe | None, str], ...] = (
+    ("mirror-offset", "offset", None, "mirror in front of the transit axis, along its normal"),
+    ("mirror-tilt", "angle", None, "mirror turned left, its plane not along the transit axis"),
+    ("cover-forward", "offset", None, "beam forward of the standing axis, turning with the head"),
+    ("cover-left", "offset", None, "beam left of the standing axis, turning with the head"),
+    ("beam-x", "offset", None, "beam beside the standing axis, along x of the base"),
+    ("beam-y", "offset", None, "beam beside the standing axis, along y of the base"),
+    ("beam-tilt-x", "angle", None, "beam leans about x of the base"),
+    ("beam-tilt-y", "angle", None, "beam leans about y of the base"),
+    (
+        "elevation-eccentricity-cos",
+        "angle",
+        Lobe("cos", 2, 0.5),
+        "cosine of the mirror's angle, half the raw elevation",
+    ),
+    ("elevation-eccentricity-sin", "angle", Lobe("sin", 2, 0.5), "sine of the mirror's angle"),
+    ("elevation-second-order-cos", "angle", Lobe("cos", 2, 1.0), "cosine of twice the mirror's angle"),
+    ("elevation-second-order-sin", "angle", Lobe("sin", 2, 1.0), "sine of twice the mirror's angle"),
+)
+"""Misalignments of mirror, axes, cover plate and beam, each for its slot of `kinematics.steering_mirror`; lobes are of
+the circle that turns with the mirror, at half the rate of the reading."""
 
 
 def steering_mirror() -> Construction:
     """The construction with a beam-steering mirror and its 21 parameters."""
-    parameters, terms = zip(*MIRROR_PARAMETERS, strict=True)
-    return Construction("steering-mirror", STEERING_MIRROR, parameters, terms)
+    parameters = [p for effect in SHARED for p in effect.parameters]
+    terms = [t for effect in SHARED for t in effect.terms]
+    for name, kind, lobe, meaning in MIRROR:
+        parameters.append(Parameter(name, BOUNDS[kind][0], meaning, BOUNDS[kind][1], kind))
+        terms.append(Term("elevation", lobe) if lobe else Term(name))
+    return Construction("steering-mirror", STEERING_MIRROR, tuple(parameters), tuple(terms))
 
 
 def ideal() -> Construction:
@@ -279,32 +294,23 @@ def ideal() -> Construction:
     return Construction("ideal", MISALIGNMENT, (), ())
 
 
-def construction(name: str) -> Construction:
-    """Give a construction by its name: `misalignment`, `dh`, `steering-mirror` or `ideal`."""
-    known: dict[str, Callable[[], Construction]] = {
-        "misalignment": misalignment,
-        "dh": dh,
-        "steering-mirror": steering_mirror,
-        "ideal": ideal,
-    }
-    if name not in known:
-        raise unknown_name("construction", name, known)
-    return known[name]()
+CONSTRUCTIONS: dict[str, Callable[[], Construction]] = {
+    "misalignment": misalignment,
+    "dh": dh,
+    "steering-mirror": steering_mirror,
+    "ideal": ideal,
+}
 
 
-HIGHEST_ORDER, HIGHEST_DEGREE = 4, 9
-
-
-def built_construction(name: str, harmonics: int | None = None, degree: int | None = None) -> Construction:
+def construction(name: str, harmonics: int | None = None, degree: int | None = None) -> Construction:
     """Give a construction by its name, a D-H chain with other orders than 2 where they are given.
 
-    Raises
-    ------
-    ModelError
-        When there is no such construction, it has no orders to choose, or an order is out of bounds.
+    ModelError when there is no such construction, it has no orders to choose, or an order is out of bounds.
     """
+    if name not in CONSTRUCTIONS:
+        raise unknown_name("construction", name, CONSTRUCTIONS)
     if harmonics is None and degree is None:
-        return construction(name)
+        return CONSTRUCTIONS[name]()
     if name != "dh":
         raise ModelError(f"harmonics and degree belong to the construction dh, not to {name}")
     for what, order, highest in (("harmonics", harmonics, HIGHEST_ORDER), ("degree", degree, HIGHEST_DEGREE)):
@@ -338,10 +344,7 @@ def of_design(design: str) -> Construction:
 def stated_construction(recording: Recording) -> Construction:
     """The construction that a recording's set-up states: where the beam comes from in its instruments.
 
-    Raises
-    ------
-    NetworkError
-        When instruments of both designs measured together: their parameters are not the same.
+    NetworkError when instruments of both designs measured together: their parameters are not the same.
     """
     designs = {name: recording.setup.instrument_of(name).construction for name in recording.stations}
     if len(set(designs.values())) > 1:

@@ -9,14 +9,15 @@ import numpy as np
 
 from ltsim.arrays import Bools, Floats
 from ltsim.effects.signature import Signature
+from ltsim.errors import NetworkError
+from ltsim.geometry.alignment import align
 from ltsim.geometry.rigid import pose_design
-from ltsim.geometry.rotations import from_rotation_vector
+from ltsim.geometry.rotations import about_z, from_rotation_vector, smallest_turn
 from ltsim.model.construction import Construction
-from ltsim.model.floor_plan import plan_rotation
 from ltsim.recording.recording import Recording
 from ltsim.recording.reflectors import excess_radii
 from ltsim.scene.sightings import Sightings
-from ltsim.units import MILLIMETRE
+from ltsim.units import DEGREE, MILLIMETRE
 
 
 @dataclass(frozen=True)
@@ -62,7 +63,7 @@ class Prediction:
 def sightings_of(recording: Recording, state: State) -> Sightings:
     """The sightings of a recording's pointings with stations and targets at `state`.
 
-    Nest normals are turned from the floor plan into the network's frame (`floor_plan.plan_rotation`).
+    Nest normals are turned from the floor plan into the network's frame (`plan_rotation`).
     """
     return _sightings(recording, state, plan_rotation(recording, state.position, state.rotation))
 
@@ -91,16 +92,17 @@ def _sightings(recording: Recording, state: State, turn: Floats) -> Sightings:
 def _nest_normals(recording: Recording) -> Floats:
     """Stated normals (T, 3) of the nests, floor plan; NaN where unknown."""
     missing = (np.nan, np.nan, np.nan)
-    stated = [recording.target_setup(name).nest_normal or missing for name in recording.targets]
-    normal = np.array(stated, dtype=np.float64).reshape(-1, 3)
-    return normal / np.linalg.norm(normal, axis=1, keepdims=True)
+    return _units([recording.target_setup(name).nest_normal or missing for name in recording.targets])
 
 
 def verticals(recording: Recording) -> Floats:
     """Direction of plumb (S, 3) at each station, a unit vector of the network frame."""
-    up = (0.0, 0.0, 1.0)
-    stated = np.array([recording.station_setup(name).vertical or up for name in recording.stations], dtype=np.float64)
-    return stated / np.linalg.norm(stated, axis=1, keepdims=True)
+    return _units([recording.station_setup(name).vertical or (0.0, 0.0, 1.0) for name in recording.stations])
+
+
+def _units(stated: list[tuple[float, float, float]]) -> Floats:
+    vectors = np.array(stated, dtype=np.float64).reshape(-1, 3)
+    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
 
 
 def lift_of(recording: Recording) -> Floats | None:
@@ -209,11 +211,11 @@ class MeasurementModel:
             raw = raw + effect.shift(sightings, extra)
         derivatives = by_pose, by_target, by_instrument, by_extra
         if self._horizontal is not None:
-            _reduce_to_horizontal(raw, derivatives, self._horizontal)
+            reduce_to_horizontal(raw, derivatives, self._horizontal)
         return Prediction(raw, *derivatives)
 
 
-def _reduce_to_horizontal(raw: Floats, derivatives: tuple[Floats, ...], flat: Bools) -> None:
+def reduce_to_horizontal(raw: Floats, derivatives: tuple[Floats, ...], flat: Bools) -> None:
     """Turn the slope distances `flat` (n,) of readings (n, 3) and their derivatives into horizontal ones, in place."""
     range_, level = raw[flat, 0], raw[flat, 2]
     cosine = np.cos(level)
@@ -221,3 +223,60 @@ def _reduce_to_horizontal(raw: Floats, derivatives: tuple[Floats, ...], flat: Bo
     for by in derivatives:
         by[flat, 0] = (sign * cosine)[:, None] * by[flat, 0] - (sign * range_ * np.sin(level))[:, None] * by[flat, 2]
     raw[flat, 0] = range_ * np.abs(cosine)
+
+
+UPRIGHT = 5 * DEGREE
+"""How far the axes of instruments on tripods part, as seen in the length of their mean."""
+ROUGH = 3 * DEGREE
+"""How well a floor plan knows directions: frames that agree so well are one frame."""
+
+
+def plan_rotation(recording: Recording, position: Floats, rotation: Floats) -> Floats:
+    """Rotation (3, 3) from the set-up's frame to the network's.
+
+    The stations' rough positions (three or more, off one line) say it; otherwise their yaws. With control points both
+    frames are one, and nothing better is known where the set-up is silent: then it is the identity.
+
+    Parameters
+    ----------
+    recording : Recording
+    position : (S, 3) float, [m]
+    rotation : (S, 3, 3) float
+        Instrument frame to network frame.
+    """
+    if any(recording.target_setup(name).known_mm is not None for name in recording.targets):
+        return np.eye(3)
+    setups = [recording.station_setup(name) for name in recording.stations]
+    turn = _by_positions([s.position_mm for s in setups], position, rotation)
+    if turn is None:
+        turn = _by_yaws([s.yaw_deg for s in setups], rotation)
+    if turn is None or np.arccos(np.clip((np.trace(turn) - 1.0) / 2.0, -1.0, 1.0)) < ROUGH:
+        return np.eye(3)
+    return turn
+
+
+def _by_positions(stated: list[tuple[float, float, float] | None], position: Floats, rotation: Floats) -> Floats | None:
+    """By the rough places of three or more stations; upright instruments know the vertical far better than these."""
+    known = [i for i, p in enumerate(stated) if p is not None]
+    if len(known) < 3:
+        return None
+    plan = np.array([stated[i] for i in known], dtype=np.float64) * MILLIMETRE
+    axis = rotation[known, :, 2].mean(axis=0)
+    level, here = np.eye(3), position[known]
+    if np.linalg.norm(axis) > np.cos(UPRIGHT):
+        level = smallest_turn(axis / np.linalg.norm(axis), np.array([0.0, 0.0, 1.0]))
+        here, plan = here @ level.T * [1.0, 1.0, 0.0], plan * [1.0, 1.0, 0.0]
+    try:
+        turn, _ = align(plan, here)
+    except NetworkError:
+        return None
+    return level.T @ turn
+
+
+def _by_yaws(stated: list[float | None], rotation: Floats) -> Floats | None:
+    """Mean of the rotations that upright stations with these yaws ask for."""
+    asked = [r @ about_z(yaw * DEGREE).T for yaw, r in zip(stated, rotation, strict=True) if yaw is not None]
+    if not asked:
+        return None
+    left, _, right = np.linalg.svd(np.sum(asked, axis=0))
+    return left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right

@@ -10,9 +10,9 @@ from typing import Any, Literal
 
 from matplotlib.figure import Figure
 
-from ltsim.notation import NONE, number, with_sigma
+from ltsim import results
+from ltsim.notation import number
 from ltsim.pages.style import svg, svg_uri
-from ltsim.units import BY_ENDING
 
 POLICY = (
     "default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; "
@@ -174,55 +174,42 @@ def table_of(
     marked: Callable[[Any], bool] | None = None,
     folds: bool = True,
 ) -> list[Table]:
-    """Entries of a result file as a table, with the meanings that their model gives; none where there are no entries.
+    """Entries of a result file as a table, none where there are none; meanings and units are those of their model.
 
-    A field that has a `sigma` (or `FIELD_sigma`) beside it is written with it, one that has a `unit` with that;
-    `field=head` gives a column another head. A column in which nothing stands is left out.
+    A field may be `field=head`, and with its standard deviation beside it `field+-sigma`.
     """
     rows = list(entries)
-    if not rows:
+    columns: list[results.Column] = []
+    for field in fields if rows else ():
+        (name, _, sigma), head = field.partition("=")[0].partition("+-"), field.partition("=")[2]
+        known = type(rows[0]).model_fields.get(name)
+        first = getattr(rows[0], name)
+        kind: results.Kind = "chance" if name == "p_value" else "text" if isinstance(first, str | tuple) else "number"
+        about = (known.description or "") if known else ""
+        columns.append(results.Column(name, about, kind, sigma=sigma, title=head or {"p_value": "p"}.get(name, "")))
+        columns += [results.Column(sigma)] if sigma else []
+    cells = [[_joined(getattr(row, column.name)) for column in columns] for row in rows]
+    chosen = frozenset(i for i, row in enumerate(rows) if marked is not None and marked(row))
+    return table_block(
+        title, results.Table("", "", tuple(columns)).filled(cells), note=note, marked=chosen, folds=folds
+    )
+
+
+def table_block(
+    title: str, table: results.Table, *, note: str = "", marked: frozenset[int] = frozenset(), folds: bool = True
+) -> list[Table]:
+    """A table of a result as the page has it, none where it has no rows; text to the left, numbers to the right."""
+    if not table.rows:
         return []
-    names, heads = zip(*((f.partition("=")[0], f.partition("=")[2] or _head(f)) for f in fields), strict=True)
-    known = getattr(type(rows[0]), "model_fields", {})
-    columns = [[_cell(row, name) for row in rows] for name in names]
-    kept = [i for i, column in enumerate(columns) if any(cell not in ("", NONE) for cell in column)]
-    words = [isinstance(getattr(rows[0], names[i]), str) for i in kept]
-    return [
-        Table(
-            title,
-            [heads[i] for i in kept],
-            list(zip(*(columns[i] for i in kept), strict=True)),
-            text_columns=words.index(False) if False in words else len(words),
-            note=note,
-            marked=frozenset(i for i, row in enumerate(rows) if marked is not None and marked(row)),
-            meanings=[known[names[i]].description or "" if names[i] in known else "" for i in kept],
-            folds=folds,
-        )
-    ]
+    heads = table.headings
+    words = [next(c.kind == "text" for c in table.columns if c.heading == head) for head in heads]
+    left = words.index(False) if False in words else len(words)
+    meanings = [table.meanings.get(head, "") for head in heads]
+    return [Table(title, heads, table.cells(), left, note, marked, meanings, folds)]
 
 
-def _head(field: str) -> str:
-    """`position_mm` as `position [mm]`."""
-    ending = next((e for e in BY_ENDING if field.endswith(e)), "")
-    unit = f" [{BY_ENDING[ending]}]" if ending else ""
-    return field.removesuffix(ending).replace("_", " ").replace("p value", "p") + unit
-
-
-def _cell(entry: Any, name: str) -> str:
-    """One field as a person reads it."""
-    value = getattr(entry, name)
-    if isinstance(value, bool):
-        return "yes" if value else ""
-    if isinstance(value, str | int):
-        return str(value)
-    if isinstance(value, dict):
-        return " ".join(f"{weight:+.2f} {of}" for of, weight in value.items())
-    if isinstance(value, Sequence):
-        return ", ".join(v if isinstance(v, str) else number(v) for v in value)
-    unit = "" if any(name.endswith(ending) for ending in BY_ENDING) else getattr(entry, "unit", "")
-    sigma = getattr(entry, f"{name}_sigma", getattr(entry, "sigma", None) if name == "value" else None)
-    return with_sigma(value, sigma, unit if value is not None and name not in UNITLESS else "")
-
-
-UNITLESS = ("p_value", "w", "redundancy", "share", "probability", "factor", "chi2_drop", "gain", "wrong")
-"""Numbers that stand beside a unit which is not theirs."""
+def _joined(value: Any) -> Any:
+    """A list as a person reads it in one cell."""
+    if isinstance(value, str) or not isinstance(value, Sequence):
+        return value
+    return ", ".join(v if isinstance(v, str) else number(v) for v in value)

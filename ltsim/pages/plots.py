@@ -13,12 +13,13 @@ from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.errors import ModelError
 from ltsim.evaluation.criteria import Criteria
 from ltsim.fieldcheck.check import Check
-from ltsim.pages import figures
-from ltsim.pages.figures.check import check_figure
+from ltsim.pages.figures.parameters import Criterion, ParameterRow, criteria_figure, parameter_figure
+from ltsim.pages.figures.points import check_figure, displacement_figure
+from ltsim.pages.figures.residuals import residuals_by_covariate
 from ltsim.pages.residuals import Residuals
 from ltsim.pages.sections.diagnosis import finding_figure
 from ltsim.results import Result
-from ltsim.tasks.congruence import Congruence
+from ltsim.tasks.comparison import Comparison
 
 
 @singledispatch
@@ -37,7 +38,7 @@ def _(result: Calibration) -> Figure:
         raise ModelError("an adjustment without instrument parameters has no picture; lt.report makes a page of it")
     table = result.table("parameters")
     rows = zip(*(table.column(name) for name in ("parameter", "value", "sigma", "unit", "prior_sigma")), strict=True)
-    return figures.parameters([figures.ParameterRow(*row) for row in rows])
+    return parameter_figure([ParameterRow(*row) for row in rows])
 
 
 @figure_of.register
@@ -47,7 +48,7 @@ def _(result: Criteria) -> Figure:
         raise ModelError("criteria without a calibration have no before and after to draw")
     names = ("criterion", "mean_um", "mean_after_um", "max_um", "max_after_um", "improvement_percent")
     rows = zip(*(table.column(name) for name in names), strict=True)
-    return figures.criteria([figures.Criterion(*row) for row in rows])
+    return criteria_figure([Criterion(*row) for row in rows])
 
 
 @figure_of.register
@@ -63,15 +64,15 @@ def _(result: Diagnosis) -> Figure:
         figure = finding_figure(finding, before, after)
         if figure is not None:
             return figure
-    return figures.residuals_by_covariate(after)
+    return residuals_by_covariate(after)
 
 
 @figure_of.register
-def _(result: Congruence) -> Figure:
+def _(result: Comparison) -> Figure:
     table = result.table()
     places, shifts, axes = (
         table.numbers(*names)
         for names in (("x_mm", "y_mm", "z_mm"), ("dx_um", "dy_um", "dz_um"), ("a_um", "b_um", "c_um"))
     )
     moved = np.array(table.column("moved"), dtype=bool)
-    return figures.displacements(places, shifts, axes, moved, table.column("target"))
+    return displacement_figure(places, shifts, axes, moved, table.column("target"))

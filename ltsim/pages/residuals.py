@@ -120,7 +120,6 @@ class Residuals:
 
 
 def _geometry(sightings: Sightings, rows: Ints) -> dict[str, Floats]:
-    """Covariates of pointings `rows` in the units of `COVARIATE_UNIT`."""
     found = {
         "azimuth": sightings.azimuth[rows] / DEGREE,
         "elevation": sightings.elevation[rows] / DEGREE,

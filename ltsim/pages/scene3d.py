@@ -133,7 +133,6 @@ def write_legend(plotter: pv.Plotter, title: str, legend: Legend) -> None:
 
 
 def _surroundings(plotter: pv.Plotter, workshop: Workshop) -> None:
-    """Floor with a metre grid, walls, obstacles."""
     z = workshop.floor_height
     corners = np.column_stack([workshop.floor, np.full(len(workshop.floor), z - 0.002)])
     plotter.add_mesh(solids.polygon(corners), color=FLOOR, lighting=False, name="floor")
@@ -200,7 +199,6 @@ def _shadows(plotter: pv.Plotter, workshop: Workshop, lines: list[str]) -> None:
 
 
 def _targets(plotter: pv.Plotter, workshop: Workshop) -> None:
-    """Reflectors as balls, gauge reflectors in their own colour, gauge lengths as lines."""
     gauge = set(workshop.gauge_targets)
     radius = 0.009 * workshop.size
     for name, colour, chosen in (
@@ -221,7 +219,6 @@ def _targets(plotter: pv.Plotter, workshop: Workshop) -> None:
 
 
 def _stations(plotter: pv.Plotter, workshop: Workshop) -> None:
-    """Tripod, column, head and a pointer to azimuth zero."""
     legs, heads, pointers = [], [], []
     for place, turn in zip(workshop.position, workshop.rotation, strict=True):
         height = max(place[2] - workshop.floor_height, 0.3)
@@ -260,7 +257,6 @@ def _uncertainty(plotter: pv.Plotter, workshop: Workshop, lines: list[str]) -> N
 
 
 def _corrections(plotter: pv.Plotter, workshop: Workshop, lines: list[str]) -> None:
-    """Arrows from before to after at a round magnification."""
     if workshop.correction is None:
         return
     length = np.linalg.norm(workshop.correction, axis=1)
@@ -288,7 +284,6 @@ def _corrections(plotter: pv.Plotter, workshop: Workshop, lines: list[str]) -> N
 
 
 def _names(plotter: pv.Plotter, workshop: Workshop) -> None:
-    """Names as flat letters that face the first view."""
     direction = np.array(plotter.camera.position) - np.array(plotter.camera.focal_point)
     size = 0.026 * workshop.size
     groups = [("station-names", workshop.stations, workshop.position, 0.33, 1.5 * size, INK)]

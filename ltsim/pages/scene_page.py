@@ -1,18 +1,23 @@
-"""The workshop in 3D as one HTML page that opens offline: with a legend."""
+"""The workshop in 3D as one HTML page that opens offline, in the viewer of vtk.js, without any server."""
 
 from __future__ import annotations
 
+import io
+import json
 import re
+import zipfile
 from html import escape
+from typing import Any
 
 import numpy as np
 import pyvista as pv
 from matplotlib.colors import to_hex
+from trame_vtk.modules.vtk import serializers
+from trame_vtk.tools.vtksz2html import write_html
 
 from ltsim.pages import scene3d
 from ltsim.pages.document import POLICY
 from ltsim.pages.style import number
-from ltsim.pages.viewer import viewer_page
 from ltsim.pages.workshop import Workshop
 
 STYLE = """
@@ -55,7 +60,6 @@ def picture_and_page(workshop: Workshop) -> tuple[bytes, scene3d.Legend, str]:
 
 
 def _page(plotter: pv.Plotter, workshop: Workshop, legend: scene3d.Legend) -> str:
-    """The page of a scene, whose places are rounded."""
     step = 2.0 ** np.floor(np.log2(workshop.size / FINEST))
     for actor in plotter.actors.values():
         mesh = getattr(getattr(actor, "mapper", None), "dataset", None)
@@ -72,7 +76,6 @@ def _page(plotter: pv.Plotter, workshop: Workshop, legend: scene3d.Legend) -> st
 
 
 def _overlay(title: str, legend: scene3d.Legend) -> str:
-    """Title, what the signs mean, the colour bar, and how to turn the scene."""
     lines = "".join(f"<p>{escape(line)}</p>" for line in legend.lines)
     parts = [f'<div id="legend"><h1>{title}</h1>{lines}</div>']
     if legend.bar is not None:
@@ -84,3 +87,46 @@ def _overlay(title: str, legend: scene3d.Legend) -> str:
         )
     parts.append('<div id="hint">drag: turn · wheel or pinch: zoom · shift-drag: move</div>')
     return "".join(parts)
+
+
+FAVICON = re.compile(r"https://kitware\.github\.io/vtk-js/icon/favicon-\$\{\w+\}x\$\{\w+\}\.png")
+"""vtk.js asks its maker's site for an icon when it loads; the address is replaced by an empty one."""
+
+LONG_AGO = (1980, 1, 1, 0, 0, 0)
+
+
+def viewer_page(plotter: pv.Plotter) -> str:
+    """The scene as an HTML page with everything in it: viewer and data."""
+    plotter.render()
+    stream = io.StringIO()
+    write_html(_packed(_scene(plotter.render_window)), stream)
+    return FAVICON.sub("data:,", stream.getvalue())
+
+
+def _scene(window: Any) -> dict[str, Any]:
+    """The render window in vtk.js' own description, with its arrays."""
+    serializers.initialize_serializers()
+    context = serializers.SynchronizationContext()
+    context.set_ignore_last_dependencies(True)
+    scene = serializers.serialize(None, window, serializers.reference_id(window), context, 1)
+    camera = window.GetRenderers().GetFirstRenderer().GetActiveCamera()
+    scene["extra"] = {
+        "vtkRefId": serializers.reference_id(window),
+        "centerOfRotation": camera.GetFocalPoint(),
+        "camera": serializers.reference_id(camera),
+    }
+    arrays = {
+        entry["hash"]: {**entry, "content": context.get_cached_data_array(entry["hash"], False)}
+        for entry in serializers.extract_array_hash(scene)
+    }
+    return {"hashes": arrays, "scene": scene}
+
+
+def _packed(scene: dict[str, Any]) -> bytes:
+    """The zip that the viewer opens; it carries no date."""
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w") as archive:
+        entry = zipfile.ZipInfo("index.json", LONG_AGO)
+        entry.compress_type = zipfile.ZIP_DEFLATED
+        archive.writestr(entry, json.dumps(scene))
+    return stream.getvalue()

@@ -19,7 +19,9 @@ from ltsim.calibration.schema import RESIDUALS, TARGETS, CalibrationFile
 from ltsim.campaigns.schema import ROWS, TRIALS, ManifestFile, RecoveryFile, summary_table
 from ltsim.campaigns.spec import Campaign
 from ltsim.diagnosis import schema as diagnosis
-from ltsim.evaluation.schema import BENCH, NOMINAL, BenchFile, CriteriaFile
+from ltsim.evaluation.bench import BENCH, BenchFile
+from ltsim.evaluation.criteria import CriteriaFile
+from ltsim.evaluation.verification import NOMINAL
 from ltsim.fieldcheck import files as checks
 from ltsim.planning import schema as plan
 from ltsim.planning.spec import PlanFile
@@ -42,7 +44,7 @@ RESULTS: tuple[type[ResultFile], ...] = (
     ManifestFile,
     RecoveryFile,
     uncertainty.UncertaintyFile,
-    comparison.ComparisonFile,
+    comparison.Comparison,
     checks.CheckFile,
     acceptance.AcceptanceFile,
 )
@@ -70,7 +72,7 @@ TABLES: dict[str, tuple[Table, ...]] = {
     plan.NextFile.FILE: (plan.NEXT,),
     ManifestFile.FILE: (summary_table({"FACTOR": "number"}), ROWS),
     checks.CheckFile.FILE: (checks.TWO_FACE,),
-    comparison.ComparisonFile.FILE: (comparison.DISPLACEMENTS,),
+    comparison.Comparison.FILE: (comparison.DISPLACEMENTS,),
     uncertainty.UncertaintyFile.FILE: (uncertainty.RESULTS, uncertainty.BUDGET),
     acceptance.AcceptanceFile.FILE: (acceptance.TESTS,),
     RecoveryFile.FILE: (TRIALS,),

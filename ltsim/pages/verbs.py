@@ -9,8 +9,7 @@ from pathlib import Path
 
 from ltsim.errors import require
 from ltsim.pages.page import report as write_report
-from ltsim.pages.planned import from_scenario, with_cad
-from ltsim.pages.workshop import Workshop, from_recording
+from ltsim.pages.workshop import Workshop, from_recording, from_scenario, with_cad
 from ltsim.recording import Recording
 from ltsim.recording.exchange import read
 from ltsim.recording.files import write_text
@@ -71,10 +70,13 @@ def view(
     source : Recording, Scenario, str or Path
         A recording (adjusted first), a scenario, the file of either, or the name of a built-in scenario.
     cad : str or Path, optional
-        STL, OBJ, PLY, GLB, STEP or IGES to stand in the room, by its format's convention (glTF: metres, y up; STEP: its
-        own unit; others: millimetres), unless `cad_unit` (`mm`, `m`) and `cad_up` (`y`, `z`) say otherwise.
-    colour : str
-        What colours the lines of sight of a recording: `incidence` or `residual`.
+        STL, OBJ, PLY, GLB, STEP or IGES to stand in the room.
+    cad_unit : {`mm`, `m`}, optional
+        Unit of its coordinates; default by its format (glTF: metres; STEP: its own; others: millimetres).
+    cad_up : {`y`, `z`}, optional
+        Its axis that points up; default by its format (glTF: y).
+    colour : {`incidence`, `residual`}
+        What colours the lines of sight of a recording.
 
     Raises
     ------

@@ -1,19 +1,24 @@
-"""What stands in the workshop, ready to be drawn: from a recording or from calibrated poses and targets."""
+"""What stands in the workshop, ready to be drawn: as measured (a recording, calibrated poses) or as planned."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.arrays import Floats, Ints
+from ltsim.errors import SetupError
 from ltsim.geometry.rotations import about_z
 from ltsim.model.construction import stated_construction
 from ltsim.recording.recording import Recording
 from ltsim.recording.setup import Limits, Setup
-from ltsim.scene.visibility import cone_opening, shadow_radius
+from ltsim.scene.cad import read_mesh, size_question
+from ltsim.scene.visibility import Reason, Visibility, cone_opening, shadow_radius
+from ltsim.simulation.scenario import Scenario
+from ltsim.simulation.workshop import Layout, obstacles_of, planned, visibility_of
 from ltsim.units import DEGREE, MILLIMETRE
 
 SECOND_OPENING = 110.0 * DEGREE
@@ -220,12 +225,10 @@ def _to_plan(
 
 
 def _plan(setup: Setup, station: str) -> tuple[float, float, float] | None:
-    """Position [mm] on the floor plan, if the set-up has one."""
     return setup.stations[station].position_mm if station in setup.stations else None
 
 
 def _nest_normals(setup: Setup, targets: tuple[str, ...]) -> Floats:
-    """(T, 3) unit vectors, NaN where unknown."""
     rows = [setup.targets[t].nest_normal if t in setup.targets else None for t in targets]
     normal = np.array([row or (np.nan, np.nan, np.nan) for row in rows], dtype=np.float64).reshape(-1, 3)
     return normal / np.linalg.norm(normal, axis=1, keepdims=True)
@@ -254,7 +257,6 @@ def _wall_planes(points: Floats, normal: Floats) -> list[tuple[int, float, float
 
 
 def _floor_between(floor: Floats, planes: list[tuple[int, float, float]]) -> Floats:
-    """The floor's outline (4, 2), ending at the walls."""
     (x0, y0), (x1, y1) = floor.min(axis=0), floor.max(axis=0)
     sides = {(0, 1.0): x0, (0, -1.0): x1, (1, 1.0): y0, (1, -1.0): y1}
     sides |= {(axis, side): place for axis, side, place in planes}
@@ -271,3 +273,62 @@ def _wall_corners(planes: list[tuple[int, float, float]], floor: Floats, low: fl
         wall[:, 1 - axis] = [begin, end, end, begin]
         wall[:, 2] = [low, low, high, high]
     return walls
+
+
+def from_scenario(scenario: Scenario) -> Workshop:
+    """Stations, targets, the room's corner and what stands in it; lines of sight where stations see targets.
+
+    Raises
+    ------
+    SetupError
+        When the scenario's gauge or one of its CAD files is impossible.
+    """
+    layout = planned(scenario)
+    table = visibility_of(scenario, layout)
+    obstacles = obstacles_of(scenario)
+    hidden = int((~table.visible).sum())
+    lost = (f"{hidden} of {table.visible.size} pairs do not see each other.",) if hidden else ()
+    x, y, z = np.array(scenario.workshop.size_mm) * MILLIMETRE
+    gauge = range(len(scenario.targets), len(layout.targets))
+    return Workshop(
+        title=scenario.title,
+        stations=layout.stations,
+        position=layout.position,
+        rotation=layout.rotation,
+        targets=layout.targets,
+        points=layout.points,
+        nest_normal=np.where(layout.reaimed[:, None], np.nan, layout.nest_normal),
+        floor=np.array([[0.0, 0.0], [x, 0.0], [x, y], [0.0, y]]),
+        walls=np.array(
+            [
+                [[0.0, 0.0, 0.0], [0.0, y, 0.0], [0.0, y, z], [0.0, 0.0, z]],
+                [[0.0, 0.0, 0.0], [x, 0.0, 0.0], [x, 0.0, z], [0.0, 0.0, z]],
+            ]
+        ),
+        gauge=tuple((i, j) for i in gauge for j in gauge if i < j),
+        elevation_min=max(t.limits.elevation_min_deg for t in scenario.trackers.values()) * DEGREE,
+        sights=_sights(layout, table),
+        obstacles=np.zeros((0, 3, 3)) if obstacles is None else obstacles.triangles,
+        hidden=np.argwhere(table.reason == Reason.OBSTACLE),
+        notes=lost,
+    )
+
+
+def with_cad(workshop: Workshop, file: Path, unit: str | None = None, up: str | None = None) -> Workshop:
+    """The workshop with a CAD file standing in it; `unit` and `up` where its format's convention does not hold.
+
+    Raises
+    ------
+    SetupError
+        When it cannot be read, or its size has to be asked about.
+    """
+    cad = read_mesh(file, unit, up)
+    if asked := size_question(cad, np.ptp(workshop.floor, axis=0)):
+        raise SetupError(asked)
+    return replace(workshop, obstacles=np.concatenate([workshop.obstacles, cad.triangles]))
+
+
+def _sights(layout: Layout, table: Visibility) -> Sights:
+    station, target = np.nonzero(table.visible)
+    elevation = table.elevation[station, target] / DEGREE
+    return Sights(station.astype(np.int64), target.astype(np.int64), elevation, "elevation of the beam [°]")

@@ -26,8 +26,7 @@ from ltsim.model.construction import Construction, misalignment
 from ltsim.model.measurement import MeasurementModel
 from ltsim.planning.survey import Survey
 from ltsim.scene.sightings import Sightings
-from ltsim.solve.design import as_dense
-from ltsim.solve.rank import POINT, cholesky_where_determined, unit_diagonal
+from ltsim.solve.design import POINT, as_dense, cholesky_where_determined, unit_diagonal
 
 POSE_SCALE = 1e-5
 """[m] and [rad]: unit of poses and targets inside, so that all columns have a like size."""
@@ -102,7 +101,7 @@ class Reducer:
         self._rank_free, self._free = problem.free.shape[1], problem.free
         self._vertical = np.full((self.stations, 3), np.nan)
         self._vertical[problem.levels.station] = problem.levels.vertical
-        self.prior_sigma = problem.prior_sigma[0]
+        self.prior_sigma = problem.prior.sigma[0]
         sizes = [p.prior_sigma for effect in self.effects for p in effect.parameters]
         self.scale = np.concatenate([self.prior_sigma, np.array(sizes, dtype=np.float64)])
         self._gauge = np.flatnonzero(problem.unknowns.target[:, 0] < problem.unknowns.kept)

@@ -50,7 +50,7 @@ class LayoutInformation:
     @property
     def prior_sigma(self) -> Floats:
         """(p,) of the first instrument [SI]."""
-        return self.adjustment.problem.prior_sigma[0]
+        return self.adjustment.problem.prior.sigma[0]
 
     @property
     def instrument_covariance(self) -> Floats:

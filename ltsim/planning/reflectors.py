@@ -51,7 +51,7 @@ class PlaceTable:
         alone = reducer.blocks(survey.position, survey.yaw, slots, only)
         base, length = (block[0] for block in reducer.eliminated(alone, slots[None])[:2])
         t, x = (part[:, kept:] for part in reducer.rows(survey.position, survey.yaw, slots, seen))
-        rows = np.zeros((len(places), count, t.shape[2], len(base)))
+        rows: Floats = np.zeros((len(places), count, t.shape[2], len(base)))
         for s in range(count):
             rows[:, s, :, 6 * s : 6 * s + 6] = x[s, ..., :6]
             rows[:, s, :, len(base) - x.shape[3] + 6 :] = x[s, ..., 6:]

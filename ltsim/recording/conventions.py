@@ -22,15 +22,17 @@ from ltsim.geometry.alignment import align
 from ltsim.geometry.polar import from_polar
 from ltsim.geometry.rotations import about_z
 from ltsim.recording.coordinates import read_points
-from ltsim.recording.plausibility import SHORTEST_MM, chord_gap
 from ltsim.recording.recording import Recording
 from ltsim.recording.setup import Setup
+from ltsim.recording.slips import SHORTEST_MM, chord_gap, clouds_of
 from ltsim.units import DEGREE, FACTOR, MILLIMETRE
 
 Angle = Literal["deg", "gon", "rad"]
 Vertical = Literal["zenith", "elevation"]
 Azimuth = Literal["clockwise", "counter-clockwise"]
 Length = Literal["mm", "m"]
+Pose = tuple[Floats, Floats]
+"""Rotation (3, 3) from the station's frame, and place (3,) [m]."""
 CIRCLE = {"deg": 360.0, "gon": 400.0, "rad": 2 * np.pi}
 ANGLES: tuple[Angle, ...] = ("deg", "gon", "rad")
 VERTICALS: tuple[Vertical, ...] = ("zenith", "elevation")
@@ -77,28 +79,17 @@ class PolarTable:
     vertical: Floats
     distance: Floats
 
-    def readings(self, angle: Angle, vertical: Vertical, azimuth: Azimuth, length: Length) -> Floats:
-        """Raw range [m], azimuth [0, 2 pi) and elevation [-pi/2, 3 pi/2) [rad], (n, 3)."""
-        sense = -1.0 if azimuth == "clockwise" else 1.0
-        turned = np.mod(sense * self.horizontal * FACTOR[angle], 2 * np.pi)
+    def points(self, angle: Angle, vertical: Vertical) -> Floats:
+        """Places (n, 3) in each station's frame, azimuths taken counter-clockwise, in the unit of the distances."""
         upward = self.vertical * FACTOR[angle]
-        raw = np.pi / 2 - upward if vertical == "zenith" else upward
-        raw = np.where(raw < -np.pi / 2 - 1e-12, raw + 2 * np.pi, raw)
-        return np.stack([self.distance * FACTOR[length], turned, raw], axis=1)
-
-
-def faces(readings: Floats) -> Ints:
-    """Face (n,) of raw readings: 2 where the elevation lies beyond the zenith."""
-    return np.where(np.abs(readings[:, 2]) > np.pi / 2 + 1e-9, 2, 1).astype(np.int64)
+        elevation = np.pi / 2 - upward if vertical == "zenith" else upward
+        return from_polar(np.stack([self.distance, self.horizontal * FACTOR[angle], elevation], axis=1))
 
 
 def angle_meaning(table: PolarTable, hints: Hints, file: object) -> tuple[Angle, Vertical, list[str]]:
     """Unit of the angles and meaning of the vertical one, with a note for what the data decided.
 
-    Raises
-    ------
-    RecordError
-        Asking for a hint where the data do not decide.
+    Raises RecordError, asking for a hint, where the data do not decide.
     """
     angles = ANGLES if hints.angle is None else (hints.angle,)
     verticals = VERTICALS if hints.vertical is None else (hints.vertical,)
@@ -161,10 +152,7 @@ def _by_faces(table: PolarTable, open_: list[tuple[Angle, Vertical]]) -> tuple[t
 
 def _by_lengths(table: PolarTable, open_: list[tuple[Angle, Vertical]]) -> tuple[tuple[Angle, Vertical], str] | None:
     """The meaning under which two stations see the same lengths between targets, if only one does so."""
-    gaps = []
-    for angle, vertical in open_:
-        readings = table.readings(angle, vertical, "counter-clockwise", "m")
-        gaps.append(chord_gap(from_polar(readings), table.station, table.target))
+    gaps = [chord_gap(table.points(angle, vertical), table.station, table.target) for angle, vertical in open_]
     if not np.all(np.isfinite(gaps)):
         return None
     first, second = np.argsort(gaps)[:2]
@@ -174,61 +162,43 @@ def _by_lengths(table: PolarTable, open_: list[tuple[Angle, Vertical]]) -> tuple
 
 
 def _ask(open_: list[tuple[Angle, Vertical]], file: object) -> tuple[tuple[Angle, Vertical], str]:
+    """Raise RecordError with what to type for the first of the choices, without what they have in common."""
     choices = " or ".join(f"{v} angles in {a}" for a, v in open_)
-    message = f"the angles may be {choices} and nothing in the file decides; say which: " + _options(open_)
+    said = [f"--hint angle={open_[0][0]}"] if len({a for a, _ in open_}) > 1 else []
+    said += [f"--hint vertical={open_[0][1]}"] if len({v for _, v in open_}) > 1 else []
+    message = f"the angles may be {choices} and nothing in the file decides; say which: {' '.join(said)}"
     raise RecordError(message, file=file)
 
 
-def _options(open_: list[tuple[Angle, Vertical]]) -> str:
-    """What to type for the first of the choices, without what they have in common."""
-    angles, verticals = {a for a, _ in open_}, {v for _, v in open_}
-    said = [f"--hint angle={open_[0][0]}"] if len(angles) > 1 else []
-    said += [f"--hint vertical={open_[0][1]}"] if len(verticals) > 1 else []
-    return " ".join(said)
-
-
-def length_meaning(table: PolarTable, hints: Hints) -> tuple[Length, list[str]]:
+def length_meaning(distance: Floats, hints: Hints) -> tuple[Length, list[str]]:
     """Unit of the distances: metres where none exceeds what a tracker network measures in millimetres."""
     if hints.length is not None:
         return hints.length, []
-    longest = float(np.nanmax(table.distance, initial=0))
+    longest = float(np.nanmax(distance, initial=0))
     length: Length = "m" if longest < SHORTEST_MM else "mm"
     return length, [f"distances taken as {length}: the longest is {longest:.6g}"]
 
 
-def sense_unknown() -> str:
-    """The sentence that asks for the sense of the azimuth."""
-    return (
-        "nothing in this file tells whether azimuths run clockwise (its mirror image fits as well); say which, "
-        "--hint azimuth=clockwise or --hint azimuth=counter-clockwise, or give coordinates of some targets, "
-        "--hint points=FILE"
-    )
+SENSE_UNKNOWN = (
+    "nothing in this file tells whether azimuths run clockwise (its mirror image fits as well); say which, "
+    "--hint azimuth=clockwise or --hint azimuth=counter-clockwise, or give coordinates of some targets, "
+    "--hint points=FILE"
+)
 
 
-def known_sense(
-    local: Floats, table: PolarTable, targets: tuple[str, ...], hints: Hints
-) -> tuple[Azimuth, list[str]] | None:
-    """The sense by the coordinates of `hints.points`, with its notes; None where no points are given.
-
-    Raises
-    ------
-    RecordError
-        Where the points do not decide.
-    """
-    if hints.points is None:
-        return None
-    points = read_points(hints.points, strict=False)
+def known_sense(local: Floats, table: PolarTable, targets: Sequence[str], file: Path) -> tuple[Azimuth, list[str]]:
+    """The sense by coordinates of targets in `file`, with notes; raises RecordError where they do not decide."""
+    points = read_points(file, strict=False)
     place = {name: i for i, name in enumerate(targets)}
     known = {place[n]: p for n, p in zip(points.names, points.points, strict=True) if n in place}
-    azimuth = sense_by_points(local, table, known)
+    azimuth = _sense_by_points(local, table, known)
     if azimuth is None:
         message = f"{len(known)} of its targets have coordinates here, which does not decide whether azimuths run "
-        raise RecordError(message + "clockwise; say which: --hint azimuth=clockwise", file=hints.points)
-    why = f"azimuths taken as {azimuth}: so the targets fit the coordinates in {hints.points.name}"
-    return azimuth, [why, *points.notes]
+        raise RecordError(message + "clockwise; say which: --hint azimuth=clockwise", file=file)
+    return azimuth, [f"azimuths taken as {azimuth}: so the targets fit the coordinates in {file.name}", *points.notes]
 
 
-def sense_by_points(local: Floats, table: PolarTable, known: Mapping[int, Floats]) -> Azimuth | None:
+def _sense_by_points(local: Floats, table: PolarTable, known: Mapping[int, Floats]) -> Azimuth | None:
     """The sense of the azimuth under which a station's targets fit known points (by target index) rigidly.
 
     `local` (n, 3) [m] are the targets with the azimuth taken counter-clockwise. None where neither sense
@@ -240,22 +210,26 @@ def sense_by_points(local: Floats, table: PolarTable, known: Mapping[int, Floats
         rows = rows[np.all(np.isfinite(local[rows]), axis=1)]
         if len(np.unique(table.target[rows])) < 4:
             continue
-        goal = np.array([known[int(t)] for t in table.target[rows]])
-        misfit = [_misfit(local[rows] * [1.0, side, 1.0], goal) for side in (1.0, -1.0)]
+        misfit = _misfits(local[rows], np.array([known[int(t)] for t in table.target[rows]]))
         if max(misfit) > CLEARLY * min(misfit):
             votes.append(int(np.argmin(misfit)))
     return _vote(votes)
 
 
-def _misfit(source: Floats, goal: Floats) -> float:
-    try:
-        rotation, shift = align(source, goal)
-    except NetworkError:
-        return 1.0
-    return float(np.median(np.linalg.norm(source @ rotation.T + shift - goal, axis=1))) + 1e-9
+def _misfits(source: Floats, goal: Floats) -> list[float]:
+    """[m] Median misfit of points (n, 3) and of their mirror image, moved rigidly to others; 1 where none fits."""
+    found = []
+    for side in (1.0, -1.0):
+        image = source * [1.0, side, 1.0]
+        try:
+            rotation, shift = align(image, goal)
+            found.append(float(np.median(np.linalg.norm(image @ rotation.T + shift - goal, axis=1))) + 1e-9)
+        except NetworkError:
+            found.append(1.0)
+    return found
 
 
-def sense_by_poses(local: Floats, table: PolarTable, poses: Mapping[int, tuple[Floats, Floats]]) -> Azimuth | None:
+def sense_by_poses(local: Floats, table: PolarTable, poses: Mapping[int, Pose]) -> Azimuth | None:
     """The sense of the azimuth under which stations of known pose (rotation, position) see the same points."""
     misfit = []
     for side in (1.0, -1.0):
@@ -270,12 +244,12 @@ def sense_by_poses(local: Floats, table: PolarTable, poses: Mapping[int, tuple[F
 
 
 def _spread_between_stations(world: Floats, table: PolarTable) -> float:
-    """Median distance between first sightings of a target from different stations; NaN where none has two."""
-    first: dict[int, dict[int, Floats]] = {}
-    for s, t, point in zip(table.station.tolist(), table.target.tolist(), world, strict=True):
-        if np.all(np.isfinite(point)):
-            first.setdefault(t, {}).setdefault(s, point)
-    gaps = [np.linalg.norm(np.ptp(np.array(list(seen.values())), axis=0)) for seen in first.values() if len(seen) > 1]
+    """Median distance between sightings of a target from different stations; NaN where none has two."""
+    seen: dict[int, list[Floats]] = {}
+    for cloud in clouds_of(world, table.station, table.target).values():
+        for target, point in cloud.items():
+            seen.setdefault(target, []).append(point)
+    gaps = [np.linalg.norm(np.ptp(np.array(places), axis=0)) for places in seen.values() if len(places) > 1]
     return float(np.median(gaps)) + 1e-9 if gaps else float("nan")
 
 
@@ -309,26 +283,22 @@ def contradictions(recording: Recording) -> tuple[str, ...]:
 
 def _mirrored_pairs(local: Floats, recording: Recording) -> list[tuple[int, int]]:
     """Each station that is the mirror image of the one before it with which it shares most targets."""
-    clouds: list[dict[int, Floats]] = [{} for _ in recording.stations]
-    whole = np.isfinite(local).all(axis=1)
-    for s, t, point in zip(
-        recording.station[whole].tolist(), recording.target[whole].tolist(), local[whole], strict=True
-    ):
-        clouds[s].setdefault(t, point)
+    clouds = clouds_of(local, recording.station, recording.target)
     found = []
-    for s, cloud in enumerate(clouds):
-        other = max(range(s), key=lambda k: len(clouds[k].keys() & cloud.keys()), default=s)
+    for s, cloud in clouds.items():
+        before = [k for k in clouds if k < s]
+        other = max(before, key=lambda k: len(clouds[k].keys() & cloud.keys()), default=s)
         common = sorted(clouds[other].keys() & cloud.keys())
         if other == s or len(common) < 5:
             continue
         here, there = (np.array([of[t] for t in common]) for of in (cloud, clouds[other]))
-        right, mirrored = (_misfit(here * [1.0, side, 1.0], there) for side in (1.0, -1.0))
+        right, mirrored = _misfits(here, there)
         if right > CLEARLY * mirrored and mirrored < ALIKE * float(np.ptp(there, axis=0).max()):
             found.append((other, s))
     return found
 
 
-def poses_of(setup: Setup, names: Sequence[str]) -> dict[int, tuple[Floats, Floats]]:
+def poses_of(setup: Setup, names: Sequence[str]) -> dict[int, Pose]:
     """Rough poses of stations by the floor plan: place and direction of zero."""
     found = {}
     for i, name in enumerate(names):

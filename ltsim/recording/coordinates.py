@@ -21,11 +21,11 @@ import numpy as np
 
 from ltsim.arrays import Floats, Ints
 from ltsim.errors import RecordError
-from ltsim.recording.files import check_name, decoded, number, shown
-from ltsim.recording.formats.xml import parse, tag
+from ltsim.recording.files import Where, decoded, shown
+from ltsim.recording.formats.xml import Node, banded, parse
 from ltsim.recording.tables import cells
 from ltsim.recording.tables.header import PLACE, READINGS, SIGMA_OF, Column, columns_of, words_of
-from ltsim.recording.tables.sheets import Row, Sheet, check_whole, check_width, separator_of, sheets_of, split
+from ltsim.recording.tables.sheets import Row, Sheet, rows_of_head, sheets_of
 from ltsim.units import FACTOR, MILLIMETRE
 
 AXES = "xyz"
@@ -87,10 +87,6 @@ def read_points(path: str | Path, unit: Unit | None = None, *, strict: bool = Tr
     strict : bool
         Refuse a point that is listed twice with other coordinates; otherwise the first are taken, and a note says so.
 
-    Returns
-    -------
-    Points
-
     Raises
     ------
     RecordError
@@ -98,142 +94,124 @@ def read_points(path: str | Path, unit: Unit | None = None, *, strict: bool = Tr
     """
     path = Path(path)
     for sheet in sheets_of(path):
-        found = _header_of(sheet.rows)
+        found = _header_of(sheet.rows) or _without_header(sheet)
         if found is not None:
-            place, columns = found
-            return _assembled(sheet, columns, sheet.rows[place + 1 :], unit, strict)
-        columns = _without_header(sheet)
-        if columns:
-            return _assembled(sheet, columns, sheet.rows, unit, strict)
+            return _List(sheet, *found).points(unit, strict=strict)
     raise RecordError(f"is no list of coordinates, {EXPECTED}", file=path)
 
 
 def recognises(head: str) -> bool:
     """Whether the first lines of a file are those of a list of points without a header, or its header."""
-    lines = [line for line in head.splitlines() if line.strip()]
-    separator = separator_of(lines)
-    rows = [Row(i + 1, split(line.lstrip("# "), separator), line.startswith("#")) for i, line in enumerate(lines[:60])]
+    rows = rows_of_head(head)
     found = _header_of(rows)
+    body = [row for row in rows[0 if found is None else found[0] :] if not row.comment]
     if found is not None:
-        below = next((row for row in rows[found[0] + 1 :] if not row.comment), None)
-        return below is None or sum(map(cells.is_value, below.fields)) > 1
-    return _is_positional([r.fields for r in rows if not r.comment][:6])
+        return not body or body[0].values > 1
+    whole = [_filled(row) for row in body[: max(1, min(6, len(body)) - 1)]]
+    return bool(whole) and all(len(r) in WIDTHS and all(map(cells.is_value, r[1:])) for r in whole)
 
 
-def _is_positional(rows: Sequence[Sequence[str]]) -> bool:
-    whole = rows[: max(1, len(rows) - 1)]
-    return bool(whole) and all(len(r) in WIDTHS and all(map(cells.is_value, r[1:])) for r in map(_filled, whole))
-
-
-def _filled(fields: Sequence[str]) -> Sequence[str]:
+def _filled(row: Row) -> Sequence[str]:
     """Fields without the empty one that a separator at the end of the line makes."""
-    return fields[:-1] if fields and not fields[-1] else fields
+    return row.fields[:-1] if row.fields and not row.fields[-1] else row.fields
 
 
-def _without_header(sheet: Sheet) -> list[Column]:
-    """Columns of lines of a name and numbers; none where the first ones are something else."""
-    body = [_filled(row.fields) for row in sheet.rows if not row.comment]
-    if not body or not all(map(cells.is_value, body[0][1:])):
-        return []
-    if len(body[0]) not in WIDTHS:
-        first = next(row for row in sheet.rows if not row.comment)
-        raise RecordError(f"{len(body[0])} fields, {EXPECTED}", file=sheet.file, row=first.line)
-    names = ["target", *PLACE, *(SIGMA_OF[a] for a in PLACE[: 3 * (len(body[0]) > 6)])]
-    names += [f"covariance {i}" for i in range(9)] if len(body[0]) > 15 else []
-    at = [*range(7)[: len(names)], *range(len(body[0]) - 9, len(body[0]))][: len(names)]
-    named = dict(zip(at, names, strict=True))
-    return [Column(place, named.get(place, ""), named.get(place, "")) for place in range(len(body[0]))]
+def _without_header(sheet: Sheet) -> tuple[int, list[Column]] | None:
+    """Columns of lines of a name and numbers; None where the first ones are something else."""
+    first = next((row for row in sheet.rows if not row.comment), None)
+    if first is None or not all(map(cells.is_value, _filled(first)[1:])):
+        return None
+    width = len(_filled(first))
+    if width not in WIDTHS:
+        raise Where(sheet.file, first.line).wrong(f"{width} fields, {EXPECTED}")
+    names = ["target", *PLACE, *(SIGMA_OF[axis] for axis in PLACE if width > 6)]
+    covariance = [f"covariance {i}" for i in range(9 * (width > 15))]
+    names += [""] * (width - len(names) - len(covariance)) + covariance
+    return 0, [Column(place, name, name) for place, name in enumerate(names)]
 
 
 def _header_of(rows: Sequence[Row]) -> tuple[int, list[Column]] | None:
-    """The first row that names coordinates, its place and its columns."""
+    """The first row that names coordinates: the place of the one below it, and its columns."""
     for place, row in enumerate(rows):
-        if any(map(cells.is_value, row.fields)):
-            continue
         columns = columns_of(row.fields)
         roles = {c.role for c in columns}
-        if {"x", "y"} <= roles and "z" not in roles and "elevation" in roles:
+        if {"x", "y"} <= roles and "z" not in roles:
             columns = [replace(c, role="z") if c.role == "elevation" else c for c in columns]
-        if not roles & {*PLACE} or roles & ({*READINGS} - {*PLACE, "elevation"}) or {"station", "target"} <= roles:
+        others = {*READINGS} - {*PLACE, "elevation"}
+        if row.values or not roles & {*PLACE} or roles & others or {"station", "target"} <= roles:
             continue
-        if "target" not in roles:
-            other = "station" if "station" in roles else ""
-            first = next((c for c in columns if c.role == other and c.title), None)
-            if first is None:
-                continue
-            columns = [replace(c, role="target") if c is first else c for c in columns]
-        return place, columns
+        if "target" in roles:
+            return place + 1, columns
+        other = "station" if "station" in roles else ""
+        first = next((c for c in columns if c.role == other and c.title), None)
+        if first is not None:
+            return place + 1, [replace(c, role="target") if c is first else c for c in columns]
     return None
 
 
-def _assembled(sheet: Sheet, columns: list[Column], rows: Sequence[Row], unit: Unit | None, strict: bool) -> Points:
-    """The points of a sheet's rows by its columns."""
-    column = {c.role: c for c in columns if c.role}
-    width = max(c.place for c in columns) + 1
-    check_whole(sheet, width)
-    kept: dict[str, tuple[Row, list[float]]] = {}
-    notes = []
-    wanted = [role for role in column if role in PLACE or role.startswith(("sigma_", "covariance"))]
-    overall = next((c for c in columns if not c.role and words_of(c.title)[0] in SIGMA_OF_ALL), None)
-    for row in rows:
-        if row.comment or not any(row.fields):
-            continue
-        if len(_filled(row.fields)) != width:
-            check_width(row, width, sheet.file)
-        name, values = _values(row, column, wanted, overall, sheet)
-        if name in kept and not np.array_equal(kept[name][1], values, equal_nan=True):
-            what = f"the point {shown(name)} was listed before with other coordinates"
-            if strict:
-                raise RecordError(what, file=sheet.file, row=row.line)
-            notes.append(f"{what} in {sheet.file.name}: the first are taken")
-        kept.setdefault(name, (row, values))
-    if not kept:
-        raise RecordError("holds no points", file=sheet.file)
-    table = np.array([values for _, values in kept.values()])
-    scale, said = _scales(column, [*wanted, *([overall] if overall else [])], table, unit)
-    numbers = dict(zip([*wanted, *(["sigma"] if overall else [])], (table * scale).T, strict=True))
-    nothing = np.full(len(kept), np.nan)
-    points = np.stack([numbers.get(axis, nothing) for axis in PLACE], axis=1)
-    further = [c for c in columns if c.is_further and c.role not in wanted and c is not overall]
-    texts = {c.title: tuple(_cell(row, c) for row, _ in kept.values()) for c in further}
-    lines = tuple(row.line for row, _ in kept.values())
-    return Points(tuple(kept), points, _covariance(numbers, len(kept)), (*notes, *said), texts, lines)
+class _List:
+    """The rows of a sheet from `start` on, by its columns."""
 
+    def __init__(self, sheet: Sheet, start: int, columns: list[Column]) -> None:
+        self.sheet, self.rows, self.columns = sheet, sheet.rows[start:], columns
+        self.width = columns[-1].place + 1
+        overall = next((c for c in columns if not c.role and words_of(c.title)[0] in SIGMA_OF_ALL), None)
+        self.columns = [replace(c, role="sigma") if c is overall else c for c in columns]
+        sigmas = ("sigma", "covariance")
+        self.numbers = {c.role: c for c in self.columns if c.role in PLACE or c.role.startswith(sigmas)}
+        self.name = next(c for c in columns if c.role == "target")
 
-def _values(
-    row: Row, column: Mapping[str, Column], wanted: Sequence[str], overall: Column | None, sheet: Sheet
-) -> tuple[str, list[float]]:
-    """Name and numbers of one row; NaN where a cell is empty."""
-    name = check_name(_cell(row, column["target"]), "point", file=sheet.file, row=row.line)
-    values = []
-    for one in [*(column[role] for role in wanted), *([overall] if overall else [])]:
-        text = _cell(row, one)
-        found = cells.value(text, sheet.grouping) if text else None
-        if (text and found is None) or (found is not None and not abs(found) < 10**11):
-            what = f"found '{shown(text)}', expected a number"
-            raise RecordError(what, file=sheet.file, row=row.line, column=shown(one.title))
-        values.append(float("nan") if found is None else float(found))
-    return name, values
+    def points(self, unit: Unit | None, *, strict: bool) -> Points:
+        """The points that it holds."""
+        self.sheet.check_whole(self.width)
+        kept: dict[str, tuple[Row, list[float]]] = {}
+        notes = []
+        for row in self.rows:
+            if row.comment or not any(row.fields):
+                continue
+            name, values = self._values(row)
+            if name in kept and not np.array_equal(kept[name][1], values, equal_nan=True):
+                what = f"the point {shown(name)} was listed before with other coordinates"
+                if strict:
+                    raise Where(self.sheet.file, row.line).wrong(what)
+                notes.append(f"{what} in {self.sheet.file.name}: the first are taken")
+            kept.setdefault(name, (row, values))
+        if not kept:
+            raise RecordError("holds no points", file=self.sheet.file)
+        table = np.array([values for _, values in kept.values()])
+        scale, said = self._scales(table, unit)
+        numbers = dict(zip(self.numbers, (table * scale).T, strict=True))
+        nothing = np.full(len(kept), np.nan)
+        points = np.stack([numbers.get(axis, nothing) for axis in PLACE], axis=1)
+        further = [c for c in self.columns if c.is_further and c.role not in self.numbers]
+        texts = {c.title: tuple(row.cell(c.place) for row, _ in kept.values()) for c in further}
+        lines = tuple(row.line for row, _ in kept.values())
+        return Points(tuple(kept), points, _covariance(numbers, len(kept)), (*notes, *said), texts, lines)
 
+    def _values(self, row: Row) -> tuple[str, list[float]]:
+        """Name and numbers of one row; NaN where a cell is empty."""
+        where = Where(self.sheet.file, row.line)
+        if len(_filled(row)) != self.width:
+            row.check_width(self.width, self.sheet.file)
+        values = []
+        for role, column in self.numbers.items():
+            text = row.cell(column.place)
+            found = cells.value(text, self.sheet.grouping)
+            if text and (found is None or abs(found) >= 10**11):
+                raise where.wrong(f"found '{shown(text)}', expected a number", shown(column.title or role))
+            values.append(np.nan if found is None else float(found))
+        return where.name(row.cell(self.name.place), "point"), values
 
-def _cell(row: Row, column: Column) -> str:
-    return row.fields[column.place] if column.place < len(row.fields) else ""
-
-
-def _scales(
-    column: Mapping[str, Column], wanted: Sequence[str | Column], table: Floats, unit: Unit | None
-) -> tuple[Floats, list[str]]:
-    """What brings each number to metres, and what was decided."""
-    of = [column[role] if isinstance(role, str) else role for role in wanted]
-    axes = [c for c in of if c.role in PLACE]
-    largest = np.nanmax(np.abs(table[:, [c.role in PLACE for c in of]]), initial=0.0)
-    stated = next((c.unit for c in axes if c.unit in FACTOR and c.unit), "")
-    surveyed = largest >= GRID or any(words_of(c.title)[0] in GEODETIC for c in axes)
-    chosen = stated or unit or ("m" if surveyed or largest < LARGEST_M else "mm")
-    notes = [] if stated or unit else [f"coordinates taken as {chosen}: the largest is {largest:.6g}"]
-    scales = [FACTOR[c.unit if c.unit in FACTOR and c.unit else chosen] for c in of]
-    power = [2.0 if c.role.startswith("covariance") else 1.0 for c in of]
-    return np.array(scales) ** power, notes
+    def _scales(self, table: Floats, unit: Unit | None) -> tuple[Floats, list[str]]:
+        """What brings each number to metres, and what was decided."""
+        axes = [c for c in self.numbers.values() if c.role in PLACE]
+        largest = np.nanmax(np.abs(table[:, [role in PLACE for role in self.numbers]]), initial=0.0)
+        stated = next((c.unit for c in axes if c.unit in FACTOR and c.unit), "")
+        surveyed = largest >= GRID or any(words_of(c.title)[0] in GEODETIC for c in axes)
+        chosen = stated or unit or ("m" if surveyed or largest < LARGEST_M else "mm")
+        notes = [] if stated or unit else [f"coordinates taken as {chosen}: the largest is {largest:.6g}"]
+        scales = [FACTOR[c.unit if c.unit in FACTOR and c.unit else chosen] for c in self.numbers.values()]
+        return np.array(scales) ** [1 + role.startswith("covariance") for role in self.numbers], notes
 
 
 def _covariance(numbers: Mapping[str, Floats], count: int) -> Floats:
@@ -308,33 +286,32 @@ def read_coordinates(path: Path) -> Coordinates:
 
 def _from_gama(path: Path) -> Coordinates:
     """Adjusted points and the upper band of their covariance [mm^2]."""
-    root = parse(path)
-    inside = {tag(element): element for element in root.iter()}
-    if "adjusted" not in inside or "cov-mat" not in inside:
+    parts = {node.tag: node for node in parse(path).inside("adjusted", "cov-mat", "description")}
+    if not {"adjusted", "cov-mat"} <= parts.keys():
         raise RecordError("holds no <adjusted> points with their <cov-mat>", file=path)
-    rows = [{tag(cell): (cell.text or "").strip() for cell in point} for point in inside["adjusted"]]
-    places = [{key.lower(): text for key, text in row.items() if key.lower() in AXES} for row in rows]
-    axes = "".join(axis for axis in AXES if places and axis in places[0])
-    if not axes or any("".join(a for a in AXES if a in place) != axes for place in places):
+    rows = [{cell.tag.lower(): cell for cell in point} for point in parts["adjusted"]]
+    kinds = {"".join(axis for axis in AXES if axis in row) for row in rows}
+    if len(kinds) != 1 or not (axes := kinds.pop()):
         raise RecordError("holds points with other coordinates than the first has; give those of one kind", file=path)
-    points = np.zeros((len(places), 3))
-    for point, place in zip(points, places, strict=True):
-        for axis in axes:
-            point[AXES.index(axis)] = number(place[axis], file=path, column=f"<{axis}>")
-    band = {tag(cell): (cell.text or "").strip() for cell in inside["cov-mat"]}
-    size, width = (int(number(band.get(key, ""), file=path, column=f"<{key}>")) for key in ("dim", "band"))
-    values = [number(cell.text or "", file=path, column="<flt>") for cell in inside["cov-mat"] if tag(cell) == "flt"]
+    points = np.zeros((len(rows), 3))
+    points[:, [AXES.index(axis) for axis in axes]] = [[_number(row[axis]) for axis in axes] for row in rows]
+    band = {cell.tag: cell for cell in parts["cov-mat"]}
+    size, width = (_number(band[key]) if key in band else -1 for key in ("dim", "band"))
+    row, column, values = banded(
+        parts["cov-mat"], size, width, [_number(c) for c in parts["cov-mat"] if c.tag == "flt"]
+    )
     used = len(rows) * len(axes)
-    if size < used or len(values) != sum(min(width + 1, size - i) for i in range(size)):
+    if size < used:
         raise RecordError(f"has a <cov-mat> of another size than its {used} coordinates ask for", file=path)
-    matrix, at = np.zeros((size, size)), 0
-    for i in range(size):
-        last = min(i + width + 1, size)
-        matrix[i, i:last] = matrix[i:last, i] = values[at : at + last - i]
-        at += last - i
-    title = " ".join((inside["description"].text or "").split()) if "description" in inside else ""
-    names = tuple(check_name(row.get("id", ""), "target", file=path) for row in rows)
+    matrix = np.zeros((int(size), int(size)))
+    matrix[row, column] = matrix[column, row] = values
+    title = parts["description"].text if "description" in parts else ""
+    names = tuple(Where(path).name(row["id"].text if "id" in row else "", "target") for row in rows)
     return Coordinates(title or path.name, names, axes, points, matrix[:used, :used] * MILLIMETRE**2)
+
+
+def _number(cell: Node) -> float:
+    return cell.where.number(cell.text, f"<{cell.tag}>")
 
 
 def _from_list(path: Path) -> Coordinates:
@@ -345,7 +322,7 @@ def _from_list(path: Path) -> Coordinates:
     at = [AXES.index(axis) for axis in axes]
     if not measured[:, at].all():
         row, axis = np.argwhere(~measured[:, at])[0]
-        raise RecordError("found '', expected a number", file=path, row=found.lines[row], column=axes[axis])
+        raise Where(path, found.lines[row], axes[axis]).wrong("found '', expected a number")
     points = np.where(measured, found.points, 0.0)
     beside = path.with_suffix(".covariance.csv")
     if beside.is_file():
@@ -355,9 +332,10 @@ def _from_list(path: Path) -> Coordinates:
     if not np.isfinite(blocks).all():
         what = f"states no precision: neither {beside.name} nor the column sigma_{axes[0]}_mm is there"
         raise RecordError(what, file=path)
-    covariance = np.zeros((blocks.shape[0] * len(at),) * 2)
-    for i, block in enumerate(blocks):
-        covariance[i * len(at) : (i + 1) * len(at), i * len(at) : (i + 1) * len(at)] = block
+    count, axes_ = blocks.shape[:2]
+    covariance = np.zeros((count, axes_, count, axes_))
+    covariance[range(count), :, range(count)] = blocks
+    covariance = covariance.reshape(count * axes_, -1)
     common = f"{path.name} states no covariance between points ({beside.name})"
     note = f"{common}: what all have in common counts as their own"
     return Coordinates(path.stem, found.names, axes, points, covariance, (*found.notes, note))
@@ -374,7 +352,7 @@ def _matrix(path: Path, wanted: Sequence[str]) -> Floats:
         raise RecordError(f"lacks {what}", file=path)
     if any(len(row.fields) != len(first.fields) for row in body):
         raise RecordError("holds rows of another length than its header", file=path)
-    matrix = np.array([[number(text, file=path, row=row.line) for text in row.fields[1:]] for row in body])
+    matrix = np.array([[Where(path, row.line).number(text) for text in row.fields[1:]] for row in body])
     size = np.sqrt(np.abs(np.diag(matrix)))
     if np.abs(matrix - matrix.T).max() > SYMMETRIC * float(np.outer(size, size).max()):
         raise RecordError("is not symmetric", file=path)

@@ -13,15 +13,7 @@ from ltsim.errors import RecordError, unknown_name
 from ltsim.recording import coordinates, native
 from ltsim.recording.conventions import NO_HINTS, Hints, contradictions
 from ltsim.recording.files import decoded
-from ltsim.recording.formats import (
-    cern_lgc,
-    gama,
-    gama_writer,
-    gsi,
-    openindy,
-    polar_text,
-    spatialanalyzer,
-)
+from ltsim.recording.formats import cern_lgc, gama, gama_writer, gsi, openindy, polar_text, spatialanalyzer
 from ltsim.recording.recording import Recording
 from ltsim.recording.settings import sentence
 from ltsim.recording.setup import Setup
@@ -30,9 +22,13 @@ from ltsim.recording.tables import reader as tables
 RecordingSource = Recording | str | Path
 """A recording, or a file or folder that holds one."""
 HEAD = 16_384
+FOLDER = "folder with observations.csv and setup.toml"
 POLAR_TEXT = "plain text: station, target, azimuth, zenith or elevation, distance"
 POINT_LIST = "names and coordinates: no recording, said so"
 TABLE = "delimited text with a header, a folder with a file a station, or a workbook"
+
+
+Write = Callable[[Recording, Path], None]
 
 
 @dataclass(frozen=True)
@@ -47,10 +43,7 @@ class Format:
     suffixes: tuple[str, ...]
     recognises: Callable[[Path, str], bool]
     read: Callable[[Path, Hints], Recording]
-    write: Callable[[Recording, Path], None] | None = None
-
-
-Write = Callable[[Recording, Path], None]
+    write: Write | None = None
 
 
 def _of(room: ModuleType, name: str, about: str, *suffixes: str, write: Write | None = None) -> Format:
@@ -71,14 +64,7 @@ def _refuse_points(path: Path, hints: Hints) -> Recording:
 
 
 FORMATS: tuple[Format, ...] = (
-    Format(
-        "native",
-        "folder with observations.csv and setup.toml",
-        ("", ".csv"),
-        native.recognises,
-        native.read_recording,
-        native.write_recording,
-    ),
+    Format("native", FOLDER, ("", ".csv"), native.recognises, native.read_recording, native.write_recording),
     _of(spatialanalyzer, "spatialanalyzer", "SpatialAnalyzer instrument report (CompositeReport)", ".csv", ".txt"),
     _of(cern_lgc, "cern-lgc", "input file of CERN's LGC", ".lgc", ".lgc2"),
     _of(gama, "gama-local", "input file of GNU Gama", ".gkf", ".xml", write=gama_writer.write),
@@ -153,10 +139,7 @@ def recognised(path: Path) -> Format:
 def write(recording: Recording, path: Path | str, format: str = "native") -> None:  # noqa: A002
     """Write a recording in one of the formats that can be written.
 
-    Raises
-    ------
-    RecordError
-        When the format cannot hold it or the place cannot be written; nothing half-written stays behind.
+    Raises RecordError when the format cannot hold it or the place cannot be written; nothing half-written stays behind.
     """
     able = tuple(f for f in FORMATS if f.write is not None)
     writer = _named(format, able).write

@@ -6,6 +6,7 @@ import os
 import re
 import tempfile
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 from ltsim.errors import RecordError
@@ -16,6 +17,7 @@ MAX_LINE = 20_000
 MAX_NAME = 100
 MAX_TEXT = 500
 UTF8, UTF16 = b"\xef\xbb\xbf", (b"\xff\xfe", b"\xfe\xff")
+_OPEN = frozenset(b"\x81\x8d\x8f\x90\x9d")  # bytes without a meaning in Windows-1252
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?", re.ASCII)
 _NOT_FINITE = re.compile(r"[+-]?(?:nan|inf|infinity)", re.IGNORECASE)
 _FORBIDDEN = re.compile(r"[<>/\\]")
@@ -24,10 +26,7 @@ _FORBIDDEN = re.compile(r"[<>/\\]")
 def read_bytes(path: Path) -> bytes:
     """The content of a file of at most `MAX_BYTES`.
 
-    Raises
-    ------
-    RecordError
-        When it is missing, a folder, unreadable, empty or too large.
+    Raises RecordError when it is missing, a folder, unreadable, empty or too large.
     """
     try:
         with path.open("rb") as stream:
@@ -66,17 +65,9 @@ def read_text(path: Path, *, liberal: bool = False) -> str:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as problem:
         if liberal:
-            return _windows(content)
+            return content.decode("latin-1" if _OPEN & {*content} else "cp1252")
         line = content[: problem.start].count(b"\n") + 1
         raise RecordError(f"is not UTF-8 text (first in line {line}); save it as UTF-8", file=path) from None
-
-
-def _windows(content: bytes) -> str:
-    """Text in Windows-1252; the five bytes that it leaves open are those of Latin-1."""
-    try:
-        return content.decode("cp1252")
-    except UnicodeDecodeError:
-        return content.decode("latin-1")
 
 
 def read_lines(path: Path, *, liberal: bool = False) -> list[str]:
@@ -101,88 +92,83 @@ def is_not_finite(text: str) -> bool:
     return len(text) <= 10 and _NOT_FINITE.fullmatch(text) is not None
 
 
-def number(
-    text: str,
-    *,
-    file: object,
-    row: int | None = None,
-    column: str | None = None,
-    limit: float = 1e12,
-) -> float:
-    """A finite decimal number of at most `limit` in size.
-
-    Raises
-    ------
-    RecordError
-        For anything else; NaN, infinities and digits of other scripts included.
-    """
-    text = text.strip()
-    if not is_number(text):
-        wanted = "expected a finite number" if is_not_finite(text) else "expected a number"
-        hint = ", with a point instead of a comma" if is_number(text.replace(",", ".", 1)) else ""
-        raise RecordError(f"found '{shown(text)}', {wanted}{hint}", file=file, row=row, column=column)
-    value = float(text)
-    if not abs(value) <= limit:
-        message = f"found {shown(text)}, expected a number of at most {limit:g} in size"
-        raise RecordError(message, file=file, row=row, column=column)
-    return value
-
-
-def comma_number(text: str, *, file: object, row: int | None = None, column: str | None = None) -> float:
-    """A number that may have a decimal comma."""
-    return number(text.strip().replace(",", ".", 1), file=file, row=row, column=column)
-
-
 def shown(text: str, length: int = 40) -> str:
     """`text` as it can stand in a one-line message: printable and short."""
     clean = "".join(c if c.isprintable() else "?" for c in text[: length + 1])
     return clean if len(clean) <= length else clean[:length] + "..."
 
 
-def check_name(
-    name: str,
-    kind: str,
-    *,
-    file: object = None,
-    row: int | None = None,
-    column: str | None = None,
-) -> str:
-    """`name` itself when it can serve as the name of a station, target or instrument.
+@dataclass(frozen=True)
+class Where:
+    """A place in a file. What it holds is checked here, and whatever is wrong there is told with it."""
 
-    Names end up in tables, pages and paths, so control characters, markup and path separators are refused.
+    file: object = None
+    row: int | None = None
+    column: str | None = None
 
-    Raises
-    ------
-    RecordError
-    """
-    if not name or name != name.strip():
-        what = "is empty" if not name.strip() else f"'{shown(name)}' begins or ends with a blank"
-        raise RecordError(f"the name of a {kind} {what}", file=file, row=row, column=column)
-    found = _FORBIDDEN.search(name)
-    reason = (
-        f"is longer than {MAX_NAME} characters"
-        if len(name) > MAX_NAME
-        else "holds a control character"
-        if not name.isprintable()
-        else f"holds '{found.group()}'; a name may not hold < > / or \\"
-        if found
-        else "is the name of a folder"
-        if name in (".", "..")
-        else ""
-    )
-    if reason:
-        message = f"the name of a {kind}, '{shown(name)}', {reason}"
-        raise RecordError(message, file=file, row=row, column=column)
-    return name
+    def wrong(self, message: str, column: str | None = None) -> RecordError:
+        """The error to raise for what is wrong here."""
+        return RecordError(message, file=self.file, row=self.row, column=self.column if column is None else column)
+
+    def number(self, text: str, column: str | None = None, *, limit: float = 1e12, comma: bool = False) -> float:
+        """A finite decimal number of at most `limit` in size, perhaps with a decimal `comma`.
+
+        Raises RecordError for anything else; NaN, infinities and digits of other scripts included.
+        """
+        text = text.strip().replace(",", ".", 1) if comma else text.strip()
+        if not is_number(text):
+            wanted = "expected a finite number" if is_not_finite(text) else "expected a number"
+            hint = ", with a point instead of a comma" if is_number(text.replace(",", ".", 1)) else ""
+            raise self.wrong(f"found '{shown(text)}', {wanted}{hint}", column)
+        value = float(text)
+        if not abs(value) <= limit:
+            raise self.wrong(f"found {shown(text)}, expected a number of at most {limit:g} in size", column)
+        return value
+
+    def name(self, name: str, kind: str, column: str | None = None) -> str:
+        """`name` itself when it can serve as the name of a station, target or instrument; raises RecordError.
+
+        Names end up in tables, pages and paths, so control characters, markup and path separators are refused.
+        """
+        if not name or name != name.strip():
+            what = "is empty" if not name.strip() else f"'{shown(name)}' begins or ends with a blank"
+            raise self.wrong(f"the name of a {kind} {what}", column)
+        reason = ""
+        if len(name) > MAX_NAME:
+            reason = f"is longer than {MAX_NAME} characters"
+        elif not name.isprintable():
+            reason = "holds a control character"
+        elif found := _FORBIDDEN.search(name):
+            reason = f"holds '{found.group()}'; a name may not hold < > / or \\"
+        elif name in (".", ".."):
+            reason = "is the name of a folder"
+        if reason:
+            raise self.wrong(f"the name of a {kind}, '{shown(name)}', {reason}", column)
+        return name
+
+    def text(self, text: str, column: str | None = None) -> str:
+        """`text` itself when it is a short line without control characters or markup; raises RecordError."""
+        markup = "<" in text or ">" in text or not text.isprintable()
+        if len(text) > MAX_TEXT or markup:
+            reason = "holds control characters or markup" if markup else f"is longer than {MAX_TEXT} characters"
+            raise self.wrong(f"the text '{shown(text)}' {reason}", column)
+        return text
 
 
-def check_text(text: str, *, file: object, row: int | None = None, column: str | None = None) -> str:
-    """`text` itself when it is a short line without control characters or markup."""
-    markup = "<" in text or ">" in text or not text.isprintable()
-    if len(text) > MAX_TEXT or markup:
-        reason = "holds control characters or markup" if markup else f"is longer than {MAX_TEXT} characters"
-        raise RecordError(f"the text '{shown(text)}' {reason}", file=file, row=row, column=column)
-    return text
+def check_name(name: str, kind: str, *, file: object = None) -> str:
+    """`Where.name` of a file as a whole."""
+    return Where(file).name(name, kind)
+
+
+def comma_number(text: str, *, file: object, row: int | None = None, column: str | None = None) -> float:
+    """`Where.number` with a decimal point or comma."""
+    return Where(file, row, column).number(text, comma=True)
+
+
+def as_title(text: str) -> str:
+    """A foreign title in one line that a page can show."""
+    line = " ".join(text.split())[:MAX_TEXT]
+    return "".join(c for c in line.replace("<", "(").replace(">", ")") if c.isprintable())
 
 
 def write_texts(folder: Path, texts: Mapping[str, str | bytes]) -> None:
@@ -190,10 +176,7 @@ def write_texts(folder: Path, texts: Mapping[str, str | bytes]) -> None:
 
     What a link leads to is replaced, the link stays; a device or a pipe is written to.
 
-    Raises
-    ------
-    RecordError
-        When the folder cannot be made or written to; nothing half-written stays behind.
+    Raises RecordError when the folder cannot be made or written to; nothing half-written stays behind.
     """
     waiting: list[tuple[str, Path]] = []
     try:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -36,13 +36,10 @@ class KnownLengths:
     """(g,) [m]: what one standard deviation of each coefficient and each thermometer changes the lengths by."""
 
     @classmethod
-    def of(cls, recording: Recording, file: object = "setup.toml") -> KnownLengths:
+    def of(cls, recording: Recording, file: object = "setup.toml") -> Self:
         """The lengths whose targets the recording holds; `file` is named in errors.
 
-        Raises
-        ------
-        RecordError
-            When a material is not stated, or a column has no temperature of a length.
+        Raises RecordError when a material is not stated, or a column has no temperature of a length.
         """
         index = {name: i for i, name in enumerate(recording.targets)}
         rows = [(i, d) for i, d in enumerate(recording.gauge.distance) if d.from_ in index and d.to in index]

@@ -5,32 +5,25 @@ from __future__ import annotations
 import csv
 import difflib
 import io
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from ltsim.arrays import Floats, Ints
 from ltsim.errors import RecordError
-from ltsim.recording.build import indices
-from ltsim.recording.checks import idle_settings
 from ltsim.recording.conventions import NO_HINTS, Hints
-from ltsim.recording.files import (
-    check_text,
-    is_not_finite,
-    is_number,
-    number,
-    read_lines,
-    shown,
-    write_texts,
-)
+from ltsim.recording.files import Where, is_not_finite, is_number, read_lines, shown, write_texts
 from ltsim.recording.lengths import KnownLengths
-from ltsim.recording.plausibility import check_degrees
+from ltsim.recording.pointings import indices
 from ltsim.recording.recording import KIND_COLUMN, MODE_COLUMN, REFLECTOR_COLUMN, SIGMA_COLUMNS, Recording
 from ltsim.recording.reflectors import excess_radii, smrs_of
 from ltsim.recording.settings import read_setup, setup_from, setup_to_toml
 from ltsim.recording.setup import Setup
-from ltsim.recording.tables.sheets import is_folder
+from ltsim.recording.slips import check_degrees
+from ltsim.recording.tables.sheets import MAX_FIELDS, Row, is_folder
 from ltsim.results import guarded, plain
 from ltsim.units import DEGREE, FACTOR, MILLIMETRE, NAMED
 
@@ -51,7 +44,6 @@ BOUNDS = {
     **dict.fromkeys(SIGMA_COLUMNS, (1e-9, 1e9)),
 }
 OTHERS = ("k", "f", "pa", "bar", "inch")
-MAX_COLUMNS = 500
 
 
 def recognises(path: Path, head: str) -> bool:
@@ -81,28 +73,20 @@ def _table(path: Path, *, growing: bool) -> list[list[str]]:
     if lines[-1] and growing:
         lines = lines[:-1]
     elif lines[-1]:
-        message = "the file ends inside this row, without a line break: it was cut"
-        raise RecordError(message, file=path, row=len(lines) - 1)
+        raise Where(path, len(lines) - 1).wrong("the file ends inside this row, without a line break: it was cut")
     rows: list[list[str]] = []
     try:
         for fields in csv.reader(lines, strict=True):
             if any(field.strip() for field in fields):
+                if len(fields) > MAX_FIELDS:
+                    raise Where(path, len(rows)).wrong(f"{len(fields)} columns, expected at most {MAX_FIELDS}")
                 rows.append([field.strip() for field in fields])
-                _check_width(fields, rows, path)
+                Row(len(rows) - 1, tuple(fields)).check_width(len(rows[0]), path)
     except csv.Error as problem:
-        raise RecordError(f"is not CSV here ({problem})", file=path, row=len(rows)) from None
+        raise Where(path, len(rows)).wrong(f"is not CSV here ({problem})") from None
     if len(rows) < 2:
         raise RecordError("holds a header only, expected one row a pointing", file=path)
     return rows
-
-
-def _check_width(fields: Sequence[str], rows: list[list[str]], path: Path) -> None:
-    if len(fields) > MAX_COLUMNS:
-        message = f"{len(fields)} columns, expected at most {MAX_COLUMNS}"
-        raise RecordError(message, file=path, row=len(rows) - 1)
-    if len(fields) != len(rows[0]):
-        message = f"{len(fields)} fields, expected {len(rows[0])} as in the header"
-        raise RecordError(message, file=path, row=len(rows) - 1)
 
 
 def parse(rows: list[list[str]], setup: Setup, folder: Path, *, growing: bool = False) -> Recording:
@@ -114,16 +98,15 @@ def parse(rows: list[list[str]], setup: Setup, folder: Path, *, growing: bool = 
     stations, station = indices(columns["station"], "station", file)
     targets, target = indices(columns["target"], "target", file)
     count = len(rows) - 1
-    face = _whole(columns["face"], "face", file, (1, 2))
-    repeat = np.ones(count, dtype=np.int64)
-    if "repeat" in columns:
-        repeat = _whole(columns["repeat"], "repeat", file, (1, 1_000_000))
-    time = np.arange(count, dtype=np.float64)
-    if "time_s" in columns:
-        time = _floats(columns["time_s"], "time_s", file, optional=False)
-    measured = np.stack([_floats(columns[name], name, file) for name in MEASURED], axis=1)
-    _check_measured(measured, file)
-    check_degrees(measured[:, 1], measured[:, 2], measured[:, 0], station, target, face, file)
+    face = _whole(columns["face"], Where(file, column="face"), (1, 2))
+    repeat = columns.get("repeat", ["1"] * count)
+    time = columns.get("time_s", list(map(str, range(count))))
+    measured = np.stack([_floats(columns[name], Where(file, column=name)) for name in MEASURED], axis=1)
+    nothing = np.flatnonzero(np.all(np.isnan(measured), axis=1))
+    if len(nothing):
+        message = "nothing was measured here, expected an azimuth, an elevation or a distance"
+        raise Where(file, int(nothing[0]) + 1).wrong(message)
+    check_degrees(measured, station, target, face, file)
     covariates, labels = _further(columns, file)
     recording = Recording(
         setup=setup,
@@ -132,8 +115,8 @@ def parse(rows: list[list[str]], setup: Setup, folder: Path, *, growing: bool = 
         station=station,
         target=target,
         face=face,
-        repeat=repeat,
-        time=time,
+        repeat=_whole(repeat, Where(file, column="repeat"), (1, 1_000_000)),
+        time=_floats(time, Where(file, column="time_s"), optional=False),
         readings=measured * [MILLIMETRE, DEGREE, DEGREE],
         covariates=covariates,
         labels=labels,
@@ -142,61 +125,53 @@ def parse(rows: list[list[str]], setup: Setup, folder: Path, *, growing: bool = 
     if not growing:
         _check_gauge(recording, folder / SETUP)
     _check_smrs(recording, folder)
-    return recording.replace(notes=idle_settings(recording))
+    return recording.replace(notes=_idle_settings(recording))
 
 
 def _check_header(header: Sequence[str], file: Path) -> None:
     """Every required column once, none in another unit."""
+    where = Where(file, 0)
     if any(";" in name or "\t" in name for name in header):
-        raise RecordError("the header holds ';' or tabs, expected commas between columns", file=file, row=0)
+        raise where.wrong("the header holds ';' or tabs, expected commas between columns")
     for i, name in enumerate(header):
-        check_text(name, file=file, row=0)
+        where.text(name)
         if not name:
-            raise RecordError(f"column {i + 1} has no name", file=file, row=0)
+            raise where.wrong(f"column {i + 1} has no name")
         if name in header[:i]:
-            raise RecordError("this column appears twice in the header", file=file, row=0, column=name)
+            raise where.wrong("this column appears twice in the header", name)
         stem, _, unit = name.rpartition("_")
         right = next((k for k in BOUNDS if k.rpartition("_")[0] == stem and k != name), None)
         if right is not None and unit.lower() in (*NAMED, *FACTOR, *OTHERS) and name not in BOUNDS:
-            message = f"the unit '{unit}' is not one of this format, expected {right}"
-            raise RecordError(message, file=file, row=0, column=name)
+            raise where.wrong(f"the unit '{unit}' is not one of this format, expected {right}", name)
     for name in REQUIRED:
         if name not in header:
             near = difflib.get_close_matches(name, header, n=1, cutoff=0.6)
             hint = f" ('{shown(near[0])}' looks like it)" if near else ""
-            message = f"the required column {name} is missing{hint}"
-            raise RecordError(message, file=file, row=0)
+            raise where.wrong(f"the required column {name} is missing{hint}")
 
 
-def _whole(column: list[str], name: str, file: Path, bounds: tuple[int, int]) -> Ints:
+def _whole(column: list[str], where: Where, bounds: tuple[int, int]) -> Ints:
     """A column of whole numbers within bounds."""
     low, high = bounds
     for i, text in enumerate(column):
         if not (text.isascii() and text.isdigit() and len(text) < 8 and low <= int(text) <= high):
             wanted = f"{low} or {high}" if high == low + 1 else f"a whole number from {low}"
-            raise RecordError(f"found '{shown(text)}', expected {wanted}", file=file, row=i + 1, column=name)
+            raise replace(where, row=i + 1).wrong(f"found '{shown(text)}', expected {wanted}")
     return np.array([int(text) for text in column], dtype=np.int64)
 
 
-def _floats(column: list[str], name: str, file: Path, *, optional: bool = True) -> Floats:
+def _floats(column: list[str], where: Where, *, optional: bool = True) -> Floats:
     """A column of numbers within the bounds of its name; empty cells are NaN where that is allowed."""
-    low, high = BOUNDS.get(name, (-1e15, 1e15))
+    low, high = BOUNDS.get(where.column or "", (-1e15, 1e15))
     values = np.full(len(column), np.nan)
     for i, text in enumerate(column):
         if text or not optional:
-            values[i] = number(text, file=file, row=i + 1, column=name, limit=1e15)
+            here = replace(where, row=i + 1)
+            values[i] = here.number(text, limit=1e15)
             if not low <= values[i] <= high:
-                hint = " (it looks like gon)" if name == "elevation_deg" and 270 < values[i] < 400 else ""
-                message = f"found {shown(text)}, expected a value from {low:g} to {high:g}{hint}"
-                raise RecordError(message, file=file, row=i + 1, column=name)
+                hint = " (it looks like gon)" if where.column == "elevation_deg" and 270 < values[i] < 400 else ""
+                raise here.wrong(f"found {shown(text)}, expected a value from {low:g} to {high:g}{hint}")
     return values
-
-
-def _check_measured(measured: Floats, file: Path) -> None:
-    nothing = np.flatnonzero(np.all(np.isnan(measured), axis=1))
-    if len(nothing):
-        message = "nothing was measured here, expected an azimuth, an elevation or a distance"
-        raise RecordError(message, file=file, row=int(nothing[0]) + 1)
 
 
 def _further(columns: dict[str, list[str]], file: Path) -> tuple[dict[str, Floats], dict[str, tuple[str, ...]]]:
@@ -209,14 +184,13 @@ def _further(columns: dict[str, list[str]], file: Path) -> tuple[dict[str, Float
         filled = [text for text in column if text]
         numeric = bool(filled) and all(is_number(t) or is_not_finite(t) for t in filled)
         if (numeric or name in BOUNDS) and name not in TEXTS:
-            covariates[name] = _floats(column, name, file)
+            covariates[name] = _floats(column, Where(file, column=name))
             continue
         for i, text in enumerate(column):
-            check_text(text, file=file, row=i + 1, column=name)
+            where = Where(file, i + 1, name)
+            where.text(text)
             if name in WORDS and text not in WORDS[name]:
-                wanted = " or ".join(word for word in WORDS[name] if word)
-                message = f"found '{shown(text)}', expected {wanted}"
-                raise RecordError(message, file=file, row=i + 1, column=name)
+                raise where.wrong(f"found '{shown(text)}', expected {' or '.join(filter(None, WORDS[name]))}")
         labels[name] = tuple(column)
     return covariates, labels
 
@@ -228,8 +202,8 @@ def _check_gauge(recording: Recording, file: Path) -> None:
             if name not in recording.targets:
                 near = difflib.get_close_matches(name, recording.targets, n=3, cutoff=0.3)
                 hint = f"; measured were e.g. {', '.join(near)}" if near else ""
-                message = f"the target '{shown(name)}' was never measured{hint}"
-                raise RecordError(message, file=file, column=f"gauge.distance {i + 1}")
+                where = Where(file, column=f"gauge.distance {i + 1}")
+                raise where.wrong(f"the target '{shown(name)}' was never measured{hint}")
     KnownLengths.of(recording, file)
 
 
@@ -241,16 +215,39 @@ def _check_smrs(recording: Recording, folder: Path) -> None:
         row = names.index("")
         target = recording.targets[recording.target[row]]
         message = f"no SMR is named here or by targets.{target}.reflector, expected one of tables [reflectors.NAME]"
-        raise RecordError(message, file=folder / OBSERVATIONS, row=row + 1, column=REFLECTOR_COLUMN)
+        raise Where(folder / OBSERVATIONS, row + 1, REFLECTOR_COLUMN).wrong(message)
+
+
+def _idle_settings(recording: Recording) -> tuple[str, ...]:
+    """Notes on settings without effect: marks and datum points that nothing reaches, a lone reference radius."""
+    setup, notes = recording.setup, []
+    marks = Counter(s.over for name, s in setup.stations.items() if s.over and name in recording.stations)
+    for name in recording.stations:
+        over = recording.station_setup(name).over
+        if over and over not in recording.targets and over not in setup.targets and marks[over] == 1:
+            notes.append(
+                f"stations.{name}.over names '{shown(over)}', which no pointing and no other set-up names: "
+                f"it holds nothing{_near(over, recording.targets)}"
+            )
+    for name, target in setup.targets.items():
+        if target.datum and name not in recording.targets and name not in marks:
+            notes.append(
+                f"targets.{name} is of the datum but was never measured: left out{_near(name, recording.targets)}"
+            )
+    if setup.reference_radius_mm is not None and not setup.reflectors:
+        notes.append("reference_radius_mm changes nothing: no table [reflectors.NAME] gives an SMR its radius")
+    return tuple(notes)
+
+
+def _near(name: str, known: Iterable[str]) -> str:
+    near = difflib.get_close_matches(name, list(known), n=3, cutoff=0.5)
+    return f"; did you mean {', '.join(near)}?" if near else ""
 
 
 def write_recording(recording: Recording, path: Path) -> None:
     """Write a recording as a folder; both files appear whole or not at all.
 
-    Raises
-    ------
-    RecordError
-        When it holds names or values that could not be read back, or the folder cannot be written.
+    Raises RecordError when it holds what could not be read back, or the folder cannot be written.
     """
     if path.exists() and not path.is_dir():
         raise RecordError("this is a file, expected a folder to write the recording to", file=path)
@@ -260,10 +257,7 @@ def write_recording(recording: Recording, path: Path) -> None:
 def recording_texts(recording: Recording, path: Path) -> dict[str, str]:
     """The files of a recording's folder, by name; `path` is named in errors.
 
-    Raises
-    ------
-    RecordError
-        When it holds names or values that could not be read back.
+    Raises RecordError when it holds names or values that could not be read back.
     """
     rows, toml = table_of(recording), setup_to_toml(recording.setup)
     setup_from(recording.setup.model_dump(by_alias=True, mode="json", exclude_none=True), path / SETUP)

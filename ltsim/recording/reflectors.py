@@ -58,11 +58,8 @@ def excess_radii(recording: Recording, file: object = "setup.toml") -> Floats | 
 
     A pointing that names no SMR, such as one that is only thought of, has the reference.
 
-    Raises
-    ------
-    RecordError
-        When an SMR has no table, one of another radius sat in a nest without a normal, or the reference is not stated.
-        `file` is named.
+    Raises RecordError when an SMR has no table, one of another radius sat in a nest without a normal, or the reference
+    is not stated. `file` is named.
     """
     reflectors = recording.setup.reflectors
     if not reflectors:

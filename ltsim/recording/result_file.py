@@ -120,10 +120,7 @@ File = TypeVar("File", bound=ResultFile)
 def write_result(folder: Path, result: File, beside: Mapping[str, str | bytes]) -> File:
     """Write a result and the files beside it; give the result with their digests, as it was written.
 
-    Raises
-    ------
-    RecordError
-        When the folder cannot be written to; nothing half-written stays behind.
+    Raises RecordError when the folder cannot be written to; nothing half-written stays behind.
     """
     digests = {name: _digest(t.encode() if isinstance(t, str) else t) for name, t in beside.items()}
     written = result.model_copy(update={"files": digests})
@@ -151,10 +148,7 @@ def read_result(path: Path, model: type[File]) -> File:
 def read_json(file: Path, kind: str) -> dict[str, Any]:
     """The object in a JSON file; `kind` is what the file should be.
 
-    Raises
-    ------
-    RecordError
-        When it holds something else, or a number that is not finite.
+    Raises RecordError when it holds something else, or a number that is not finite.
     """
 
     def number(text: str) -> float:
@@ -177,10 +171,7 @@ def read_json(file: Path, kind: str) -> dict[str, Any]:
 def companion(folder: Path, name: str, result: ResultFile) -> Path | None:
     """The file `name` beside a result; None where there is none.
 
-    Raises
-    ------
-    RecordError
-        When it was not written together with the result.
+    Raises RecordError when it was not written together with the result.
     """
     file = folder / name
     if not file.is_file():

@@ -125,10 +125,7 @@ def sheet_names() -> tuple[str, ...]:
 def figures(name: str) -> dict[str, Any]:
     """What a built-in data sheet states, as keys of a `Specification`; those that its text leaves open are missing.
 
-    Raises
-    ------
-    ModelError
-        When there is no such sheet.
+    Raises ModelError when there is no such sheet.
     """
     if name not in _sheets():
         raise unknown_name("data sheet", name, _sheets())
@@ -138,10 +135,7 @@ def figures(name: str) -> dict[str, Any]:
 def completed(name: str, stated: Mapping[str, Any]) -> dict[str, Any]:
     """A specification as keys: a built-in data sheet with what a person states of the instrument above it.
 
-    Raises
-    ------
-    ModelError
-        When there is no such sheet, or both leave a limit open.
+    Raises ModelError when there is no such sheet, or both leave a limit open.
     """
     known = figures(name)
     left = [key for key in LIMITS if key not in known and key not in stated]
@@ -165,10 +159,7 @@ def stated_by(name: str, given: Mapping[str, Any], limits: Iterable[str] = ()) -
     No sheet that could be read states how far and how steeply an instrument can point: `limits` are the keys of that
     table that `given` has to hold.
 
-    Raises
-    ------
-    ModelError
-        When there is no such sheet, or it leaves something open that `given` does not state.
+    Raises ModelError when there is no such sheet, or it leaves something open that `given` does not state.
     """
     stated = figures(name)
     whole = Specification.model_validate({**dict.fromkeys(LIMITS, 1.0), **stated}).instrument()

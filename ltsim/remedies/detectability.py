@@ -206,8 +206,8 @@ def examine_baseline(adjustment: Adjustment, effect: Effect) -> Seen:
     It is estimated from the readings, not tested; this is the size its estimate must have to be told from zero.
     """
     at = [adjustment.construction.index(p.name) for p in effect.parameters]
-    block, prior = adjustment.instrument_covariance[np.ix_(at, at)], adjustment.problem.prior_sigma[0][at]
-    information = np.linalg.inv(block) - np.diag(1.0 / prior**2)
+    block, prior = adjustment.instrument_covariance[np.ix_(at, at)], adjustment.problem.prior.sigma[0][at]
+    information: Floats = np.asarray(np.linalg.inv(block) - np.diag(1.0 / prior**2), dtype=np.float64)
     sizes = _smallest(information, noncentrality(len(information)))
     return Seen(effect.name, (effect.parameters,), ("",), (sizes,), (1.0,), ())
 

@@ -57,7 +57,7 @@ class Network:
     def parameter_covariance(self) -> tuple[Floats, Floats]:
         """Covariance (I, p, p) of each instrument's parameters, and their prior sigmas (I, p)."""
         problem = self.adjustment.problem
-        return self.adjustment.covariance_of(problem.unknowns.instrument), problem.prior_sigma
+        return self.adjustment.covariance_of(problem.unknowns.instrument), problem.prior.sigma
 
     @property
     def seconds_per_pointing(self) -> float:

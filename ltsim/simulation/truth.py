@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from ltsim.arrays import Floats
 from ltsim.effects.effect import Effect
 from ltsim.errors import ModelError, RecordError
-from ltsim.evaluation.schema import NOMINAL
+from ltsim.evaluation.verification import NOMINAL
 from ltsim.geometry.rotations import quaternion
 from ltsim.recording.files import read_text, write_text
 from ltsim.recording.settings import sentence

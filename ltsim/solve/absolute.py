@@ -11,7 +11,6 @@ import scipy.linalg
 
 from ltsim.arrays import Floats, Ints
 from ltsim.errors import NetworkError
-from ltsim.solve.robust import absolute_weights
 
 PASSES = 12
 NEAR = 8
@@ -25,6 +24,8 @@ ROUNDING = 1e-9
 def least_absolute(design: Floats, goal: Floats, *, near: Floats | None = None) -> Floats:
     """Solution (k,) of ``min sum |goal - design @ x|``.
 
+    NetworkError when the descent does not end, which rounding alone can bring about.
+
     Parameters
     ----------
     design : (m, k) float
@@ -32,11 +33,6 @@ def least_absolute(design: Floats, goal: Floats, *, near: Floats | None = None) 
     goal : (m,) float
     near : (k,) float, optional
         Where to begin; the solution does not depend on it.
-
-    Raises
-    ------
-    NetworkError
-        When the descent does not end, which rounding alone can bring about.
     """
     x = np.asarray(np.linalg.lstsq(design, goal, rcond=None)[0], dtype=np.float64) if near is None else near
     usual = float(np.median(np.abs(goal - design @ x)))
@@ -44,7 +40,7 @@ def least_absolute(design: Floats, goal: Floats, *, near: Floats | None = None) 
         return x
     if near is None:
         for floor in usual * np.geomspace(1.0, 0.01, PASSES):
-            weighted = design * absolute_weights(goal - design @ x, float(floor))[:, None]
+            weighted = design / np.maximum(np.abs(goal - design @ x), floor)[:, None]
             x = np.asarray(np.linalg.solve(weighted.T @ design, weighted.T @ goal), dtype=np.float64)
     # By the square of the row's number: multiples of the number itself add up, as differences of the same lengths do.
     apart = (0.6180339887498949 * np.arange(len(goal), dtype=np.float64) ** 2) % 1.0 - 0.5

@@ -11,16 +11,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
 
 from ltsim.arrays import Floats, Ints
 from ltsim.errors import NetworkError
-from ltsim.solve.design import Design
-from ltsim.solve.elimination import DenseElimination, Elimination, SparseElimination
-from ltsim.solve.rank import DOUBTFUL, RANK
+from ltsim.solve.design import DOUBTFUL, RANK, Design
+from ltsim.solve.elimination import DenseElimination, SparseElimination
 from ltsim.solve.threads import in_one_thread
 
 UNDETERMINED = "the observations leave some unknowns undetermined: let stations share more targets, check stated noise"
@@ -44,28 +42,25 @@ class BlockSystem:
 
 
 class SingularSystemError(NetworkError):
-    """The rows leave a direction of the unknowns undetermined (`ltsim.solve.rank`)."""
+    """The rows leave a direction of the unknowns undetermined (`ltsim.solve.design`)."""
 
 
 class Factor:
     """The factorised normal equations of a `BlockSystem`, with Levenberg-Marquardt damping.
+
+    SingularSystemError when the rows and the damping leave a direction undetermined.
 
     Parameters
     ----------
     system : BlockSystem
     damping : float
         Added to the unit diagonal of the scaled normal matrix.
-
-    Raises
-    ------
-    SingularSystemError
-        When the rows and the damping leave a direction undetermined.
     """
 
     @in_one_thread
     def __init__(self, system: BlockSystem, damping: float = 0.0) -> None:
         self._system, self._damping, design = system, damping, system.design
-        self._elimination: Elimination
+        self._elimination: DenseElimination | SparseElimination
         try:
             if isinstance(design, np.ndarray):
                 self._elimination = DenseElimination(design, system.kept, damping)
@@ -94,20 +89,11 @@ class Factor:
         right = self._system.design.T @ (self._system.residual if residual is None else residual)
         return self.covariance_columns(right[:, None])[:, 0]
 
-    @cached_property
     @in_one_thread
-    def _kept_inverse(self) -> Floats:
-        return self._elimination.kept_inverse()
-
-    @cached_property
-    @in_one_thread
-    def _local(self) -> tuple[Floats, Floats]:
-        return self._elimination.blocks_and_leverage()
-
     def kept_covariance(self) -> Floats:
         """Covariance (K, K) of the kept unknowns."""
         scale = self._scale[: self._system.kept]
-        return self._kept_inverse * np.outer(scale, scale)
+        return self._elimination.kept_inverse * np.outer(scale, scale)
 
     @in_one_thread
     def kept_sets(self, columns: Ints) -> Floats:
@@ -115,10 +101,11 @@ class Factor:
         scale = self._scale[columns]
         return self._elimination.kept_sets(columns) * scale[:, :, None] * scale[:, None, :]
 
+    @in_one_thread
     def block_covariance(self) -> Floats:
         """Covariance (E, 3, 3) of each eliminated block."""
         scale = self._scale[self._system.kept :].reshape(-1, 3)
-        return self._local[0] * scale[:, :, None] * scale[:, None, :]
+        return self._elimination.blocks_and_leverage[0] * scale[:, :, None] * scale[:, None, :]
 
     @in_one_thread
     def covariance_columns(self, rows: Floats) -> Floats:
@@ -134,6 +121,7 @@ class Factor:
         """Covariance R N^-1 R' of groups of functions (q, K + 3 E): group i are the rows edges[i] to edges[i + 1]."""
         return self._elimination.forms(rows, edges)
 
+    @in_one_thread
     def leverage(self) -> Floats:
         """Leverage (m,) of each row: the share of its own value in its fitted value; redundancy is one minus it."""
-        return self._local[1]
+        return self._elimination.blocks_and_leverage[1]

@@ -8,7 +8,6 @@ order is one block, and everything below is ordinary dense algebra.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -58,6 +57,8 @@ class Window:
 class BlockChain:
     """Factor of a positive definite sparse matrix.
 
+    LinAlgError when it is not positive definite.
+
     Parameters
     ----------
     matrix : (K, K) sparse
@@ -67,53 +68,30 @@ class BlockChain:
     ----------
     block_of : (K,) int
         The block each column lies in; the number of blocks for the border.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        When it is not positive definite.
     """
 
     def __init__(self, matrix: sp.csr_array) -> None:
         self._order, self._edges = arrange(matrix)
-        place = np.argsort(self._order)
-        self.block_of = np.searchsorted(self._edges[1:-1], place, side="right")
-        border = matrix.shape[0] - self._edges[-2]
-        rest = matrix[self._order[-border:]][:, self._order[-border:]].toarray() if border else np.zeros((0, 0))
+        self.block_of = np.searchsorted(self._edges[1:-1], np.argsort(self._order), side="right")
+        ordered, inner = sp.csc_array(matrix[self._order][:, self._order]), self._edges[-2]
+        rest = ordered[inner:, inner:].toarray()
         self._root: list[Floats] = []
         self._next: list[Floats] = []
-        carried = np.zeros((border, border))
-        for i, panel in enumerate(self._panels(matrix, place)):
+        carried = np.zeros_like(rest)
+        for i in range(len(self._edges) - 2):
             low, high, far = self._span(i)
-            mine = high - low
-            panel[:mine] -= carried[:mine, :mine] if i else 0.0
-            panel[far - low :] -= carried[mine:, :mine] if i else 0.0
+            mine, columns = high - low, ordered[:, low:high]
+            panel = np.concatenate([columns[low:far].toarray(), columns[inner:].toarray()])
+            if i:
+                panel[:mine] -= carried[:mine, :mine]
+                panel[far - low :] -= carried[mine:, :mine]
             root = scipy.linalg.cholesky(panel[:mine], lower=True, check_finite=False)
             after = scipy.linalg.solve_triangular(root, panel[mine:].T, lower=True, check_finite=False).T
             carried = after @ after.T
             rest -= carried[far - high :, far - high :]
             self._root.append(root)
             self._next.append(after)
-        self._corner = scipy.linalg.cholesky(rest, lower=True, check_finite=False) if border else rest
-
-    def _panels(self, matrix: sp.csr_array, place: Ints) -> Iterator[Floats]:
-        """Columns of each block, dense: its own rows, those of the next block, those of the border."""
-        count, border = len(self._edges) - 2, self._edges[-2]
-        if count == 1 and border == len(place):
-            yield matrix.toarray()
-            return
-        entries = matrix.tocoo()
-        row, column = place[entries.row], place[entries.col]
-        by_block = np.argsort(self.block_of[entries.col], kind="stable")
-        ends = np.searchsorted(self.block_of[entries.col][by_block], np.arange(count + 1))
-        for i in range(count):
-            low, high, far = self._span(i)
-            mine = by_block[ends[i] : ends[i + 1]]
-            mine = mine[row[mine] >= low]
-            panel = np.zeros((far - low + len(place) - border, high - low))
-            at = np.where(row[mine] < border, row[mine] - low, row[mine] - border + far - low)
-            panel[at, column[mine] - low] = entries.data[mine]
-            yield panel
+        self._corner = scipy.linalg.cholesky(rest, lower=True, check_finite=False) if len(rest) else rest
 
     @property
     def count(self) -> int:
@@ -123,8 +101,7 @@ class BlockChain:
     @property
     def smallest_pivot(self) -> float:
         """The smallest pivot."""
-        pivots = [np.diag(root).min(initial=1.0) ** 2 for root in (*self._root, self._corner)]
-        return float(min(pivots))
+        return float(min(np.diag(root).min(initial=1.0) ** 2 for root in (*self._root, self._corner)))
 
     def solve(self, right: Floats) -> Floats:
         """Solve for a right-hand side (K, c)."""
@@ -156,7 +133,7 @@ class BlockChain:
 
     @cached_property
     def windows(self) -> list[Window]:
-        """The inverse on every pair of neighbouring blocks with the border, from the last pair to the first.
+        """The inverse on each block, the next one and the border.
 
         References
         ----------
@@ -182,7 +159,7 @@ class BlockChain:
             windows.append(Window(place, whole))
             stay = np.concatenate([np.arange(own), np.arange(own + far - high, len(whole))])
             later = whole[np.ix_(stay, stay)]
-        return windows
+        return windows[::-1]
 
     def _span(self, i: int) -> tuple[int, int, int]:
         """Begin and end of a block, and the end of the next."""

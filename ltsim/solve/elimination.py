@@ -9,42 +9,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 from functools import cached_property
 from itertools import pairwise
-from typing import Protocol
 
 import numpy as np
 import scipy.linalg
 import scipy.sparse as sp
 
 from ltsim.arrays import Floats, Ints
-from ltsim.solve.chain import BlockChain, Window, inverse_of
-from ltsim.solve.design import column_scale, scaled
-from ltsim.solve.rank import unit_diagonal
-
-
-class Elimination(Protocol):
-    """What `Factor` asks of a factorisation of K kept unknowns and E blocks of three."""
-
-    scale: Floats
-    """(K + 3 E,): one over the norm of each column of the design."""
-
-    @property
-    def smallest_pivot(self) -> float:
-        """The smallest pivot."""
-
-    def solve(self, right: Floats) -> Floats:
-        """Solve for a right-hand side (K + 3 E, c)."""
-
-    def kept_inverse(self) -> Floats:
-        """The inverse (K, K) on the kept unknowns."""
-
-    def kept_sets(self, columns: Ints) -> Floats:
-        """The inverse (c, k, k) on sets (c, k) of kept unknowns."""
-
-    def blocks_and_leverage(self) -> tuple[Floats, Floats]:
-        """The inverse (E, 3, 3) on every block, and the leverage (m,) of every row."""
-
-    def forms(self, rows: sp.csr_array, edges: Ints) -> Iterator[Floats]:
-        """R N^-1 R' for groups of neighbouring rows (q, K + 3 E): group i from edges[i] to edges[i + 1]."""
+from ltsim.solve.chain import BlockChain, inverse_of
+from ltsim.solve.design import column_scale, scaled, unit_diagonal
 
 
 class DenseElimination:
@@ -72,6 +44,7 @@ class DenseElimination:
     def _inverse(self) -> Floats:
         return inverse_of(self._root)
 
+    @property
     def kept_inverse(self) -> Floats:
         """The inverse (K, K) on the kept unknowns."""
         return self._inverse[: self._kept, : self._kept]
@@ -80,6 +53,7 @@ class DenseElimination:
         """The inverse (c, k, k) on sets (c, k) of kept unknowns."""
         return self._inverse[columns[:, :, None], columns[:, None, :]]
 
+    @cached_property
     def blocks_and_leverage(self) -> tuple[Floats, Floats]:
         """The inverse (E, 3, 3) on every block, and the leverage (m,) of every row."""
         at = np.arange(self._kept, len(self._root)).reshape(-1, 3)
@@ -124,47 +98,50 @@ class SparseElimination:
         return np.concatenate([kept, (self._inverse @ blocks).reshape(back.shape) - self._carry.T @ kept])
 
     @cached_property
-    def _kept_inverse(self) -> Floats:
-        return self._chain.inverse()
-
     def kept_inverse(self) -> Floats:
         """The inverse (K, K) on the kept unknowns."""
-        return self._kept_inverse
+        return self._chain.inverse()
 
     def kept_sets(self, columns: Ints) -> Floats:
         """The inverse (c, k, k) on sets (c, k) of kept unknowns."""
         found = np.full((*columns.shape, columns.shape[1]), np.nan)
-        lowest = self._chain.block_of[columns].min(axis=1, initial=self._chain.count - 1)
-        for i, window in self._windows():
-            mine = np.flatnonzero(lowest == i)
+        lowest = self._lowest(columns, axis=1)
+        for i in np.unique(lowest):
+            mine, window = np.flatnonzero(lowest == i), self._chain.windows[i]
             places = window.place[columns[mine]]
             found[mine] = window.inverse[places[:, :, None], places[:, None, :]]
-            apart = mine[np.any(places < 0, axis=1)]
-            found[apart] = np.nan
+            found[mine[np.any(places < 0, axis=1)]] = np.nan
         if np.isnan(found).any():
-            inverse = self.kept_inverse()
-            return inverse[columns[:, :, None], columns[:, None, :]]
+            return self.kept_inverse[columns[:, :, None], columns[:, None, :]]
         return found
 
-    def _windows(self) -> Iterator[tuple[int, Window]]:
-        return zip(reversed(range(self._chain.count)), self._chain.windows, strict=True)
+    def _lowest(self, columns: Ints, axis: int) -> Ints:
+        """The first block of the chain that sets of columns touch."""
+        return np.asarray(self._chain.block_of[columns].min(axis=axis, initial=self._chain.count - 1))
 
+    @cached_property
     def blocks_and_leverage(self) -> tuple[Floats, Floats]:
-        """The inverse (E, 3, 3) on every block, and the leverage (m,) of every row."""
-        blocks = np.empty_like(self._inverse)
-        leverage = np.zeros(self._design.shape[0])
-        groups = _Groups(self._design, self._kept, self._carry)
-        lowest = np.array([self._chain.block_of[g].min(initial=self._chain.count - 1) for g in groups.columns])
-        for i, window in self._windows():
-            for g in np.flatnonzero(lowest == i):
-                rows, front, back, carry = groups.of(int(g))
-                at = window.place[groups.columns[g]]
-                kept = window.inverse[at[:, None], at]
-                reduced = front - back @ carry.T
-                leverage[rows] = np.sum((reduced @ kept) * reduced, axis=1)
-                if g < len(blocks):
-                    blocks[g] = self._inverse[g] + carry.T @ kept @ carry
-                    leverage[rows] += np.sum((back @ self._inverse[g]) * back, axis=1)
+        """The inverse (E, 3, 3) on every block, and the leverage (m,) of every row.
+
+        Rows are taken by the block they touch, those without one each alone: what a block couples lies in one window.
+        """
+        blocks, leverage = self._inverse.copy(), np.zeros(self._design.shape[0])
+        order, edges, back = _by_block(self._design, self._kept, len(blocks))
+        front, carries = sp.csr_array(self._design[order][:, : self._kept]), sp.csr_array(self._carry.T)
+        for g, (low, high) in enumerate(pairwise(edges.tolist())):
+            if g < len(blocks):
+                carry, columns = dense_rows(carries, 3 * g, 3 * g + 3)
+                behind = back[order[low:high]]
+                leverage[order[low:high]] = np.sum((behind @ self._inverse[g]) * behind, axis=1)
+                reduced = dense_rows(front, low, high, columns)[0] - behind @ carry
+            else:
+                carry, (reduced, columns) = None, dense_rows(front, low, high)
+            window = self._chain.windows[int(self._lowest(columns, axis=0))]
+            at = window.place[columns]
+            kept = window.inverse[at[:, None], at]
+            leverage[order[low:high]] += np.sum((reduced @ kept) * reduced, axis=1)
+            if carry is not None:
+                blocks[g] += carry @ kept @ carry.T
         return blocks, leverage
 
     def forms(self, rows: sp.csr_array, edges: Ints) -> Iterator[Floats]:
@@ -175,7 +152,7 @@ class SparseElimination:
         carried = sp.csr_array(back @ _block_diagonal(self._inverse))
         if not len(edges) > 1:
             return
-        kept = self.kept_inverse()
+        kept = self.kept_inverse
         for low, high in pairwise(edges.tolist()):
             front, columns = dense_rows(reduced, low, high)
             form = front @ kept[columns[:, None], columns] @ front.T
@@ -184,52 +161,16 @@ class SparseElimination:
             yield form
 
 
-class _Groups:
-    """Rows of a design by the block they touch (E groups), then those without a block by their columns.
-
-    columns : one (k,) int a group: the kept unknowns that the inverse is needed on.
-    """
-
-    def __init__(self, design: sp.csr_array, kept: int, carry: sp.csc_array) -> None:
-        self._kept, self._carry = kept, carry
-        blocks = carry.shape[1] // 3
-        rows = np.repeat(np.arange(design.shape[0]), np.diff(design.indptr))
-        front = design.indices < kept
-        block = np.full(design.shape[0], -1)
-        block[rows[~front]] = (design.indices[~front] - kept) // 3
-        alone = np.flatnonzero(block < 0)
-        block[alone] = blocks + np.arange(len(alone))
-        self._back = np.zeros((design.shape[0], 3))
-        np.add.at(self._back, (rows[~front], (design.indices[~front] - kept) % 3), design.data[~front])
-        self._rows = np.argsort(block, kind="stable")
-        self._edges = np.searchsorted(block[self._rows], np.arange(blocks + len(alone) + 1))
-        sorted_design = design[self._rows][:, :kept]
-        self._pointers, self._indices = sorted_design.indptr, sorted_design.indices
-        self._data = sorted_design.data
-        ends = carry.indptr
-        self.columns = [np.unique(carry.indices[ends[3 * e] : ends[3 * e + 3]]) for e in range(blocks)]
-        own = self._pointers[self._edges[blocks:]]
-        self.columns += [np.unique(self._indices[a:b]) for a, b in pairwise(own)]
-        self._place = np.zeros(kept, dtype=np.int64)
-
-    def of(self, group: int) -> tuple[Ints, Floats, Floats, Floats]:
-        """Rows (r,), their part on the group's columns (r, k) and on its block (r, 3), the block's carry (k, 3)."""
-        columns = self.columns[group]
-        self._place[columns] = np.arange(len(columns))
-        low, high = self._edges[group], self._edges[group + 1]
-        a, b = self._pointers[low], self._pointers[high]
-        front = np.zeros((high - low, len(columns)))
-        row = np.repeat(np.arange(high - low), np.diff(self._pointers[low : high + 1]))
-        np.add.at(front, (row, self._place[self._indices[a:b]]), self._data[a:b])
-        carry = np.zeros((len(columns), 3))
-        if 3 * group < self._carry.shape[1]:
-            ends = self._carry.indptr[3 * group : 3 * group + 4]
-            entries = slice(ends[0], ends[3])
-            carry[self._place[self._carry.indices[entries]], np.repeat(np.arange(3), np.diff(ends))] = self._carry.data[
-                entries
-            ]
-        rows = self._rows[low:high]
-        return rows, front, self._back[rows], carry
+def _by_block(design: sp.csr_array, kept: int, count: int) -> tuple[Ints, Ints, Floats]:
+    """Rows (m,) by the block they touch, then those without one; edges of these groups; rows (m, 3) on their block."""
+    rows, behind = np.repeat(np.arange(design.shape[0]), np.diff(design.indptr)), design.indices >= kept
+    block, back = np.full(design.shape[0], -1), np.zeros((design.shape[0], 3))
+    block[rows[behind]] = (design.indices[behind] - kept) // 3
+    alone = np.flatnonzero(block < 0)
+    block[alone] = count + np.arange(len(alone))
+    np.add.at(back, (rows[behind], (design.indices[behind] - kept) % 3), design.data[behind])
+    order = np.argsort(block, kind="stable")
+    return order, np.searchsorted(block[order], np.arange(count + len(alone) + 1)), back
 
 
 def dense_rows(matrix: sp.csr_array, low: int, high: int, columns: Ints | None = None) -> tuple[Floats, Ints]:
@@ -242,12 +183,10 @@ def dense_rows(matrix: sp.csr_array, low: int, high: int, columns: Ints | None =
     row, data = np.repeat(np.arange(high - low), np.diff(matrix.indptr[low : high + 1])), matrix.data[begin:end]
     if columns is None:
         columns = np.unique(indices)
-    else:
-        there = np.isin(indices, columns)
-        row, data, indices = row[there], data[there], indices[there]
-    dense = np.zeros((high - low, len(columns)))
-    np.add.at(dense, (row, np.searchsorted(columns, indices)), data)
-    return dense, columns
+    at, width = np.searchsorted(columns, indices), len(columns) + 1  # the last column takes what stands in none
+    at[np.append(columns, -1)[at] != indices] = width - 1
+    dense: Floats = np.asarray(np.bincount(row * width + at, data, (high - low) * width), dtype=np.float64)
+    return dense.reshape(high - low, width)[:, :-1], columns
 
 
 def block_inverse(blocks: Floats) -> tuple[Floats, float]:

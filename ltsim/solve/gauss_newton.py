@@ -11,6 +11,8 @@ from ltsim.errors import ConvergenceError
 from ltsim.solve.blocks import BlockSystem, Factor, SingularSystemError
 
 X = TypeVar("X")
+TOLERANCE = 1e-8
+"""Squared length of a step, measured by the normal matrix (in standard deviations), below which the end is reached."""
 NEAR = 1.0
 """Squared length [standard deviations] of a step after which the last design is tried once more."""
 SURE = 1e-4
@@ -72,53 +74,41 @@ class Solution(Generic[X]):
 def planned(problem: Problem[X], x: X) -> Solution[X]:
     """The solution of observations that are to be made at x: all that is known of precision, nothing of readings.
 
-    Raises
-    ------
-    SingularSystemError
-        When they would leave a direction undetermined.
+    SingularSystemError when they would leave a direction undetermined.
     """
     system = problem.linearise(x)
     return Solution(x, system.cost, 0, Status.PLANNED, Factor(system), system)
 
 
-def solve(problem: Problem[X], start: X, *, cap: int = 30, tolerance: float = 1e-8) -> Solution[X]:
-    """Minimise a sum of squares from `start`.
-
-    Parameters
-    ----------
-    problem, start
-    cap : int
-        Most iterations.
-    tolerance : float
-        Converged when the squared length of the step, measured by the normal matrix (that is in standard
-        deviations), falls below it.
-    """
+def solve(problem: Problem[X], start: X, *, cap: int = 30) -> Solution[X]:
+    """Minimise a sum of squares from `start` in at most `cap` iterations."""
     x, damping, before, held = start, 0.0, float("inf"), False
     system = problem.linearise(x)
     for iteration in range(1, cap + 1):
-        step, factor, damping = _damped_step(system, damping)
-        held = held or (step is not None and not damping)
-        if step is None or factor is None:
+        factor, damping = _damped(system, damping)
+        held = held or (factor is not None and not damping)
+        if factor is None:
             return Solution(x, system.cost, iteration, Status.LOST if held else Status.SINGULAR, None, system)
+        step = factor.step()
         length = _length(system, step)
         if not damping and length < ROUNDED and length > before / 4:
             return Solution(x, system.cost, iteration, Status.CONVERGED, factor, system)
         # The next step is as much shorter than this one as this one was than the one before.
-        sure = length * length < SURE * tolerance * before < float("inf")
+        sure = length * length < SURE * TOLERANCE * before < float("inf")
         trial, before, near = problem.retract(x, step), length, length < NEAR and not damping
         if near and sure:
             system = _after(system, system.residual, step)
             return Solution(trial, system.cost, iteration, Status.CONVERGED, factor, system)
         if near:
-            final = _last_step(problem, trial, system, factor, tolerance)
+            final = _last_step(problem, trial, system, factor)
             if final is not None:
                 x, system = final
                 return Solution(x, system.cost, iteration, Status.CONVERGED, factor, system)
         ahead, whole = problem.linearise(trial), damping < SLIGHT
-        if ahead.cost <= system.cost * (1 + 1e-12) + tolerance or (whole and length < ROUNDED):
+        if ahead.cost <= system.cost * (1 + 1e-12) + TOLERANCE or (whole and length < ROUNDED):
             x, system = trial, ahead
             damping = 0.0 if damping < 1e-9 else damping / 10
-            if whole and length < tolerance:
+            if whole and length < TOLERANCE:
                 return _finish(x, system, iteration, Status.CONVERGED, held=held)
         elif damping > 1e8:
             return _finish(x, system, iteration, Status.STALLED, held=held)
@@ -133,9 +123,7 @@ def _length(system: BlockSystem, step: Floats) -> float:
     return float(moved @ moved)
 
 
-def _last_step(
-    problem: Problem[X], x: X, system: BlockSystem, factor: Factor, tolerance: float
-) -> tuple[X, BlockSystem] | None:
+def _last_step(problem: Problem[X], x: X, system: BlockSystem, factor: Factor) -> tuple[X, BlockSystem] | None:
     """The end of the iteration with the design of the step before, which led to x; None where that is not the end.
 
     After a step of a standard deviation the design is the same to five digits: one more step with it, for the residual
@@ -143,7 +131,7 @@ def _last_step(
     """
     residual = problem.residual(x)
     step = factor.step(residual)
-    if not _length(system, step) < tolerance:
+    if not _length(system, step) < TOLERANCE:
         return None
     return problem.retract(x, step), _after(system, residual, step)
 
@@ -153,19 +141,15 @@ def _after(system: BlockSystem, residual: Floats, step: Floats) -> BlockSystem:
     return BlockSystem(system.design, residual - system.design @ step, system.kept)
 
 
-def _damped_step(system: BlockSystem, damping: float) -> tuple[Floats | None, Factor | None, float]:
-    """A step with at least `damping`, more where the normal matrix is singular."""
-    while damping < 1e-2:
+def _damped(system: BlockSystem, damping: float) -> tuple[Factor | None, float]:
+    """The factor with at least `damping`, more where the normal matrix is singular."""
+    while True:
         try:
-            factor = Factor(system, damping)
-            return factor.step(), factor, damping
+            return Factor(system, damping), damping
         except SingularSystemError:
+            if damping >= 1e-2:
+                return None, damping
             damping = max(100 * damping, 1e-10)
-    try:
-        factor = Factor(system, damping)
-    except SingularSystemError:
-        return None, None, damping
-    return factor.step(), factor, damping
 
 
 def _finish(x: X, system: BlockSystem, iteration: int, status: Status, *, held: bool) -> Solution[X]:

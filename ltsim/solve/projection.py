@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from typing import Protocol, Self
+from typing import TypeAlias
 
 import numpy as np
 import scipy.sparse as sp
@@ -25,28 +25,6 @@ ORTHOGONAL = 1e-10
 """What is left of unit vectors overlaps unit columns of the design by no more than this, or is projected once more."""
 NOTHING = 1e-12
 """Eigenvalues of a block of the hat matrix below this are zero."""
-
-
-class Projection(Protocol):
-    """What tests on residuals ask of a design (m, u), with some further columns estimated too."""
-
-    def project(self, rows: Floats) -> Floats:
-        """What is left of vectors (m, q)."""
-
-    def grams(self, columns: Floats, edges: Ints, rows: Ints | slice) -> list[Floats]:
-        """Products (k, k) with each other of what is left of vectors that are `columns` (r, q) on some rows, else zero.
-
-        Group i are the columns edges[i] to edges[i + 1].
-        """
-
-    def leverage(self) -> Floats:
-        """Diagonal (m,) of the hat matrix."""
-
-    def spectra(self, groups: Sequence[Ints]) -> Iterator[tuple[Floats, Floats]]:
-        """Eigenvalues (k,) and eigenvectors (f, k) of the hat matrix on groups of f rows; all others are zero."""
-
-    def extended(self, columns: Floats) -> Self:
-        """The projection off orthonormal columns (m, e) of the residual space as well."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +43,10 @@ class BasisProjection:
         return rows - self.basis @ (self.basis.T @ rows)
 
     def grams(self, columns: Floats, edges: Ints, rows: Ints | slice) -> list[Floats]:
-        """Products of what is left of groups of columns."""
+        """Products (k, k) with each other of what is left of vectors that are `columns` (r, q) on some rows, else zero.
+
+        Group i are the columns edges[i] to edges[i + 1].
+        """
         own, inside = _squares(columns, edges), _squares(self.basis[rows].T @ columns, edges)
         return [whole - lost for whole, lost in zip(own, inside, strict=True)]
 
@@ -74,13 +55,13 @@ class BasisProjection:
         return np.einsum("mu,mu->m", self.basis, self.basis)
 
     def spectra(self, groups: Sequence[Ints]) -> Iterator[tuple[Floats, Floats]]:
-        """Spectra of the hat matrix on groups of rows."""
+        """Eigenvalues (k,) and eigenvectors (f, k) of the hat matrix on groups of f rows; all others are zero."""
         for rows in groups:
             part = self.basis[rows]
             yield _thin(part) if len(rows) > part.shape[1] else np.linalg.eigh(part @ part.T)
 
     def extended(self, columns: Floats) -> BasisProjection:
-        """The projection off further columns."""
+        """The projection off orthonormal columns (m, e) of the residual space as well."""
         return BasisProjection(np.hstack([self.basis, columns]))
 
 
@@ -106,7 +87,7 @@ class FactorProjection:
         return self._left(rows, slice(None))
 
     def grams(self, columns: Floats, edges: Ints, rows: Ints | slice) -> list[Floats]:
-        """Products of what is left of groups of columns."""
+        """The same."""
         return _squares(self._left(columns, rows), edges)
 
     def _left(self, columns: Floats, rows: Ints | slice) -> Floats:
@@ -126,7 +107,7 @@ class FactorProjection:
         return self.factor.leverage() + np.einsum("me,me->m", self.added, self.added)
 
     def spectra(self, groups: Sequence[Ints]) -> Iterator[tuple[Floats, Floats]]:
-        """Spectra of the hat matrix on groups of rows."""
+        """The same."""
         edges = np.cumsum([0, *(len(rows) for rows in groups)])
         thick = edges[-1] == 0 or max(len(rows) for rows in groups) > self.design.shape[1] // 2
         if thick:
@@ -150,8 +131,11 @@ class FactorProjection:
         return _thin(root) if len(rows) > root.shape[1] else np.linalg.eigh(root @ root.T)
 
     def extended(self, columns: Floats) -> FactorProjection:
-        """The projection off further columns."""
+        """The same."""
         return replace(self, added=np.hstack([self.added, columns]))
+
+
+Projection: TypeAlias = BasisProjection | FactorProjection
 
 
 def projection_of(system: BlockSystem, factor: Factor | None) -> Projection:

@@ -8,7 +8,7 @@ by one: whichever explains most of what is left, until the rest is congruent; ea
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import scipy.linalg
@@ -22,7 +22,7 @@ from ltsim.recording.coordinates import Coordinates
 from ltsim.recording.lengths import COEFFICIENT
 from ltsim.recording.result_file import SourceEntry
 from ltsim.recording.setup import Gauge
-from ltsim.tasks.congruence import Congruence, Gap, judged, rows_of
+from ltsim.tasks.comparison import Comparison, Gap, judged, rows_of
 from ltsim.tasks.inputs import CONTROL, LENGTHS, PRIORS, observed_sources, reach_of
 
 SPACE = np.arange(3)
@@ -39,28 +39,16 @@ def compare(
     scaled: bool = False,
     same_instrument: bool = False,
     level: float = 0.05,
-) -> Congruence:
-    """Compare the points that two converged adjustments share, each in its own frame; options as of `ltsim.compare`.
-
-    Raises
-    ------
-    ModelError
-        When a stable point is not common.
-    NetworkError
-        When too few points are common.
-    """
+) -> Comparison:
+    """The points that two converged adjustments share, each in its own frame; options and errors as of `lt.compare`."""
     lost = {*first.lost_targets, *second.lost_targets}
     common = [n for n in first.recording.targets if n in second.recording.targets and n not in lost]
-    known = _frame(common, stable)
-    if len(common) < 4:
-        raise NetworkError(f"the recordings share {len(common)} points; at least 4 are needed to see one of them move")
-    if stable is not None and len(stable) < 3:
-        raise ModelError(f"{len(stable)} stable points hold no frame; name at least 3")
+    known = _frame("recordings", common, stable, held=3)
     at = [np.array([a.recording.targets.index(n) for n in common]) for a in (first, second)]
     given = _in_common(first, second, same_instrument)
     one, other = (_Epoch.of(a, i, given) for a, i in zip((first, second), at, strict=True))
-    found = judged(_aligned(one, other, scaled, known), common, known & (stable is not None), scaled, level)
-    return replace(found, first=SourceEntry.of(first.recording), second=SourceEntry.of(second.recording))
+    sources = SourceEntry.of(first.recording), SourceEntry.of(second.recording)
+    return judged(_aligned(one, other, scaled, known), common, known & (stable is not None), level, sources)
 
 
 def compare_coordinates(
@@ -71,40 +59,30 @@ def compare_coordinates(
     free: bool = False,
     scaled: bool = False,
     level: float = 0.05,
-) -> Congruence:
-    """Compare two lists of coordinates in one frame; where their frames are `free`, the second may move as a whole.
-
-    Raises
-    ------
-    ModelError
-        When a stable point is not common, or the lists know other axes.
-    NetworkError
-        When too few points are common.
-    """
+) -> Comparison:
+    """Two lists of coordinates in one frame, or in `free` ones; options and errors as of `lt.compare`."""
     if first.axes != second.axes:
         raise ModelError(
             f"the first list holds {first.axes} and the second {second.axes}; the axes have to be the same"
         )
     common = [name for name in first.names if name in second.names]
-    known = _frame(common, stable)
-    held = len(first.axes) if free or scaled else 0
-    if len(common) < held + 1:
-        raise NetworkError(
-            f"the lists share {len(common)} points; at least {held + 1} are needed to see one of them move"
-        )
-    if stable is not None and len(stable) < held:
-        raise ModelError(f"{len(stable)} stable points hold no frame; name at least {held}")
+    known = _frame("lists", common, stable, held=len(first.axes) if free or scaled else 0)
     one, other = (_Epoch.listed(epoch, common, free) for epoch in (first, second))
     gap = _aligned(one, other, scaled, known, first.along)
-    found = judged(gap, common, known & (stable is not None), scaled, level)
-    return replace(found, first=SourceEntry.listed(first), second=SourceEntry.listed(second))
+    sources = SourceEntry.listed(first), SourceEntry.listed(second)
+    return judged(gap, common, known & (stable is not None), level, sources)
 
 
-def _frame(common: Sequence[str], stable: Sequence[str] | None) -> Bools:
-    """(T,): which common points may hold the frame: all, or those said to be stable."""
+def _frame(kind: str, common: Sequence[str], stable: Sequence[str] | None, *, held: int) -> Bools:
+    """(T,): which common points may hold the frame, `held` of them at least: all, or those said to be stable."""
     for name in stable or ():
         if name not in common:
             raise unknown_name("common point", name, common)
+    if len(common) < held + 1:
+        needed = f"at least {held + 1} are needed to see one of them move"
+        raise NetworkError(f"the {kind} share {len(common)} points; {needed}")
+    if stable is not None and len(stable) < held:
+        raise ModelError(f"{len(stable)} stable points hold no frame; name at least {held}")
     return np.array([stable is None or name in stable for name in common])
 
 
@@ -141,7 +119,7 @@ def _in_common(first: Adjustment, second: Adjustment, same_instrument: bool) -> 
     one, other = first.recording.setup, second.recording.setup
     common = []
     if same_instrument:
-        if first.problem.prior_sigma.shape != second.problem.prior_sigma.shape:
+        if first.problem.prior.sigma.shape != second.problem.prior.sigma.shape:
             raise ModelError("the recordings hold different numbers of instruments, they cannot be the same one")
         common.append(PRIORS)
     if one.gauge is not None and other.gauge is not None and _certificate(one.gauge) == _certificate(other.gauge):
@@ -187,7 +165,7 @@ def _aligned(first: _Epoch, second: _Epoch, scaled: bool, known: Bools, axes: In
         covariance = covariance + np.trace(covariance) * basis @ basis.T
     if scaled:
         motions = np.hstack([motions, (one - middle)[:, axes].reshape(-1, 1)])
-    return Gap((other - one)[:, axes].ravel(), covariance, motions, axes, one)
+    return Gap((other - one)[:, axes].ravel(), covariance, motions, axes, one, scaled)
 
 
 def _about(free: Floats, centre: Floats) -> Floats:

@@ -2,53 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from functools import cached_property
+from pathlib import Path
 
 import numpy as np
-from scipy import special
 
 from ltsim.arrays import Bools, Floats
-from ltsim.notation import expanded
+from ltsim.calibration.result import frame_of
 from ltsim.recording.recording import Recording
-from ltsim.results import Column, Result, Table, numbers, texts
+from ltsim.recording.result_file import SourceEntry, write_result
+from ltsim.results import Result, Table
 from ltsim.solve.threads import in_one_thread
+from ltsim.tasks.files import Conformity, Distribution, Part, TaskResult, UncertaintyFile, conformity
 from ltsim.tasks.inputs import Inputs
-from ltsim.tasks.linearity import CURVED, curvature
 from ltsim.tasks.measurands import Measurand, Output
 from ltsim.tasks.montecarlo import Drawn, draw
-from ltsim.tasks.propagation import Propagated, expansion_of, propagate
+from ltsim.tasks.propagation import CURVED, Propagated, curvature, expansion_of, propagate
 from ltsim.tasks.spec import Task, Tasks
-from ltsim.tasks.verdict import Conformity, conformity
 
 MOST_TOLD = 8
 """Results that stand in the few lines of an evaluation."""
-
-
-RESULTS = Table(
-    "uncertainty.csv",
-    "results of the tasks",
-    (
-        *texts(task="name", result="name", unit="of all numbers"),
-        Column("value", "estimate", form=".9g", like="U"),
-        Column("u", "standard uncertainty", form=".9g", shown=".2g"),
-        Column("U", "expanded uncertainty for the coverage", form=".9g", like="U"),
-        Column("mc_u", "standard uncertainty by Monte Carlo", form=".9g", shown=".2g"),
-        Column("mc_low", "end of its interval", form=".9g", like="U"),
-        Column("mc_high", "as mc_low", form=".9g", like="U"),
-        Column("agrees", "True where both intervals agree", "flag"),
-        *texts(judgement="against the tolerance, empty without one", largest_source="of its variance, with its share"),
-    ),
-)
-BUDGET = Table(
-    "budget.csv",
-    "where the uncertainty comes from",
-    (
-        *texts(task="name", result="name", source="of uncertainty", type="A or B", unit="of u"),
-        *numbers(".6g", share="of the variance", u="standard uncertainty from this source"),
-    ),
-)
 
 
 @dataclass(frozen=True, repr=False)
@@ -68,59 +43,24 @@ class Evaluation(Result):
     """(k,): gap between the exact adjustment and its linear form, in standard uncertainties."""
 
     def _lines(self) -> list[str]:
-        coverage = self.tasks.monte_carlo.coverage
-        sizes, k = self.linear.expanded(coverage), float(special.ndtri(0.5 + coverage / 2))
-        told = [
-            f"{task.name}, {o.name}: {expanded(self.linear.values[i] / o.factor, sizes[i] / o.factor, o.unit, k)}"
-            for i, (task, o) in enumerate(self.results[:MOST_TOLD])
-        ]
+        told = [r.words for r in self.content.results[:MOST_TOLD]]
         more = len(self.results) - len(told)
-        head = f"{len(self.results)} results, {100 * coverage:g} % intervals, {self.drawn.trials} trials"
+        head = f"{len(self.results)} results, {100 * self.content.coverage:g} % intervals, {self.drawn.trials} trials"
         return [head, *told, *([f"and {more} more: to_dataframe()"] if more > 0 else [])]
 
     def _tables(self) -> Mapping[str, Callable[[], Table]]:
-        return {"results": lambda: RESULTS.filled(self._results()), "budget": lambda: BUDGET.filled(self._budget())}
-
-    def _results(self) -> Iterator[list[Any]]:
-        wide, judged = self.linear.expanded(self.tasks.monte_carlo.coverage), dict(self.conformities())
-        for i, (task, output) in enumerate(self.results):
-            sizes = self.linear.values[i], self.linear.sigma[i], wide[i], self.drawn.sigma[i], *self.drawn.symmetric[i]
-            largest, share = worst_first(self.linear.shares, i)[0]
-            yield [
-                *(task.name, output.name, output.unit),
-                *(float(size) / output.factor for size in sizes),
-                bool(self.agrees[i]),
-                judged[i].judgement if i in judged else "",
-                f"{largest} ({100 * share:.0f} %)",
-            ]
-
-    def _budget(self) -> Iterator[list[Any]]:
-        for i, (task, o) in enumerate(self.results):
-            for name, share in worst_first(self.linear.shares, i):
-                u = float(np.sqrt(share) * self.linear.sigma[i]) / o.factor
-                kind = "B" if self.linear.kinds[name] == "B" else "A"
-                yield [task.name, o.name, name, kind, o.unit, share, u]
+        return self.content.tables()
 
     @property
     def results(self) -> list[tuple[Task, Output]]:
         """Task and output of each of the k results, in order."""
         return [(m.task, output) for m in self.measurands for output in m.outputs]
 
-    def conformities(self) -> list[tuple[int, Conformity]]:
-        """Index and verdict of every result that has a tolerance."""
-        found = []
-        for i, (task, output) in enumerate(self.results):
-            if output.name in task.tolerances:
-                value, sigma = self.linear.values[i] / output.factor, self.linear.sigma[i] / output.factor
-                draws = self.drawn.values[:, i] / output.factor
-                verdict = conformity(value, sigma, task.tolerances[output.name], self.tasks.decision, draws)
-                found.append((i, verdict))
-        return found
-
     @property
     def warnings(self) -> list[str]:
         """What makes a figure less than it seems, one sentence each."""
-        told = []
+        air = self.inputs.air
+        told = [f"every budget holds the {air}; other numbers: [air] of the task file"] if air else []
         for i, (task, output) in enumerate(self.results):
             what = f"{task.name}, {output.name}"
             if self.curved[i] > CURVED:
@@ -136,18 +76,72 @@ class Evaluation(Result):
             )
         return told
 
+    @cached_property
+    def content(self) -> UncertaintyFile:
+        """The contents of uncertainty.json."""
+        found = self.inputs.adjustment
+        return UncertaintyFile(
+            recording=SourceEntry.of(found.recording),
+            title=self.tasks.title,
+            source=self.tasks.source,
+            coverage=self.tasks.monte_carlo.coverage,
+            trials=self.drawn.trials,
+            frame=frame_of(found),
+            sigma0=found.sigma0,
+            results=tuple(self._result(i, task, output) for i, (task, output) in enumerate(self.results)),
+            correlation=tuple(tuple(row) for row in self.linear.correlation.tolist()),
+            warnings=tuple(self.warnings),
+        )
+
+    def _result(self, i: int, task: Task, output: Output) -> TaskResult:
+        unit, drawn = output.factor, self.drawn
+        sigma = float(self.linear.sigma[i])
+        wide = float(self.linear.expanded(self.tasks.monte_carlo.coverage)[i])
+        return TaskResult(
+            task=task.name,
+            kind=task.kind,
+            name=output.name,
+            unit=output.unit,
+            value=float(self.linear.values[i]) / unit,
+            standard_uncertainty=sigma / unit,
+            coverage_factor=wide / sigma if sigma > 0 else 0.0,
+            expanded_uncertainty=wide / unit,
+            monte_carlo=Distribution(
+                mean=float(drawn.mean[i]) / unit,
+                standard_uncertainty=float(drawn.sigma[i]) / unit,
+                symmetric=(drawn.symmetric[i] / unit).tolist(),
+                shortest=(drawn.shortest[i] / unit).tolist(),
+                stable=bool(drawn.stable[i]),
+                agrees=bool(self.agrees[i]),
+            ),
+            curvature=float(self.curved[i]),
+            budget=self._budget(i, sigma / unit),
+            conformity=self._conformity(i, task, output),
+        )
+
+    def _budget(self, i: int, sigma: float) -> tuple[Part, ...]:
+        """Sources of one result with their share of its variance, the largest first; they add up to 1."""
+        shares, kinds = {name: float(share[i]) for name, share in self.linear.shares.items()}, self.linear.kinds
+        total = sum(shares.values())
+        ranked = [
+            (name, shares[name] / total if total > 0 else 0.0) for name in sorted(shares, key=lambda n: -shares[n])
+        ]
+        return tuple(
+            Part(source=name, type=kinds[name], share=share, standard_uncertainty=float(np.sqrt(share)) * sigma)
+            for name, share in ranked
+        )
+
+    def _conformity(self, i: int, task: Task, output: Output) -> Conformity | None:
+        if output.name not in task.tolerances:
+            return None
+        value, sigma = float(self.linear.values[i]) / output.factor, float(self.linear.sigma[i]) / output.factor
+        draws = self.drawn.values[:, i] / output.factor
+        return conformity(value, sigma, task.tolerances[output.name], self.tasks.decision, draws)
+
 
 @in_one_thread
 def evaluate_tasks(recording: Recording, tasks: Tasks) -> Evaluation:
-    """Evaluate tasks on a recording: results, uncertainty by propagation and by Monte Carlo, verdicts.
-
-    Raises
-    ------
-    NetworkError, ConvergenceError
-        When the recording's network cannot be solved.
-    ModelError, SetupError
-        When a task names what does not exist or is not determined.
-    """
+    """Tasks on a recording: results, uncertainty by propagation and by Monte Carlo; errors as of `lt.uncertainty`."""
     inputs = Inputs.of(recording, tasks)
     measurands = tuple(Measurand.of(task, inputs.targets, inputs.points) for task in tasks.task)
     stretch = expansion_of(tasks.growth)
@@ -159,8 +153,13 @@ def evaluate_tasks(recording: Recording, tasks: Tasks) -> Evaluation:
     return Evaluation(tasks, inputs, measurands, linear, drawn, agrees, curved)
 
 
-def worst_first(shares: dict[str, Floats], index: int) -> Sequence[tuple[str, float]]:
-    """Sources of one result with their share of its variance, the largest first; they add up to 1."""
-    total = float(sum(share[index] for share in shares.values()))
-    ranked = sorted(shares, key=lambda name: -shares[name][index])
-    return [(name, float(shares[name][index]) / total if total > 0 else 0.0) for name in ranked]
+def write_uncertainty(evaluation: Evaluation, folder: Path) -> UncertaintyFile:
+    """Write uncertainty.json, uncertainty.csv (a row a result) and budget.csv (a row a source); give what was written.
+
+    Raises
+    ------
+    RecordError
+        When the folder cannot be written; nothing half-written stays behind.
+    """
+    tables = [evaluation.table(name) for name in ("results", "budget")]
+    return write_result(folder, evaluation.content, {table.file: table.csv() for table in tables})

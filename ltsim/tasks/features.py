@@ -11,7 +11,7 @@ Shakarji, J. Res. NIST 103 (1998) 633: objective functions and Gauss-Newton iter
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 
 import numpy as np
 
@@ -72,18 +72,12 @@ def fit(kind: str, points: Floats, near: Feature | None = None) -> Feature:
     if not np.all(extent > 0):
         raise ModelError(f"the points of the {kind} are all at one place")
     local = local / extent[..., None, None]
-    started = None if near is None else _scaled(near, middle[..., 0, :], extent)
-    found = _FITS[kind](local, started)
-    scale = extent[..., None]
-    return Feature(
-        found.centre * scale + middle[..., 0, :], found.normal, found.radius * extent, found.deviations * scale
-    )
-
-
-def _scaled(near: Feature, middle: Floats, extent: Floats) -> Feature:
-    centre = (near.centre - middle) / extent[..., None]
-    normal = np.broadcast_to(near.normal, centre.shape)
-    return Feature(centre, normal, near.radius / extent, near.deviations)
+    place, scale = middle[..., 0, :], extent[..., None]
+    if near is not None:
+        centre = (near.centre - place) / scale
+        near = Feature(centre, np.broadcast_to(near.normal, centre.shape), near.radius / extent, near.deviations)
+    found = _FITS[kind](local, near)
+    return Feature(found.centre * scale + place, found.normal, found.radius * extent, found.deviations * scale)
 
 
 def _fit_line(local: Floats, _near: Feature | None) -> Feature:
@@ -121,18 +115,10 @@ def _fit_sphere(local: Floats, _near: Feature | None) -> Feature:
 
 
 def _fit_circle(local: Floats, _near: Feature | None) -> Feature:
-    plane = _fit_plane(local, None)
-    normal = plane.normal
-    first, second = across(normal)
-    flat = np.stack([np.einsum("...ni,...i->...n", local, axis) for axis in (first, second)], axis=-1)
-    middle, radius = _algebraic(flat)
-    centre = middle[..., :1] * first + middle[..., 1:] * second
+    normal = _fit_plane(local, None).normal
+    centre, radius = _circle_across(local, normal)
     for _ in range(ITERATIONS):
-        first, second = across(normal)
-        arm = local - centre[..., None, :]
-        height = np.einsum("...ni,...i->...n", arm, normal)
-        x = np.einsum("...ni,...i->...n", arm, first)
-        y = np.einsum("...ni,...i->...n", arm, second)
+        (first, second), height, x, y = _about(local, centre, normal)
         reach = np.hypot(x, y)
         c, s, zero = x / reach, y / reach, np.zeros_like(x)
         # The normal turns by (a, b): n + a first + b second; a point's height changes by a x + b y, its reach by
@@ -143,19 +129,16 @@ def _fit_circle(local: Floats, _near: Feature | None) -> Feature:
         step = _step(np.concatenate([radial, axial], axis=-2), gap, "circle")
         shift = step[..., :1] * first + step[..., 1:2] * second + step[..., 2:3] * normal
         centre, radius = centre + shift, radius + step[..., 5]
-        normal = unit(normal + step[..., 3:4] * first + step[..., 4:5] * second)
+        normal = _unit(normal + step[..., 3:4] * first + step[..., 4:5] * second)
         if np.abs(step).max(initial=0.0) < CONVERGED * (1 + np.abs(radius).max()):
             break
-    arm = local - centre[..., None, :]
-    height = np.einsum("...ni,...i->...n", arm, normal)
-    radial = np.linalg.norm(arm - height[..., None] * normal[..., None, :], axis=-1) - radius[..., None]
+    height, reach = _height_and_reach(local, centre, normal)
+    radial = reach - radius[..., None]
     return Feature(centre, normal, radius, np.where(np.abs(radial) >= np.abs(height), radial, height))
 
 
 def _fit_cylinder(local: Floats, near: Feature | None) -> Feature:
-    if near is None:
-        return _best_cylinder(local)
-    return _refined_cylinder(local, near.normal, near.centre, near.radius)
+    return _best_cylinder(local) if near is None else _refined_cylinder(local, near.normal, near.centre, near.radius)
 
 
 def _best_cylinder(local: Floats) -> Feature:
@@ -164,34 +147,22 @@ def _best_cylinder(local: Floats) -> Feature:
     for one in local.reshape(-1, *local.shape[-2:]):
         axes = np.concatenate([np.linalg.svd(one, full_matrices=False)[2], _half_sphere(DIRECTIONS)])
         many = np.broadcast_to(one, (len(axes), *one.shape))
-        first, second = across(axes)
-        shadow = np.stack([np.einsum("kni,ki->kn", many, a) for a in (first, second)], axis=-1)
-        middle, radius = _algebraic(shadow, strict=False)
-        gap = np.linalg.norm(shadow - middle[:, None], axis=-1) - radius[:, None]
+        centre, radius = _circle_across(many, axes, strict=False)
+        gap = _height_and_reach(many, centre, axes)[1] - radius[:, None]
         cost = np.where(np.isfinite(radius), np.sum(gap**2, axis=-1), np.inf)
         best = np.argsort(cost)[:6]
-        centre = middle[best, :1] * first[best] + middle[best, 1:] * second[best]
-        tried = _refined_cylinder(many[best], axes[best], centre, radius[best], strict=False)
+        tried = _refined_cylinder(many[best], axes[best], centre[best], radius[best], strict=False)
         size = np.nan_to_num(np.sum(tried.deviations**2, axis=-1), nan=np.inf)
         k = int(np.argmin(size))
         _determined("cylinder", np.isfinite(size[k]), "determine no axis")
         found.append(Feature(tried.centre[k], tried.normal[k], tried.radius[k], tried.deviations[k]))
-    lead = local.shape[:-2]
-    return Feature(
-        np.stack([f.centre for f in found]).reshape(*lead, 3),
-        np.stack([f.normal for f in found]).reshape(*lead, 3),
-        np.stack([f.radius for f in found]).reshape(lead),
-        np.stack([f.deviations for f in found]).reshape(*lead, -1),
-    )
+    parts = (np.stack(part) for part in zip(*map(astuple, found), strict=True))
+    return Feature(*(part.reshape((*local.shape[:-2], *part.shape[1:])) for part in parts))
 
 
 def _refined_cylinder(local: Floats, normal: Floats, centre: Floats, radius: Floats, *, strict: bool = True) -> Feature:
     for _ in range(ITERATIONS):
-        first, second = across(normal)
-        arm = local - centre[..., None, :]
-        along = np.einsum("...ni,...i->...n", arm, normal)
-        x = np.einsum("...ni,...i->...n", arm, first)
-        y = np.einsum("...ni,...i->...n", arm, second)
+        (first, second), along, x, y = _about(local, centre, normal)
         reach = np.maximum(np.hypot(x, y), 1e-300)
         c, s = x / reach, y / reach
         design = np.stack([-c, -s, -along * c, -along * s, -np.ones_like(x)], axis=-1)
@@ -199,15 +170,35 @@ def _refined_cylinder(local: Floats, normal: Floats, centre: Floats, radius: Flo
         size = np.abs(step).max(axis=-1, keepdims=True)
         step = step / np.maximum(size / 0.3, 1.0)  # A far start must not turn the axis over.
         centre = centre + step[..., :1] * first + step[..., 1:2] * second
-        normal = unit(normal + step[..., 2:3] * first + step[..., 3:4] * second)
+        normal = _unit(normal + step[..., 2:3] * first + step[..., 3:4] * second)
         radius = radius + step[..., 4]
         if np.nanmax(size, initial=0.0) < CONVERGED:
             break
     centre = centre - np.einsum("...i,...i->...", centre, normal)[..., None] * normal
-    arm = local - centre[..., None, :]
-    along = np.einsum("...ni,...i->...n", arm, normal)
-    reach = np.linalg.norm(arm - along[..., None] * normal[..., None, :], axis=-1)
+    reach = _height_and_reach(local, centre, normal)[1]
     return Feature(centre, normal, radius, reach - radius[..., None])
+
+
+def _about(local: Floats, centre: Floats, normal: Floats) -> tuple[tuple[Floats, Floats], Floats, Floats, Floats]:
+    """Two directions across an axis, and the coordinates (..., n) of points along it and along these."""
+    sides = _across(normal)
+    arm = local - centre[..., None, :]
+    height, x, y = (np.einsum("...ni,...i->...n", arm, axis) for axis in (normal, *sides))
+    return sides, height, x, y
+
+
+def _height_and_reach(local: Floats, centre: Floats, normal: Floats) -> tuple[Floats, Floats]:
+    """Coordinates (..., n) of points along an axis, and distances from it."""
+    arm = local - centre[..., None, :]
+    height = np.einsum("...ni,...i->...n", arm, normal)
+    return height, np.linalg.norm(arm - height[..., None] * normal[..., None, :], axis=-1)
+
+
+def _circle_across(local: Floats, normal: Floats, *, strict: bool = True) -> tuple[Floats, Floats]:
+    """Centre (..., 3) and radius (...) of the algebraic circle through points as they are seen along an axis."""
+    (first, second), _, x, y = _about(local, np.zeros_like(normal), normal)
+    middle, radius = _algebraic(np.stack([x, y], axis=-1), strict=strict)
+    return middle[..., :1] * first + middle[..., 1:] * second, radius
 
 
 def _algebraic(local: Floats, *, strict: bool = True) -> tuple[Floats, Floats]:
@@ -238,18 +229,18 @@ def _determined(kind: str, good: Bools | np.bool_, reason: str) -> None:
         raise ModelError(f"the points of the {kind} {reason}")
 
 
-def unit(vectors: Floats) -> Floats:
+def _unit(vectors: Floats) -> Floats:
     """Vectors (..., 3) of length one."""
     return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
 
 
-def across(normal: Floats) -> tuple[Floats, Floats]:
+def _across(normal: Floats) -> tuple[Floats, Floats]:
     """Two unit vectors (..., 3) that make a right-handed frame with `normal`, chosen smoothly near any direction."""
     least = np.argmin(np.abs(normal.reshape(-1, 3)).mean(axis=0)) if normal.ndim > 1 else int(np.argmin(np.abs(normal)))
     helper = np.eye(3)[least]
     parallel = np.abs(normal @ helper)[..., None] > 0.95
     helper = np.where(parallel, np.eye(3)[(least + 1) % 3], helper)
-    first = unit(np.cross(helper, normal))
+    first = _unit(np.cross(helper, normal))
     return first, np.cross(normal, first)
 
 

@@ -2,19 +2,44 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from pathlib import Path
-from typing import ClassVar, Literal
+from collections.abc import Callable, Mapping
+from typing import Any, ClassVar, Literal
 
 import numpy as np
+from scipy import special
 
-from ltsim.calibration.result import frame_of
-from ltsim.recording.result_file import Entry, Known, ResultFile, SourceEntry, write_result
-from ltsim.tasks.evaluation import BUDGET as BUDGET, RESULTS as RESULTS, Evaluation, worst_first
-from ltsim.tasks.verdict import Judgement, normalised_error
+from ltsim.arrays import Floats
+from ltsim.notation import expanded
+from ltsim.recording.result_file import Entry, Known, ResultFile
+from ltsim.results import Column, Table, numbers, texts
+from ltsim.tasks.spec import Decision, Tolerance
+
+RESULTS = Table(
+    "uncertainty.csv",
+    "results of the tasks",
+    (
+        *texts(task="name", result="name", unit="of all numbers"),
+        Column("value", "estimate", form=".9g", like="U"),
+        Column("u", "standard uncertainty", form=".9g", shown=".2g"),
+        Column("U", "expanded uncertainty for the coverage", form=".9g", like="U"),
+        Column("mc_u", "standard uncertainty by Monte Carlo", form=".9g", shown=".2g"),
+        Column("mc_low", "end of its interval", form=".9g", like="U"),
+        Column("mc_high", "as mc_low", form=".9g", like="U"),
+        Column("agrees", "True where both intervals agree", "flag"),
+        *texts(judgement="against the tolerance, empty without one", largest_source="of its variance, with its share"),
+    ),
+)
+BUDGET = Table(
+    "budget.csv",
+    "where the uncertainty comes from",
+    (
+        *texts(task="name", result="name", source="of uncertainty", type="A or B", unit="of u"),
+        *numbers(".6g", share="of the variance", u="standard uncertainty from this source"),
+    ),
+)
 
 
-class MonteCarloTold(Entry):
+class Distribution(Entry):
     """The distribution of a result: mean, standard uncertainty and coverage intervals in its unit (JCGM 101)."""
 
     mean: float
@@ -44,7 +69,7 @@ class Part(Entry):
     """In the result's unit."""
 
 
-class ConformityTold(Entry):
+class Conformity(Entry):
     """A result against its tolerance (JCGM 106), limits and guard band in its unit."""
 
     lower: float | None
@@ -54,16 +79,16 @@ class ConformityTold(Entry):
     rule: Literal["guarded", "simple"]
     """As the task file says."""
     guard_band: float
-    """Between tolerance and acceptance."""
+    """Between tolerance and acceptance, inside each limit."""
     probability: float
     """that the true value lies within the tolerance"""
-    judgement: Judgement
-    """`accepted`, `rejected` or `undecided`."""
+    judgement: Literal["accepted", "rejected", "undecided"]
+    """`accepted` within the limits less their guard bands, `rejected` outside them by more, else `undecided`."""
     wrong: float
-    """probability that the judgement is wrong"""
+    """probability that the judgement is wrong: of a wrong acceptance or of a wrong rejection"""
 
 
-class Result(Entry):
+class TaskResult(Entry):
     """One number of a task with its uncertainty, in its unit."""
 
     task: str
@@ -82,14 +107,29 @@ class Result(Entry):
     """Of the expanded uncertainty."""
     expanded_uncertainty: float
     """For the coverage."""
-    monte_carlo: MonteCarloTold
+    monte_carlo: Distribution
     """By distributions."""
     curvature: float
     """gap of the linear adjustment, in standard uncertainties"""
     budget: tuple[Part, ...]
     """Sources, the largest first."""
-    conformity: ConformityTold | None = None
+    conformity: Conformity | None = None
     """Against its tolerance."""
+
+    @property
+    def words(self) -> str:
+        """The result with its expanded uncertainty."""
+        figures = expanded(self.value, self.expanded_uncertainty, self.unit, self.coverage_factor)
+        return f"{self.task}, {self.name}: {figures}"
+
+    @property
+    def row(self) -> list[Any]:
+        """Its row of `RESULTS`."""
+        largest, drawn = self.budget[0], self.monte_carlo
+        sizes = self.value, self.standard_uncertainty, self.expanded_uncertainty
+        judgement = self.conformity.judgement if self.conformity else ""
+        beside = drawn.standard_uncertainty, *drawn.symmetric, drawn.agrees, judgement
+        return [self.task, self.name, self.unit, *sizes, *beside, f"{largest.source} ({100 * largest.share:.0f} %)"]
 
 
 class UncertaintyFile(ResultFile):
@@ -110,96 +150,53 @@ class UncertaintyFile(ResultFile):
     """Of all coordinates."""
     sigma0: Known
     """of the adjustment that the points come from"""
-    results: tuple[Result, ...]
+    results: tuple[TaskResult, ...]
     """One a number."""
     correlation: tuple[tuple[Known, ...], ...]
     """of the results, in their order"""
     warnings: tuple[str, ...] = ()
     """What to know before the numbers are used."""
 
-
-def told(evaluation: Evaluation) -> UncertaintyFile:
-    """An evaluation as the contents of its file."""
-    tasks, linear = evaluation.tasks, evaluation.linear
-    coverage = tasks.monte_carlo.coverage
-    conforms = dict(evaluation.conformities())
-    results = []
-    for i, (task, output) in enumerate(evaluation.results):
-        unit, drawn = output.factor, evaluation.drawn
-        sigma = float(linear.sigma[i])
-        expanded = float(linear.expanded(coverage)[i])
-        verdict = conforms.get(i)
-        limits = task.tolerances.get(output.name)
-        results.append(
-            Result(
-                task=task.name,
-                kind=task.kind,
-                name=output.name,
-                unit=output.unit,
-                value=float(linear.values[i]) / unit,
-                standard_uncertainty=sigma / unit,
-                coverage_factor=expanded / sigma if sigma > 0 else 0.0,
-                expanded_uncertainty=expanded / unit,
-                monte_carlo=MonteCarloTold(
-                    mean=float(drawn.mean[i]) / unit,
-                    standard_uncertainty=float(drawn.sigma[i]) / unit,
-                    symmetric=_pair(drawn.symmetric[i] / unit),
-                    shortest=_pair(drawn.shortest[i] / unit),
-                    stable=bool(drawn.stable[i]),
-                    agrees=bool(evaluation.agrees[i]),
-                ),
-                curvature=float(evaluation.curved[i]),
-                budget=tuple(
-                    Part(
-                        source=name,
-                        type="B" if linear.kinds[name] == "B" else "A",
-                        share=share,
-                        standard_uncertainty=float(np.sqrt(share)) * sigma / unit,
-                    )
-                    for name, share in worst_first(linear.shares, i)
-                ),
-                conformity=None
-                if verdict is None or limits is None
-                else ConformityTold(
-                    lower=limits.lower,
-                    upper=limits.upper,
-                    rule=tasks.decision.rule,
-                    guard_band=verdict.guard,
-                    probability=verdict.probability,
-                    judgement=verdict.judgement,
-                    wrong=verdict.wrong,
-                ),
-            )
-        )
-    found = evaluation.inputs.adjustment
-    return UncertaintyFile(
-        recording=SourceEntry.of(found.recording),
-        title=tasks.title,
-        source=tasks.source,
-        coverage=coverage,
-        trials=evaluation.drawn.trials,
-        frame=frame_of(found),
-        sigma0=found.sigma0,
-        results=tuple(results),
-        correlation=tuple(tuple(row) for row in linear.correlation.tolist()),
-        warnings=tuple(evaluation.warnings),
-    )
+    def tables(self) -> Mapping[str, Callable[[], Table]]:
+        """The tables of the results and of their budgets."""
+        parts = [(r, p) for r in self.results for p in r.budget]
+        rows = [(r.task, r.name, p.source, p.type, r.unit, p.share, p.standard_uncertainty) for r, p in parts]
+        return {"results": lambda: RESULTS.filled(r.row for r in self.results), "budget": lambda: BUDGET.filled(rows)}
 
 
-def _pair(ends: Sequence[float]) -> tuple[float, float]:
-    return float(ends[0]), float(ends[1])
+def conformity(
+    value: float, sigma: float, tolerance: Tolerance, decision: Decision, draws: Floats | None = None
+) -> Conformity:
+    """Judge a result (in the unit of the tolerance) by its distribution: the `draws`, or a normal one.
 
-
-def write_uncertainty(evaluation: Evaluation, folder: Path) -> UncertaintyFile:
-    """Write uncertainty.json, uncertainty.csv (a row a result) and budget.csv (a row a source); give what was written.
-
-    Raises
-    ------
-    RecordError
-        When the folder cannot be written; nothing half-written stays behind.
+    References
+    ----------
+    JCGM 106:2012, clauses 7 (probability of conformity) and 8 (guard bands).
     """
-    tables = [evaluation.table(name) for name in ("results", "budget")]
-    return write_result(folder, told(evaluation), {table.file: table.csv() for table in tables})
+    low = -np.inf if tolerance.lower is None else tolerance.lower
+    high = np.inf if tolerance.upper is None else tolerance.upper
+    if draws is not None:
+        probability = float(np.mean((draws >= low) & (draws <= high)))
+    elif sigma > 0:
+        probability = float(special.ndtr((high - value) / sigma) - special.ndtr((low - value) / sigma))
+    else:
+        probability = float(low <= value <= high)
+    guard = float(-special.ndtri(decision.risk)) * sigma if decision.rule == "guarded" else 0.0
+    judgement: Literal["accepted", "rejected", "undecided"] = "undecided"
+    wrong = min(probability, 1.0 - probability)
+    if low + guard <= value <= high - guard:
+        judgement, wrong = "accepted", 1.0 - probability
+    elif value < low - guard or value > high + guard:
+        judgement, wrong = "rejected", probability
+    return Conformity(
+        lower=tolerance.lower,
+        upper=tolerance.upper,
+        rule=decision.rule,
+        guard_band=guard,
+        probability=probability,
+        judgement=judgement,
+        wrong=wrong,
+    )
 
 
 def compared(first: UncertaintyFile, second: UncertaintyFile) -> list[tuple[str, float]]:
@@ -208,10 +205,15 @@ def compared(first: UncertaintyFile, second: UncertaintyFile) -> list[tuple[str,
     E_n compares independent results: two recordings, or two instruments.
     """
     others = {(r.task, r.name, r.unit): r for r in second.results}
-    found = []
-    for r in first.results:
-        other = others.get((r.task, r.name, r.unit))
-        if other is not None:
-            known = r.value, r.expanded_uncertainty, other.value, other.expanded_uncertainty
-            found.append((f"{r.task}, {r.name}", normalised_error(*known)))
-    return found
+    both = [(r, others[key]) for r in first.results if (key := (r.task, r.name, r.unit)) in others]
+    return [
+        (f"{r.task}, {r.name}", normalised_error(r.value, r.expanded_uncertainty, o.value, o.expanded_uncertainty))
+        for r, o in both
+    ]
+
+
+def normalised_error(value: float, expanded: float, other: float, other_expanded: float) -> float:
+    """E_n = difference over the root of the squared expanded uncertainties; |E_n| <= 1 agrees (ISO 13528)."""
+    together = float(np.hypot(expanded, other_expanded))
+    gap = value - other
+    return gap / together if together > 0 else (0.0 if gap == 0 else float(np.copysign(np.inf, gap)))

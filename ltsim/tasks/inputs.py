@@ -14,14 +14,15 @@ import numpy as np
 
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.arrays import Floats, Ints
-from ltsim.effects import find_effect
+from ltsim.effects.air import Air
 from ltsim.effects.effect import Effect, NoiseEffect, by_displacement
+from ltsim.effects.verbs import effect_from
 from ltsim.errors import ModelError, SetupError, unknown_name
 from ltsim.model.construction import ideal, stated_construction
 from ltsim.recording.recording import OBSERVABLES, Recording
 from ltsim.recording.reflectors import smrs_of
 from ltsim.tasks.spec import Tasks, TypeB
-from ltsim.units import FACTOR, MILLIMETRE
+from ltsim.units import MILLIMETRE
 
 SPREAD = {"normal": 1.0, "rectangular": 1 / np.sqrt(3), "triangular": 1 / np.sqrt(6), "arcsine": 1 / np.sqrt(2)}
 """Standard deviation of each distribution of unit size (a normal's size is its standard deviation)."""
@@ -61,6 +62,8 @@ class Inputs:
     reach: Floats
     """(m, 3 T) [m]: displacement of the points for a unit of each whitened row of the adjustment."""
     sources: tuple[Source, ...]
+    air: str = ""
+    """What the sources hold of the air, in words; empty where ranges are short."""
 
     @classmethod
     def of(cls, recording: Recording, tasks: Tasks) -> Inputs:
@@ -87,7 +90,9 @@ class Inputs:
         observed = [replace(s, response=_compact(s.response)) for s in observed_sources(found, reach)]
         observed += ball_sources(found, reach)
         further = [_type_b(found, reach, entry, i + 1) for i, entry in enumerate(tasks.type_b)]
-        return cls(found, names, found.state.points[at], reach, (*observed, *further))
+        air, told = _air_of(tasks, float(found.sightings.range_.max()))
+        further += air_sources(found, reach, air) if told else []
+        return cls(found, names, found.state.points[at], reach, (*observed, *further), told)
 
     @property
     def covariance(self) -> Floats:
@@ -122,7 +127,7 @@ def observed_sources(adjustment: Adjustment, reach: Floats) -> list[Source]:
         (CONTROL, problem.control.count + problem.known_marks.count),
         ("levels", 2 * len(problem.levels)),
         ("", problem.structure.held),
-        (PRIORS, int(np.isfinite(problem.prior_sigma).sum())),
+        (PRIORS, int(np.isfinite(problem.prior.sigma).sum())),
     ):
         groups.append((name, np.arange(at, at + count)))
         at += count
@@ -146,6 +151,25 @@ def ball_sources(adjustment: Adjustment, reach: Floats) -> list[Source]:
             change = by_displacement(sightings, off[:, :, None])[rows, columns, 0] / problem.sigma[rows, columns]
             found.append(Source(f"radius of {name}", "B", (reach[: len(rows)].T @ change)[:, None]))
     return found
+
+
+def _air_of(tasks: Tasks, longest: float) -> tuple[Air, str]:
+    """What a budget holds of the air, less what the tasks state themselves, and that in words where ranges are long."""
+    stated = {entry.effect for entry in tasks.type_b}
+    known = {"temperature_k": "station-weather", "gradient_k_per_m": "air-gradient"}
+    air = tasks.air.model_copy(update={size: 0.0 for size, effect in known.items() if effect in stated})
+    return air, air.words(longest) if air.counts(longest) else ""
+
+
+def air_sources(adjustment: Adjustment, reach: Floats, air: Air) -> list[Source]:
+    """What nobody measured of the air along the beams: temperature and gradient of each station, and turbulence."""
+    problem, sightings = adjustment.problem, adjustment.sightings
+    rows, columns = np.nonzero(problem.use)
+    own, sigma = reach[: len(rows)].T, problem.sigma[rows, columns]
+    common = own @ (air.errors(sightings)[rows, columns] / sigma[:, None])
+    scatter = own * (np.sqrt(air.variance(sightings)[rows, columns]) / sigma)
+    found = [Source("temperature of the air", "B", common[:, ::2]), Source("gradient of the air", "B", common[:, 1::2])]
+    return [s for s in (*found, Source("turbulence", "B", _compact(scatter))) if np.any(s.response)]
 
 
 def _compact(response: Floats) -> Floats:
@@ -184,11 +208,8 @@ def _type_b(adjustment: Adjustment, reach: Floats, entry: TypeB, number: int) ->
 def _effect(recording: Recording, entry: TypeB, number: int) -> tuple[Effect, Floats]:
     """The effect of an entry and the sizes (p,) [SI] of its parameters."""
     try:
-        kind = find_effect(entry.effect)
-        units = {s.name: FACTOR[s.unit] for s in kind.shape}
-        constants = {k: v * units[k] if k in units and isinstance(v, float) else v for k, v in entry.shape.items()}
-        effect = kind(stations=entry.stations, targets=entry.targets, **constants)
-    except (ModelError, ValueError, TypeError) as problem:
+        effect = effect_from(entry.effect, {"stations": entry.stations, "targets": entry.targets}, entry.shape)
+    except ModelError as problem:
         raise SetupError(f"type_b.{number}: {problem}") from None
     if isinstance(effect, NoiseEffect):
         raise SetupError(f"type_b.{number}: {entry.effect} changes the noise; state it as the instrument's noise")

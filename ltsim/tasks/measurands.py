@@ -10,7 +10,6 @@ import numpy as np
 from ltsim.arrays import Floats, Ints
 from ltsim.errors import ModelError, unknown_name
 from ltsim.tasks.features import Feature, fit
-from ltsim.tasks.minimum_zone import minimum_zone, zone_widths
 from ltsim.tasks.spec import Task
 from ltsim.units import DEGREE, MILLIMETRE, PPM
 
@@ -35,10 +34,6 @@ def _deg(*names: str) -> list[Output]:
     return [Output(name, "deg", DEGREE) for name in names]
 
 
-def _plain(*names: str) -> list[Output]:
-    return [Output(name, "", 1.0) for name in names]
-
-
 @dataclass(frozen=True)
 class Measurand:
     """A task on the points of a network."""
@@ -48,8 +43,6 @@ class Measurand:
     """(k,): its targets among the network's points."""
     near: Feature | None = field(default=None, repr=False)
     """The element fitted to the estimated points: start of every further fit and side of every direction."""
-    zone: Feature | None = field(default=None, repr=False)
-    """The element of their minimum zone, where the task asks for it."""
 
     @classmethod
     def of(cls, task: Task, targets: Sequence[str], points: Floats) -> Measurand:
@@ -68,9 +61,8 @@ class Measurand:
         if lost:
             raise ModelError(f"task {task.name}: the readings do not determine target {lost[0]}")
         try:
-            near = fit(task.kind, points[at]) if task.kind in _FEATURES else None
-            zone = minimum_zone(task.kind, points[at]) if near is not None and task.zone == "minimum" else None
-            found = cls(task, at, near, zone)
+            near = fit(task.kind, points[at]) if task.kind in _PARTS else None
+            found = cls(task, at, near)
             found.values(points)
         except ModelError as problem:
             raise ModelError(f"task {task.name}: {problem}") from None
@@ -83,17 +75,10 @@ class Measurand:
     def outputs(self) -> list[Output]:
         """The numbers of the task, in order."""
         kind = self.task.kind
-        if kind in _FEATURES:
-            return _FEATURES[kind]
-        if kind in ("point", "rod"):
-            return _mm("x", "y", "z")
-        if kind == "distance":
-            return _mm("distance")
-        if kind == "angle":
-            return _deg("angle")
+        if kind in _OUTPUTS:
+            return _OUTPUTS[kind]
         if kind == "deviation":
-            each = [_mm(f"{name}.dx", f"{name}.dy", f"{name}.dz", f"{name}.distance") for name in self.task.targets]
-            return [output for outputs in each for output in outputs]
+            return _mm(*(f"{name}.{part}" for name in self.task.targets for part in ("dx", "dy", "dz", "distance")))
         scale = [Output("scale", "ppm", PPM)] if self.task.scale else []
         return [*_mm("x", "y", "z"), *_deg("turn-x", "turn-y", "turn-z"), *scale]
 
@@ -113,7 +98,7 @@ class Measurand:
             return np.linalg.norm(chosen[..., 1, :] - chosen[..., 0, :], axis=-1)[..., None]
         if kind == "angle":
             return _angle(chosen)[..., None]
-        if kind in _FEATURES:
+        if kind in _PARTS:
             return self._feature(chosen)
         return self._fitted(chosen)
 
@@ -141,15 +126,12 @@ class Measurand:
         normal = found.normal
         if near is not None and task.kind != "sphere":
             normal = normal * np.sign(np.einsum("...i,i->...", normal, near.normal))[..., None]
-        form = _form(task.kind, found.deviations)
-        if self.zone is not None:
-            form = zone_widths(task.kind, chosen.reshape(-1, *chosen.shape[-2:]), self.zone).reshape(chosen.shape[:-2])
         diameter = 2.0 * (found.radius + task.radius_offset_mm * MILLIMETRE)
         parts = {
             "centre": found.centre,
             "normal": normal,
             "diameter": diameter[..., None],
-            "form": form[..., None],
+            "form": _form(task.kind, found.deviations)[..., None],
             "offset": np.einsum("...i,...i->...", normal, found.centre)[..., None],
         }
         return np.concatenate([parts[name] for name in _PARTS[task.kind]], axis=-1)
@@ -229,9 +211,13 @@ _PARTS = {
     "sphere": ("centre", "diameter", "form"),
     "cylinder": ("normal", "diameter", "form"),
 }
-_DIRECTION = _plain("direction-x", "direction-y", "direction-z")
-_NORMAL = _plain("normal-x", "normal-y", "normal-z")
-_FEATURES = {
+_DIRECTION = [Output(f"direction-{axis}", "", 1.0) for axis in "xyz"]
+_NORMAL = [Output(f"normal-{axis}", "", 1.0) for axis in "xyz"]
+_OUTPUTS = {
+    "point": _mm("x", "y", "z"),
+    "rod": _mm("x", "y", "z"),
+    "distance": _mm("distance"),
+    "angle": _deg("angle"),
     "line": [*_DIRECTION, *_mm("straightness")],
     "plane": [*_NORMAL, *_mm("offset", "flatness")],
     "circle": [*_mm("x", "y", "z", "diameter"), *_NORMAL, *_mm("roundness")],

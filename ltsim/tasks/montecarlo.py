@@ -9,7 +9,7 @@ batches are known to a fifth of the tolerance, as a comparison with the linear i
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -131,15 +131,14 @@ def _batch(
 
 def _linear_figures(inputs: Inputs, linear: Propagated, coverage: float) -> Floats:
     """(4, k): mean, standard deviation and the ends of the interval of the linear model, without drawing."""
-    half = np.array([_half_width(*part, coverage) for part in _shapes(inputs, linear)])
+    others = [(s.distribution, linear.by_points @ s.response) for s in inputs.sources if s.distribution != "normal"]
+    half = np.array(
+        [
+            _half_width(float(sigma), [(name, sizes[i]) for name, sizes in others], coverage)
+            for i, sigma in enumerate(linear.sigma)
+        ]
+    )
     return np.stack([linear.values, linear.sigma, linear.values - half, linear.values + half])
-
-
-def _shapes(inputs: Inputs, linear: Propagated) -> Iterator[tuple[float, list[tuple[str, Floats]]]]:
-    """Of each result: its standard uncertainty, and the sizes of its variates that are not normal, by distribution."""
-    reached = [(s.distribution, linear.by_points @ s.response) for s in inputs.sources if s.distribution != "normal"]
-    for i, sigma in enumerate(linear.sigma):
-        yield float(sigma), [(name, sizes[i]) for name, sizes in reached]
 
 
 def _half_width(sigma: float, others: Sequence[tuple[str, Floats]], coverage: float) -> float:

@@ -4,15 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from scipy import special
 
+from ltsim.adjustment import adjust
 from ltsim.arrays import Floats
 from ltsim.geometry.expansion import Expansion
+from ltsim.randomness import stream
 from ltsim.tasks.inputs import Inputs
 from ltsim.tasks.measurands import Measurand
 from ltsim.tasks.spec import Growth
+
+CHECKS = 8
+CURVED = 0.05
+"""Share of a standard uncertainty by which the exact adjustment may miss the linear one before it is said."""
 
 
 def expansion_of(growth: Growth | None) -> Expansion:
@@ -39,7 +46,7 @@ class Propagated:
     """(k, k)."""
     shares: dict[str, Floats]
     """(k,): variance of each result by source; they add up to the diagonal of the covariance."""
-    kinds: dict[str, str]
+    kinds: dict[str, Literal["A", "B"]]
     """``A`` or ``B`` of each source."""
     by_points: Floats
     """(k, 3 T): derivative of the results by the points."""
@@ -71,7 +78,7 @@ def propagate(inputs: Inputs, measurands: Sequence[Measurand], stretch: Expansio
     by_stretch = np.concatenate([m.by_stretch(points, stretch.factor) for m in measurands])
     covariance = np.zeros((len(values), len(values)))
     shares: dict[str, Floats] = {}
-    kinds: dict[str, str] = {}
+    kinds: dict[str, Literal["A", "B"]] = {}
     for source in inputs.sources:
         reached = by_points @ source.response
         covariance += reached @ reached.T
@@ -83,3 +90,29 @@ def propagate(inputs: Inputs, measurands: Sequence[Measurand], stretch: Expansio
         shares[name] = reached**2
         kinds[name] = "B"
     return Propagated(values, covariance, shares, kinds, by_points, by_stretch)
+
+
+def curvature(inputs: Inputs, measurands: Sequence[Measurand], seed: int) -> Floats:
+    """Largest gap (k,) [SI] between exact and linear change of each result, adjusted anew with a few draws of noise."""
+    found = inputs.adjustment
+    recording, problem = found.recording, found.problem
+    at = [recording.targets.index(name) for name in inputs.targets]
+    used, count = problem.use, int(problem.use.sum())
+    worst = np.zeros(sum(len(m.outputs) for m in measurands))
+    for i in range(CHECKS):
+        noise = stream(seed, "curvature", i).standard_normal(count)
+        readings = recording.readings.copy()
+        readings[used] += noise * problem.sigma[used]
+        again = adjust(
+            recording.with_readings(readings),
+            found.construction,
+            sigma=problem.sigma,
+            use=problem.use,
+            start=found.state,
+            datum=found.datum.names if found.datum is not None else None,
+        )
+        shift = (noise @ inputs.reach[:count]).reshape(-1, 3)
+        linear = np.concatenate([m.values(inputs.points + shift) for m in measurands])
+        exact = np.concatenate([m.values(again.state.points[at]) for m in measurands])
+        worst = np.maximum(worst, np.abs(exact - linear))
+    return worst

@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
+from ltsim.effects.air import Air
 from ltsim.errors import as_setup_error
 from ltsim.recording.settings import checked, load_settings
 from ltsim.recording.setup import Finite, NonNegative, Positive, Section, Vector
@@ -54,10 +55,10 @@ class Task(Section):
     """One task: what is made of which targets.
 
     `point` gives coordinates, `rod` those of a hidden point `beyond_mm` past the second of two reflectors on a rod,
-    `distance` takes two targets, `angle` three (the vertex in the middle). Features are
-    fitted by least squares; with ``zone = "minimum"`` their form is that of the minimum zone. `transformation` moves
-    `nominal_mm` onto the targets by a best fit, `pose` gives the same as the place and the turn of a part; `deviation`
-    compares each target with its nominal point after that fit, or as they are with ``fit = false``.
+    `distance` takes two targets, `angle` three (the vertex in the middle). Features are fitted by least squares.
+    `transformation` moves `nominal_mm` onto the targets by a best fit, `pose` gives the same as the place and the turn
+    of a part; `deviation` compares each target with its nominal point after that fit, or as they are with
+    ``fit = false``.
     """
 
     name: str
@@ -66,8 +67,6 @@ class Task(Section):
     """What is made of the targets."""
     targets: Names
     """Names, in the order that the kind asks for."""
-    zone: Literal["least-squares", "minimum"] = "least-squares"
-    """How the form of a feature is judged."""
     nominal_mm: dict[str, Vector] = Field(default_factory=dict)
     """Nominal points by target, for `transformation`, `pose` and `deviation`."""
     fit: bool = True
@@ -179,6 +178,8 @@ class Tasks(Section):
     """Tables `[[task]]`."""
     type_b: tuple[TypeB, ...] = ()
     """What the readings do not show, tables `[[type_b]]`."""
+    air: Air = Air()
+    """What is not known of the air, where ranges are long; what `type_b` states itself is not counted again."""
     growth: Growth | None = None
     """Expansion of the part."""
     monte_carlo: MonteCarlo = MonteCarlo()

@@ -13,7 +13,7 @@ from ltsim.model.construction import ideal, stated_construction
 from ltsim.recording.coordinates import Coordinates, holds_coordinates, read_coordinates
 from ltsim.recording.exchange import RecordingSource, recording_of
 from ltsim.recording.recording import Recording
-from ltsim.tasks.congruence import Congruence
+from ltsim.tasks.comparison import Comparison
 from ltsim.tasks.epochs import compare as compared, compare_coordinates
 from ltsim.tasks.evaluation import Evaluation, evaluate_tasks
 from ltsim.tasks.spec import FORMAT, Tasks, load_tasks, tasks_from
@@ -70,7 +70,7 @@ def compare(
     calibrate: bool = True,
     robust: bool = False,
     level: float = 0.05,
-) -> Congruence:
+) -> Comparison:
     """Say which points moved between two recordings, and which motion could not have been seen.
 
     Parameters
@@ -89,7 +89,7 @@ def compare(
     calibrate : bool
         Estimate the instrument's constants in each recording.
     robust : bool
-        Leave out readings that do not belong.
+        Leave out readings that do not belong, each tested again at the end.
     level : float
         Probability that any point is told to have moved when none did.
 

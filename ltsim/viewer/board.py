@@ -12,9 +12,9 @@ import numpy as np
 from ltsim.arrays import Floats
 from ltsim.errors import LtsimError, SetupError
 from ltsim.model.construction import Construction
-from ltsim.pages.planned import from_scenario
 from ltsim.pages.scene3d import Camera
 from ltsim.pages.scene_page import scene_page
+from ltsim.pages.workshop import from_scenario
 from ltsim.planning.files import SCENARIO, opened, with_cad_beside, with_layout
 from ltsim.planning.information import LayoutInformation
 from ltsim.planning.planner import sight_table

@@ -168,7 +168,7 @@ def test_uncertainty_of_a_network_length_holds_over_many_networks():
             first, second = found.name.removeprefix("S1: ").split(" to ")
             true = np.linalg.norm(ends[second] - ends[first])
             estimated = np.linalg.norm(placed[second] - placed[first])
-            (short if true < 2.5 else long).append((estimated - true) / (found.expanded / 2))
+            (short if true < 2.5 else long).append((estimated - true) / (1e-6 * found.expanded_um / 2))
     for z in (short, long):
         assert np.sqrt(np.mean(np.square(z))) == pytest.approx(1.0, abs=0.15), len(z)
 
@@ -180,7 +180,7 @@ def test_uncertainty_of_a_network_length_is_that_of_the_whole_normal_matrix():
     covariance = np.linalg.inv(design.T @ design)
     points, at = found.state.points, found.problem.unknowns.target
     sheet = Specification(transverse_um=15, transverse_um_per_m=6, range_um=20, range_um_per_m=1)
-    stated = {e.name: e.expanded for e in by_network(recording, sheet)}
+    stated = {e.name: 1e-6 * e.expanded_um for e in by_network(recording, sheet)}
     for a, b in ((0, 1), (0, 12), (5, 20)):
         along = (points[b] - points[a]) / np.linalg.norm(points[b] - points[a])
         form = np.zeros(len(covariance))

@@ -35,7 +35,7 @@ def test_the_design_is_the_derivative_of_the_residuals(construction):
     design = problem.linearise(truth.state).design
     rng = stream(0, "directions")
     scale = 1e-6
-    rows = int(problem.use.sum()) + len(problem.gauge) + int(np.isfinite(problem.prior_sigma).sum())
+    rows = int(problem.use.sum()) + len(problem.gauge) + int(np.isfinite(problem.prior.sigma).sum())
     for _ in range(12):
         step = scale * rng.standard_normal(problem.unknowns.size)
         ahead = problem.linearise(problem.retract(truth.state, step)).residual

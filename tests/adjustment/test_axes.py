@@ -7,11 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ltsim.adjustment.axes import in_axes_of_points, in_axes_of_three, read_axes
+import ltsim as lt
+from ltsim.adjustment.axes import in_axes_of_points, in_axes_of_three
 from ltsim.adjustment.estimate import adjust
-from ltsim.calibration import adjust_network
 from ltsim.errors import RecordError
 from ltsim.geometry.rotations import from_rotation_vector
+from ltsim.recording.coordinates import read_points
 from ltsim.recording.recording import Recording
 from ltsim.recording.setup import Station, Target
 from ltsim.units import ARCSECOND
@@ -50,7 +51,7 @@ def test_results_come_out_in_named_coordinates(recording: Recording) -> None:
 def test_three_targets_span_the_axes_exactly(recording: Recording) -> None:
     """By the 3-2-1 rule, in covariance too: what defines the axes is not uncertain in them."""
     named = in_axes_of_three(recording, "T01", "T04", "T20")
-    for found in (adjust_network(named), adjust(named)):
+    for found in (lt.adjust(named), adjust(named)):
         points = found.points if hasattr(found, "points") else found.state.points
         a, b, c = (points[recording.targets.index(name)] for name in ("T01", "T04", "T20"))
         np.testing.assert_allclose([*a, b[1], b[2], c[2]], 0.0, atol=1e-9)
@@ -58,14 +59,12 @@ def test_three_targets_span_the_axes_exactly(recording: Recording) -> None:
         sigma = np.sqrt(np.einsum("tii->ti", found.target_covariance))
         np.testing.assert_allclose(sigma[recording.targets.index("T01")], 0.0, atol=1e-9)
         assert sigma[recording.targets.index("T20")][0] > 1e-6
-    assert "axes in which coordinates of the datum's targets are stated" in adjust_network(named).frame
+    assert "axes in which coordinates of the datum's targets are stated" in lt.adjust(named).frame
 
 
 def test_axes_are_known_as_well_as_the_coordinates_that_give_them_fit(recording: Recording) -> None:
     names = list(recording.targets[:12])
-    rough, fine = (
-        adjust_network(in_axes_of_points(recording, hall(recording, names, noise=n), "h")) for n in (3e-3, 3e-4)
-    )
+    rough, fine = (lt.adjust(in_axes_of_points(recording, hall(recording, names, noise=n), "h")) for n in (3e-3, 3e-4))
     assert rough.axes is not None
     assert fine.axes is not None
     for one, noise in ((rough, 3.0), (fine, 0.3)):  # the noise is a sine: its rms is 0.7 of its height
@@ -75,14 +74,14 @@ def test_axes_are_known_as_well_as_the_coordinates_that_give_them_fit(recording:
     assert np.all(np.array(rough.axes.sigma_rotation_arcsec) > 0.5 * turn)
     assert np.all(np.array(rough.axes.sigma_rotation_arcsec) < 6 * turn)
     assert "which leaves the axes uncertain by" in rough.notes[0]
-    assert adjust_network(recording).axes is None
+    assert lt.adjust(recording).axes is None
 
 
 def test_a_drawing_fits_roughly_and_a_wrong_name_is_left_out(recording: Recording) -> None:
     goal = hall(recording, list(recording.targets[:12]), noise=3e-3)
     goal["T05"] = goal["T05"] + [0.4, 0.0, 0.0]
     found = in_axes_of_points(recording, goal, "hall.csv")
-    (note,) = adjust_network(found).notes
+    (note,) = lt.adjust(found).notes
     assert "11 targets fit it within" in note
     assert "left out of the datum: T05 (39" in note
 
@@ -120,12 +119,12 @@ def test_a_file_of_axes(tmp_path: Path) -> None:
     (tmp_path / "b.txt").write_text("A 1 2 1000\n")
     (tmp_path / "c.csv").write_text("# from the drawing\nname;x_mm;y_mm;z_mm\nA;1,0;2;3\nB;;;\n")
     for name in ("a.csv", "b.txt", "c.csv"):
-        found = read_axes(tmp_path / name)
+        found = read_points(tmp_path / name, strict=False).by_name
         assert list(found) == ["A"]
         np.testing.assert_allclose(found["A"][:2], [0.001, 0.002])
     (tmp_path / "d.csv").write_text("what;when\nA;1\n")
     with pytest.raises(RecordError, match=r"d.csv: is no list of coordinates, expected a header"):
-        read_axes(tmp_path / "d.csv")
+        read_points(tmp_path / "d.csv", strict=False)
 
 
 def test_rough_places_of_stations_give_the_axes_of_the_floor_plan(recording: Recording) -> None:
@@ -134,7 +133,7 @@ def test_rough_places_of_stations_give_the_axes_of_the_floor_plan(recording: Rec
         for i, name in enumerate(recording.stations)
     }
     placed = recording.replace(setup=recording.setup.model_copy(update={"stations": stated}))
-    found, plain = adjust_network(placed), adjust_network(recording)
+    found, plain = lt.adjust(placed), lt.adjust(recording)
     for station, place in zip(found.stations, STATIONS, strict=False):
         np.testing.assert_allclose(station.position, place, atol=0.15)
     assert "floor plan" in found.frame
@@ -142,5 +141,5 @@ def test_rough_places_of_stations_give_the_axes_of_the_floor_plan(recording: Rec
     np.testing.assert_allclose(found.stations[0].sigma_position, 0, atol=1e-7)
     elsewhere = {name: Station(position_mm=(0.0, 1e4 * i * i, 0.0)) for i, name in enumerate(recording.stations)}
     lost = recording.replace(setup=recording.setup.model_copy(update={"stations": elsewhere}))
-    assert "station S1" in adjust_network(lost).frame
-    assert "floor plan" not in adjust_network(lost).frame
+    assert "station S1" in lt.adjust(lost).frame
+    assert "floor plan" not in lt.adjust(lost).frame

@@ -13,7 +13,7 @@ import ltsim as lt
 from ltsim.adjustment import adjust
 from ltsim.adjustment.gross import explain_gross
 from ltsim.arrays import Floats
-from ltsim.campaigns.cell import truth_of
+from ltsim.campaigns.truth import truth_of
 from ltsim.errors import NetworkError, RecordError, SetupError
 from ltsim.geometry.polar import wrap
 from ltsim.model.construction import ideal, misalignment

@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+import ltsim as lt
 from ltsim.adjustment import adjust
-from ltsim.adjustment.curvature import BENT, curvature
-from ltsim.adjustment.doubt import doubts
+from ltsim.adjustment.doubt import BENT, curvature, doubts
 from ltsim.adjustment.verdict import Case, verdict
-from ltsim.calibration import adjust_network
 from ltsim.errors import LtsimError, NetworkError
 from ltsim.geometry.polar import to_polar
 from ltsim.geometry.rotations import about_z
@@ -43,13 +42,13 @@ def test_a_sound_recording_has_no_doubts() -> None:
     found = adjust(noisy())
     assert doubts(found) == ()
     assert verdict(found).case is Case.CLEAN
-    adjust_network(with_known(noisy(), workshop()[1].points[:6] @ about_z(0.3).T + 5.0))
+    lt.adjust(with_known(noisy(), workshop()[1].points[:6] @ about_z(0.3).T + 5.0))
 
 
 def test_gon_read_as_degrees_is_refused_with_the_unit_that_fits() -> None:
     recording = noisy()
     with pytest.raises(NetworkError, match=r"contradict each other .* they fit as gon, not degrees"):
-        adjust_network(recording.with_readings(recording.readings * [1.0, 200 / 180, 200 / 180]))
+        lt.adjust(recording.with_readings(recording.readings * [1.0, 200 / 180, 200 / 180]))
 
 
 @pytest.mark.parametrize(
@@ -63,7 +62,7 @@ def test_gon_read_as_degrees_is_refused_with_the_unit_that_fits() -> None:
 )
 def test_known_points_that_contradict_the_readings_are_refused(change, words: str) -> None:
     with pytest.raises(NetworkError, match=rf"known points contradict the readings.*{words}"):
-        adjust_network(with_known(noisy(), change(workshop()[1].points[:8])))
+        lt.adjust(with_known(noisy(), change(workshop()[1].points[:8])))
 
 
 def test_with_two_stations_nobody_can_tell_which_of_two_exchanged_names_is_right() -> None:
@@ -164,9 +163,7 @@ def test_impossible_noise_and_directions_end_in_a_sentence() -> None:
     huge = Noise(distance_mm=1e9, azimuth_arcsec=1e9, elevation_arcsec=1e9)
     recording = noisy()
     with pytest.raises(LtsimError, match="not determined by the observations and their stated noise"):
-        adjust_network(
-            recording.replace(setup=recording.setup.model_copy(update={"instrument": Instrument(noise=huge)}))
-        )
+        lt.adjust(recording.replace(setup=recording.setup.model_copy(update={"instrument": Instrument(noise=huge)})))
     for vertical in ((0, 0, 0), (1e-300, 0, 0)):
         with pytest.raises(ValueError, match="a direction should not have length zero"):
             Station(vertical=vertical)
@@ -211,7 +208,7 @@ def test_a_set_up_that_is_the_mirror_image_of_the_others_is_no_solution(stations
     readings[recording.station == 1, 1] *= -1.0
     who = "Stations S1 and S2 saw mirror images" if stations == 2 else "Station S2 was recorded with"
     with pytest.raises(NetworkError, match=f"{who}.*clockwise"):
-        adjust_network(recording.with_readings(readings))
+        lt.adjust(recording.with_readings(readings))
 
 
 def test_a_floor_plan_that_fits_the_mirror_image_alone_is_said() -> None:

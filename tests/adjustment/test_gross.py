@@ -7,8 +7,7 @@ import pytest
 
 from ltsim.adjustment import adjust
 from ltsim.adjustment.doubt import doubts
-from ltsim.adjustment.gross import explain_gross
-from ltsim.adjustment.mixed_up import mend_faces, mend_stations
+from ltsim.adjustment.gross import explain_gross, mend_faces, mend_stations
 from ltsim.recording.recording import Recording
 from ltsim.recording.slips import UNIT_SLIPS, Slip
 from tests.networks import network

@@ -7,10 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import ltsim as lt
 from ltsim.adjustment import adjust
 from ltsim.adjustment.axes import in_axes_of_points, with_control
 from ltsim.adjustment.doubt import doubts
-from ltsim.calibration import adjust_network, calibrate_network
+from ltsim.calibration import calibrate_network
 from ltsim.calibration.files import calibration_file
 from ltsim.errors import RecordError
 from ltsim.randomness import stream
@@ -96,7 +97,7 @@ def test_of_a_hundred_sound_networks_five_are_blamed_at_most() -> None:
 @pytest.mark.parametrize("more", [0.1, 1.0])
 def test_a_wrong_gauge_length_is_named_and_no_reading(more: float) -> None:
     recording = with_length(network(seed=2)[0], 2, more)
-    found = adjust_network(recording)
+    found = lt.adjust(recording)
     assert found.outliers == ()
     assert next((k.kind, k.name, k.left_out) for k in found.known) == ("length", "T25-T28", True)
     assert found.known[0].error == pytest.approx(more, abs=0.01)
@@ -171,7 +172,7 @@ def test_control_points_of_a_table_have_weight(tmp_path: Path) -> None:
     found = adjust(with_control(recording, file))
     assert [test.name for test in found.wrong] == ["T20"]
     assert {test.name: test.axes for test in found.known}["T02"] == "z"
-    assert "frame of the control points" in adjust_network(with_control(recording, file)).frame
+    assert "frame of the control points" in lt.adjust(with_control(recording, file)).frame
     file.write_text("target,x_mm,y_mm,z_mm\nT01,1,2,3\n")
     with pytest.raises(RecordError, match="states no standard deviation of T01"):
         with_control(recording, file)

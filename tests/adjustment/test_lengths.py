@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -86,7 +87,7 @@ def test_the_rows_have_the_covariance_of_what_lengths_share(measured: Recording)
     np.testing.assert_allclose(gauge.spread @ gauge.spread.T, covariance, rtol=1e-12)
     white = gauge.whitened(np.eye(3))
     np.testing.assert_allclose(white @ covariance @ white.T, np.eye(3), atol=1e-12)
-    idle = gauge.without(np.array([False, True, False]))
+    idle = replace(gauge, idle=np.array([False, True, False]))
     kept = np.ix_([0, 2], [0, 2])
     left = idle.whitened(np.eye(3))
     np.testing.assert_allclose((left.T @ left)[kept], np.linalg.inv(covariance[kept]), rtol=1e-12)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+import ltsim as lt
 from ltsim.adjustment import adjust
 from ltsim.adjustment.occupations import moved_tripods
-from ltsim.calibration import adjust_network
 from ltsim.fieldcheck import check
 from ltsim.geometry.polar import to_polar
 from ltsim.randomness import stream
@@ -88,7 +88,7 @@ def found_sentence(found: object) -> str:
 
 
 def test_a_point_of_directions_alone_has_a_place_in_plan_and_no_height() -> None:
-    calibration = adjust_network(local_tie(1))
+    calibration = lt.adjust(local_tie(1))
     rows = {row[0]: row[1:] for row in calibration.table("targets").rows}
     spire = np.array(rows["SPIRE"], dtype=np.float64)
     turn = np.arctan2(*calibration.points[1, 1::-1]) - np.arctan2(*PILLARS[1, 1::-1])

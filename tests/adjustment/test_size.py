@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ltsim.adjustment import adjust
-from ltsim.adjustment.pairs import Pairs
+from ltsim.adjustment.frame import Pairs
 from ltsim.geometry.polar import from_polar
 from ltsim.geometry.rotations import about_z
 from ltsim.model.construction import ideal

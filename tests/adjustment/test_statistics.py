@@ -5,7 +5,6 @@ import pytest
 from scipy import stats
 
 from ltsim.adjustment import adjust
-from ltsim.adjustment.precision import correlation, ellipsoids
 from ltsim.adjustment.reliability import critical_tau, critical_w
 from ltsim.adjustment.verdict import Case, verdict
 from ltsim.model.construction import misalignment
@@ -146,26 +145,6 @@ def test_a_group_without_redundancy_keeps_its_noise():
     assert gauge.components[0].factor == 1.0
     assert gauge.components[0].sigma == np.inf
     assert gauge.components[0].is_stated
-
-
-# --- precision ----------------------------------------------------------------------------------------------------
-
-
-def test_ellipsoids_give_back_the_covariance():
-    covariance = adjust(noisy(1), TRACKER).target_covariance
-    found = ellipsoids(covariance)
-    assert np.all(np.diff(found.axes, axis=1) <= 0)
-    back = np.einsum("ki,kia,kib->kab", found.axes**2, found.directions, found.directions)
-    np.testing.assert_allclose(back, covariance, atol=1e-18)
-    wide = ellipsoids(covariance, 0.95)
-    draws = stream(1, "draws").multivariate_normal(np.zeros(3), covariance[4], 4000)
-    inside = np.sum((draws @ wide.directions[4].T / wide.axes[4]) ** 2, axis=1) < 1
-    assert np.mean(inside) == pytest.approx(0.95, abs=0.015)
-
-
-def test_what_has_no_variance_has_no_correlation():
-    matrix = correlation(np.array([[4.0, 0.0], [0.0, 0.0]]))
-    np.testing.assert_array_equal(matrix, np.eye(2))
 
 
 # --- verdict ------------------------------------------------------------------------------------------------------

@@ -101,7 +101,7 @@ def test_one_instrument_of_two_has_priors_and_choices_of_its_own(recording: Reco
 
 WRONG = {
     "an unknown name": ({"without": ["beam-tlit"]}, "did you mean beam-tilt"),
-    "an unknown instrument": ({"without": ["beam-tilt@X"]}, "no instrument 'X'"),
+    "an unknown instrument": ({"without": ["beam-tilt@X"]}, "no instrument called .X."),
     "a value for several": ({"hold": {"azimuth-eccentricity": 1.0}}, "several parameters"),
     "nothing left": ({"parameters": ["beam-tilt"], "without": ["beam-tilt"]}, "no parameter is left"),
     "orders of another construction": ({"construction": "misalignment", "harmonics": 3}, "belong to"),
@@ -124,9 +124,9 @@ def test_a_prior_of_a_parameter_that_does_not_exist_is_refused(recording: Record
 
 @pytest.mark.parametrize(("harmonics", "degree", "size"), [(0, 1, 24), (3, 2, 102), (4, 3, 132)])
 def test_the_order_of_the_harmonics_is_an_option(harmonics: int, degree: int, size: int) -> None:
-    from ltsim.model.construction import built_construction, with_parameters
+    from ltsim.model.construction import construction, with_parameters
 
-    built = built_construction("dh", harmonics, degree)
+    built = construction("dh", harmonics, degree)
     assert built.size == size
     assert with_parameters("dh", built.names).names == built.names
 

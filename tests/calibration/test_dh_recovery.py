@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from ltsim.arrays import Floats
-from ltsim.calibration.choice import Choice
-from ltsim.calibration.known import Known
+from ltsim.calibration.known import Choice, Known
 from ltsim.calibration.network import calibrate_network
 from ltsim.model.construction import dh
 from tests.networks import network

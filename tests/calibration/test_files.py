@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ltsim.calibration import adjust_network, calibrate_network, correct, read_calibration, write_calibration
-from ltsim.calibration.amplitude import amplitude_and_phase, harmonics
+import ltsim as lt
+from ltsim.calibration import calibrate_network, correct, read_calibration, write_calibration
+from ltsim.calibration.evidence import amplitude_and_phase
 from ltsim.errors import NetworkError, RecordError
 from ltsim.geometry.polar import from_polar
 from ltsim.model.construction import misalignment
@@ -75,9 +76,12 @@ def test_read_back_is_the_same(calibration, tmp_path: Path) -> None:
         (lambda c: c.pop("parameters"), "parameters: Field required"),
         (
             lambda c: c["parameters"][0].update(name="beam-tlt"),
-            r"'beam-tlt' is none of construction misalignment; did you mean beam-tilt\?",
+            r"no parameter of construction misalignment called 'beam-tlt'; did you mean beam-tilt",
         ),
-        (lambda c: c["parameters"][0].update(name="???"), "none of construction misalignment: those are range-offset"),
+        (
+            lambda c: c["parameters"][0].update(name="???"),
+            r"called '\?\?\?'; did you mean azimuth-eccentricity-cos",
+        ),
         (lambda c: c["parameters"].__setitem__(1, c["parameters"][0]), "stands there twice"),
         (lambda c: c["parameters"][0].update(unit="furlong"), "unknown unit 'furlong'"),
         (lambda c: c["parameters"][0].update(value="much"), "parameters.0.value"),
@@ -201,7 +205,7 @@ def test_two_instruments_have_their_own_parameters(make, drawn, tmp_path: Path) 
 
 
 def test_adjustment_without_parameters_is_written_too(make, tmp_path: Path) -> None:
-    write_calibration(adjust_network(make(np.zeros(16))), tmp_path)
+    write_calibration(lt.adjust(make(np.zeros(16))), tmp_path)
     content = json.loads((tmp_path / "calibration.json").read_text())
     assert content["parameters"] == []
     assert "after" not in content["criteria"]["distance"]
@@ -234,7 +238,7 @@ def test_amplitude_and_phase() -> None:
 
 
 def test_harmonics_of_a_calibration(calibration) -> None:
-    found = {h.name: h for h in harmonics(calibration)}
+    found = {h.name: h for h in calibration.harmonics}
     assert set(found) == {
         "azimuth-eccentricity",
         "azimuth-second-order",
@@ -243,11 +247,13 @@ def test_harmonics_of_a_calibration(calibration) -> None:
     }
     at = calibration.names.index("azimuth-eccentricity-cos")
     wave = found["azimuth-eccentricity"]
-    assert wave.amplitude == pytest.approx(np.hypot(*calibration.values[0, at : at + 2]))
-    assert wave.phase is not None
+    amplitude = 1e-6 * wave.amplitude
+    assert wave.unit == "urad"
+    assert amplitude == pytest.approx(np.hypot(*calibration.values[0, at : at + 2]))
+    assert wave.phase_deg is not None
     angle = np.linspace(-3, 3, 7)
     series = calibration.values[0, at] * np.cos(angle) + calibration.values[0, at + 1] * np.sin(angle)
-    assert np.allclose(wave.amplitude * np.cos(angle - wave.phase), series)
+    assert np.allclose(amplitude * np.cos(angle - np.radians(wave.phase_deg)), series)
 
 
 def test_points_do_not_move_by_correction(calibration, make, drawn) -> None:

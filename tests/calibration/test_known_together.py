@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 import ltsim as lt
-from ltsim.calibration.determined import determined
+from ltsim.calibration.evidence import determined
 from ltsim.cli.main import run
 from ltsim.model.construction import misalignment
 from tests.networks import network

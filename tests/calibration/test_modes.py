@@ -9,10 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import ltsim as lt
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.distance import calibrate_distance
 from ltsim.calibration.files import write_calibration
-from ltsim.calibration.network import adjust_network, calibrate_network
+from ltsim.calibration.network import calibrate_network
 from ltsim.diagnosis import diagnose
 from ltsim.recording.native import read_recording, write_recording
 from ltsim.recording.recording import Recording
@@ -52,6 +53,6 @@ def test_one_mode_has_one_zero() -> None:
     assert "distance_mode" not in one.circumstances
 
 
-@pytest.mark.parametrize("calibrate", [adjust_network, partial(calibrate_distance, advise=False)])
+@pytest.mark.parametrize("calibrate", [lt.adjust, partial(calibrate_distance, advise=False)])
 def test_what_assumes_one_zero_for_both_says_so(calibrate: Callable[[Recording], Calibration]) -> None:
     assert "one range zero was assumed for both" in calibrate(with_modes(8)).notes[0]

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+import ltsim as lt
 from ltsim.adjustment import adjust
-from ltsim.calibration import adjust_network, calibrate_network
+from ltsim.calibration import calibrate_network
 from ltsim.errors import ModelError
 from ltsim.geometry.rigid import rigid_motion
 from ltsim.model.construction import dh, misalignment
@@ -26,7 +27,7 @@ def test_without_noise_only_the_priors_pull(make, drawn) -> None:
 def test_calibration_improves_the_criteria_and_an_adjustment_has_no_parameters(make, drawn) -> None:
     recording = make(drawn(misalignment(), 1, 1, share=2.0))
     found = calibrate_network(recording)
-    plain = adjust_network(recording)
+    plain = lt.adjust(recording)
     assert found.criteria is not None
     assert found.criteria.distance.improvement_percent > 40
     assert plain.names == ()
@@ -57,7 +58,7 @@ def test_hypothetical_network_starts_from_the_real_covariance(make, drawn) -> No
     adjustment = adjust(make(drawn(construction, 1, 3)), construction)
     covariance, prior = Network.of(adjustment).parameter_covariance()
     assert np.allclose(covariance[0], adjustment.instrument_covariance, rtol=1e-6, atol=0)
-    assert np.array_equal(prior, adjustment.problem.prior_sigma)
+    assert np.array_equal(prior, adjustment.problem.prior.sigma)
 
 
 def test_null_space_of_the_paper_chain_is_named(make) -> None:

@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import ltsim as lt
 from ltsim.adjustment import adjust
-from ltsim.calibration import adjust_network, calibrate_distance, calibrate_network, correct, write_calibration
+from ltsim.calibration import calibrate_distance, calibrate_network, correct, write_calibration
 from ltsim.calibration.files import calibration_file
 from ltsim.calibration.result import gross_rows
 from ltsim.errors import ModelError, NetworkError
@@ -62,7 +63,7 @@ def test_noise_that_could_not_be_estimated_leaves_the_fit_a_test(make) -> None:
     recording = recording.select((recording.station < 2) & (recording.target < 4))
     readings = recording.readings.copy()
     readings[0, 0] += 1e-4
-    found = adjust_network(recording.with_readings(readings), noise_from_data=True)
+    found = lt.adjust(recording.with_readings(readings), noise_from_data=True)
     assert not found.noise_estimated
     assert any(n.factor_sigma is None for n in found.noise)
     content = calibration_file(found).content()
@@ -122,7 +123,7 @@ def test_datum_by_inner_constraints_is_the_s_transformation(make) -> None:
     """Baarda's C' = S C S^T with S = I - G (B^T G)^-1 B^T, written out here with whole matrices."""
     recording = make(np.zeros(16))
     names = ("T03", "T09", "T14", "T22")
-    plain, found = adjust(recording), adjust_network(recording, datum=names)
+    plain, found = adjust(recording), lt.adjust(recording, datum=names)
     unknowns, points = plain.problem.unknowns, plain.state.points
     whole = plain.factor.covariance_columns(np.eye(unknowns.size))
     chosen = [recording.targets.index(name) for name in names]
@@ -152,14 +153,14 @@ def test_datum_by_inner_constraints_is_the_s_transformation(make) -> None:
 def test_a_datum_that_cannot_be_is_refused(make) -> None:
     recording = make(np.zeros(16))
     with pytest.raises(ModelError, match="target of the datum called 'T99'"):
-        adjust_network(recording, datum=("T99", "T01", "T02"))
+        lt.adjust(recording, datum=("T99", "T01", "T02"))
     with pytest.raises(ModelError, match="at least three off one line"):
-        adjust_network(recording, datum=("T01", "T02"))
+        lt.adjust(recording, datum=("T01", "T02"))
     places = [(0, (1.0, 0.02, 0.2)), (3, (1.0, 0.02, 1.6)), (23, (0.02, 4.9, 5.6))]
     known = {f"T{i + 1:02d}": Target(known_mm=tuple(1e3 * v for v in p), known_sigma_mm=0.01) for i, p in places}
     held = recording.replace(setup=recording.setup.model_copy(update={"targets": known}))
     with pytest.raises(NetworkError, match="control points define the frame already"):
-        adjust_network(held, datum=("T02", "T05", "T09"))
+        lt.adjust(held, datum=("T02", "T05", "T09"))
 
 
 # --- real recordings ----------------------------------------------------------------------------------------------
@@ -174,10 +175,10 @@ def recorded(shared: Path, place: str, **options):
 
 def test_esa_robust_with_noise_of_each_instrument(shared: Path) -> None:
     recording = recorded(shared, "cern-lgc-trackers/20697_V2_Dirk_ESA_experimental.lgc")
-    plain = adjust_network(recording)
+    plain = lt.adjust(recording)
     assert plain.verdict is not None
     assert "fails only because 4 readings are out of place" in plain.verdict.sentence
-    found = adjust_network(recording, robust=True, noise_from_data=True)
+    found = lt.adjust(recording, robust=True, noise_from_data=True)
     left = {o.row for o in found.outliers if o.left_out}
     assert {42, 199, 361, 362, 348, 363} <= left
     assert 41 not in left

@@ -8,9 +8,8 @@ import pytest
 import ltsim as lt
 from ltsim.arrays import Floats
 from ltsim.calibration.files import read_calibration, write_calibration
-from ltsim.calibration.held_out import held_out_targets
 from ltsim.calibration.network import calibrate_network
-from ltsim.calibration.worth import ScaledPrior, point_errors, reading_noise
+from ltsim.calibration.worth import ScaledPrior, held_out_targets, point_errors, reading_noise
 from ltsim.evaluation.clouds import measured_points
 from ltsim.evaluation.share_removed import cloud_error
 from ltsim.model.construction import misalignment

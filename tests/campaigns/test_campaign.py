@@ -16,9 +16,10 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from ltsim.campaigns import single, statistics, store
+from ltsim.campaigns import engine, statistics, store
 from ltsim.campaigns.campaign import Workers, run_campaign
-from ltsim.campaigns.rows import CHECKED, shard_rows, task_of
+from ltsim.campaigns.rows import shard_rows, task_of
+from ltsim.campaigns.schema import CHECKED
 from ltsim.campaigns.spec import load_campaign
 from ltsim.campaigns.statistics import LEVELS, Results
 from ltsim.campaigns.store import Store, table_of
@@ -291,7 +292,7 @@ def test_failed_trials_are_rows(file: Path, monkeypatch: pytest.MonkeyPatch) -> 
         FILE.replace("trials = 600", "trials = 4").replace("[grid]", '[[methods]]\nsolver = "single"\n[grid]')
     )
     campaign, scenarios = load_campaign(file)
-    real: Callable[..., object] = single.adjust
+    real: Callable[..., object] = engine.adjust
     calls = [0]
 
     def sometimes(*args: object, **settings: object) -> object:
@@ -300,7 +301,7 @@ def test_failed_trials_are_rows(file: Path, monkeypatch: pytest.MonkeyPatch) -> 
             raise NetworkError("lost")
         return real(*args, **settings)
 
-    monkeypatch.setattr(single, "adjust", sometimes)
+    monkeypatch.setattr(engine, "adjust", sometimes)
     rows = shard_rows(task_of(campaign, scenarios[0], "", 0, 0))
     assert rows["status"].to_pylist() == ["converged", "failed", "converged", "converged"]
     for name in ("chi2", "z:beam-tilt", "distance_after_mean_um", "error_calibrated_um", "target_error_um"):

@@ -10,9 +10,9 @@ import pytest
 from scipy.stats import kstest
 
 import ltsim as lt
-from ltsim.campaigns.cell import truth_of
 from ltsim.campaigns.rows import shard_rows, task_of
 from ltsim.campaigns.spec import Campaign
+from ltsim.campaigns.truth import truth_of
 from ltsim.effects import CATALOGUE, find_effect
 from ltsim.effects.effect import Mistake, NoiseEffect
 from ltsim.errors import SetupError

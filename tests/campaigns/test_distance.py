@@ -9,8 +9,8 @@ import pytest
 
 from ltsim.calibration.distance_solver import mean_rows
 from ltsim.calibration.objective import DistanceProblem
+from ltsim.campaigns.cloud_kernels import distance_forces
 from ltsim.campaigns.distance import BatchDistance
-from ltsim.campaigns.distance_kernels import distance_forces
 from ltsim.campaigns.engine import STATUSES, recording_of
 from ltsim.campaigns.truth import BLOCK, Truth
 from ltsim.model.construction import misalignment

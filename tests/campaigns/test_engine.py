@@ -9,15 +9,17 @@ import numpy as np
 import pytest
 
 from ltsim.adjustment import adjust
-from ltsim.campaigns.engine import FAILED, FULL, STATUSES, Bench, Engine, recording_of
+from ltsim.campaigns.engine import FAILED, FULL, STATUSES, Engine, recording_of
+from ltsim.campaigns.judge import Judge
 from ltsim.campaigns.truth import BLOCK, Truth
 from ltsim.effects.effect import Effect, Parameter, Stage, on_readings
 from ltsim.effects.gauge_scale import GaugeScale
 from ltsim.evaluation.criteria import evaluate
-from ltsim.evaluation.share_removed import share_removed, target_error
+from ltsim.evaluation.share_removed import target_error
 from ltsim.model.construction import dh, misalignment
 from ltsim.scene.sightings import Sightings
 from ltsim.simulation.draws import EffectLaw
+from tests.networks import share_removed
 
 
 @dataclass(frozen=True)
@@ -132,9 +134,9 @@ def test_trial_that_nothing_solves_is_a_failed_row(engine: Engine) -> None:
 def test_judge_equals_evaluation_of_single_recordings(engine: Engine) -> None:
     truth = engine.truth
     block = truth.draw(16, 0)
-    found, bench = engine.calibrate(block), Bench(truth)
-    shared = bench.before(block)
-    columns = shared | bench.after(block, found, engine.construction)
+    found, judge = engine.calibrate(block), Judge(truth)
+    shared = judge.before(block)
+    columns = shared | judge.after(block, found, engine.construction)
     for k in (0, 77, 255):
         recording = recording_of(truth, block, k)
         criteria = evaluate(recording, engine.construction, found.values[0, :, k]).as_json()

@@ -7,11 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ltsim.campaigns.cell import truth_of
-from ltsim.campaigns.engine import Bench
-from ltsim.campaigns.judge import MICRO
+from ltsim.campaigns.judge import MICRO, Judge
 from ltsim.campaigns.rows import shard_rows, task_of
 from ltsim.campaigns.spec import Campaign
+from ltsim.campaigns.truth import truth_of
 from ltsim.evaluation.clouds import on_points
 from ltsim.geometry.polar import from_polar
 from ltsim.simulation.scenario import Scenario, load_scenario, scenario_from
@@ -36,8 +35,7 @@ def rows(scenario: Scenario) -> dict[str, list[object]]:
 
 def test_station_that_sees_two_targets_is_left_out_of_the_error() -> None:
     truth = truth_of(with_far_station(levelled=True), 0, "campaign", 2)
-    bench, block = Bench(truth), truth.draw(0, 2, 1)
-    judge = bench.judge
+    judge, block = Judge(truth), truth.draw(0, 2, 1)
     assert judge.seen.sum(axis=1)[-1] == 2 and judge.fitted.tolist() == [True] * 5 + [False]
     assert not judge.comparable
     recording, total = truth.recording, []
@@ -47,7 +45,7 @@ def test_station_that_sees_two_targets_is_left_out_of_the_error() -> None:
         goal = truth.state.points[recording.target[mine]]
         total.append(np.sum((on_points(cloud, goal) - goal) ** 2, axis=1))
     expected = MICRO * np.sqrt(np.concatenate(total).mean())
-    assert bench.before(block)["error_raw_um"][0] == pytest.approx(expected, rel=1e-6)
+    assert judge.before(block)["error_raw_um"][0] == pytest.approx(expected, rel=1e-6)
 
 
 def test_rows_of_geometries_that_see_different_things() -> None:
@@ -66,7 +64,7 @@ def test_trial_whose_geometry_determines_too_little_is_a_failed_row() -> None:
 
 def test_target_that_a_trial_does_not_determine_is_left_out_of_its_error() -> None:
     truth = truth_of(load_scenario("paper-workshop-re-aimed"), 3, "campaign")
-    judge, draw = Bench(truth).judge, np.random.default_rng(5)
+    judge, draw = Judge(truth), np.random.default_rng(5)
     points = 1e-5 * draw.standard_normal((*truth.state.points.shape, 4))
     whole = judge.target_error(points)
     lost = points.copy()

@@ -33,7 +33,7 @@ def test_points_and_readings_are_those_of_the_construction(
     values = truth.population.sigma[:, :, None] * rng.standard_normal((*truth.population.sigma.shape, BLOCK))
     deviation = truth._exact(values)
     points = np.empty_like(deviation)
-    points_of(truth.program.arrays, truth.recording.instrument, deviation, values, points)
+    points_of(truth.program_of(truth.construction), truth.recording.instrument, deviation, values, points)
     for k in range(0, BLOCK, 50):
         raw = truth.recording.readings + deviation[:, :, k]
         exact = built.readings(truth.sightings.local, truth.recording.face, values[0, :, k])

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 import ltsim as lt
-from ltsim.campaigns.cell import truth_of
 from ltsim.campaigns.distance import BatchDistance
 from ltsim.campaigns.engine import Engine
+from ltsim.campaigns.truth import truth_of
 
 BARS = lt.scenario(
     "paper-workshop",

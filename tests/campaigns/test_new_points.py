@@ -17,9 +17,10 @@ from ltsim.campaigns.spec import Campaign, judge_of
 from ltsim.effects import CATALOGUE
 from ltsim.effects.effect import Effect, Parameter, Stage, on_readings
 from ltsim.errors import ModelError, SetupError
-from ltsim.evaluation.share_removed import share, share_removed
+from ltsim.evaluation.share_removed import share
 from ltsim.scene.sightings import Sightings
 from ltsim.simulation.scenario import Scenario, load_scenario
+from tests.networks import share_removed
 
 PAPER = load_scenario("paper-workshop")
 ERRORS = tuple(f"new_point_error_{what}_um" for what in ("raw", "calibrated", "true_parameters"))

@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 
 import ltsim as lt
-from ltsim.campaigns.calibrators import calibrator_of
-from ltsim.campaigns.cell import truth_of
-from ltsim.campaigns.engine import Bench, Engine
+from ltsim.campaigns.calibrators import StackCalibrator, calibrator_of, stacks
+from ltsim.campaigns.engine import Engine
+from ltsim.campaigns.judge import Judge
 from ltsim.campaigns.spec import Method
-from ltsim.campaigns.stack import StackCalibrator, stacks
-from ltsim.campaigns.truth import Truth
+from ltsim.campaigns.truth import Truth, truth_of
 from ltsim.errors import NetworkError, SetupError
 from ltsim.evaluation.clouds import on_points
 from ltsim.planning.fast import Reducer
@@ -43,7 +42,7 @@ def test_the_batch_is_the_full_solver_and_scatters_as_predicted(truth: Truth) ->
     points = truth.state.points
     moved = np.stack([on_points(points + gap, points) - points for gap in np.moveaxis(found.points, 2, 0)])
     assert np.sqrt(np.mean((moved / engine.sigma_targets) ** 2)) == pytest.approx(1.0, abs=0.06)
-    columns = Bench(truth).before(block)
+    columns = Judge(truth).before(block)
     assert np.isnan(columns["error_raw_um"]).all()  # no station tells a point by itself
 
 

@@ -9,7 +9,7 @@ import pytest
 import trimesh
 
 from ltsim.campaigns.campaign import run_campaign
-from ltsim.campaigns.statistics import Results, summary_csv
+from ltsim.campaigns.statistics import Results
 from ltsim.campaigns.store import Store
 from ltsim.errors import SetupError
 from ltsim.randomness import stream
@@ -61,7 +61,7 @@ def test_a_folder_is_no_pattern(file: Path, tmp_path: Path) -> None:
 
 def test_tables_are_the_same_bytes_from_run_to_run(file: Path, tmp_path: Path) -> None:
     run_campaign(file, tmp_path / "out")
-    texts = {summary_csv(Results(tmp_path / "out").summary()) for _ in range(3)}
+    texts = {Results(tmp_path / "out").table("summary").csv() for _ in range(3)}
     assert len(texts) == 1
 
 

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 import ltsim as lt
-from ltsim.campaigns.cell import truth_of
-from ltsim.campaigns.engine import Engine, parameter_columns
+from ltsim.campaigns.columns import parameter_columns
+from ltsim.campaigns.engine import Engine
 from ltsim.campaigns.recovery import from_prior
+from ltsim.campaigns.truth import truth_of
 from ltsim.randomness import stream
 from ltsim.simulation.scenario import changed, load_scenario
 

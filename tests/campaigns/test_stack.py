@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ltsim.campaigns.cell import truth_of
-from ltsim.campaigns.engine import Bench, Calibrated, Engine
+from ltsim.campaigns.calibrators import StackCalibrator, stacks
+from ltsim.campaigns.engine import Calibrated, Engine
+from ltsim.campaigns.judge import Judge
 from ltsim.campaigns.spec import Method
-from ltsim.campaigns.stack import StackCalibrator, stacks
-from ltsim.campaigns.truth import Truth
+from ltsim.campaigns.truth import Truth, truth_of
 from ltsim.model.construction import misalignment
 from ltsim.simulation.scenario import changed, load_scenario
 
@@ -31,12 +31,12 @@ def test_side_by_side_is_as_alone(name: str) -> None:
     ((stack, numbers),) = stacks(truths)
     block, alone = stack.draw_trials(8, numbers)
     calibrator = StackCalibrator(stack, alone, Method())
-    found, bench = calibrator.calibrate(block, np.arange(TRIALS)), Bench(stack)
-    columns = bench.after(block, found, misalignment())
+    found, together = calibrator.calibrate(block, np.arange(TRIALS)), Judge(stack)
+    columns = together.after(block, found, misalignment())
     assert np.all(found.status == 0)
     assert len(np.unique(stack.rows, axis=1).T) == TRIALS
     for k, truth in truths.items():
-        own, engine, judge = truth.draw(8, k, 1), Engine(truth, misalignment()), Bench(truth)
+        own, engine, judge = truth.draw(8, k, 1), Engine(truth, misalignment()), Judge(truth)
         assert np.abs(own.deviation - alone[k].deviation).max() < 1e-12
         theirs = engine.calibrate(own)
         assert found.sigma[:, :, k] == pytest.approx(theirs.sigma, rel=1e-9)

@@ -25,7 +25,7 @@ def test_campaign_answers_in_tables_and_writes_a_summary(tmp_path: Path, capsys:
     file.write_text(FILE)
     assert run(["campaign", str(file)]) == 0
     said = capsys.readouterr().out
-    assert "\nnoise_factor  method" in said and "share_removed" in said
+    assert "\nnoise factor  method" in said and "share_removed" in said
     with (tmp_path / "noise" / "summary.csv").open(newline="") as stream:
         lines = list(csv.DictReader(stream))
     share = [float(line["mean"]) for line in lines if line["column"] == "share_removed"]

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from ltsim.cli.demo import HIDDEN, STEPS, calibrated, simulated
 from ltsim.cli.main import run
+from ltsim.cli.simulate import HIDDEN, STEPS, calibrated, simulated
 from ltsim.effects import find_effect
 from ltsim.randomness import stream
 

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import trimesh
 
 from ltsim.adjustment import adjust
 from ltsim.cli.main import run
@@ -104,14 +103,6 @@ def test_a_corrected_recording_keeps_the_axes_it_was_given(source: Path, tmp_pat
     a, b, c = (rows[name] for name in ("T01", "T04", "T20"))
     zero = [a["x_mm"], a["y_mm"], a["z_mm"], b["y_mm"], b["z_mm"], c["z_mm"]]
     np.testing.assert_allclose([float(v) for v in zero], 0.0, atol=1e-6)
-
-
-def test_points_go_to_other_programs(source: Path, tmp_path: Path) -> None:
-    ply = tmp_path / "points.ply"
-    assert run(["adjust", str(source), "--points", str(ply), "--out", str(tmp_path / "out"), "-q"]) == 0
-    rows = list(csv.DictReader((tmp_path / "out" / "targets.csv").read_text().splitlines()))
-    table = [[float(row[f"{axis}_mm"]) for axis in "xyz"] for row in rows]
-    np.testing.assert_allclose(trimesh.load(ply).vertices, table, atol=1.1e-6)
 
 
 def test_distance_methods_refuse_what_they_cannot_do(source: Path, capsys) -> None:

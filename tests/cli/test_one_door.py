@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import inspect
-from dataclasses import fields, is_dataclass
 from enum import Enum
-from importlib import import_module
-from typing import Any, get_type_hints
+from typing import Any
 
 import pytest
 
 import ltsim as lt
-from ltsim.cli.main import VERBS
+from ltsim.cli.main import VERBS, verb_of
+from ltsim.cli.options import command_of
 
-TERMINAL = {"out", "force", "terminal", "points", "show", "page", "no_page"}
+TERMINAL = {"out", "force", "terminal", "show"}
 """Where results go and what is printed: the command's own affair."""
 READING = {"format_name", "hint", "columns", "frame", "control"}
 """How a recording is read: in Python an argument of `lt.read`."""
@@ -44,15 +43,9 @@ SAME = sorted(set(VERBS) - OTHERS)
 
 
 def of_command(verb: str) -> dict[str, Any]:
-    """Options of a verb with their defaults, those of groups among them."""
-    function = getattr(import_module(f"ltsim.cli.{verb}"), verb)
-    hints, found = get_type_hints(function), {}
-    for name, parameter in inspect.signature(function).parameters.items():
-        if is_dataclass(hints[name]):
-            found |= {f.name: f.default for f in fields(hints[name])}
-        else:
-            found[name] = parameter.default
-    return found
+    """Options of a verb with their defaults."""
+    parameters = inspect.signature(command_of(verb, verb_of(verb))).parameters
+    return {name: parameter.default for name, parameter in parameters.items()}
 
 
 def plain(value: Any) -> Any:

@@ -97,7 +97,6 @@ def test_files_that_are_named_replace_none(made: Path, capsys: pytest.CaptureFix
     for arguments in (
         ["view", "paper-workshop", "--html", str(mine)],
         ["convert", rec, str(mine), "--to", "polar-text"],
-        ["calibrate", rec, "--points", str(mine)],
         ["simulate", "paper-workshop", "--out", str(tmp_path / "rec"), "--truth", str(mine)],
     ):
         refused(arguments, capsys)

@@ -13,7 +13,7 @@ from experiments.virtual_bench import MIDDLE, BenchTest, measure_bench
 from ltsim.cli.main import run
 from ltsim.effects.smr_incidence import PAPER_TABLE
 from ltsim.errors import RecordError
-from ltsim.evaluation.schema import BENCH
+from ltsim.evaluation.bench import BENCH
 from ltsim.units import DEGREE, MICROMETRE
 from tests.conftest import ROOT
 

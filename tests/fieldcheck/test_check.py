@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
+import ltsim as lt
 from ltsim.adjustment.reliability import surprise
-from ltsim.calibration import adjust_network
 from ltsim.cli.check import changes, follow, mpe_of
 from ltsim.cli.main import run
 from ltsim.cli.options import Reading
@@ -25,7 +25,7 @@ from ltsim.fieldcheck.check import best_bump
 from ltsim.fieldcheck.visit import Visit
 from ltsim.fieldcheck.words import plain
 from ltsim.model.construction import misalignment, steering_mirror
-from ltsim.pages.figures.check import check_figure
+from ltsim.pages.figures.points import check_figure
 from ltsim.pages.style import svg
 from ltsim.randomness import stream
 from ltsim.recording import Hints, Recording, read, write
@@ -171,7 +171,7 @@ def test_never_go_where_adjust_refuses() -> None:
     clockwise[recording.station == 1, 1] *= -1.0
     for broken in (recording.select(lost), recording.with_readings(clockwise)):
         with pytest.raises(NetworkError) as refused:
-            adjust_network(broken)
+            lt.adjust(broken)
         found = check(broken)
         assert not found.passed
         assert ("", "network") in kinds(found)

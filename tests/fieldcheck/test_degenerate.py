@@ -9,7 +9,7 @@ import pytest
 
 import ltsim as lt
 from ltsim.adjustment.doubt import doubts
-from ltsim.calibration import adjust_network, calibrate_network
+from ltsim.calibration import calibrate_network
 from ltsim.errors import LtsimError
 from ltsim.fieldcheck import check
 from ltsim.geometry.polar import to_polar
@@ -84,9 +84,9 @@ def agreed(way: Break, seed: int) -> str:
     """The sentence of all verbs about a network that is degenerate in one way."""
     recording, state = workshop()
     broken = way(seen(recording, state.points, seed), state.points, stream(seed, way.__name__))
-    said = words(adjust_network, broken)
+    said = words(lt.adjust, broken)
     if not said:  # noise bends a line: there is a solution, and its sigmas are doubted aloud
-        (doubt,) = doubts(adjust_network(broken).adjustment)
+        (doubt,) = doubts(lt.adjust(broken).adjustment)
         assert way is on_a_line
         assert "hold its pose so weakly" in doubt
         assert "hold its pose so weakly" in calibrate_network(broken, advise=False).verdict.sentence
@@ -114,7 +114,7 @@ def test_a_pointing_to_the_zenith_is_named_by_all_verbs() -> None:
     above = state.points.copy()
     above[3] = state.position[1] + state.rotation[1] @ [0.0, 0.0, 2.0]
     broken = seen(recording, above, 0)
-    verbs = (adjust_network, lambda r: calibrate_network(r, advise=False), lt.diagnose)
+    verbs = (lt.adjust, lambda r: calibrate_network(r, advise=False), lt.diagnose)
     for said in (words(verb, broken) for verb in verbs):
         assert "row 32: at the zenith an azimuth means nothing, leave it out" in said
     assert any("row 32: at the zenith" in item.sentence for item in check(broken).items)
@@ -137,7 +137,7 @@ def test_a_slip_of_a_metre_in_a_small_network_is_named_and_does_not_make_it_sing
     readings, row = few.readings.copy(), int(rng.integers(len(few)))
     readings[row, 2 * (seed % 2)] += 1.02 / (readings[row, 0] if seed % 2 else 1.0)
     broken = few.with_readings(readings)
-    assert not words(adjust_network, broken)
+    assert not words(lt.adjust, broken)
     found = check(broken)
     assert not found.passed
     assert any(row + 1 in item.rows for item in found.items if not item.passed)

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from ltsim.geometry.rotations import about_z, from_rotation_vector
-from ltsim.model.floor_plan import plan_rotation
-from ltsim.model.measurement import State, sightings_of
+from ltsim.model.measurement import State, plan_rotation, sightings_of
 from ltsim.recording.recording import Recording
 from ltsim.recording.setup import Station
 from ltsim.simulation.scenario import load_scenario

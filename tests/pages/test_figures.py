@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import io
 import itertools
 import re
@@ -20,15 +19,18 @@ from ltsim.acceptance.files import AcceptanceFile
 from ltsim.calibration.history_schema import ChiSquareEntry, CourseEntry
 from ltsim.campaigns.statistics import Scores
 from ltsim.fieldcheck.check import check as check_of
-from ltsim.pages import figures, style
-from ltsim.pages.figures.acceptance import shares_of_limits
-from ltsim.pages.figures.check import check_figure
-from ltsim.pages.figures.coverage import coverage, interval, uncovered
-from ltsim.pages.figures.history import history_figure, told_apart
-from ltsim.pages.planned import from_scenario
+from ltsim.pages import style
+from ltsim.pages.figures import (
+    campaign as sweeps,
+    floor_plan as floors,
+    parameters as estimates,
+    plan as plans,
+    points as points,
+    residuals as misfits,
+)
 from ltsim.pages.residuals import Residuals
 from ltsim.pages.sections.campaign import coverage_words
-from ltsim.pages.workshop import from_adjustment
+from ltsim.pages.workshop import from_adjustment, from_scenario
 from ltsim.planning.schema import ChangeEntry
 from ltsim.randomness import stream
 from ltsim.recording.specification import sheet
@@ -44,46 +46,46 @@ def residuals() -> tuple[Residuals, Residuals]:
     return Residuals.from_adjustment(samples.before()), Residuals.from_adjustment(samples.after())
 
 
-def correlation() -> Figure:
+def correlation_figure() -> Figure:
     covariance = samples.after().instrument_covariance
     sigma = np.sqrt(np.diag(covariance))
-    return figures.correlation(samples.after().construction.names, covariance / np.outer(sigma, sigma))
+    return estimates.correlation_figure(samples.after().construction.names, covariance / np.outer(sigma, sigma))
 
 
 def by_setting() -> Figure:
     rows = [
-        figures.Mean(f"noise {s} {MARKUP}", method, 40.0 + s, 39.0 + s, 41.0 + s, 20.0 + s, 60.0 + s)
+        sweeps.Swept(f"noise {s} {MARKUP}", method, "", 40.0 + s, 39.0 + s, 41.0 + s, 20.0 + s, 60.0 + s)
         for s in range(3)
         for method in ("network", "distance")
     ]
-    return figures.by_setting(rows, label="improvement [%]", published=40.1)
+    return sweeps.by_setting(rows, label="improvement [%]", published=40.1)
 
 
 def by_factor() -> Figure:
     rows = [
-        figures.Swept(x, method, f"faces {panel} {MARKUP}", x + m, x + m - 0.2, x + m + 0.2, x + m - 2, x + m + 2)
+        sweeps.Swept(x, method, f"faces {panel} {MARKUP}", x + m, x + m - 0.2, x + m + 0.2, x + m - 2, x + m + 2)
         for x in (1.0, 2.0, 4.0, 10.0)
         for m, method in enumerate(("network", "distance"))
         for panel in (1, 2)
     ]
-    return figures.by_factor(rows, label="error [µm]", axis="noise factor", published=3.0)
+    return sweeps.by_factor(rows, label="error [µm]", axis="noise factor", published=3.0)
 
 
-def sigmas() -> Figure:
-    rows = [figures.SigmaRow(f"parameter-{i}", "urad", 1.0 + i, 15.0, 2.0 + i) for i in range(6)]
-    return figures.sigmas([*rows, figures.SigmaRow("alone", "um", 3.0, 20.0)])
+def sigma_figure() -> Figure:
+    rows = [estimates.SigmaRow(f"parameter-{i}", "urad", 1.0 + i, 15.0, 2.0 + i) for i in range(6)]
+    return estimates.sigma_figure([*rows, estimates.SigmaRow("alone", "um", 3.0, 20.0)])
 
 
-def history() -> Figure:
+def history_figure() -> Figure:
     labels = ("2021-09", "2021-10", MARKUP)
     values = np.array([1.0, 2.0, 1.5])
     test = ChiSquareEntry(chi2=1.0, dof=2, p_value=0.6)
     told = {"unit": "urad", "sigmas": (0.3, 0.3, 0.3), "mean": 1.5, "spread": 0.5, "constant": test}
     courses = [CourseEntry(name=f"parameter-{i}", values=tuple(values * (i + 1)), **told) for i in range(3)]
-    return history_figure(labels, courses)
+    return estimates.history_figure(labels, courses)
 
 
-def acceptance() -> Figure:
+def shares_of_limits() -> Figure:
     groups = ("bar", MARKUP)
     tests = [
         {
@@ -108,81 +110,88 @@ def acceptance() -> Figure:
             "tests": tests,
         }
     )
-    return shares_of_limits(content)
+    return points.shares_of_limits(content)
 
 
-def criteria() -> Figure:
-    rows = [figures.Criterion("distance", 29, 17, 60, 39, 40.1), figures.Criterion("worse", 3.26, 29, 39, 60, -70.6)]
-    return figures.criteria(rows)
+def criteria_figure() -> Figure:
+    rows = [
+        estimates.Criterion("distance", 29, 17, 60, 39, 40.1),
+        estimates.Criterion("worse", 3.26, 29, 39, 60, -70.6),
+    ]
+    return estimates.criteria_figure(rows)
 
 
 def distributions() -> Figure:
     draws = stream(1, "figure").normal(29, 4, (4, 500))
     names = ("coordinate, improvement", "distance, mean after", "coordinate, largest before", MARKUP)
-    rows = [figures.Distribution(name, v, "um", 30.0) for name, v in zip(names, draws, strict=True)]
-    return figures.distributions(rows)
+    rows = [sweeps.Distribution(name, v, "um", 30.0) for name, v in zip(names, draws, strict=True)]
+    return sweeps.distributions(rows)
 
 
 def floor_plan() -> Figure:
-    return figures.floor_plan(from_adjustment(samples.after()))
+    return floors.floor_plan(from_adjustment(samples.after()))
 
 
-def parameters() -> Figure:
+def parameter_figure() -> Figure:
     adjusted = samples.after()
     sigma = np.sqrt(np.diag(adjusted.instrument_covariance))
     rows = [
-        figures.ParameterRow(p.name, v / p.factor, s / p.factor, p.unit, p.prior_sigma / p.factor, truth=0.0)
+        estimates.ParameterRow(p.name, v / p.factor, s / p.factor, p.unit, p.prior_sigma / p.factor, truth=0.0)
         for p, v, s in zip(adjusted.construction.parameters, adjusted.state.instrument[0], sigma, strict=True)
     ]
-    return figures.parameters(rows)
+    return estimates.parameter_figure(rows)
 
 
 def reflector_changes() -> Figure:
     changes = [ChangeEntry.model_validate(change) for change in samples.REFLECTOR_CHANGES]
-    return figures.reflector_changes(from_scenario(load_scenario("paper-workshop")), changes)
+    return plans.reflector_changes(from_scenario(load_scenario("paper-workshop")), changes)
 
 
 def residuals_by_covariate() -> Figure:
-    return figures.residuals_by_covariate(residuals()[1])
+    return misfits.residuals_by_covariate(residuals()[1])
 
 
 def residuals_by_station() -> Figure:
     first, second = residuals()
-    return figures.residuals_by_station(second, first)
+    return misfits.residuals_by_station(second, first)
 
 
-def signature() -> Figure:
+def signature_figure() -> Figure:
     first, second = residuals()
-    return figures.signature(first, second, covariate="elevation", observables=["elevation"], stations=["S2"])
+    return misfits.signature_figure(first, second, covariate="elevation", observables=["elevation"], stations=["S2"])
 
 
 def trade_off() -> Figure:
-    layouts = [figures.Layout(str(i), 20.0 + i, 9.0 - 0.2 * i) for i in range(12)]
-    layouts += [figures.Layout("5 stations", 40.0, 3.0, "chosen"), figures.Layout(MARKUP, 25.0, 5.0, "best")]
-    return figures.trade_off(layouts)
+    layouts = [plans.Layout(str(i), 20.0 + i, 9.0 - 0.2 * i) for i in range(12)]
+    layouts += [plans.Layout("5 stations", 40.0, 3.0, "chosen"), plans.Layout(MARKUP, 25.0, 5.0, "best")]
+    return plans.trade_off(layouts)
 
 
-def visibility() -> Figure:
-    return figures.visibility(["S1", MARKUP], ["T1", "T2", "T3"], [["", "shadow cone", ""], ["incidence", "", ""]])
+def visibility_figure() -> Figure:
+    return plans.visibility_figure(["S1", MARKUP], ["T1", "T2", "T3"], [["", "shadow cone", ""], ["incidence", "", ""]])
 
 
-def budget() -> Figure:
-    return figures.budget(["length", MARKUP], {"readings": [0.7, 0.2], "weather": [0.3, 0.5], MARKUP: [0.0, 0.3]})
+def budget_figure() -> Figure:
+    return estimates.budget_figure(
+        ["length", MARKUP], {"readings": [0.7, 0.2], "weather": [0.3, 0.5], MARKUP: [0.0, 0.3]}
+    )
 
 
-def check() -> Figure:
-    return check_figure(check_of(samples.recording()))
+def check_figure() -> Figure:
+    return points.check_figure(check_of(samples.recording()))
 
 
-def displacements() -> Figure:
+def displacement_figure() -> Figure:
     draws = stream(3, "figure").standard_normal((2, 6, 3))
     moved = np.array([True, False, False, False, False, True])
-    return figures.displacements(1e3 * draws[0], 20 * draws[1], np.full((6, 3), 15.0), moved, ["T1"] * 5 + [MARKUP])
+    return points.displacement_figure(
+        1e3 * draws[0], 20 * draws[1], np.full((6, 3), 15.0), moved, ["T1"] * 5 + [MARKUP]
+    )
 
 
 def driver_curve() -> Figure:
     at = np.linspace(-0.6, 0.9, 40)
-    return figures.driver_curve(
+    return misfits.driver_curve(
         at, 3.0 * np.sin(3 * at), np.full(40, 0.4), covariate="elevation", carrier="distance", unit="um",
         residuals=residuals()[0],
     )  # fmt: skip
@@ -193,18 +202,18 @@ def scores(z: np.ndarray) -> list[Scores]:
     return [Scores(0, "network", f"parameter-{i}", z.shape[1], 0.0, 1.0, float(s)) for i, s in enumerate(shares)]
 
 
-def coverage_figure() -> Figure:
-    return coverage(scores(stream(2, "figure").standard_normal((5, 400))))
+def coverage() -> Figure:
+    return sweeps.coverage(scores(stream(2, "figure").standard_normal((5, 400))))
 
 
 def hidden_and_found() -> Figure:
     at = np.linspace(0, 30, 40)
-    return figures.hidden_and_found(at, np.sin(at), 1.1 * np.sin(at), axis="time [min]", label="change [µm]")
+    return misfits.hidden_and_found(at, np.sin(at), 1.1 * np.sin(at), axis="time [min]", label="change [µm]")
 
 
 def whereabouts() -> Figure:
     state, made = samples.after().state, samples.recording()
-    return figures.whereabouts(
+    return misfits.whereabouts(
         made.stations, state.position, made.targets, state.points, marked=made.targets[:2], pairs=[made.targets[:2]]
     )
 
@@ -212,10 +221,10 @@ def whereabouts() -> Figure:
 DRAWINGS = {
     f.__name__: f
     for f in (
-        acceptance, budget, by_factor, by_setting, check, correlation, coverage_figure, criteria, displacements,
-        distributions, driver_curve, floor_plan, hidden_and_found, history, parameters, reflector_changes,
-        residuals_by_covariate, residuals_by_station, sigmas, signature, trade_off, visibility,
-        whereabouts,
+        shares_of_limits, budget_figure, by_factor, by_setting, check_figure, correlation_figure, coverage,
+        criteria_figure, displacement_figure, distributions, driver_curve, floor_plan, hidden_and_found,
+        history_figure, parameter_figure, reflector_changes, residuals_by_covariate, residuals_by_station,
+        sigma_figure, signature_figure, trade_off, visibility_figure, whereabouts,
     )
 }  # fmt: skip
 
@@ -228,8 +237,9 @@ def pixels(figure: Figure) -> np.ndarray:
 
 
 def test_every_figure_is_drawn_here() -> None:
-    offered = {name for name, one in vars(figures).items() if inspect.isfunction(one) and hasattr(one, "__wrapped__")}
-    assert offered <= set(DRAWINGS)
+    modules = (estimates, floors, misfits, plans, points, sweeps)
+    drawn = [one for module in modules for one in vars(module).values() if hasattr(one, "__wrapped__")]
+    assert {one.__name__ for one in drawn} <= set(DRAWINGS)
 
 
 @pytest.mark.parametrize("draw", DRAWINGS.values(), ids=DRAWINGS)
@@ -263,7 +273,7 @@ def test_figure_is_the_same_twice_and_holds_no_script(draw: Callable[[], Figure]
 def many_correlations() -> Figure:
     """Of a chain with more parameters than a picture has room for names."""
     matrix = np.corrcoef(stream(4, "figure").standard_normal((70, 90)))
-    return figures.correlation([f"J{i % 3}.eX_cos{i}" for i in range(70)], matrix)
+    return estimates.correlation_figure([f"J{i % 3}.eX_cos{i}" for i in range(70)], matrix)
 
 
 @pytest.mark.parametrize("draw", [*DRAWINGS.values(), many_correlations], ids=[*DRAWINGS, "many"])
@@ -300,22 +310,22 @@ def test_axes_carry_units() -> None:
 
 def test_a_plan_lists_where_each_tripod_goes() -> None:
     workshop = from_adjustment(samples.after())
-    words = [text.get_text() for text in figures.floor_plan(workshop, coordinates=True).legends[0].get_texts()]
+    words = [text.get_text() for text in floors.floor_plan(workshop, coordinates=True).legends[0].get_texts()]
     x, y, z = workshop.position[1]
     assert f"S2: {x:.3f}, {y:.3f}, {z:.3f} m, {np.degrees(workshop.yaw[1]) % 360:.0f}°" in words
     assert len(words) == len(floor_plan().legends[0].get_texts()) + 2 + len(workshop.stations)
 
 
 def test_labels_lose_what_they_share() -> None:
-    assert told_apart(["tracker_20Sep", "tracker_22Sep"]) == ("20Sep", "22Sep")
-    assert told_apart(["one", "two"]) == ("one", "two")
-    assert told_apart(["same", "same"]) == ("same", "same")
-    assert told_apart(["a-b-", "a-b-1"]) == ("a-b-", "a-b-1")
+    assert estimates.told_apart(["tracker_20Sep", "tracker_22Sep"]) == ("20Sep", "22Sep")
+    assert estimates.told_apart(["one", "two"]) == ("one", "two")
+    assert estimates.told_apart(["same", "same"]) == ("same", "same")
+    assert estimates.told_apart(["a-b-", "a-b-1"]) == ("a-b-", "a-b-1")
 
 
 def test_drawing_changes_no_global_setting() -> None:
     kept = dict(mpl.rcParams)
-    criteria()
+    criteria_figure()
     assert dict(mpl.rcParams) == kept
 
 
@@ -328,25 +338,25 @@ def test_numbers_read_like_numbers() -> None:
 
 def test_coverage_interval_is_wilsons() -> None:
     row = Scores(0, "network", "a", 100, 0.0, 1.0, 0.95)
-    assert interval(row) == pytest.approx((0.8882, 0.9785), abs=1e-4)  # Wilson 1927 for 95 of 100
+    assert sweeps.interval(row) == pytest.approx((0.8882, 0.9785), abs=1e-4)  # Wilson 1927 for 95 of 100
 
 
 def test_coverage_is_red_exactly_where_its_caption_says() -> None:
     z = stream(4, "figure").standard_normal((6, 1000)) * np.array([1.0, 1.2, 1.0, 0.7, 1.0, 1.03])[:, None]
     rows = scores(z)
-    (drawn,) = (line for line in coverage(rows).axes[0].lines if line.get_color() == style.RED)
-    assert uncovered(rows) == [i in drawn.get_ydata() for i in range(6)] == [i in (1, 3) for i in range(6)]
+    (drawn,) = (line for line in sweeps.coverage(rows).axes[0].lines if line.get_color() == style.RED)
+    assert sweeps.uncovered(rows) == [i in drawn.get_ydata() for i in range(6)] == [i in (1, 3) for i in range(6)]
     words = coverage_words(rows)
     assert words.endswith("Red, since that lies outside the allowed band of 93.5 to 96.5 %: parameter-1, parameter-3.")
     assert "None is red" in coverage_words(rows[:1])
 
 
 def test_factors_with_words_and_designs_have_axes_that_read() -> None:
-    rows = [figures.Swept(x, "network", "", 1.0, 0.9, 1.1, 0.5, 1.5) for x in ("no", "yes")]
-    ax = figures.by_factor(rows, label="error [µm]", axis="corrected").axes[0]
+    rows = [sweeps.Swept(x, "network", "", 1.0, 0.9, 1.1, 0.5, 1.5) for x in ("no", "yes")]
+    ax = sweeps.by_factor(rows, label="error [µm]", axis="corrected").axes[0]
     assert [t.get_text() for t in ax.get_xticklabels()] == ["no", "yes"]
-    spread = [figures.Swept(x, "network", "noise", 1.0, 0.9, 1.1, 0.5, 1.5) for x in np.geomspace(0.1, 3, 20)]
-    ax = figures.by_factor(spread, label="error [µm]", axis="", joined=False).axes[0]
+    spread = [sweeps.Swept(x, "network", "noise", 1.0, 0.9, 1.1, 0.5, 1.5) for x in np.geomspace(0.1, 3, 20)]
+    ax = sweeps.by_factor(spread, label="error [µm]", axis="", joined=False).axes[0]
     assert [t.get_text() for t in ax.get_xticklabels()] == ["0.1", "0.2", "0.5", "1", "2"]
     assert ax.get_xlabel() == "noise"
 

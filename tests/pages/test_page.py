@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import shutil
+import subprocess
+import sys
 from html.parser import HTMLParser
 from pathlib import Path
 from urllib.request import urlopen
@@ -13,6 +15,8 @@ import pytest
 
 from ltsim.calibration import calibrate_network, write_calibration
 from ltsim.errors import LtsimError, RecordError
+from ltsim.fieldcheck import write_check
+from ltsim.fieldcheck.check import check
 from ltsim.pages.document import Document
 from ltsim.pages.page import document, render, report
 from ltsim.recording import write
@@ -294,3 +298,21 @@ def test_calibration_says_what_was_left_out_and_which_noise_was_found(tmp_path: 
     note = next(b for b in document(tmp_path / "plain").sections[0].blocks if b.title == "Which test to trust")
     assert note.kind == "note"
     assert note.text.startswith("Trust the ")
+
+
+def test_a_check_has_its_tests_in_a_table(tmp_path: Path) -> None:
+    write_check(check(samples.recording()), tmp_path, {})
+    (section,) = document(tmp_path).sections
+    (table,) = (block for block in section.blocks if block.kind == "table")
+    assert list(table.header)[:3] == ["station", "test", "what was found"]
+    assert len(table.rows) == int(section.facts[0].value)
+
+
+def test_the_page_of_a_diagnosis_needs_no_3d(folder: Path, tmp_path: Path) -> None:
+    """It opens in a few seconds and takes 200 MB; what draws 3D takes 300 more."""
+    alone = shutil.copytree(folder / "diagnosis", tmp_path / "diagnosis")
+    write(samples.recording(), alone / "recording")
+    code = f"import sys, ltsim as lt; lt.report({str(alone)!r}); print('pyvista' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "False\n"
+    assert "Floor plan" in {block.title for section in document(alone).sections for block in section.blocks}

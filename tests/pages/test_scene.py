@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from matplotlib import image
 
-from ltsim.pages import planned, scene3d, workshop
+from ltsim.pages import scene3d, workshop
 from ltsim.pages.document import POLICY
 from ltsim.pages.figures.floor_plan import floor_plan
 from ltsim.pages.scene_page import scene_page
@@ -91,7 +91,7 @@ def test_station_names_may_be_long_or_foreign(scene: workshop.Workshop) -> None:
 
 def test_scenario_stands_as_planned() -> None:
     scenario = load_scenario("paper-workshop")
-    shown = planned.from_scenario(scenario)
+    shown = workshop.from_scenario(scenario)
     assert shown.position[0] == pytest.approx(np.array(scenario.stations["S1"].position_mm) / 1e3)
     assert shown.sights is not None
     assert len(shown.sights.station) == 5 * 28
@@ -102,7 +102,7 @@ def test_obstacle_hides_and_is_drawn() -> None:
     scenario = load_scenario("paper-workshop")
     press = Obstacle(name="press", box_mm=(1200, 800, 2600), position_mm=(1500, 1500, 0))
     room = scenario.workshop.model_copy(update={"obstacles": (press,)})
-    shown = planned.from_scenario(scenario.model_copy(update={"workshop": room}))
+    shown = workshop.from_scenario(scenario.model_copy(update={"workshop": room}))
     assert shown.sights is not None
     assert len(shown.sights.station) < 140
     assert shown.notes

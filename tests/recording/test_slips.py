@@ -10,9 +10,8 @@ import pytest
 from ltsim.effects.wrong_unit import WrongUnit
 from ltsim.errors import ModelError, RecordError
 from ltsim.recording.native import write_recording
-from ltsim.recording.plausibility import slip_by_lengths
 from ltsim.recording.recording import Recording
-from ltsim.recording.slips import FACE_SLIPS, UNIT_SLIPS, Slip
+from ltsim.recording.slips import FACE_SLIPS, UNIT_SLIPS, Slip, slip_by_lengths
 from tests.networks import network
 
 ANGULAR = [slip for slip in UNIT_SLIPS if 0 not in slip.columns and slip.name != "clockwise"]

@@ -70,7 +70,7 @@ def test_a_report_is_understood(tmp_path: Path, clockwise: bool) -> None:
     sense = "clockwise" if clockwise else "counter-clockwise"
     notes = " ".join(recording.notes)
     assert f"azimuths taken as {sense}: so the set-ups see the same points" in notes
-    assert "vertical one as zenith" in notes
+    assert "taken as zenith angles" in notes
     assert "2 observations are switched off" in notes
     assert recording.has_clock
     assert recording.time.max() == 15 * 60

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ltsim.calibration import adjust_network
+import ltsim as lt
 from ltsim.errors import RecordError
 from ltsim.recording import Hints, Recording, read, write
 from ltsim.recording.tables import cells
@@ -314,11 +314,11 @@ def test_twelve_dialects_of_one_network(shared: Path) -> None:
     folder = shared / "recordings" / "tables"
     if not folder.is_dir():
         pytest.skip("the tables are not beside this checkout")
-    whole = adjust_network(read(folder / "reference"))
+    whole = lt.adjust(read(folder / "reference"))
     for path in sorted(folder.iterdir()):
         if path.name[:2].isdigit():
             said = COLUMNS if path.name.startswith("11") else None
-            found = adjust_network(read(path, hints=Hints(columns=said, setup=folder / "reference")))
+            found = lt.adjust(read(path, hints=Hints(columns=said, setup=folder / "reference")))
             rounded = path.name[:2] in ("02", "04", "05", "06")
             np.testing.assert_allclose(
                 found.fit.chi2, whole.fit.chi2, rtol=1e-5 if rounded else 1e-9, err_msg=path.name
@@ -368,4 +368,4 @@ def test_heights_beside_readings_between_the_heads_are_not_applied_and_it_is_sai
     if said:
         assert "15 lines seen to and fro close within" in said[0]
     assert bool(np.any(recording.heights()[1])) != axis_to_axis
-    assert adjust_network(recording).fit.sigma0 < 20.0
+    assert lt.adjust(recording).fit.sigma0 < 20.0

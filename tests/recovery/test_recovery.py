@@ -11,7 +11,7 @@ from scipy import stats
 
 import ltsim as lt
 from ltsim.calibration import calibrate_network
-from ltsim.campaigns.recovery import How, Recovery, from_prior, recover
+from ltsim.campaigns.recovery import How, Recovery, from_prior, run_trials
 from ltsim.campaigns.recovery_checks import FALSE_ALARM, mean_check, parameter_checks
 from ltsim.campaigns.scoring import Network, Trial
 from ltsim.evaluation.share_removed import target_error
@@ -23,7 +23,7 @@ from ltsim.simulation.simulator import measure
 
 def run_recovery(name: str, trials: int, **settings) -> Recovery:
     how = How(settings.pop("method", "network"), settings.pop("construction", None))
-    return Recovery(tuple(recover(load_scenario(name), trials, how, seed=11, **settings)))
+    return Recovery(tuple(run_trials(load_scenario(name), trials, how, seed=11, **settings)))
 
 
 def flipped(slot: str) -> Construction:
@@ -56,7 +56,7 @@ def test_the_paper_chain_recovers_itself() -> None:
     scenario = load_scenario("paper-workshop-two-face")
     instrument = scenario.instrument.model_copy(update={"construction": "dh"})
     scenario = scenario.model_copy(update={"instrument": instrument})
-    trials = tuple(recover(scenario, 100, seed=3, jobs=2))
+    trials = tuple(run_trials(scenario, 100, seed=3, jobs=2))
     assert [c.sentence() for c in Recovery(trials).failures()] == []
 
 
@@ -78,7 +78,7 @@ def test_a_parameter_that_the_model_lacks_fails() -> None:
 def test_understated_noise_fails() -> None:
     scenario = load_scenario("paper-workshop-re-aimed")
     noisy = scenario.model_copy(update={"instrument": scenario.instrument.model_copy(update={"noise_factor": 1.5})})
-    result = Recovery(tuple(recover(noisy, 40, seed=1)))
+    result = Recovery(tuple(run_trials(noisy, 40, seed=1)))
     assert {"chi-square", "targets"} <= {failure.what for failure in result.failures()}
 
 

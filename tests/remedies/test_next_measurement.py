@@ -71,7 +71,7 @@ def test_a_proposal_keeps_its_promise_when_it_is_measured(drifting: tuple[Record
     noise = np.random.default_rng(3).normal(size=best.recording.readings.shape) * best.recording.sigma()
     readings = best.recording.readings + noise * added[:, None]
     before, after = adjust(recording, construction), adjust(best.recording.with_readings(readings), construction)
-    scale = before.problem.prior_sigma[0]
+    scale = before.problem.prior.sigma[0]
     ratio = [float(d_criterion(a.instrument_covariance / np.outer(scale, scale))) for a in (before, after)]
     assert ratio[1] / ratio[0] == pytest.approx(made.proposals[0].sharper, rel=0.01)
 

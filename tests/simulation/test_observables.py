@@ -9,7 +9,7 @@ import pytest
 
 import ltsim as lt
 from ltsim.adjustment import adjust
-from ltsim.campaigns.cell import truth_of
+from ltsim.campaigns.truth import truth_of
 from ltsim.errors import SetupError
 from ltsim.model.construction import misalignment
 from ltsim.planning.workshop import survey_of

@@ -8,8 +8,7 @@ import scipy.sparse as sp
 
 from ltsim.randomness import stream
 from ltsim.solve.blocks import BlockSystem, Factor, SingularSystemError
-from ltsim.solve.design import Design
-from ltsim.solve.rank import DOUBTFUL, FORMED, RANK, cholesky_where_determined, unit_diagonal
+from ltsim.solve.design import DOUBTFUL, FORMED, RANK, Design, cholesky_where_determined, unit_diagonal
 
 
 def nearly_dependent(size: int, image: float, seed: int = 0) -> np.ndarray:

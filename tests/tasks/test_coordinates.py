@@ -16,7 +16,7 @@ from ltsim.geometry.rigid import rigid_motion
 from ltsim.randomness import stream
 from ltsim.recording.coordinates import Coordinates, read_coordinates
 from ltsim.recording.result_file import read_result
-from ltsim.tasks.comparison import ComparisonFile
+from ltsim.tasks.comparison import Comparison
 from ltsim.tasks.epochs import compare_coordinates
 
 POINTS = ("901", "902", "903", "904", "905")
@@ -41,7 +41,7 @@ def test_each_point_alone_is_tested_by_its_own_blocks() -> None:
     own = [
         d @ np.linalg.solve((first.covariance + second.covariance)[b], d) for d, b in zip(shift, blocks, strict=True)
     ]
-    np.testing.assert_allclose([d.own for d in found.displacements], own, rtol=1e-9)
+    np.testing.assert_allclose([d.own_chi2 for d in found.displacements], own, rtol=1e-9)
     assert not found.moved
     assert found.dof == 10
 
@@ -67,8 +67,8 @@ def test_the_verb_compares_lists(tmp_path: Path, capsys: pytest.CaptureFixture[s
     paths = [str(written(crown(i), tmp_path / f"{i}.csv")) for i in (0, 1)]
     assert run(["compare", *paths, "--out", str(tmp_path / "out")]) == 0
     assert "no point moved" in capsys.readouterr().out
-    content = read_result(tmp_path / "out", ComparisonFile)
-    own = [d.own for d in compare_coordinates(crown(0), crown(1)).displacements]
+    content = read_result(tmp_path / "out", Comparison)
+    own = [d.own_chi2 or np.nan for d in compare_coordinates(crown(0), crown(1)).displacements]
     np.testing.assert_allclose([d.own_chi2 or np.nan for d in content.displacements], own, rtol=1e-6)
     assert run(["report", str(tmp_path / "out"), "--quiet"]) == 0
     assert not lt.compare(*paths).moved
@@ -115,10 +115,10 @@ def test_free_networks_are_compared_whatever_their_frames(axes: str) -> None:
     assert 0.35 < np.mean([c.p_value for c in found]) < 0.65
     assert sum(bool(c.moved) for c in found) <= 6
     shift = np.zeros((10, 3))
-    shift[4, "xyz".index(axes[0])] = 2.0 * found[0].displacements[4].surely
+    shift[4, "xyz".index(axes[0])] = 2e-6 * found[0].displacements[4].visible_um[1]
     moved = compare_coordinates(network(axes, 0), network(axes, 1, shift, turned=turned), free=True)
     assert moved.moved == ("P4",)
-    assert np.isnan(moved.displacements[0].own)
+    assert moved.displacements[0].own_chi2 is None
 
 
 GAMA = """<?xml version="1.0"?>
@@ -147,7 +147,7 @@ def test_results_of_gama_are_read(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.points[:, 2], [101.2345, 99.5])
     np.testing.assert_allclose(found.covariance, [[1e-6, 0.25e-6], [0.25e-6, 2e-6]])
     path.write_text(GAMA.replace("<band>1</band>", "<band>2</band>"))
-    with pytest.raises(RecordError, match="another size"):
+    with pytest.raises(RecordError, match="do not match dim and band"):
         read_coordinates(path)
     path.write_text(GAMA.replace("<flt>0.25</flt>", "<flt>25</flt>"))
     with pytest.raises(RecordError, match="negative in some direction"):

@@ -14,7 +14,7 @@ from ltsim.model.construction import misalignment
 from ltsim.recording import write
 from ltsim.recording.recording import Recording
 from ltsim.recording.result_file import read_result
-from ltsim.tasks.comparison import ComparisonFile
+from ltsim.tasks.comparison import Comparison
 from ltsim.tasks.epochs import compare
 from tests.networks import drawn, network
 
@@ -48,15 +48,15 @@ def test_no_motion_is_told_where_there_is_none() -> None:
 def test_a_point_that_moved_is_named_and_no_other() -> None:
     first = epoch(1)
     plain = compare(first, epoch(2), same_instrument=True)
-    size = 1.5 * plain.displacements[5].surely
+    size = 1.5e-6 * plain.displacements[5].visible_um[1]
     direction = np.array([1.0, -2.0, 1.0]) / np.sqrt(6.0)
     shift = (size * direction[0], size * direction[1], size * direction[2])
     found = compare(first, epoch(2, ("T06", shift)), same_instrument=True)
     assert found.moved == ("T06",)
     told = found.displacements[5]
-    gap = told.shift - shift
-    assert gap @ np.linalg.solve(told.covariance, gap) < 16.3  # 99.9 % of three directions
-    assert found.after > 0.001
+    gap = told.shift_um - 1e6 * np.array(shift)
+    assert gap @ np.linalg.solve(told.covariance_um2, gap) < 16.3  # 99.9 % of three directions
+    assert found.p_value_after > 0.001
     assert "T06" in found.sentence
 
 
@@ -73,7 +73,10 @@ def test_what_both_epochs_share_does_not_count() -> None:
     first, second = epoch(1), epoch(2)
     apart, same = compare(first, second), compare(first, second, same_instrument=True)
     assert same.statistic > apart.statistic
-    assert all(s.surely <= a.surely * (1 + 1e-9) for s, a in zip(same.displacements, apart.displacements, strict=True))
+    assert all(
+        s.visible_um[1] <= a.visible_um[1] * (1 + 1e-9)
+        for s, a in zip(same.displacements, apart.displacements, strict=True)
+    )
 
 
 def test_a_scale_is_estimated_where_it_is_asked_for() -> None:
@@ -89,7 +92,7 @@ def test_a_scale_is_estimated_where_it_is_asked_for() -> None:
     )
     grown = recording.replace(readings=readings, setup=recording.setup.model_copy(update={"gauge": gauge}))
     found = compare(epoch(1), adjust(grown, misalignment()), scaled=True)
-    assert found.scale == pytest.approx(20e-6, abs=6e-6)
+    assert found.scale_ppm == pytest.approx(20, abs=6)
     assert not found.moved
 
 
@@ -107,6 +110,6 @@ def test_the_verb(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     arguments = [str(tmp_path / "one"), str(tmp_path / "two"), "--same-instrument"]
     assert run(["compare", *arguments, "--out", str(tmp_path / "out")]) == 1
     assert "T06 by 4" in capsys.readouterr().out
-    content = read_result(tmp_path / "out", ComparisonFile)
+    content = read_result(tmp_path / "out", Comparison)
     assert [d.target for d in content.displacements if d.moved] == ["T06"]
     assert run(["report", str(tmp_path / "out"), "--quiet"]) == 0

@@ -18,13 +18,12 @@ from ltsim.randomness import stream
 from ltsim.recording import write
 from ltsim.recording.result_file import read_result
 from ltsim.tasks.evaluation import Evaluation, evaluate_tasks
-from ltsim.tasks.files import UncertaintyFile, compared, told
+from ltsim.tasks.files import UncertaintyFile, compared, conformity, normalised_error
 from ltsim.tasks.inputs import Inputs, Source
 from ltsim.tasks.measurands import Measurand
 from ltsim.tasks.montecarlo import draw, shortest_intervals
 from ltsim.tasks.propagation import expansion_of, propagate
 from ltsim.tasks.spec import Decision, MonteCarlo, Task, Tasks, Tolerance, tasks_from
-from ltsim.tasks.verdict import conformity, normalised_error
 from tests.networks import drawn, network
 
 TASKS: dict[str, Any] = {
@@ -126,6 +125,26 @@ def test_the_tip_of_a_rod_is_worth_what_its_lever_says() -> None:
     assert np.allclose(tip.by_points(points)[0], [0, 0, 0, 1, 0, 0], atol=1e-6)
 
 
+def test_long_ranges_have_the_air_in_their_budget() -> None:
+    """Ten times the network: 60 m. What the file states itself is not counted twice; short ranges have none of it."""
+    near, _ = network(seed=3)
+    readings = near.readings * [10.0, 1.0, 1.0]
+    setup = near.setup.model_copy(update={"gauge": None})
+    far = near.replace(readings=readings, setup=setup)
+    names = {"temperature of the air", "gradient of the air", "turbulence"}
+    length = tasks(task=TASKS["task"][:1], type_b=[])
+    assert not names & {source.name for source in Inputs.of(near, length).sources}
+    found = evaluate_tasks(far, length)
+    assert names <= set(found.linear.shares)
+    assert "0.5 K along the beams" in found.warnings[0]
+    along = 0.5 * 0.95e-6 * found.linear.values[0]
+    assert 0.3 * along < np.sqrt(found.linear.shares["temperature of the air"][0]) < 3.0 * along
+    stated = Inputs.of(far, tasks(task=TASKS["task"][:1], type_b=TASKS["type_b"][:1]))
+    assert {"gradient of the air", "turbulence"} == names & {source.name for source in stated.sources}
+    calm = {"temperature_k": 0.0, "gradient_k_per_m": 0.0, "turbulence_um2_per_m3": 0.0}
+    assert not names & {source.name for source in Inputs.of(far, tasks(type_b=[], air=calm)).sources}
+
+
 def test_published_distributions() -> None:
     """JCGM 101:2008, 9.2.3 and 9.2.4: sums of four rectangular variates of unit, and of unequal, deviation."""
     task = Task(name="sum", kind="point", targets=("P",))
@@ -184,7 +203,7 @@ def test_conformity() -> None:
     assert at_limit.probability == pytest.approx(0.5, abs=1e-6)
     assert at_limit.judgement == "accepted"
     guarded = conformity(9.0, 1.0, limits, Decision(risk=0.05))
-    assert guarded.guard == pytest.approx(1.645, abs=1e-3)
+    assert guarded.guard_band == pytest.approx(1.645, abs=1e-3)
     assert guarded.judgement == "undecided"
     inside = conformity(10.0 - 1.645, 1.0, limits, Decision(risk=0.05))
     assert inside.judgement == "accepted"
@@ -209,7 +228,7 @@ def test_the_part_is_brought_to_its_reference_temperature() -> None:
 
 
 def test_results_against_themselves_differ_by_nothing() -> None:
-    content = told(evaluated())
+    content = evaluated().content
     assert {value for _, value in compared(content, content)} == {0.0}
 
 

@@ -9,7 +9,6 @@ from ltsim.arrays import Floats
 from ltsim.errors import ModelError
 from ltsim.randomness import stream
 from ltsim.tasks.features import LEAST, fit
-from ltsim.tasks.minimum_zone import minimum_zone, zone_widths
 
 KINDS = tuple(LEAST)
 
@@ -99,30 +98,3 @@ def test_points_that_determine_nothing_are_refused(kind: str) -> None:
         on_a_line = np.outer(np.linspace(-1, 1, 8), [1.0, 2.0, 3.0])
         with pytest.raises(ModelError):
             fit(kind, on_a_line)
-
-
-def width(kind: str, deviations: Floats) -> float:
-    return float(2 * deviations.max() if kind == "line" else np.ptp(deviations))
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_the_minimum_zone_touches_as_many_points_as_a_minimum_must(kind: str) -> None:
-    """At a strict minimum the contacts are one more than the freedoms of the zone; two may hold a cylinder's side."""
-    points = surface(kind, 14)[0] + 1e-4 * stream(8, kind).standard_normal((14, 3))
-    zone = minimum_zone(kind, points)
-    least = width(kind, zone.deviations)
-    assert least <= width(kind, fit(kind, points).deviations)
-    free = {"line": 4, "plane": 2, "circle": 2, "sphere": 3, "cylinder": 4}[kind]
-    size = np.abs(zone.deviations)
-    contacts = int(np.sum(size > size.max() - 1e-3 * least))
-    assert contacts >= (3 if kind == "line" else free + 2)
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_zones_of_neighbours_without_a_search_are_those_of_the_search(kind: str) -> None:
-    points = surface(kind, 9)[0] + 1e-4 * stream(9, kind).standard_normal((9, 3))
-    near = minimum_zone(kind, points)
-    many = points + 1e-5 * stream(10, kind).standard_normal((40, 9, 3))
-    fast = zone_widths(kind, many, near)
-    slow = np.array([width(kind, minimum_zone(kind, one).deviations) for one in many[:6]])
-    assert np.allclose(fast[:6], slow, atol=2e-8, rtol=2e-3 if kind == "line" else 0.0)

@@ -1,9 +1,10 @@
-"""The floor seen from above, as the paper's Figure 5: stations, shadow circles, targets, gauge."""
+"""The floor seen from above, as the paper's Figure 5, with names where there is room."""
 
 from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -13,7 +14,6 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Polygon
 
 from ltsim.arrays import Bools, Floats, Ints
-from ltsim.pages.labels import Label, place_labels
 from ltsim.pages.style import (
     BLUE,
     CYCLE,
@@ -33,12 +33,58 @@ from ltsim.pages.workshop import Workshop
 from ltsim.planning.floor import Floor, FloorArea, distance
 from ltsim.units import DEGREE, MILLIMETRE
 
+TURNS = np.radians([0, 180, 90, 270])
+GAP = 6.0
+"""[pt] From a place to its name."""
+LETTER = (0.62, 1.25)
+"""Width and height of a letter over the font's."""
+
+
+@dataclass(frozen=True)
+class Label:
+    """A name, its place (2,) in data units, its size [pt]; `bold` ones are printed strongly, `away` is tried first."""
+
+    text: str
+    place: Floats
+    size: float = 7.0
+    bold: bool = False
+    colour: str = "#4A5056"
+    away: float = 0.0
+
+
+def place_labels(figure: Figure, ax: Axes, labels: Sequence[Label], markers: Floats) -> None:
+    """Write labels beside markers (n, 2), the first ones first; the axes' limits must stand."""
+    figure.draw_without_rendering()
+    point = figure.dpi / 72.0
+    spots = ax.transData.transform(markers).reshape(-1, 2) / point
+    left, below = ax.get_window_extent().p0 / point
+    right, top = 72.0 * figure.get_size_inches()
+    numbers = [[-1e4, -1e4, left, 1e4], [-1e4, -1e4, 1e4, below]]  # those of the axes stand there
+    numbers += [[right, -1e4, 1e4, 1e4], [-1e4, top, 1e4, 1e4]]  # and here the figure ends
+    taken = np.concatenate([np.concatenate([spots - 3.0, spots + 3.0], axis=1), numbers])
+    for label in labels:
+        half = 0.5 * label.size * np.array([LETTER[0] * len(label.text), LETTER[1]])
+        for turn in label.away + TURNS:
+            way = np.array([np.cos(turn), np.sin(turn)])
+            offset = way * (GAP + half * np.abs(way))
+            middle = ax.transData.transform(label.place) / point + offset
+            box = np.concatenate([middle - half, middle + half])
+            if not ((box[:2] < taken[:, 2:]) & (box[2:] > taken[:, :2])).all(axis=1).any():
+                taken = np.concatenate([taken, box[None]])
+                ax.annotate(
+                    label.text, tuple(label.place), xytext=tuple(offset), textcoords="offset points", ha="center",
+                    va="center", fontsize=label.size, fontweight="bold" if label.bold else "normal",
+                    color=label.colour, zorder=8, in_layout=False,
+                )  # fmt: skip
+                break
+
+
 LEVELS = ((0.9, "v", ORANGE, "low"), (3.2, "s", SKY, "middle"), (np.inf, "^", BLUE, "high"))
 MOST_LABELS = 60
 FEW_DOTS = 150
 """Above so many targets their marks are one small image."""
 MOST_PLACES = 16
-WIDE, HEIGHTS = 6.0, (3.6, 6.6)
+WIDE, HEIGHTS = 4.3, (3.6, 6.6)
 """Inches: width of the axes, and the figure's least and greatest height."""
 ON_A_WALL = 0.35
 """[m] from a side of the floor within which its wall is taken to hold a target."""
@@ -147,7 +193,6 @@ def _limits(workshop: Workshop) -> Floats:
 
 
 def _shadows(ax: Axes, workshop: Workshop) -> None:
-    """Circles on the floor that no reflector may stand in."""
     for k, opening in enumerate(workshop.openings):
         style = (
             {"facecolor": "#D55E0022", "edgecolor": RED, "linestyle": "-"}
@@ -160,7 +205,6 @@ def _shadows(ax: Axes, workshop: Workshop) -> None:
 
 
 def _obstacles(ax: Axes, workshop: Workshop) -> None:
-    """What stands in the way, as its shadow at noon."""
     if len(workshop.obstacles):
         ax.add_collection(
             PolyCollection(
@@ -200,7 +244,6 @@ def _pies(ax: Axes, workshop: Workshop, seen: Bools) -> None:
 
 
 def _gauge(ax: Axes, workshop: Workshop) -> None:
-    """Lines of known length."""
     for k, (a, b) in enumerate(workshop.gauge):
         ends = workshop.points[[a, b], :2]
         ax.plot(ends[:, 0], ends[:, 1], color=GREEN, linewidth=1.2, zorder=2, label="gauge length" if k == 0 else None)
@@ -270,7 +313,6 @@ def _joined(names: list[str]) -> str:
 
 
 def _stations(ax: Axes, workshop: Workshop, colours: Sequence[str]) -> None:
-    """Stations with a tick to azimuth zero."""
     length = 0.075 * float(np.ptp(workshop.floor, axis=0).max())
     tick: Floats = length * np.stack([np.cos(workshop.yaw), np.sin(workshop.yaw)], axis=1)
     order: Ints = np.arange(len(workshop.stations))
@@ -297,7 +339,6 @@ def _stations(ax: Axes, workshop: Workshop, colours: Sequence[str]) -> None:
 
 
 def _station_labels(workshop: Workshop) -> list[Label]:
-    """Names of stations, away from their ticks."""
     return [
         Label(shorten(name, 16), place[:2], 9.0, bold=True, colour=INK, away=float(yaw) + 1.25 * np.pi)
         for name, place, yaw in zip(workshop.stations, workshop.position, workshop.yaw, strict=True)
@@ -305,7 +346,6 @@ def _station_labels(workshop: Workshop) -> list[Label]:
 
 
 def _places(workshop: Workshop) -> tuple[list[Line2D], list[str]]:
-    """Entries of a legend: where each tripod goes."""
     lines = [
         f"{shorten(name, 10)}: {x:.3f}, {y:.3f}, {z:.3f} m, {yaw / DEGREE % 360:.0f}°"
         for name, (x, y, z), yaw in zip(workshop.stations, workshop.position, workshop.yaw, strict=True)

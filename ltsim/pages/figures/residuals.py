@@ -1,4 +1,4 @@
-"""Residuals by station and against what they might depend on, and the curve that a finding puts through them."""
+"""Residuals by station and against what they might depend on, and what a finding puts through them."""
 
 from __future__ import annotations
 
@@ -10,11 +10,13 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from ltsim.arrays import Bools, Floats
+from ltsim.pages.figures.floor_plan import Label, place_labels
 from ltsim.pages.residuals import COVARIATE_UNIT, Residuals
 from ltsim.pages.style import (
     AFTER,
     BEFORE,
     CYCLE,
+    GREY,
     INK,
     OBSERVABLE_UNIT,
     RED,
@@ -87,7 +89,7 @@ def residuals_by_station(after: Residuals, before: Residuals | None = None) -> F
 
 
 @styled
-def signature(
+def signature_figure(
     before: Residuals,
     after: Residuals,
     *,
@@ -198,3 +200,65 @@ def _running_mean(ax: Axes, x: Floats, y: Floats, *, colour: str = RED, label: s
     error = np.array([y[b].std(ddof=1) / np.sqrt(len(b)) for b in bins])
     ax.fill_between(centre, mean - 2 * error, mean + 2 * error, color=colour, alpha=0.25, linewidth=0)
     ax.plot(centre, mean, color=colour, linewidth=1.4, label=label)
+
+
+MOST_MARKED = 12
+"""Targets that can be told apart in one picture."""
+
+
+@styled
+def hidden_and_found(at: Floats, hidden: Floats, found: Floats, *, axis: str, label: str) -> Figure:
+    """Changes of readings (n,) by what was hidden, as rings, and by what was found, over a covariate (n,)."""
+    figure = new_figure(2.7)
+    ax = figure.subplots()
+    order = np.argsort(at, kind="stable")
+    ax.axhline(0.0, color=GREY, linewidth=0.7)
+    ax.plot(at[order], hidden[order], "-o", ms=5, mfc="none", color=INK, lw=0.8, label="hidden")
+    ax.plot(at[order], found[order], "-o", ms=2.4, color=RED, lw=1.2, label="found")
+    ax.set_xlabel(axis)
+    ax.set_ylabel(label)
+    quiet_axis(ax, grid="both")
+    legend_of(figure, [ax])
+    return figure
+
+
+@styled
+def whereabouts(
+    stations: Sequence[str],
+    position: Floats,
+    targets: Sequence[str],
+    points: Floats,
+    *,
+    marked: Sequence[str],
+    pairs: Sequence[tuple[str, str]] = (),
+) -> Figure:
+    """Stations (S, 3) and targets (T, 3) [m] from above; some names are marked, pairs of them joined by an arrow."""
+    figure = new_figure(3.6)
+    ax = figure.subplots()
+    places = np.concatenate([position, points])[:, :2]
+    names = [*stations, *targets]
+    hot = np.isin(names, list(marked))
+    kinds = np.arange(len(names)) < len(stations)
+    for chosen, marker, colour, word in (
+        (kinds & ~hot, "^", INK, "station"), (~kinds & ~hot, "o", AFTER, "target"),
+        (kinds & hot, "^", RED, "station of the finding"), (~kinds & hot, "o", RED, "target of the finding"),
+    ):  # fmt: skip
+        if chosen.any():
+            ax.plot(*places[chosen].T, marker, ms=6 if marker == "^" else 4.5, color=colour, label=word)
+    for pair in pairs:
+        start, end = (places[len(stations) + list(targets).index(name)] for name in pair)
+        ax.annotate(
+            "", end, start, arrowprops={"arrowstyle": "<|-|>", "color": RED, "lw": 1.6, "shrinkA": 5, "shrinkB": 5}
+        )
+    ax.set_aspect("equal", adjustable="datalim")
+    ax.set_xlabel("x [m]")
+    ax.set_ylabel("y [m]")
+    quiet_axis(ax, grid="both")
+    legend_of(figure, [ax], ncols=2)
+    order = np.argsort(~hot, kind="stable")
+    place_labels(
+        figure, ax,
+        [Label(names[i], places[i], 8.0 if hot[i] else 6.5, bold=bool(hot[i]), colour=RED if hot[i] else INK)
+         for i in order], places,
+    )  # fmt: skip
+    return figure

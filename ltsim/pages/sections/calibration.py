@@ -9,12 +9,15 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ltsim.arrays import Floats
+from ltsim.calibration.calibration import NOISE, OUTLIERS
 from ltsim.calibration.files import read_targets
 from ltsim.calibration.schema import RESIDUALS, TARGETS, CalibrationFile
 from ltsim.chances import p_text, two_sided
+from ltsim.evaluation.criteria import CRITERIA
 from ltsim.notation import number
-from ltsim.pages import figures, style
-from ltsim.pages.document import Block, Detail, Fact, Note, Section, Table, mood, picture, table_of
+from ltsim.pages import style
+from ltsim.pages.document import Block, Detail, Fact, Note, Section, Table, mood, picture, table_block, table_of
+from ltsim.pages.figures.parameters import ParameterRow, correlation_figure, parameter_figure
 from ltsim.pages.residuals import Residuals
 from ltsim.pages.sections.network import (
     TRUTH,
@@ -90,7 +93,6 @@ def calibration_section(
 
 
 def _answer(content: CalibrationFile, agreement_words: str, targets: Path | None) -> str:
-    """The first sentences: what came out, with its unit and its uncertainty."""
     size = count(len(content.stations), "station")
     if not content.parameters:
         begin = f"The network of {size} was adjusted without instrument parameters: {agreement_words}"
@@ -118,7 +120,6 @@ def _answer(content: CalibrationFile, agreement_words: str, targets: Path | None
 
 
 def _facts(content: CalibrationFile, *, agrees: bool) -> list[Fact]:
-    """Figures at a glance."""
     fit, found = content.fit, content.noise_estimated
     p = None if found or fit.p_value is None else two_sided(fit.p_value)
     facts = [
@@ -143,26 +144,32 @@ def _warnings(content: CalibrationFile, *, converged: bool) -> list[Block]:
     if content.lost_targets:
         text = "What is left of their readings does not determine them: " + ", ".join(content.lost_targets) + "."
         blocks.append(Note("Targets without coordinates", text, "bad"))
-    fields = ("station", "target", "observable", "row", "size", "w", "left_out")
-    blocks += table_of("Readings that do not belong", content.outliers, *fields)
+    blocks += table_block("Readings that do not belong", OUTLIERS.filled(content.outliers))
     note = "The factor is on the stated standard deviation; the typical sigma is the median of a reading that results."
-    heads = ("observable=readings", "instrument", "factor", "typical=typical sigma", "redundancy")
-    return blocks + table_of("Noise found from the readings", content.noise, *heads, note=note)
+    return blocks + table_block("Noise found from the readings", NOISE.filled(content.noise), note=note)
 
 
 def _known_values(content: CalibrationFile) -> list[Table]:
-    """How control points and other known values fit."""
     note = "Residual: stated less adjusted; error: by how much it is wrong by what the rest says, ± one sigma."
     shown = sorted(content.known, key=lambda entry: (not entry.left_out, -entry.w))
-    fields = ("kind", "name", "component", "residual", "error", "minimal_detectable", "redundancy", "w", "left_out")
-    return table_of("How known values fit", shown, *fields, note=note, folds=False)
+    fields = (
+        "kind",
+        "name",
+        "component",
+        "residual",
+        "error+-sigma_error",
+        "minimal_detectable=detectable",
+        "unit",
+        "redundancy",
+    )
+    return table_of("How known values fit", shown, *fields, "w", "left_out", note=note, folds=False)
 
 
-def parameter_rows(content: CalibrationFile, truth: Truth | None = None) -> list[figures.ParameterRow]:
+def parameter_rows(content: CalibrationFile, truth: Truth | None = None) -> list[ParameterRow]:
     """Rows for the figure; of a simulated recording with the true values."""
     true = {} if truth is None else {n: v / FACTOR[truth.units[n]] for n, v in truth.instrument.items()}
     return [
-        figures.ParameterRow(
+        ParameterRow(
             f"{p.name} ({p.instrument})" if p.instrument else p.name, p.value, p.sigma or 0.0, p.unit, p.prior_sigma,
             true.get(f"{p.name}@{p.instrument}" if p.instrument else p.name),
         )
@@ -171,45 +178,38 @@ def parameter_rows(content: CalibrationFile, truth: Truth | None = None) -> list
 
 
 def _parameters(content: CalibrationFile, truth: Truth | None) -> list[Block]:
-    """Figure and table of the parameters, and how they hang together."""
     rows = parameter_rows(content, truth)
     text = "Corrections (truth minus reading) with 95 % intervals, against the spread that the maker guarantees."
     note = "Corrections, truth minus reading, ± one sigma."
     blocks: list[Block] = [
-        picture("Instrument parameters", figures.parameters(rows), text),
-        *table_of(
-            "Parameters in numbers", content.parameters, "name=parameter", "instrument", "value",
-            "prior_sigma=prior sigma", note=note,
-        ),
+        picture("Instrument parameters", parameter_figure(rows), text),
+        *table_of("Parameters in numbers", content.parameters, "name=parameter", "instrument", "value+-sigma", "unit",
+                  "prior_sigma=prior sigma", note=note),
     ]  # fmt: skip
     if len(content.covariance) == len(rows) and len(rows) > 1:
         covariance = np.array(content.covariance)
         sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0))
         scale = np.where(sigma > 0, sigma, 1.0)
-        figure = figures.correlation([row.name for row in rows], covariance / np.outer(scale, scale))
+        figure = correlation_figure([row.name for row in rows], covariance / np.outer(scale, scale))
         text = "Two parameters near ±100 % can hardly be told apart with this network."
         blocks.append(picture("Correlation of the parameters", figure, text))
     return blocks
 
 
 def _criteria(content: CalibrationFile) -> list[Table]:
-    """The paper's criteria before and after."""
     rows = [
         [
             name.replace("_", " "),
-            *(number(size) for size in (e.before.mean_um, e.after.mean_um, e.before.max_um, e.after.max_um)),
-            "–" if e.improvement_percent is None else f"{e.improvement_percent:.1f} %",
+            *(e.before.mean_um, e.before.max_um, e.after.mean_um, e.after.max_um, e.improvement_percent),
         ]
         for name, e in content.criteria.items()
         if e.before.mean_um is not None and e.after.mean_um is not None
     ]
-    header = ["criterion", "mean before [um]", "after [um]", "largest before [um]", "after [um]", "better by"]
     text = "How far stations disagree about distances between reflectors and about their coordinates."
-    return [Table("Criteria before and after calibration", header, rows, note=text)] if rows else []
+    return table_block("Criteria before and after calibration", CRITERIA.filled(rows), note=text)
 
 
 def _stations(content: CalibrationFile) -> list[Table]:
-    """Where they stand."""
     header = ["station", "x [mm]", "y [mm]", "z [mm]", "U x [um]", "U y [um]", "U z [um]"]
     rows = [
         [s.name, *(style.fixed(v, 3) for v in s.position_mm),
@@ -244,7 +244,6 @@ def _covariance(sigma: Floats) -> Floats:
 
 
 def _sights(residuals: Residuals | None, stations: Sequence[str], targets: Sequence[str]) -> Sights | None:
-    """Lines of sight with the size of their normalised residuals."""
     if residuals is None:
         return None
     station, target = (

@@ -1,25 +1,37 @@
-"""What a report says of a campaign: the improvement with its interval, distributions, z-scores, coverage."""
+"""What a report says of a campaign: what was varied, the improvement with its interval, errors, z-scores, coverage."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 from matplotlib.figure import Figure
 
+from ltsim.campaigns.design import Factor
 from ltsim.campaigns.paired import errors_of
-from ltsim.campaigns.rows import CHECKED
 from ltsim.campaigns.schema import SHARES, ManifestFile, column_of
 from ltsim.campaigns.statistics import Checked, Results, Scores, Spread
 from ltsim.notation import number
-from ltsim.pages import figures
-from ltsim.pages.document import Block, Fact, Listing, Section, Table, mood, picture
-from ltsim.pages.figures.coverage import ALLOWED, coverage, uncovered
-from ltsim.pages.sections.sweep import cell_words, drawn, title, varied
-from ltsim.pages.words import count
+from ltsim.pages.document import Block, Fact, Listing, Section, Table, mood, picture, table_block
+from ltsim.pages.figures.campaign import (
+    ALLOWED,
+    MOST_LINES,
+    MOST_PANELS,
+    Distribution,
+    Swept,
+    by_factor,
+    by_setting,
+    coverage,
+    distributions,
+    uncovered,
+)
+from ltsim.pages.words import count, sentence, typeset
 from ltsim.simulation.keys import meaning_of
+from ltsim.units import BY_ENDING
 
 MOST_DRAWN = 200_000
 """Trials whose values are drawn; tables and intervals use all of them."""
@@ -69,8 +81,8 @@ def campaign_section(folder: Path) -> Section:
     drawn_ = _distributions(results, spreads, published)
     shown = [*_improvements(results, spreads, published), *_varied(results)] or drawn_[:1]
     shown[1:1] = _errors(results, spreads)
-    blocks: list[Block] = [*shown, *_statistics(results, spreads), *(b for b in drawn_ if b not in shown)]
-    blocks += [*_coverage(results, scores), _ends(results, ends)]
+    blocks: list[Block] = [*shown, *(b for b in drawn_ if b not in shown)]
+    blocks += [*_coverage(results, scores), *_statistics(results, spreads, ends)]
     blocks.append(Listing("Settings of the campaign", json.dumps(manifest.settings, indent=1)))
     blocks.append(Listing("Scenarios of its cells", json.dumps(manifest.scenarios, indent=1)))
     versions = [*manifest.versions.items(), *([("commit", manifest.commit[:12])] if manifest.commit else [])]
@@ -88,9 +100,8 @@ def campaign_section(folder: Path) -> Section:
     )
 
 
-def _mean(s: Spread) -> str:
-    """Mean over the trials with its 95 % interval."""
-    return f"{number(s.mean)} (95 %: {number(s.low)} to {number(s.high)})"
+def _mean(s: Spread, level: str = "95 %: ") -> str:
+    return f"{number(s.mean)} ({level}{number(s.low)} to {number(s.high)})"
 
 
 def _answer(results: Results, spreads: Mapping[str, list[Spread]], ends: Sequence[Checked]) -> str:
@@ -114,7 +125,6 @@ def _answer(results: Results, spreads: Mapping[str, list[Spread]], ends: Sequenc
 
 
 def _extremes(results: Results, spreads: Mapping[str, list[Spread]]) -> str:
-    """Where the targets err least and most."""
     means = spreads.get("target_error_um", [])
     if len(results.manifest.cells) < 2 or not means:
         return ""
@@ -129,7 +139,6 @@ def _listed(words: Sequence[str]) -> str:
 
 
 def _facts(manifest: ManifestFile, ends: Sequence[Checked], scores: Sequence[Scores]) -> list[Fact]:
-    """Figures at a glance."""
     failed = sum(end.failed for end in ends)
     checked = [end.largest_difference_sigma for end in ends if end.largest_difference_sigma is not None]
     facts = [
@@ -147,7 +156,6 @@ def _facts(manifest: ManifestFile, ends: Sequence[Checked], scores: Sequence[Sco
 
 
 def _varied(results: Results) -> list[Block]:
-    """What differs between the settings: its values, and what the keys mean that take them."""
     rows = []
     for factor in results.factors:
         values = list(dict.fromkeys(factor.words(level[factor.name]) for level in results.levels))
@@ -183,18 +191,15 @@ def campaign_figure(results: Results) -> Figure:
             if column in results.columns:
                 return next(drawn(results, results.spread(column), label, None))[1]
     rows = _rows_of(results, list(results.columns), next(iter(cell_words(results))), {})
-    return figures.distributions(rows)
+    return distributions(rows)
 
 
-def _rows_of(
-    results: Results, columns: Sequence[str], cell: int, published: Mapping[str, float]
-) -> list[figures.Distribution]:
-    """The paper's criteria in one cell for the file's first method."""
+def _rows_of(results: Results, columns: Sequence[str], cell: int, published: Mapping[str, float]) -> list[Distribution]:
     wanted = [c for c in columns if c.endswith(("_um", "_percent")) and c.startswith(("distance", "coordinate"))]
     wanted.sort(key=lambda c: (not c.endswith("percent"), "mean" not in c, "before" not in c, c.startswith("coord")))
     values = {c: results.values(c, cell, results.manifest.methods[0], most=MOST_DRAWN) for c in wanted}
     return [
-        figures.Distribution(_column_words(c), v, "um" if c.endswith("_um") else "%", published.get(c))
+        Distribution(_column_words(c), v, "um" if c.endswith("_um") else "%", published.get(c))
         for c, v in values.items()
         if len(v) > 1
     ]
@@ -211,7 +216,7 @@ def _distributions(
         if rows:
             told = " Dashed: the paper's figures and the share of trials below them." if published else ""
             place = f", {names[cell]}" if len(names) > 1 else ""
-            blocks.append(picture(f"Distributions over trials: {method}{place}", figures.distributions(rows), told))
+            blocks.append(picture(f"Distributions over trials: {method}{place}", distributions(rows), told))
     return blocks
 
 
@@ -224,16 +229,8 @@ def _coverage(results: Results, scores: Sequence[Scores]) -> list[Block]:
         if rows and len(blocks) < MOST_CELLS:
             place = f", {cell_words(results)[mine[0].cell]}" if len(results.levels) > 1 else ""
             blocks.append(picture(f"Coverage: {method}{place}", coverage(rows), coverage_words(rows)))
-    heads, own = _settings(results)
-    rows_ = [
-        [*own[s.cell], s.method, s.parameter, str(s.trials), number(s.mean), number(s.deviation),
-         f"{100 * s.coverage_95:.1f} %"]
-        for s in scores
-    ]  # fmt: skip
-    header = [*heads, "method", "parameter", "trials", "mean z", "sd of z", "coverage of 95 %"]
     text = "z: estimate minus truth over its stated sigma; right sigmas give mean 0 and standard deviation 1."
-    table = Table("z-scores of the parameters", header, rows_, text_columns=len(heads) + 2, note=text)
-    return [*blocks, table] if scores else []
+    return [*blocks, *table_block("z-scores of the parameters", results.table("z_scores"), note=text)] if scores else []
 
 
 def coverage_words(rows: Sequence[Scores]) -> str:
@@ -246,16 +243,6 @@ def coverage_words(rows: Sequence[Scores]) -> str:
     return f"Red, since that lies outside {band}: {', '.join(red)}."
 
 
-def _settings(results: Results) -> tuple[list[str], dict[int, list[str]]]:
-    """The columns of settings of a table: their headers, and their cells for each cell of the campaign."""
-    factors = results.factors
-    rows = {
-        entry.cell: [f.words(level[f.name]) for f in factors]
-        for entry, level in zip(results.manifest.cells, results.levels, strict=True)
-    }
-    return [title(f) for f in factors], rows
-
-
 def _column_words(column: str) -> str:
     """`distance_before_mean_um` as `distance, mean before`."""
     if column.startswith("new_point_"):
@@ -264,55 +251,143 @@ def _column_words(column: str) -> str:
     return f"{parts[0]}, {' '.join(reversed(parts[1:]))}" if len(parts) > 1 else column
 
 
-def _ends(results: Results, ends: Sequence[Checked]) -> Table:
-    """How the trials ended."""
-    heads, own = _settings(results)
-    rows = [
-        [*own[e.cell], e.method, *map(str, (e.trials, e.failed, e.by_full_solver, e.checked)),
-         number(e.largest_difference_sigma, 2)]
-        for e in ends
-    ]  # fmt: skip
-    header = [*heads, "method", "trials", "failed", "by full solver", "verified", "largest difference [σ]"]
-    note = "Verified: trials that the full solver repeated; the difference is that of the estimates."
-    failed = frozenset(i for i, e in enumerate(ends) if e.failed)
-    return Table("How the trials ended", header, rows, text_columns=len(heads) + 1, note=note, marked=failed)
-
-
 def _errors(results: Results, spreads: Mapping[str, list[Spread]]) -> list[Block]:
     """Errors before and after calibration beside what no parameter removes: a total says little without its floor."""
-    heads, own = _settings(results)
+    names = cell_words(results)
     blocks: list[Block] = []
     for share in SHARES:
         entries = [spreads.get(name, []) for name in (*errors_of(share), share)]
-        rows = [[*own[of[0].cell], of[0].method, *(_mean(s) for s in of)] for of in zip(*entries, strict=all(entries))]
+        rows = [
+            [names[of[0].cell], of[0].method, *(_mean(s, "") for s in of)] for of in zip(*entries, strict=all(entries))
+        ]
         named = "new point" if share.startswith("new_point") else "point"
-        header = [*heads, "method", "raw [um]", "calibrated [um]", "noise floor [um]", "share removed"]
-        note = f"{_meaning(share)}. Noise floor: readings corrected by the true parameters."
+        header = ["setting", "method", "raw [um]", "calibrated [um]", "noise floor [um]", "share removed"]
+        note = (
+            f"{_meaning(share)}. Noise floor: readings corrected by the true parameters. In brackets: 95 % of the mean."
+        )
         if rows:
-            blocks.append(Table(f"Error of a {named}", header, rows, text_columns=len(heads) + 1, note=note))
+            blocks.append(Table(f"Error of a {named}", header, rows, text_columns=2, note=note))
     return blocks
 
 
 def _meaning(column: str) -> str:
-    """What a statistic is, as a sentence begins."""
     known = column_of(column)
-    text = "" if known is None else known.meaning.replace("`", "")
-    return text[:1].upper() + text[1:]
+    return sentence("" if known is None else known.meaning.replace("`", "")).removesuffix(".")
 
 
-def _statistics(results: Results, spreads: Mapping[str, list[Spread]]) -> list[Table]:
-    """All statistics, and what each of them is."""
-    heads, own = _settings(results)
-    rows = [
-        [*own[s.cell], s.method, _column_words(column), results.units.get(column, ""), number(s.mean),
-         f"{number(s.low)} to {number(s.high)}", *(number(s.quantiles[k]) for k in (1, 3, 5))]
-        for column, entries in spreads.items()
-        if column != CHECKED
-        for s in entries
-    ]  # fmt: skip
-    header = [*heads, "method", "statistic", "unit", "mean", "95 % interval", "5 %", "median", "95 %"]
+def _statistics(results: Results, spreads: Mapping[str, list[Spread]], ends: Sequence[Checked]) -> list[Table]:
+    """All statistics, what each of them is, and how the trials ended."""
+    cells = results.table("summary")
+    more = {"cell", "deviation", "least", "largest", *(f"quantile_{q}_percent" for q in ("2.5", "25", "75", "97.5"))}
+    shown = cells.only(" ".join(name for name in cells.header if name not in more))
     means = [[_column_words(column), results.units.get(column, ""), _meaning(column)] for column in spreads]
+    note = "Verified: trials that the full solver repeated; the difference is that of the estimates."
+    failed = frozenset(i for i, e in enumerate(ends) if e.failed)
     return [
-        Table(f"Statistics ({count(len(rows), 'row')})", header, rows, text_columns=len(heads) + 3),
+        *table_block(f"Statistics ({count(len(shown.rows), 'row')})", shown),
         Table("What the statistics mean", ["statistic", "unit", "meaning"], means, text_columns=3),
+        *table_block("How the trials ended", results.table("ends"), note=note, marked=failed),
     ]
+
+
+def title(factor: Factor) -> str:
+    """A factor as an axis calls it: `angle noise [arcsec]`."""
+    plain = next((factor.name.removesuffix(e) for e in BY_ENDING if factor.name.endswith(e)), factor.name)
+    unit = typeset(factor.unit)
+    return plain.replace("_", " ") + (f" [{unit}]" if unit else "")
+
+
+def short(factor: Factor, level: Any) -> str:
+    """A factor with its value: `angle noise 0.2 arcsec`."""
+    name, _, unit = title(factor).partition(" [")
+    value = factor.words(level).removesuffix(f" {factor.unit}") if factor.unit else factor.words(level)
+    return f"{name} {value} {unit.rstrip(']')}".rstrip()
+
+
+def varied(results: Results) -> list[Factor]:
+    """Factors that truly vary, those that change together with an earlier one left out."""
+    kept: list[Factor] = []
+    for factor in results.factors:
+        own = _column(results, factor)
+        if len(set(own)) > 1 and not any(_alike(own, _column(results, other)) for other in kept):
+            kept.append(factor)
+    return kept
+
+
+def cell_words(results: Results) -> dict[int, str]:
+    """What each cell is, in a few words."""
+    factors = varied(results)
+    said = [", ".join(short(f, level[f.name]) for f in factors) for level in results.levels]
+    plain = "as the scenario" if len(said) == 1 else ""
+    return {
+        entry.cell: words or plain or entry.label for entry, words in zip(results.manifest.cells, said, strict=True)
+    }
+
+
+def _column(results: Results, factor: Factor) -> list[Any]:
+    return [level[factor.name] for level in results.levels]
+
+
+def _alike(one: Sequence[Any], other: Sequence[Any]) -> bool:
+    """Whether each value of one comes with one value of the other."""
+    pairs = len(set(zip(one, other, strict=True)))
+    return pairs == len(set(one)) == len(set(other))
+
+
+def drawn(
+    results: Results, spreads: Sequence[Spread], label: str, published: float | None
+) -> Iterator[tuple[str, Figure]]:
+    """Figures of a statistic, each with words for its caption.
+
+    A line over one factor where cells form a grid, dots over every range of a design, else a line of text a cell.
+    """
+    factors, several = varied(results), f"Over {results.manifest.trials} trials a setting."
+    how: dict[str, Any] = {"label": label, "published": published}
+    cells = len({tuple(level[f.name] for f in factors) for level in results.levels})
+    of_grid = cells == len(results.levels) == math.prod(len(set(_column(results, f))) for f in factors)
+    if factors and results.manifest.settings.get("design"):
+        places = [(f, _place(f, results.levels[s.cell]), s) for f in factors for s in spreads]
+        rows = [_swept(s, place, s.method, title(factor)) for factor, place, s in places]
+        figure = by_factor(rows, axis="", joined=False, **how)
+        yield f"Each mark is one setting, against each factor. {several}", figure
+    elif factors and of_grid and cells > 2:
+        axis, rows = _lines(results, factors, spreads)
+        names = list(dict.fromkeys(row.panel for row in rows))
+        for first in range(0, len(names), MOST_PANELS):
+            shown = names[first : first + MOST_PANELS]
+            part = f" Panels {first + 1} to {first + len(shown)} of {len(names)}." if len(names) > MOST_PANELS else ""
+            yield several + part, by_factor([row for row in rows if row.panel in shown], axis=axis, **how)
+    else:
+        named = cell_words(results)
+        yield several, by_setting([_swept(s, named[s.cell], s.method, "") for s in spreads], **how)
+
+
+def _lines(results: Results, factors: Sequence[Factor], spreads: Sequence[Spread]) -> tuple[str, list[Swept]]:
+    """The axis of lines over one factor, and their points."""
+    along, across, panels = arranged(results, factors)
+    rows = []
+    for s in spreads:
+        level = results.levels[s.cell]
+        line = short(across, level[across.name]) if across else s.method
+        rows.append(_swept(s, _place(along, level), line, ", ".join(short(f, level[f.name]) for f in panels)))
+    return title(along), rows
+
+
+def arranged(results: Results, factors: Sequence[Factor]) -> tuple[Factor, Factor | None, list[Factor]]:
+    """The factor along the lines, the one that tells lines apart (None: methods do), those of the panels."""
+    levels = {f.name: len(set(_column(results, f))) for f in factors}
+    along = max(factors, key=lambda f: (f.kind in ("number", "integer"), levels[f.name]))
+    rest = [f for f in factors if f is not along]
+    if len(results.manifest.methods) > 1 or not rest:
+        return along, None, rest
+    across = max(rest, key=lambda f: levels[f.name] if levels[f.name] <= MOST_LINES else 0)
+    return along, across, [f for f in rest if f is not across]
+
+
+def _place(factor: Factor, level: Mapping[str, Any]) -> float | str:
+    value = level[factor.name]
+    return float(value) if factor.kind in ("number", "integer") and value is not None else factor.words(value)
+
+
+def _swept(s: Spread, x: float | str, line: str, panel: str) -> Swept:
+    return Swept(x, line, panel, s.mean, s.low, s.high, s.quantiles[1], s.quantiles[5])

@@ -14,8 +14,15 @@ from ltsim.chances import p_text, two_sided
 from ltsim.diagnosis.schema import BEFORE, TARGETS, DiagnosisFile, Finding, Fit, Where
 from ltsim.errors import LtsimError
 from ltsim.notation import number, with_sigma
-from ltsim.pages import figures
 from ltsim.pages.document import Block, Detail, Fact, Note, Section, Table, mood, picture, table_of
+from ltsim.pages.figures.residuals import (
+    MOST_MARKED,
+    driver_curve,
+    hidden_and_found,
+    residuals_by_covariate,
+    signature_figure,
+    whereabouts,
+)
 from ltsim.pages.residuals import Residuals
 from ltsim.pages.sections.network import (
     TRUTH,
@@ -66,12 +73,12 @@ def diagnosis_section(folder: Path, recording: Recording | None = None, *, detai
     blocks += _fit(content)
     if after is not None and pair is not None:
         text = "Lines: running means with twice their standard error; where the model holds they stay at zero."
-        drawn = figures.residuals_by_covariate(after)
+        drawn = residuals_by_covariate(after)
         blocks.append(picture("Residuals against what they might depend on", drawn, text))
     for entry in content.instruments:
         name = f" of {entry.name}" if entry.name else ""
         title = f"Constants{name}, with the findings modelled"
-        blocks += table_of(title, entry.parameters, "name=constant", "value")
+        blocks += table_of(title, entry.parameters, "name=constant", "value+-sigma", "unit")
         blocks += combined(f"What the recording determines{name} in combination", entry.determined)
     blocks += _limits(content)
     blocks += target_table(companion(folder, TARGETS.file, content), note="Adjusted with the findings modelled.")
@@ -88,7 +95,6 @@ def diagnosis_section(folder: Path, recording: Recording | None = None, *, detai
 
 
 def _facts(content: DiagnosisFile) -> list[Fact]:
-    """Figures at a glance."""
     test = content.global_test
     verdict = mood(content.verdict == "consistent")
     facts = [
@@ -152,7 +158,7 @@ def finding_figure(finding: Finding, before: Residuals | None, after: Residuals 
     curve = finding.curve
     if curve is not None and len(curve.at) >= MOST_STEPS:
         columns = (np.array(values) for values in (curve.at, curve.value, curve.sigma))
-        return figures.driver_curve(
+        return driver_curve(
             *columns, covariate=curve.covariate, carrier=finding.carrier, unit=curve.unit, residuals=before
         )
     if before is None or after is None:
@@ -163,7 +169,7 @@ def finding_figure(finding: Finding, before: Residuals | None, after: Residuals 
     place = where.stations, where.targets
     if not known or not before.at(*place).any() or not after.at(*place).any():
         return None
-    return figures.signature(
+    return signature_figure(
         before, after, covariate=known[0], observables=where.observables, stations=place[0], targets=place[1]
     )
 
@@ -171,11 +177,11 @@ def finding_figure(finding: Finding, before: Residuals | None, after: Residuals 
 def _whereabouts(finding: Finding, number_: int, pair: Pair | None) -> list[Block]:
     """Where it is, seen from above, for what concerns few stations or targets; of a swap who stands for whom."""
     stations, targets = finding.where.stations, finding.where.targets
-    if pair is None or not targets or len(targets) > figures.MOST_MARKED:
+    if pair is None or not targets or len(targets) > MOST_MARKED:
         return []
     swapped = finding.effect == "target-swap" and len(targets) == 2
     full = pair[1]
-    figure = figures.whereabouts(
+    figure = whereabouts(
         full.recording.stations, full.state.position, full.recording.targets, full.state.points,
         marked=(*stations, *targets), pairs=[(targets[0], targets[1])] if swapped else (),
     )  # fmt: skip
@@ -184,7 +190,6 @@ def _whereabouts(finding: Finding, number_: int, pair: Pair | None) -> list[Bloc
 
 
 def _place(where: Where) -> str:
-    """Where a finding acts, in words."""
     parts = [
         f"{word} {listing(list(names))}"
         for word, names in (
@@ -204,7 +209,6 @@ def _place_of(effect: Any) -> str:
 
 
 def _fit(content: DiagnosisFile) -> list[Block]:
-    """Fit before and after."""
     if content.fit is None:
         return []
     pair = (("without the findings", content.fit.before), ("with the findings", content.fit.after))
@@ -228,7 +232,7 @@ def _limits(content: DiagnosisFile) -> list[Block]:
         "large; to be named it may have to be larger."
     )
     title = "Smallest size that is found"
-    return blocks + table_of(title, content.detectable, "effect", "parameter", "size", note=note)
+    return blocks + table_of(title, content.detectable, "effect", "parameter", "size", "unit", note=note)
 
 
 def _hidden(size: float | None) -> str:
@@ -271,7 +275,6 @@ def _pair_rows(hidden: AppliedEffect | None, found: Finding | None) -> list[list
 
 
 def _curves(content: DiagnosisFile, hidden: AppliedEffect, pair: Pair | None) -> list[Block]:
-    """What a hidden effect did to the readings, and what the finding of its name says that it did."""
     found = next((f for f in content.findings if f.effect == hidden.effect.name), None)
     if pair is None or found is None:
         return []
@@ -286,7 +289,7 @@ def _curves(content: DiagnosisFile, hidden: AppliedEffect, pair: Pair | None) ->
     column = int(np.argmax(np.abs(true).max(axis=0) * [1.0, *2 * [float(np.median(sightings.range_))]]))
     rows, observable = np.abs(true).max(axis=1) > 0, OBSERVABLES[column]
     unit = OBSERVABLE_UNIT[observable]
-    figure = figures.hidden_and_found(
+    figure = hidden_and_found(
         sightings.range_[rows] if "distance" in own.covariates else sightings.time[rows] / 60.0,
         *(shift[rows, column] / FACTOR[unit] for shift in (true, fitted)),
         axis="distance [m]" if "distance" in own.covariates else "time [min]",

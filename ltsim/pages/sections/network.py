@@ -1,4 +1,4 @@
-"""Blocks that several kinds share: residual figures, the floor plan, the 3D view, who stands where."""
+"""A recording's section, and blocks that several kinds share: residuals, floor plan, 3D view, who stands where."""
 
 from __future__ import annotations
 
@@ -11,14 +11,17 @@ from ltsim.adjustment import Adjustment, adjust
 from ltsim.arrays import Floats
 from ltsim.calibration.files import read_targets
 from ltsim.calibration.schema import Combination, DeterminedEntry
+from ltsim.chances import p_text, two_sided
 from ltsim.errors import ConvergenceError, NetworkError, installed, missing_extra
 from ltsim.model.construction import stated_construction
-from ltsim.pages import figures, style
-from ltsim.pages.document import Block, Detail, Note, Scene, Table, picture, table_of
+from ltsim.pages import style
+from ltsim.pages.document import Block, Detail, Fact, Listing, Note, Scene, Section, Table, mood, picture, table_of
+from ltsim.pages.figures.floor_plan import floor_plan
+from ltsim.pages.figures.residuals import USUAL, residuals_by_covariate, residuals_by_station
 from ltsim.pages.residuals import Residuals
-from ltsim.pages.words import natural
-from ltsim.pages.workshop import Workshop
-from ltsim.recording import Recording
+from ltsim.pages.words import agreement, count, duration, natural
+from ltsim.pages.workshop import Workshop, from_adjustment
+from ltsim.recording import Recording, read
 
 TRUTH = "truth.json"
 Pair = tuple[Adjustment, Adjustment]
@@ -45,11 +48,11 @@ def residual_blocks(after: Residuals, before: Residuals | None, *, what: str) ->
     """Residuals by station and against covariates; `what` names the difference between before and after."""
     compared = f" Grey: without {what}; blue: with." if before is not None else ""
     text = "Observed minus adjusted reading of every pointing; the bar is the root mean square."
-    drawn = figures.residuals_by_station(after, before)
+    drawn = residuals_by_station(after, before)
     blocks: list[Block] = [picture("Residuals by station", drawn, text + compared)]
-    if set(figures.USUAL) & set(after.covariates):
+    if set(USUAL) & set(after.covariates):
         text = "Lines: running means with twice their standard error; where the model holds they stay at zero."
-        drawn = figures.residuals_by_covariate(after)
+        drawn = residuals_by_covariate(after)
         blocks.append(picture("Residuals against what they might depend on", drawn, text))
     return blocks
 
@@ -62,7 +65,7 @@ def workshop_blocks(workshop: Workshop, *, detail: Detail) -> list[Block]:
         "Seen from above. No reflector may stand on the floor inside a shadow circle: the elevation limit of that "
         "station hides it. "
     )
-    plan = picture("Floor plan", figures.floor_plan(workshop), text + " ".join(workshop.notes))
+    plan = picture("Floor plan", floor_plan(workshop), text + " ".join(workshop.notes))
     return [scene(workshop), plan] if detail == "turn" else [plan]
 
 
@@ -97,7 +100,7 @@ def undetermined(title: str, entries: Sequence[Combination], *, decimals: int, n
 def combined(title: str, entries: Sequence[DeterminedEntry]) -> list[Table]:
     """Combinations of parameters that are known far better than each of them."""
     note = "Together they are known far better than each of them."
-    return table_of(title, entries, "terms=combination", "instrument", "value", note=note)
+    return table_of(title, entries, "terms=combination", "instrument", "value+-sigma", "unit", note=note)
 
 
 def target_table(file: Path | None, *, note: str) -> list[Table]:
@@ -122,3 +125,68 @@ def targets_in_words(sigma: Floats) -> str:
         return ""
     typical, worst = (style.number(2e6 * s, 2) for s in (np.median(known), known[-1]))
     return f"A target is known to U = {typical} um (k = 2) in space, the worst to {worst} um."
+
+
+def recording_section(folder: Path, *, detail: Detail = "turn", brief: bool = False) -> Section:
+    """The section of a recording; a `brief` one leaves residuals to the section of its calibration.
+
+    Raises
+    ------
+    RecordError
+        When the recording cannot be read.
+    """
+    recording = read(folder)
+    title = f"Recording: {recording.setup.title}" if recording.setup.title else "Recording of a tracker network"
+    facts = [
+        Fact("stations", str(len(recording.stations))),
+        Fact("targets", str(len(recording.targets))),
+        Fact("pointings", str(len(recording))),
+        Fact("known lengths", str(len(recording.gauge.distance))),
+    ]
+    last: list[Block] = [_table(recording), _settings(folder)]
+    try:
+        plain, full = adjusted(recording)
+    except (NetworkError, ConvergenceError) as problem:
+        answer = f"{_contents(recording)} The network could not be adjusted: {problem}."
+        return Section(title, "Recording", answer, "bad", facts, last)
+    agrees, words = agreement(full.chi2, full.dof, full.p_value)
+    outliers = full.outliers()
+    found = f" Outliers: {count(len(outliers), 'reading')}." if outliers else ""
+    facts += [
+        Fact("sigma0", f"{np.sqrt(full.chi2 / max(full.dof, 1)):.3f}", mood(agrees)),
+        Fact("p, two-sided", p_text(two_sided(full.p_value)), mood(agrees)),
+        Fact("outliers", str(len(outliers)), "bad" if outliers else "plain"),
+    ]
+    blocks = workshop_blocks(from_adjustment(full, plain=plain), detail=detail)
+    if not brief:
+        before, after = Residuals.from_adjustment(plain), Residuals.from_adjustment(full)
+        last = [*residual_blocks(after, before, what="the instrument's parameters"), *last]
+    answer = f"{_contents(recording)} With the instrument's parameters adjusted, {words}.{found}"
+    return Section(title, "Recording", answer, mood(agrees and not outliers), facts, [*blocks, *last], shown=2)
+
+
+def _contents(recording: Recording) -> str:
+    faces = "two faces" if (recording.face == 2).any() else "one face"
+    time = f" over {duration(float(np.ptp(recording.time)))}" if recording.has_clock and len(recording) else ""
+    return (
+        f"{count(len(recording), 'pointing')} from {count(len(recording.stations), 'station')} to "
+        f"{count(len(recording.targets), 'target')} in {faces}{time}."
+    )
+
+
+def _table(recording: Recording) -> Table:
+    rows = []
+    for s, name in enumerate(recording.stations):
+        here = recording.station == s
+        sizes = (here.sum(), len(set(recording.target[here].tolist())), len(set(recording.face[here].tolist())))
+        begin = duration(float(recording.time[here].min())) if recording.has_clock else "–"
+        rows.append([name, *map(str, sizes), str((~recording.measured[here]).sum()), begin])
+    header = ["station", "pointings", "targets", "faces", "missing readings", "starts at"]
+    return Table("Work of each station", header, rows)
+
+
+def _settings(folder: Path) -> Block:
+    file = folder / "setup.toml"
+    if not file.is_file():
+        return Note("Set-up", "There is no set-up file: the default noise and priors were used.")
+    return Listing("Set-up of the recording (setup.toml)", file.read_text(encoding="utf-8"))

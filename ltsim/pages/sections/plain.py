@@ -15,15 +15,14 @@ from ltsim.calibration.history_schema import HistoryFile
 from ltsim.chances import p_is, p_text
 from ltsim.fieldcheck.files import CheckFile
 from ltsim.notation import expanded, number, with_sigma
-from ltsim.pages import figures
 from ltsim.pages.document import Block, Fact, Note, Picture, Points, Section, Table, mood, picture, table_of
-from ltsim.pages.figures.acceptance import shares_of_limits
-from ltsim.pages.figures.history import history_figure, told_apart
+from ltsim.pages.figures.parameters import budget_figure, history_figure, told_apart
+from ltsim.pages.figures.points import displacement_figure, enlargement, shares_of_limits
 from ltsim.pages.style import svg_uri
 from ltsim.pages.words import count, duration, listing, natural, sentence
 from ltsim.planning.schema import NextFile
 from ltsim.recording.result_file import ResultFile, companion, read_result
-from ltsim.tasks.comparison import ComparisonFile
+from ltsim.tasks.comparison import Comparison
 from ltsim.tasks.files import UncertaintyFile
 
 LEVEL, LIKELY = 0.01, 0.5
@@ -49,16 +48,16 @@ def _check(content: CheckFile, folder: Path) -> Section:
     return Section("Check in the field", "Check", content.sentence, mood(content.passed), facts, blocks, shown=2)
 
 
-def _comparison(content: ComparisonFile, folder: Path) -> Section:
+def _comparison(content: Comparison, folder: Path) -> Section:
     points = sorted(content.displacements, key=lambda d: (not d.moved, natural(d.target)))
     places, shifts, axes = (np.array([getattr(d, n) for d in points]) for n in ("place_mm", "shift_um", "semi_axes_um"))
     moved = np.array([d.moved for d in points], dtype=bool)
-    figure = figures.displacements(places, shifts, axes, moved, [d.target for d in points])
-    times = figures.enlargement(places, shifts, axes)
+    figure = displacement_figure(places, shifts, axes, moved, [d.target for d in points])
+    times = enlargement(places, shifts, axes)
     caption = f"Shift of each point, {times:.0f} times enlarged; circle: the largest semi-axis of its 95 % ellipsoid."
-    heads = ("target", "moved", "shift_um=dx, dy, dz [um]", "sigma_um=sigma x, y, z [um]",
-             "semi_axes_um=95 % ellipsoid [um]", "p_value", "visible_um=found with 80 % [um]")  # fmt: skip
-    table = table_of("Every point", points, *heads, marked=lambda d: d.moved, folds=False)
+    heads = ("target", "moved", "shift_um=dx, dy, dz", "sigma_um=sigma x, y, z", "semi_axes_um=95 % ellipsoid")
+    tests = ("p_value", "visible_um=found with 80 %")
+    table = table_of("Every point", points, *heads, *tests, marked=lambda d: d.moved, folds=False)
     facts = [
         Fact("points", str(len(points))),
         Fact("moved", str(int(moved.sum())), mood(not moved.any())),
@@ -83,7 +82,7 @@ def _acceptance(content: AcceptanceFile, folder: Path) -> Section:
         picture("Errors over limits", shares_of_limits(content), caption),
         Table("Groups", ["tests", "number", "all pass"], groups, note=note),
         *table_of(
-            "The hardest tests", ranked, "name=test", "error_um", "expanded_um=U (k = 2) [um]", "limit_um", "passes",
+            "The hardest tests", ranked, "name=test", "error_um", "expanded_um=U (k = 2)", "limit_um", "passes",
             marked=lambda t: not predicted and t.passes < 1,
         ),
         *table_of(
@@ -131,12 +130,13 @@ def _uncertainty(content: UncertaintyFile, folder: Path) -> Section:
     shown = content.results[:MOST_BARS]
     sources = dict.fromkeys(part.source for r in shown for part in r.budget)
     shares = {name: [next((p.share for p in r.budget if p.source == name), 0.0) for r in shown] for name in sources}
-    figure = figures.budget([f"{r.task}, {r.name}" for r in shown], shares)
+    figure = budget_figure([f"{r.task}, {r.name}" for r in shown], shares)
     blocks.append(picture("Budget", figure, "Where each result's variance comes from; improve the widest bar first."))
     blocks += [Points("What to mind", content.warnings)] if content.warnings else []
     fields = ("source", "type", "standard_uncertainty=sigma", "share=share of the variance")
     for r in content.results:
-        blocks += table_of(f"Budget of {r.task}, {r.name} [{r.unit}]", [p for p in r.budget if p.share > 1e-3], *fields)
+        head = f"Budget of {r.task}, {r.name}" + (f" [{r.unit}]" if r.unit else "")
+        blocks += table_of(head, [part for part in r.budget if part.share > 1e-3], *fields)
     by_word = {w: [f"{r.task}, {r.name}" for r in told if r.conformity and r.conformity.judgement == w]
                for w in ("accepted", "rejected", "undecided")}  # fmt: skip
     answer = "; ".join(f"{word}: {listing(names, 3)}" for word, names in by_word.items() if names) or sentences[0]
@@ -196,8 +196,8 @@ def _history(content: HistoryFile, folder: Path) -> Section:
         Table("Has it changed?", ["from", "to", "above all", "χ² / parameters", "p"], rows, 3,
               "Marked where the chance of such differences without a change is under 1 %.", marked),
         *drawn,
-        *table_of("Events: steps that stand out", named, "from_=from", "to", "name=parameter", "difference=step",
-                  "usual=its usual step", "p_value"),
+        *table_of("Events: steps that stand out", named, "from_=from", "to", "name=parameter", "difference+-sigma=step",
+                  "usual=its usual step", "unit", "p_value"),
         Table("Parameters", ["parameter", "last", "mean", "spread", "p constant"],
               [[p.name, _last(p), number(p.mean), number(p.spread), p_text(p.constant.p_value)] for p in known]),
         Table("Fits of the calibrations", ["calibration", "χ²", "degrees of freedom", "sigma0"],
@@ -220,7 +220,6 @@ def _last(course: Any) -> str:
 
 
 def _course_words(content: HistoryFile, events: Sequence[Any], usual: bool, ends: dict[str, Any]) -> str:
-    """What the instrument did, in words."""
     since = content.since_first
     tested = f"(χ² {since.chi2:.0f} for {since.dof}, {p_is(since.p_value)})"
     if events:
@@ -241,7 +240,7 @@ _WRITERS: dict[type[ResultFile], Callable[[Any, Path], Section]] = {
     HistoryFile: _history,
     UncertaintyFile: _uncertainty,
     CheckFile: _check,
-    ComparisonFile: _comparison,
+    Comparison: _comparison,
     AcceptanceFile: _acceptance,
     NextFile: _next,
 }

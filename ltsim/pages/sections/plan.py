@@ -7,11 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
-from ltsim.pages import figures, style
-from ltsim.pages.document import Block, Detail, Fact, Listing, Note, Points, Section, Table, mood, picture
-from ltsim.pages.planned import from_scenario
+from ltsim.pages import style
+from ltsim.pages.document import Block, Detail, Fact, Listing, Note, Points, Section, Table, mood, picture, table_of
+from ltsim.pages.figures.floor_plan import floor_plan
+from ltsim.pages.figures.parameters import SigmaRow, sigma_figure
+from ltsim.pages.figures.plan import Layout, reflector_changes, trade_off, visibility_figure
 from ltsim.pages.sections.network import scene, undetermined
 from ltsim.pages.words import count, duration
+from ltsim.pages.workshop import from_scenario
 from ltsim.planning.floor import Floor
 from ltsim.planning.schema import LayoutEntry, OptionEntry, PlanResult
 from ltsim.recording.result_file import companion, read_result
@@ -106,14 +109,13 @@ def _changes(folder: Path, content: PlanResult) -> list[Block]:
     file = companion(folder, "scenario.toml", content)
     if file is not None:
         ground = Floor.model_validate(content.settings.get("floor", {}))
-        figure = figures.reflector_changes(from_scenario(load_scenario(file)), changes, ground)
+        figure = reflector_changes(from_scenario(load_scenario(file)), changes, ground)
         text = "Numbers are those of the table: at the new places, with an arrow from where a reflector is; crosses go."
         blocks.append(picture("Where these reflectors are", figure, text))
     return blocks
 
 
 def _facts(content: PlanResult) -> list[Fact]:
-    """Figures at a glance."""
     facts = [
         Fact("stations", str(len(content.stations))),
         Fact("pointings", str(content.pointings)),
@@ -134,7 +136,6 @@ def _facts(content: PlanResult) -> list[Fact]:
 
 
 def _stations(content: PlanResult) -> Table:
-    """Where the tripods go."""
     rows = [
         [s.name, *(style.fixed(v, 0) for v in s.position_mm), f"{s.yaw_deg:.0f}",
          " ".join(style.number(v, 2) for v in s.sigma_position_um), str(s.reflectors_seen)]
@@ -158,37 +159,34 @@ def _pictures(folder: Path, content: PlanResult, detail: Detail) -> list[Block]:
         " Hollow: the stations of the reference layout." if len(places) else ""
     )
     ground = Floor.model_validate(content.settings.get("floor", {}))
-    floor = figures.floor_plan(workshop, reference=places, ground=ground)
+    floor = floor_plan(workshop, reference=places, ground=ground)
     blocks: list[Block] = [picture("Floor plan", floor, text)]
     if detail != "none":
         blocks += [scene(workshop)] if detail == "turn" else []
     layout = planned(scenario)
     table = visibility_of(scenario, layout)
-    figure = figures.visibility(layout.stations, layout.targets, table.words())
+    figure = visibility_figure(layout.stations, layout.targets, table.words())
     blocks.append(picture("Who sees whom", figure, "A coloured cell with a letter says why a station misses a target."))
     return blocks
 
 
 def _curve(content: PlanResult) -> list[Block]:
-    """What a better layout costs."""
     blocks: list[Block] = []
     for name in content.quality:
         label, factor = QUALITY.get(name, (name, 1.0))
         layouts = [
-            figures.Layout(_way(o), o.hours, factor * q, "best" if o.efficient else "tried")
+            Layout(_way(o), o.hours, factor * q, "best" if o.efficient else "tried")
             for o in content.tradeoff
             if (q := o.quality.get(name)) is not None
         ]
         own = content.quality[name]
         if len(layouts) < 2 or own is None:
             continue
-        layouts.append(figures.Layout("the plan", content.hours, factor * own, "chosen"))
+        layouts.append(Layout("the plan", content.hours, factor * own, "chosen"))
         reference = content.reference
         if reference is not None and reference.quality.get(name) is not None:
-            layouts.append(
-                figures.Layout("reference", reference.hours, factor * (reference.quality[name] or 0.0), "reference")
-            )
-        figure = figures.trade_off(layouts, cost="time on the floor [h]", quality=label)
+            layouts.append(Layout("reference", reference.hours, factor * (reference.quality[name] or 0.0), "reference"))
+        figure = trade_off(layouts, cost="time on the floor [h]", quality=label)
         text = "s: stations, f: faces, r: rounds. Every dot is the best layout found for its way of working."
         blocks.append(picture(f"Cost against quality: {name}", figure, text))
     factor, unit = content.value_unit
@@ -205,24 +203,21 @@ def _curve(content: PlanResult) -> list[Block]:
 
 
 def _way(option: OptionEntry) -> str:
-    """A way of working in a few letters."""
     return f"{option.stations}s {option.faces}f {option.repeats}r"
 
 
 def _parameters(content: PlanResult) -> list[Block]:
-    """How well the instrument becomes known."""
     other = {p.name: p.sigma for p in content.reference.parameters} if content.reference else {}
     rows = [
-        figures.SigmaRow(p.name, p.unit, p.sigma, p.prior_sigma, other.get(p.name))
+        SigmaRow(p.name, p.unit, p.sigma, p.prior_sigma, other.get(p.name))
         for p in content.parameters
         if p.prior_sigma and p.sigma > 0
     ]
     text = "Predicted before any measurement; on the dashed line the recording would teach nothing."
-    return [picture("What will be known of the instrument", figures.sigmas(rows), text)] if rows else []
+    return [picture("What will be known of the instrument", sigma_figure(rows), text)] if rows else []
 
 
 def _expected(content: PlanResult) -> list[Block]:
-    """Expected improvement by the paper's criteria."""
     named: list[tuple[str, LayoutEntry | None]] = [("this plan", content), ("reference layout", content.reference)]
     rows = [
         [layout, name, style.number(e.before_um), style.number(e.after_um), f"{e.improvement_percent:.1f} %"]
@@ -237,19 +232,11 @@ def _expected(content: PlanResult) -> list[Block]:
 def _effects(content: PlanResult) -> list[Block]:
     """Smallest effects that would be seen, those that would be mixed up, those that leave no trace."""
     blocks: list[Block] = []
-    if content.detectable:
-        rows = [
-            [d.effect, d.parameter, *(style.number(v, 2) for v in (d.best, d.typical, d.worst)),
-             d.worst_at or "", style.number(d.plausible, 2), style.unit_text(d.unit)]
-            for d in content.detectable
-        ]  # fmt: skip
-        header = ["effect", "parameter", "best", "typical", "worst", "worst at", "plausible", "unit"]
-        note = "Found in most recordings of this layout if at least this large; best and worst are over its places."
-        blocks.append(Table("Smallest effects that would be found", header, rows, 2, note))
-    if content.alike:
-        rows = [[a.effect, a.taken_for, f"{100 * a.share:.0f} %"] for a in content.alike]
-        note = "Share of the first effect's trace that the second one explains."
-        blocks.append(Table("Effects that look alike here", ["effect", "taken for", "alike"], rows, 2, note))
+    note = "Found in most recordings of this layout if at least this large; best and worst are over its places."
+    fields = ("effect", "parameter", "best", "typical", "worst", "worst_at", "plausible", "unit")
+    blocks += table_of("Smallest effects that would be found", content.detectable, *fields, note=note)
+    note = "Share of the first effect's trace that the second one explains."
+    blocks += table_of("Effects that look alike here", content.alike, "effect", "taken_for", "share=alike", note=note)
     if content.silent:
         blocks.append(Points("Effects that would leave no trace", content.silent))
     return blocks

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from ltsim.pages import figures
 from ltsim.pages.document import Block, Document, Note, Points, Section, Table, picture
+from ltsim.pages.figures.floor_plan import floor_plan
 from ltsim.pages.page import render, versions
-from ltsim.pages.planned import from_scenario
 from ltsim.pages.words import duration
+from ltsim.pages.workshop import from_scenario
 from ltsim.planning.files import planned_scenario
 from ltsim.planning.planner import Plan
 from ltsim.planning.work_order import checks, settings_of
@@ -26,7 +26,7 @@ def work_order_page(plan: Plan) -> str:
 def _blocks(plan: Plan) -> list[Block]:
     stations = settings_of(plan)
     survey = plan.chosen.survey
-    floor = figures.floor_plan(from_scenario(planned_scenario(plan)), coordinates=True, ground=plan.file.floor)
+    floor = floor_plan(from_scenario(planned_scenario(plan)), coordinates=True, ground=plan.file.floor)
     rows = [
         [s.name, f"{s.height:.2f}", *(f"{t.metres:.2f} m to {t.to}{'' if t.floor else ' (straight)'}" for t in s.tapes),
          s.towards]

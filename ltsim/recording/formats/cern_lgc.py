@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,19 +22,10 @@ import numpy as np
 
 from ltsim.arrays import Floats
 from ltsim.errors import RecordError
-from ltsim.recording.build import NAN, recording_of
 from ltsim.recording.conventions import NO_HINTS, Hints
-from ltsim.recording.files import MAX_TEXT, check_name, number, read_lines, shown
-from ltsim.recording.formats.cern_instruments import (
-    Polar,
-    add_target,
-    instrument_of,
-    option,
-    options_of,
-    sigma_of,
-)
-from ltsim.recording.formats.cern_points import FIXED, POINTS, Point, observed_point, point_of
-from ltsim.recording.merge import Kind, Merged, Observed, merged
+from ltsim.recording.files import Where, as_title, read_lines, shown
+from ltsim.recording.formats.cern_declared import FIXED, POINTS, Point, Polar, Words, observed_point, point_of
+from ltsim.recording.pointings import NAN, Kind, Observed, merged, numbered, recording_of, settled_heights
 from ltsim.recording.recording import Recording
 from ltsim.recording.setup import EXACT_LEVEL_ARCSEC, Setup, Station, Target, Vector
 from ltsim.units import GON, MILLIMETRE
@@ -54,7 +45,7 @@ OPTIONS = (
 )
 
 
-@dataclass
+@dataclass(frozen=True)
 class _SetUp:
     point: str
     instrument: str
@@ -78,11 +69,20 @@ class _File:
     orientation: list[str] = field(default_factory=list)
     polar: dict[str, Polar] = field(default_factory=dict)
     setups: dict[str, _SetUp] = field(default_factory=dict)
-    station: str = ""
     observed: list[Observed] = field(default_factory=list)
     skipped: dict[str, int] = field(default_factory=dict)
     switched_off: int = 0
     notes: list[str] = field(default_factory=list)
+
+    @property
+    def station(self) -> str:
+        """The set-up that was declared last."""
+        return next(reversed(self.setups), "")
+
+    def stand(self, setup: _SetUp) -> None:
+        """A further set-up; one on a point that had one gets a number."""
+        count = sum(s.point == setup.point for s in self.setups.values())
+        self.setups[numbered(setup.point, count)] = setup
 
 
 def recognises(path: Path, head: str) -> bool:
@@ -93,179 +93,170 @@ def recognises(path: Path, head: str) -> bool:
 def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     """Read an LGC input file.
 
-    Raises
-    ------
-    RecordError
-        For a malformed line, an instrument or target that is not declared, or a file without ``*END``.
+    Raises RecordError for a malformed line, an instrument or target that is not declared, or a file without ``*END``.
     """
     file = _File(path)
-    keyword, last, in_frame = "", "", False
-    for row, tokens in _lines(file):
-        if tokens[0].startswith("*"):
-            keyword = tokens[0][1:].upper()
-            last = keyword
+    keyword, in_frame = "", False
+    for words in _lines(file):
+        first = words.tokens[0]
+        if first.startswith("*"):
+            keyword = first[1:].upper()
             in_frame = (in_frame or keyword == "FRAME") and keyword != "ENDFRAME"
             if keyword == "FRAME":
-                file.frames.append(" ".join(tokens[1:2]))
+                file.frames.append(" ".join(words.tokens[1:2]))
             if not in_frame:
-                _begin(keyword, tokens[1:], file, row)
+                _begin(keyword, Words(words.tokens[1:], words.where), file)
         elif in_frame and keyword == "OBSXYZ":
-            file.framed.append(tokens[0])
-        elif in_frame or not _line(keyword, tokens, file, row):
+            file.framed.append(first)
+        elif in_frame or not _line(keyword, words, file):
             file.skipped[keyword] = file.skipped.get(keyword, 0) + 1
         if keyword == "END":
             break
-    if last != "END" or in_frame:
+    if keyword != "END" or in_frame:
         missing = "*ENDFRAME" if in_frame else "*END"
         raise RecordError(f"the file ends without {missing}: it was cut", file=path)
     return _finished(file)
 
 
-def _lines(file: _File) -> Iterator[tuple[int, list[str]]]:
-    """Line number and words of every line that says something; comments after % and $ are dropped."""
+def _lines(file: _File) -> Iterator[Words]:
+    """Words of every line that says something; comments after % and $ are dropped."""
     for i, line in enumerate(read_lines(file.path, liberal=True)):
         text = line.partition("%")[0].partition("$")[0]
         if line.lstrip().startswith("%"):
             file.switched_off += len(line.split()) > 2 and re.search(r"\d\.\d{3}", line[:150]) is not None
         elif text.strip():
-            yield i + 1, text.split()
+            yield Words(text.split(), Where(file.path, i + 1))
 
 
-def _begin(keyword: str, rest: list[str], file: _File, row: int) -> None:
+def _begin(keyword: str, rest: Words, file: _File) -> None:
     """A keyword with what stands on its line."""
     if keyword in CURVED:
         file.curved = keyword
     elif keyword == "POLAR":
-        if len(rest) < 3:
-            raise RecordError("*POLAR needs an instrument, its default target and a height", file=file.path, row=row)
-        name = check_name(rest[0], "instrument", file=file.path, row=row)
-        file.polar[name] = Polar(rest[1], number(rest[2], file=file.path, row=row, column="height"))
+        name, default, _ = rest.first(3, "*POLAR needs an instrument, its default target and a height")
+        file.polar[rest.where.name(name, "instrument")] = Polar(default, rest.numbers(2, "height")[0])
     elif keyword == "TSTN":
-        _begin_setup(rest, file, row)
+        _begin_setup(rest, file)
     elif keyword == "V0":
-        _begin_set(rest, file, row)
+        _begin_set(rest, file)
     elif keyword not in (*OPTIONS, *POINTS, *OBSERVATIONS, "OBSXYZ", "FRAME", "ENDFRAME"):
         file.skipped.setdefault(keyword, 0)
 
 
-def _begin_setup(rest: list[str], file: _File, row: int) -> None:
-    if len(rest) < 2 or rest[1] not in file.polar:
-        found = shown(rest[1]) if len(rest) > 1 else "nothing"
-        raise RecordError(f"*TSTN names {found}, expected an instrument declared as *POLAR", file=file.path, row=row)
-    point = check_name(rest[0], "station", file=file.path, row=row)
+def _begin_setup(rest: Words, file: _File) -> None:
+    instrument = "".join(rest.tokens[1:2])
+    if instrument not in file.polar:
+        found = shown(instrument) or "nothing"
+        raise rest.where.wrong(f"*TSTN names {found}, expected an instrument declared as *POLAR")
+    point = rest.where.name(rest.tokens[0], "station")
     if point not in file.points:
-        raise RecordError(f"the set-up stands on {point}, which no block of points declares", file=file.path, row=row)
-    options = options_of(rest[2:], file.path, row)
-    polar = file.polar[rest[1]]
-    height = option(options, "IH", polar.height if "IHFIX" in options else 0.0, file.path, row)
-    file.station = point
-    default = options.get("TRGT", polar.default)
-    file.setups[_free_name(point, file)] = _SetUp(point, rest[1], height, "ROT3D" not in options, default)
-    file.station = next(reversed(file.setups))
+        raise rest.where.wrong(f"the set-up stands on {point}, which no block of points declares")
+    options, polar = rest.options(2), file.polar[instrument]
+    height = options.number("IH", polar.height if "IHFIX" in options.said else 0.0)
+    default = options.said.get("TRGT", polar.default)
+    file.stand(_SetUp(point, instrument, height, "ROT3D" not in options.said, default))
 
 
-def _begin_set(rest: list[str], file: _File, row: int) -> None:
+def _begin_set(rest: Words, file: _File) -> None:
     """An orientation: the first of a set-up is its own, a further one makes a further set-up on the same point."""
-    if not file.station:
-        raise RecordError("*V0 without a set-up (*TSTN) before it", file=file.path, row=row)
-    options = options_of(rest, file.path, row)
-    setup = file.setups[file.station]
-    constant = option(options, "ACST", 0.0, file.path, row) * GON
-    if any(o.station == file.station for o in file.observed):
-        setup = _SetUp(setup.point, setup.instrument, setup.height, setup.levelled, setup.default)
-        file.station = _free_name(setup.point, file)
-        file.setups[file.station] = setup
-    setup.constant = constant
-    setup.default = options.get("TRGT", setup.default)
+    if not file.setups:
+        raise rest.where.wrong("*V0 without a set-up (*TSTN) before it")
+    options, name = rest.options(0), file.station
+    setup = file.setups[name]
+    default = options.said.get("TRGT", setup.default)
+    setup = replace(setup, constant=options.number("ACST", 0.0) * GON, default=default)
+    if any(o.station == name for o in file.observed):
+        file.stand(setup)
+    else:
+        file.setups[name] = setup
 
 
-def _free_name(point: str, file: _File) -> str:
-    count = sum(s.point == point for s in file.setups.values())
-    return point if not count else f"{point}#{count + 1}"
-
-
-def _line(keyword: str, tokens: list[str], file: _File, row: int) -> bool:
+def _line(keyword: str, words: Words, file: _File) -> bool:
     """A line of the current block; False where the block is of no use here."""
     if keyword in ("TITR", ""):
-        file.title.append(" ".join(tokens))
+        file.title += words.tokens
     elif keyword in POINTS:
-        name, point = point_of(keyword, tokens, file.path, row)
+        name, point = point_of(keyword, words)
         if name in file.points:
-            raise RecordError(f"the point {name} is declared twice", file=file.path, row=row)
+            raise words.where.wrong(f"the point {name} is declared twice")
         file.points[name] = point
-    elif keyword == "OBSXYZ":
-        if file.curved:
-            return False
-        file.placed.append(observed_point(tokens, file.path, row))
+    elif keyword == "OBSXYZ" and not file.curved:
+        file.placed.append(observed_point(words))
     elif keyword == "PDOR":
-        file.orientation.append(tokens[0])
+        file.orientation.append(words.tokens[0])
     elif keyword == "POLAR":
-        file.notes += add_target(file.polar[next(reversed(file.polar))], tokens, file.path, row)
+        file.notes += filter(None, [file.polar[next(reversed(file.polar))].declare(words)])
     elif keyword in OBSERVATIONS:
-        _observation(keyword, tokens, file, row)
+        _observation(keyword, words, file)
     else:
         return keyword in OPTIONS
     return True
 
 
-def _observation(keyword: str, tokens: list[str], file: _File, row: int) -> None:
+def _observation(keyword: str, words: Words, file: _File) -> None:
     """One observed point: its values, sigmas and heights."""
-    kinds = OBSERVATIONS[keyword]
-    if not file.station:
-        raise RecordError(f"*{keyword} without a set-up (*TSTN) before it", file=file.path, row=row)
-    if len(tokens) < 1 + len(kinds):
-        raise RecordError(f"*{keyword} needs a point and {len(kinds)} values", file=file.path, row=row)
+    kinds, where = OBSERVATIONS[keyword], words.where
+    if not file.setups:
+        raise where.wrong(f"*{keyword} without a set-up (*TSTN) before it")
+    words.first(1 + len(kinds), f"*{keyword} needs a point and {len(kinds)} values")
     setup = file.setups[file.station]
-    target = check_name(tokens[0], "target", file=file.path, row=row)
+    target = where.name(words.tokens[0], "target")
     if target not in file.points:
-        raise RecordError(f"the point {target} is in no block of points", file=file.path, row=row)
-    options = options_of(tokens[1 + len(kinds) :], file.path, row)
-    used = options.get("TRGT", setup.default)
-    declared = file.polar[setup.instrument].targets
+        raise where.wrong(f"the point {target} is in no block of points")
+    options = words.options(1 + len(kinds))
+    used, declared = options.said.get("TRGT", setup.default), file.polar[setup.instrument].targets
     if used not in declared:
-        message = f"the target {shown(used)} is not declared with instrument {setup.instrument}"
-        raise RecordError(message, file=file.path, row=row)
-    height = option(options, "TH", declared[used].height, file.path, row)
-    for kind, text in zip(kinds, tokens[1:], strict=False):
-        value = number(text, file=file.path, row=row, column=kind, limit=1e6)
-        sigma = sigma_of(kind, declared[used], options, value, file.path, row)
-        si = _si(kind, value, setup, file, row)
-        at = (setup.height, NAN if kind == "azimuth" else height)
-        flat = keyword == "DHOR"
-        file.observed.append(Observed(kind, file.station, target, si, sigma, *at, horizontal=flat, line=row))
+        raise where.wrong(f"the target {shown(used)} is not declared with instrument {setup.instrument}")
+    height = options.number("TH", declared[used].height)
+    for kind, value in zip(kinds, words.numbers(1, *kinds, limit=1e6), strict=True):
+        si, sigma = _si(kind, value, setup, where), declared[used].of(kind, options, value)
+        heights = setup.height, NAN if kind == "azimuth" else height, keyword == "DHOR"
+        file.observed.append(Observed(kind, file.station, target, si, sigma, *heights, where.row or 0))
 
 
-def _si(kind: Kind, value: float, setup: _SetUp, file: _File, row: int) -> float:
+def _si(kind: Kind, value: float, setup: _SetUp, where: Where) -> float:
     """Reading [m, rad]: azimuth counter-clockwise, elevation instead of the zenith angle."""
     if kind == "azimuth":
         return float(np.mod(-value * GON - setup.constant, 2 * np.pi))
     if kind == "elevation":
         if not 0 <= value <= 200:
-            message = f"found a zenith angle of {value:g}, expected 0 to 200 gon (both faces reduced to one)"
-            raise RecordError(message, file=file.path, row=row)
+            raise where.wrong(f"found a zenith angle of {value:g}, expected 0 to 200 gon (both faces reduced to one)")
         return float(np.pi / 2 - value * GON)
     if value <= 0:
-        raise RecordError(f"found a distance of {value:g}, expected one above 0", file=file.path, row=row)
+        raise where.wrong(f"found a distance of {value:g}, expected one above 0")
     return value
 
 
 def _finished(file: _File) -> Recording:
-    together = merged(file.observed, file.path.name)
-    if not together.pointings:
+    pointings, instrument_heights, target_heights = settled_heights(merged(file.observed, file.path.name))
+    if not pointings:
         raise RecordError("holds no polar observations", file=file.path)
-    targets = dict.fromkeys(p.target for p in together.pointings)
+    targets = dict.fromkeys(p.target for p in pointings)
     _learn(file)
     marks = [s.point for s in file.setups.values() if file.points[s.point].axes or s.point in targets]
-    used = dict.fromkeys([*targets, *marks, *(s.point for s in file.setups.values())])
-    middle = _middle(file, list(used))
+    plane = _Plane.of([file.points[name] for name in {*targets, *(s.point for s in file.setups.values())}], file.curved)
     setup = Setup(
-        title=_title(file),
-        instruments={name: instrument_of(name, polar) for name, polar in file.polar.items()},
-        stations={name: _station(name, s, file, middle, marks, together) for name, s in file.setups.items()},
-        targets={name: _target(name, file, middle, together) for name in dict.fromkeys([*targets, *marks])},
+        title=as_title(" ".join(file.title)),
+        instruments={name: polar.instrument(name) for name, polar in file.polar.items()},
+        stations={
+            name: Station(
+                **plane.upright(file.points[s.point], levelled=s.levelled),
+                instrument=s.instrument,
+                instrument_height_mm=instrument_heights.get(name, 0.0),
+                over=s.point if s.point in marks else None,
+            )
+            for name, s in file.setups.items()
+        },
+        targets={
+            name: Target(
+                **plane.known(file.points[name]),
+                datum=name in file.orientation,
+                height_mm=target_heights.get(name, 0.0),
+            )
+            for name in dict.fromkeys([*targets, *marks])
+        },
     )
-    _say(file)
-    return recording_of(together.pointings, setup, notes=list(dict.fromkeys(file.notes)), file=file.path)
+    return recording_of(pointings, setup, notes=list(dict.fromkeys([*file.notes, *_said(file)])), file=file.path)
 
 
 def _learn(file: _File) -> None:
@@ -276,88 +267,68 @@ def _learn(file: _File) -> None:
         if file.points[name].is_fixed:
             file.notes.append(f"*OBSXYZ of {name}: the point is fixed, its observed coordinates tell nothing")
         else:
-            file.points[name].add(place, covariance, np.ones(3, dtype=bool))
+            file.points[name].add(place, covariance)
 
 
-def _middle(file: _File, names: list[str]) -> Floats:
-    """Where the network lies in plan (2,) [m]; points at 0, 0 are place-holders."""
-    plan = np.array([file.points[name].place[:2] for name in names])
-    placed = plan[np.any(plan != 0, axis=1)]
-    return np.asarray(np.median(placed, axis=0)) if len(placed) else np.zeros(2)
+@dataclass(frozen=True)
+class _Plane:
+    """The plane that touches the reference in the middle of the network: `middle` (2,) [m] in plan."""
+
+    middle: Floats
+    curved: bool
+
+    @classmethod
+    def of(cls, points: list[Point], curved: str) -> _Plane:
+        """Of points in use; those at 0, 0 are place-holders."""
+        placed = [point.place[:2] for point in points if not point.is_placeholder]
+        return cls(np.median(placed, axis=0) if placed else np.zeros(2), bool(curved))
+
+    def place(self, place: Floats) -> Vector:
+        """Coordinates [mm] in the plane."""
+        x, y, height = place.tolist()
+        drop = float(np.sum((place[:2] - self.middle) ** 2)) / (2 * EARTH) if self.curved else 0.0
+        return round(x * 1e3, 6), round(y * 1e3, 6), round((height - drop) * 1e3, 6)
+
+    def upright(self, point: Point, *, levelled: bool) -> dict[str, Any]:
+        """What a set-up over a point says of its place and plumb line."""
+        found: dict[str, Any] = {} if point.is_placeholder else {"position_mm": self.place(point.place)}
+        if levelled:
+            found |= {"levelled": True, "levelling_sigma_arcsec": EXACT_LEVEL_ARCSEC}
+        if levelled and self.curved and found.get("position_mm"):
+            x, y = ((point.place[:2] - self.middle) / EARTH).round(12).tolist()
+            found["vertical"] = (x, y, 1.0)
+        return found
+
+    def known(self, point: Point) -> dict[str, Any]:
+        """What a target says of its coordinates: known along some axes, approximate along the others."""
+        axes = point.axes
+        if axes is None:
+            return {} if point.is_placeholder else {"approximate_mm": self.place(point.place)}
+        place, covariance = point.known
+        found: dict[str, Any] = {"known_mm": self.place(place), "known_axes": axes}
+        found["known_sigma_mm"] = FIXED / MILLIMETRE
+        if not all(abs(covariance[k, k] / FIXED**2 - 1.0) < 1e-6 for k in range(3) if "xyz"[k] in axes):
+            found["known_covariance_mm2"] = tuple((covariance[np.triu_indices(3)] / MILLIMETRE**2).tolist())
+        return found if axes == "xyz" else found | {"approximate_mm": self.place(point.place)}
 
 
-def _title(file: _File) -> str:
-    text = " ".join(" ".join(file.title).split())[:MAX_TEXT]
-    return "".join(c for c in text if c.isprintable() and c not in "<>")
-
-
-def _say(file: _File) -> None:
+def _said(file: _File) -> Iterator[str]:
+    """What a person is told of the file."""
     if file.switched_off:
-        file.notes.append(f"{file.switched_off} lines are switched off with % and left out")
+        yield f"{file.switched_off} lines are switched off with % and left out"
     for keyword, count in file.skipped.items():
         curved = f"observes coordinates in the axes of *{file.curved}, not in those of its heights,"
         why = curved if keyword == "OBSXYZ" else "is not understood here"
-        file.notes.append(f"*{shown(keyword)} {why} and skipped ({count} lines)")
+        yield f"*{shown(keyword)} {why} and skipped ({count} lines)"
     if file.framed:
-        file.notes.append(_framed(file))
+        frames = ", ".join(map(shown, file.frames))
+        said = f"*OBSXYZ observes {len(file.framed)} points in a frame of its own ({frames})"
+        if all(name in file.points and file.points[name].is_fixed for name in file.framed):
+            yield f"{said}; all of them are fixed, so this tells where that frame lies and nothing of the network"
+        else:
+            yield f"{said}, whose place is not adjusted here; they are skipped"
     if file.curved:
         sphere = "heights refer to a curved surface: a sphere is taken for it, plumb lines differ by place"
-        file.notes.append(f"*{file.curved}: {sphere}")
+        yield f"*{file.curved}: {sphere}"
     for name in file.orientation:
-        file.notes.append(f"*PDOR: the frame is oriented by the approximate coordinates of {shown(name)}")
-
-
-def _framed(file: _File) -> str:
-    """What is said of coordinates observed in frames of their own."""
-    count, frames = len(file.framed), ", ".join(map(shown, file.frames))
-    said = f"*OBSXYZ observes {count} points in a frame of its own ({frames})"
-    if all(name in file.points and file.points[name].is_fixed for name in file.framed):
-        return f"{said}; all of them are fixed, so this tells where that frame lies and nothing of the network"
-    return f"{said}, whose place is not adjusted here; they are skipped"
-
-
-def _local(place: Floats, file: _File, middle: Floats) -> Vector:
-    """Coordinates [mm] in the plane that touches the reference in the middle of the network."""
-    x, y, height = place.tolist()
-    drop = ((x - middle[0]) ** 2 + (y - middle[1]) ** 2) / (2 * EARTH) if file.curved else 0.0
-    return round(x * 1e3, 6), round(y * 1e3, 6), round((height - drop) * 1e3, 6)
-
-
-def _is_placeholder(name: str, file: _File) -> bool:
-    return not np.any(file.points[name].place[:2])
-
-
-def _station(name: str, setup: _SetUp, file: _File, middle: Floats, marks: list[str], together: Merged) -> Station:
-    vertical: Vector | None = None
-    if file.curved and setup.levelled and not _is_placeholder(setup.point, file):
-        x, y = ((file.points[setup.point].place[:2] - middle) / EARTH).round(12).tolist()
-        vertical = (x, y, 1.0)
-    rough = None if _is_placeholder(setup.point, file) else _local(file.points[setup.point].place, file, middle)
-    return Station(
-        position_mm=rough,
-        levelled=setup.levelled,
-        levelling_sigma_arcsec=EXACT_LEVEL_ARCSEC if setup.levelled else Station().levelling_sigma_arcsec,
-        instrument=setup.instrument,
-        instrument_height_mm=together.instrument_heights.get(name, 0.0),
-        over=setup.point if setup.point in marks else None,
-        vertical=vertical,
-    )
-
-
-def _target(name: str, file: _File, middle: Floats, together: Merged) -> Target:
-    point = file.points[name]
-    axes = point.axes
-    rough = None if _is_placeholder(name, file) and not axes else _local(point.place, file, middle)
-    known: dict[str, Any] = {}
-    if axes:
-        place, covariance = point.known
-        spread = covariance[np.triu_indices(3)] / MILLIMETRE**2
-        known = {"known_mm": _local(place, file, middle), "known_axes": axes, "known_sigma_mm": FIXED / MILLIMETRE}
-        if not all(abs(covariance[k, k] / FIXED**2 - 1.0) < 1e-6 for k in range(3) if "xyz"[k] in axes):
-            known["known_covariance_mm2"] = tuple(spread.tolist())
-    return Target(
-        **known,
-        approximate_mm=rough if axes != "xyz" else None,
-        datum=name in file.orientation,
-        height_mm=together.target_heights.get(name, 0.0),
-    )
+        yield f"*PDOR: the frame is oriented by the approximate coordinates of {shown(name)}"

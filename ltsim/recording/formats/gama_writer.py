@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from xml.sax.saxutils import quoteattr
+from xml.sax.saxutils import escape, quoteattr
 
 import numpy as np
 
-from ltsim.arrays import Floats
 from ltsim.errors import RecordError
+from ltsim.geometry.polar import from_polar, to_face
 from ltsim.recording.files import write_text
 from ltsim.recording.formats.gama import CC, FIXED_MM
 from ltsim.recording.lengths import KnownLengths
@@ -26,11 +26,8 @@ def write(recording: Recording, path: Path) -> None:
 
     Where no coordinates are known, the targets of the first set-up get those it saw and define the datum.
 
-    Raises
-    ------
-    RecordError
-        For a set-up that is not levelled: gama-local knows levelled instruments only. For SMRs of several radii: it
-        knows heights of a target, no normals.
+    Raises RecordError for a set-up that is not levelled: gama-local knows levelled instruments only. For SMRs of
+    several radii: it knows heights of a target, no normals.
     """
     if excess_radii(recording) is not None:
         message = "SMRs of several radii stood off along normals of nests, which gama-local does not know"
@@ -43,7 +40,7 @@ def write(recording: Recording, path: Path) -> None:
         '<?xml version="1.0" encoding="UTF-8"?>',
         f'<gama-local xmlns="{SPACE}">',
         '<network axes-xy="en" angles="right-handed">',
-        f"<description>{_escaped(recording.setup.title)}</description>",
+        f"<description>{escape(recording.setup.title)}</description>",
         '<parameters sigma-apr="1" conf-pr="0.95" tol-abs="1000" sigma-act="apriori" />',
         "<points-observations>",
         *_point_lines(recording),
@@ -56,11 +53,7 @@ def write(recording: Recording, path: Path) -> None:
     write_text(path, "\n".join(lines) + "\n")
 
 
-def _escaped(text: str) -> str:
-    return quoteattr(text)[1:-1]
-
-
-def point_of(recording: Recording, station: str) -> str:
+def _point_of(recording: Recording, station: str) -> str:
     """Name of the point a station stands on: a target's mark, or one of its own."""
     over = recording.station_setup(station).over
     if over is not None:
@@ -77,9 +70,7 @@ def _point_lines(recording: Recording) -> Iterator[str]:
     for name in names:
         target = recording.target_setup(name)
         place = target.known_mm or target.approximate_mm or first.get(name)
-        words = (
-            "" if place is None else "".join(f' {a}="{v * MILLIMETRE!r}"' for a, v in zip("xyz", place, strict=True))
-        )
+        words = "" if place is None else _words(place)
         datum = target.datum or name in first
         if target.known_mm is None:
             yield f'<point id={quoteattr(name)}{words} adj="{"XYZ" if datum else "xyz"}" />'
@@ -90,17 +81,17 @@ def _point_lines(recording: Recording) -> Iterator[str]:
         else:
             yield f'<point id={quoteattr(name)}{words} adj="xyz" />'
             observed.append((name, target))
-    for name in dict.fromkeys(point_of(recording, s) for s in recording.stations):
+    for name in dict.fromkeys(_point_of(recording, s) for s in recording.stations):
         if name not in names:
             yield f'<point id={quoteattr(name)} adj="xyz" />'
     for name, target in observed:
         yield from _coordinate_lines(name, target)
 
 
-def _words(place: Vector, axes: str) -> str:
+def _words(place: Vector, axes: str = "xyz") -> str:
     """Coordinates [mm] as attributes in metres."""
-    values = dict(zip("xyz", place, strict=True))
-    return "".join(f' {axis}="{round(values[axis] * MILLIMETRE, 12)!r}"' for axis in axes)
+    values = zip("xyz", place, strict=True)
+    return "".join(f' {axis}="{round(value * MILLIMETRE, 12)!r}"' for axis, value in values if axis in axes)
 
 
 def _coordinate_lines(name: str, target: Target) -> Iterator[str]:
@@ -117,31 +108,17 @@ def _coordinate_lines(name: str, target: Target) -> Iterator[str]:
 
 def _first_cloud(recording: Recording) -> dict[str, Vector]:
     """Coordinates [mm] of what the first set-up saw completely, in its own frame."""
-    front = _front(recording)
-    cloud: dict[str, Vector] = {}
-    for i in np.flatnonzero((recording.station == 0) & np.all(recording.measured, axis=1)):
-        d, a, e = front[i]
-        point = np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)]) * d / MILLIMETRE
-        x, y, z = point.round(3).tolist()
-        cloud[recording.targets[recording.target[i]]] = (x, y, z)
-    return cloud
-
-
-def _front(recording: Recording) -> Floats:
-    """Readings (n, 3) with face 2 reduced to face 1."""
-    front = recording.readings.copy()
-    back = recording.face == 2
-    front[back, 1] = np.mod(front[back, 1] + np.pi, 2 * np.pi)
-    front[back, 2] = np.pi - front[back, 2]
-    return front
+    points = (from_polar(to_face(recording.readings, recording.face)) / MILLIMETRE).round(3).tolist()
+    rows = np.flatnonzero((recording.station == 0) & np.all(recording.measured, axis=1))
+    return {recording.targets[recording.target[i]]: points[i] for i in rows}
 
 
 def _observation_lines(recording: Recording) -> Iterator[str]:
-    front, sigma = _front(recording), recording.sigma()
+    front, sigma = to_face(recording.readings, recording.face), recording.sigma()
     instrument, target_height = (h.tolist() for h in recording.heights())
     flat = recording.is_horizontal
     for s, station in enumerate(recording.stations):
-        yield f"<obs from={quoteattr(point_of(recording, station))}>"
+        yield f"<obs from={quoteattr(_point_of(recording, station))}>"
         for i in np.flatnonzero(recording.station == s).tolist():
             (distance, azimuth, elevation), (sd, sa, se) = front[i].tolist(), sigma[i].tolist()
             start = f' from_dh="{instrument[i]!r}"' if instrument[i] else ""

@@ -15,16 +15,18 @@ from pathlib import Path
 import numpy as np
 
 from ltsim.errors import RecordError
-from ltsim.recording.build import NAN, Pointing, recording_of
 from ltsim.recording.conventions import NO_HINTS, Hints
-from ltsim.recording.files import check_name, read_lines, shown
+from ltsim.recording.files import Where, read_lines, shown
+from ltsim.recording.pointings import NAN, Pointing, numbered, recording_of, settled_heights
 from ltsim.recording.recording import HEIGHT_COLUMNS, KIND_COLUMN, Recording
 from ltsim.recording.setup import Instrument, Noise, Setup, Station, Target, Vector
-from ltsim.units import DEGREE, GON
+from ltsim.units import DEGREE, GON, MILLIMETRE
 
 _WORD = re.compile(r"(\d\d)(.{4})([+-])(.{16}|.{8})", re.ASCII)
 _PPM = re.compile(r"51.{4}[+-]\d{4,8}[+-]\d{3,7}", re.ASCII)
 LENGTH = {"0": 1e-3, "1": 0.3048e-3, "6": 1e-4, "7": 0.3048e-4, "8": 1e-5, ".": 1e-3}
+ANGLE = {"2": 1e-5 * GON, "3": 1e-5 * DEGREE, "5": 1e-4 * 2 * np.pi / 6400}
+"""Units of the data by the last character of the information; an angle of unit 4 is in degrees, minutes, seconds."""
 NOISE = Noise(distance_mm=1.0, distance_ppm=1.5, azimuth_arcsec=1.0, elevation_arcsec=1.0)
 NO_NOISE = "GSI states no noise: 1 mm + 1.5 ppm and 1 arcsec of a total station are taken, edit setup.toml to state it"
 
@@ -33,10 +35,74 @@ NO_NOISE = "GSI states no noise: 1 mm + 1.5 ppm and 1 arcsec of a total station 
 class _File:
     path: Path
     station: str = ""
-    instrument_height: float = 0.0
     setups: dict[str, tuple[str, float, Vector | None]] = field(default_factory=dict)
+    """Point, height of the instrument [m] and place [mm] of each set-up."""
     pointings: list[Pointing] = field(default_factory=list)
     skipped: int = 0
+
+    def stand(self, name: str, height: float, place: Vector | None, where: Where) -> None:
+        """A new set-up; a station that is occupied again gets a number."""
+        count = sum(point == where.name(name, "station") for point, _, _ in self.setups.values())
+        self.station = numbered(name, count)
+        self.setups[self.station] = (name, height, place)
+
+
+@dataclass(frozen=True)
+class _Block:
+    """A line: information and signed data of each word by its index."""
+
+    words: dict[str, tuple[str, str]]
+    where: Where
+
+    @classmethod
+    def of(cls, line: str, where: Where) -> _Block:
+        wide = line.startswith("*")
+        words = {}
+        for text in line.lstrip("*").split():
+            found = _WORD.fullmatch(text)
+            if _PPM.fullmatch(text):
+                continue
+            if found is None or (len(found[4]) == 16) != wide:
+                raise where.wrong(f"'{shown(text)}' is no word of GSI-{16 if wide else 8}")
+            words[found[1]] = (found[2], found[3] + found[4])
+        return cls(words, where)
+
+    def holds(self, *keys: str) -> bool:
+        return all(key in self.words for key in keys)
+
+    def name(self, key: str) -> str:
+        """The data of a name word without the zeros that fill it."""
+        return self.words[key][1][1:].strip().lstrip("0") or "0"
+
+    def _number(self, key: str) -> float:
+        digits = self.words[key][1].replace(" ", "")
+        if re.fullmatch(r"[+-]-+", digits):
+            return NAN
+        if re.fullmatch(r"[+-]\d+", digits, re.ASCII) is None:
+            raise self.where.wrong(f"found '{shown(self.words[key][1])}', expected digits")
+        return float(digits)
+
+    def length(self, key: str, default: float = 0.0) -> float:
+        """Length [m] in the unit that the word names."""
+        if key not in self.words:
+            return default
+        unit = self.words[key][0][-1]
+        if unit not in LENGTH:
+            raise self.where.wrong(f"unit '{shown(unit)}' of a length, expected 0, 1, 6, 7 or 8")
+        return self._number(key) * LENGTH[unit]
+
+    def angle(self, key: str) -> float:
+        """Angle [rad]: gon, decimal degrees, degrees-minutes-seconds or mils of 6400."""
+        if key not in self.words:
+            return NAN
+        unit, value = self.words[key][0][-1], self._number(key)
+        if unit == "4":
+            degrees, rest = divmod(abs(value), 1e5)
+            minutes, seconds = divmod(rest, 1e3)
+            return float(np.sign(value) * (degrees + minutes / 60 + seconds / 36_000) * DEGREE)
+        if unit not in ANGLE and not np.isnan(value):
+            raise self.where.wrong(f"unit '{shown(unit)}' of an angle, expected 2, 3, 4 or 5")
+        return value * ANGLE.get(unit, NAN)
 
 
 def recognises(path: Path, head: str) -> bool:
@@ -48,164 +114,86 @@ def recognises(path: Path, head: str) -> bool:
 def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     """Read a GSI file.
 
-    Raises
-    ------
-    RecordError
-        For a word that is malformed, or measurements before a station is named (``hints.station`` names one).
+    Raises RecordError for a word that is malformed, or measurements before a station is named (``hints.station`` names
+    one).
     """
     file = _File(path)
     if hints.station is not None:
-        _stand(hints.station, 0.0, None, file)
+        file.stand(hints.station, 0.0, None, Where(path))
     lines = read_lines(path)
-    before: dict[str, tuple[str, str]] = {}
+    before = _Block({}, Where(path))
     for i, line in enumerate(lines):
         if line.strip():
-            words = _words(line.strip(), path, i + 1)
-            if i == len(lines) - 1 and words.keys() != before.keys():
-                raise RecordError("the last line has no line break: it was cut", file=path, row=i + 1)
-            _block(words, file, i + 1)
-            before = words
+            block = _Block.of(line.strip(), Where(path, i + 1))
+            if i == len(lines) - 1 and block.words.keys() != before.words.keys():
+                raise block.where.wrong("the last line has no line break: it was cut")
+            _take(block, file)
+            before = block
     if not file.pointings:
         raise RecordError("holds no measurements", file=path)
     return _finished(file)
 
 
-def _words(line: str, path: Path, row: int) -> dict[str, tuple[str, str]]:
-    """Information and signed data of each word by its index."""
-    wide = line.startswith("*")
-    words: dict[str, tuple[str, str]] = {}
-    for text in line.lstrip("*").split(" "):
-        found = _WORD.fullmatch(text)
-        if not text or _PPM.fullmatch(text):
-            continue
-        if found is None or (len(found.group(4)) == 16) != wide:
-            raise RecordError(f"'{shown(text)}' is no word of GSI-{16 if wide else 8}", file=path, row=row)
-        words[found.group(1)] = (found.group(2), found.group(3) + found.group(4))
-    return words
-
-
-def _block(words: dict[str, tuple[str, str]], file: _File, row: int) -> None:
+def _take(block: _Block, file: _File) -> None:
     """A station, a pointing, or something else."""
-    if "41" in words and "42" in words:
-        height = _length(words["43"], file, row) if "43" in words else 0.0
-        _stand(_name(words["42"][1]), height, None, file, row)
-    elif "84" in words and "85" in words and "11" in words and "21" not in words:
-        x, y, z = (_length(words[k], file, row) if k in words else 0.0 for k in ("84", "85", "86"))
-        height = _length(words["88"], file, row) if "88" in words else 0.0
-        _stand(_name(words["11"][1]), height, (x * 1e3, y * 1e3, z * 1e3), file, row)
-    elif "11" in words and any(k in words for k in ("21", "22", "31", "32")):
-        _pointing(words, file, row)
+    if block.holds("41", "42"):
+        file.stand(block.name("42"), block.length("43"), None, block.where)
+    elif block.holds("84", "85", "11") and not block.holds("21"):
+        x, y, z = (block.length(key) / MILLIMETRE for key in ("84", "85", "86"))
+        file.stand(block.name("11"), block.length("88"), (x, y, z), block.where)
+    elif block.holds("11") and any(block.holds(key) for key in ("21", "22", "31", "32")):
+        _pointing(block, file)
     else:
         file.skipped += 1
 
 
-def _stand(name: str, height: float, place: Vector | None, file: _File, row: int | None = None) -> None:
-    """A new set-up; a station that is occupied again gets a number."""
-    check_name(name, "station", file=file.path, row=row)
-    count = sum(point == name for point, _, _ in file.setups.values())
-    file.station = name if not count else f"{name}#{count + 1}"
-    file.setups[file.station] = (name, height, place)
-
-
-def _name(data: str) -> str:
-    """The data of a name word without the zeros that fill it."""
-    return data[1:].strip().lstrip("0") or "0"
-
-
-def _number(word: tuple[str, str], file: _File, row: int) -> float:
-    digits = word[1].replace(" ", "")
-    if re.fullmatch(r"[+-]-+", digits):
-        return NAN
-    if re.fullmatch(r"[+-]\d+", digits, re.ASCII) is None:
-        raise RecordError(f"found '{shown(word[1])}', expected digits", file=file.path, row=row)
-    return float(digits)
-
-
-def _length(word: tuple[str, str], file: _File, row: int) -> float:
-    """Length [m] in the unit that the word names."""
-    unit = word[0][-1]
-    if unit not in LENGTH:
-        raise RecordError(f"unit '{shown(unit)}' of a length, expected 0, 1, 6, 7 or 8", file=file.path, row=row)
-    return _number(word, file, row) * LENGTH[unit]
-
-
-def _angle(word: tuple[str, str], file: _File, row: int) -> float:
-    """Angle [rad]: gon, decimal degrees, degrees-minutes-seconds or mils of 6400."""
-    unit, value = word[0][-1], _number(word, file, row)
-    if unit == "2":
-        return value * 1e-5 * GON
-    if unit == "3":
-        return value * 1e-5 * DEGREE
-    if unit == "4" and np.isfinite(value):
-        degrees, rest = divmod(abs(value), 1e5)
-        minutes, seconds = divmod(rest, 1e3)
-        return float(np.sign(value) * (degrees + minutes / 60 + seconds / 36_000) * DEGREE)
-    if unit == "5":
-        return value * 1e-4 * 2 * np.pi / 6400
-    if np.isnan(value):
-        return NAN
-    raise RecordError(f"unit '{shown(unit)}' of an angle, expected 2, 3, 4 or 5", file=file.path, row=row)
-
-
-def _pointing(words: dict[str, tuple[str, str]], file: _File, row: int) -> None:
+def _pointing(block: _Block, file: _File) -> None:
     if not file.station:
-        message = "a measurement before any station is named; say which it is (station=)"
-        raise RecordError(message, file=file.path, row=row)
-    flat = "31" not in words
-    key = "32" if flat else "31"
-    distance = _length(words[key], file, row) if key in words else NAN
-    horizontal = _angle(words["21"], file, row) if "21" in words else NAN
-    zenith = _angle(words["22"], file, row) if "22" in words else NAN
+        raise block.where.wrong("a measurement before any station is named; say which it is (station=)")
+    flat = not block.holds("31")
+    distance = block.length("32" if flat else "31", NAN) or NAN
+    horizontal, zenith = block.angle("21"), block.angle("22")
     if not (np.isnan(distance) or 0 < distance < 1e6):
-        if distance != 0:
-            raise RecordError(f"a distance of {distance:g} m", file=file.path, row=row)
-        distance = NAN
+        raise block.where.wrong(f"a distance of {distance:g} m")
     if not (np.isnan(zenith) or 0 <= zenith <= 2 * np.pi):
-        raise RecordError("a zenith angle off the circle", file=file.path, row=row)
-    elevation = np.pi / 2 - zenith
-    if elevation < -np.pi / 2:
-        elevation += 2 * np.pi
+        raise block.where.wrong("a zenith angle off the circle")
+    elevation = np.pi / 2 - zenith + (2 * np.pi if zenith > np.pi else 0.0)
     if np.all(np.isnan([distance, horizontal, zenith])):
         file.skipped += 1
         return
-    height = _length(words["87"], file, row) * 1e3 if "87" in words else 0.0
-    covariates = {HEIGHT_COLUMNS[1]: height} if np.isfinite(height) else {}
-    labels = {KIND_COLUMN: "horizontal"} if flat and np.isfinite(distance) else {}
-    face = 2 if elevation > np.pi / 2 + 1e-9 else 1
-    azimuth = float(np.mod(-horizontal, 2 * np.pi))
-    target = check_name(_name(words["11"][1]), "target", file=file.path, row=row)
+    height = block.length("87") / MILLIMETRE
     file.pointings.append(
         Pointing(
-            file.station, target, face, distance, azimuth, float(elevation), covariates=covariates, labels=labels,
-            source=f"{file.path.name}, line {row}",
+            file.station,
+            block.where.name(block.name("11"), "target"),
+            2 if elevation > np.pi / 2 + 1e-9 else 1,
+            distance,
+            float(np.mod(-horizontal, 2 * np.pi)),
+            elevation,
+            covariates={HEIGHT_COLUMNS[1]: height} if np.isfinite(height) else {},
+            labels={KIND_COLUMN: "horizontal"} if flat and np.isfinite(distance) else {},
+            source=f"{file.path.name}, line {block.where.row}",
         )
-    )  # fmt: skip
+    )
 
 
 def _finished(file: _File) -> Recording:
-    targets = dict.fromkeys(p.target for p in file.pointings)
-    used = dict.fromkeys(p.station for p in file.pointings)
+    pointings, _, heights = settled_heights(file.pointings)
+    targets = {p.target for p in pointings}
     stations = {}
-    for name in used:
+    for name in dict.fromkeys(p.station for p in pointings):
         point, height, place = file.setups[name]
         stations[name] = Station(
             levelled=True,
             over=point if point in targets else None,
-            instrument_height_mm=round(height * 1e3, 6),
+            instrument_height_mm=round(height / MILLIMETRE, 6),
             position_mm=place,
         )
-    heights: dict[str, set[float]] = {}
-    for p in file.pointings:
-        heights.setdefault(p.target, set()).update(p.covariates.values())
-    constant = all(len(found) <= 1 for found in heights.values())
     setup = Setup(
         title=file.path.stem,
         instrument=Instrument(noise=NOISE, corrected=True),
         stations=stations,
-        targets={t: Target(height_mm=h.pop()) for t, h in heights.items() if h and any(h)} if constant else {},
+        targets={name: Target(height_mm=height) for name, height in heights.items()},
     )
-    notes = [NO_NOISE]
-    if file.skipped:
-        notes.append(f"{file.skipped} blocks are no station or measurement and left out")
-    recording = recording_of(file.pointings, setup, notes=notes, file=file.path)
-    return recording.replace(covariates={}) if constant else recording
+    left = [f"{file.skipped} blocks are no station or measurement and left out"] if file.skipped else []
+    return recording_of(pointings, setup, notes=[NO_NOISE, *left], file=file.path)

@@ -7,18 +7,19 @@ runs counter-clockwise. Its readings are reduced to the front face: the face is 
 
 from __future__ import annotations
 
+from collections import Counter
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
-from xml.etree.ElementTree import Element
 
 import numpy as np
 
 from ltsim.errors import RecordError
 from ltsim.geometry.polar import to_polar
-from ltsim.recording.build import NAN, Pointing, recording_of
 from ltsim.recording.conventions import NO_HINTS, NO_NOISE, Hints
-from ltsim.recording.files import check_name, number, shown
-from ltsim.recording.formats.xml import attribute, line_of, parse, tag
+from ltsim.recording.files import as_title, shown
+from ltsim.recording.formats.xml import Node, parse
+from ltsim.recording.pointings import NAN, Pointing, recording_of
 from ltsim.recording.recording import SIGMA_COLUMNS, Recording
 from ltsim.recording.setup import Setup
 from ltsim.units import ARCSECOND, MILLIMETRE
@@ -41,110 +42,92 @@ def recognises(path: Path, head: str) -> bool:
 def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     """Read an OpenIndy project.
 
-    Raises
-    ------
-    RecordError
-        For XML that is malformed or hostile, or a reading that lacks a measurement.
+    Raises RecordError for XML that is malformed or hostile, or a reading that lacks a measurement.
     """
     root = parse(path)
-    if tag(root) != ROOT:
-        raise RecordError(f"the root is <{shown(tag(root))}>, expected <{ROOT}>", file=path)
-    stations = {attribute(e, "id", path): attribute(e, "name", path) for e in root.iter("station") if e.get("name")}
-    geometries = {
-        attribute(e, "id", path): (attribute(e, "name", path), e.get("type", ""))
-        for kind in ("geometry", "nominalGeometry")
-        for e in root.iter(kind)
-        if e.get("name")
-    }
-    notes: dict[str, int] = {}
-    observations = [e for e in root.iter("observation") if e.find("reading") is not None]
-    found = [_pointing(element, stations, geometries, notes, path) for element in observations]
+    if root.tag != ROOT:
+        raise RecordError(f"the root is <{shown(root.tag)}>, expected <{ROOT}>", file=path)
+    named = [node for node in root.inside("station", "geometry", "nominalGeometry") if node.get("name")]
+    stations = {node.attribute("id"): node for node in named if node.tag == "station"}
+    geometries = {node.attribute("id"): node for node in named if node.tag != "station"}
+    notes: Counter[str] = Counter()
+    found = [_pointing(node, stations, geometries, notes) for node in root.inside("observation")]
     pointings = [p for p in found if p is not None]
     if not pointings:
         raise RecordError("holds no readings", file=path)
+    start = np.min([p.time for p in pointings])
+    pointings = [replace(p, time=p.time - start) for p in pointings]
     said = [f"{count} {what}" for what, count in notes.items()]
-    title = root.get("name", path.stem)
-    title = "".join(c for c in title if c.isprintable() and c not in "<>")[:200]
-    return recording_of(_from_start(pointings), Setup(title=title), notes=[*said, NO_NOISE], file=path)
+    setup = Setup(title=as_title(root.get("name", path.stem)))
+    return recording_of(pointings, setup, notes=[*said, NO_NOISE], file=path)
 
 
 def _pointing(
-    element: Element,
-    stations: dict[str, str],
-    geometries: dict[str, tuple[str, str]],
-    notes: dict[str, int],
-    path: Path,
+    node: Node, stations: dict[str, Node], geometries: dict[str, Node], notes: Counter[str]
 ) -> Pointing | None:
-    reading, station = element.find("reading"), element.find("station")
-    if reading is None or station is None:
-        raise RecordError("an observation without its station", file=path)
-    kind = reading.get("type", "")
-    if element.get("isValid") == "0" or kind not in WANTED:
-        what = f"readings of the type {shown(kind)} left out" if kind not in WANTED else "invalid readings left out"
-        notes[what] = notes.get(what, 0) + 1
+    inner = {child.tag: child for child in node}
+    if "reading" not in inner:
         return None
-    reference = attribute(station, "ref", path)
+    if "station" not in inner:
+        raise node.where.wrong("an observation without its station")
+    reading, reference = inner["reading"], inner["station"].attribute("ref")
+    kind = reading.get("type")
+    if node.get("isValid") == "0" or kind not in WANTED:
+        notes[
+            f"readings of the type {shown(kind)} left out" if kind not in WANTED else "invalid readings left out"
+        ] += 1
+        return None
     if reference not in stations:
-        raise RecordError(f"a reading refers to station {shown(reference)}, which is not there", file=path)
-    values, sigmas = _measurements(reading, kind, path)
-    distance, azimuth, elevation = _polar(kind, values)
-    if np.isfinite(distance) and distance <= 0:
-        raise RecordError(f"found a distance of {distance:g}, expected one above 0", file=path)
+        raise node.where.wrong(f"a reading refers to station {shown(reference)}, which is not there")
+    measured = {m.attribute("type"): m for m in reading.inside("measurement")}
+    missing = [name for name in WANTED[kind] if name not in measured]
+    if missing:
+        raise node.where.wrong(f"a {kind} reading lacks its {missing[0]}")
+    distance, azimuth, elevation = _polar({name: measured[name].number("value", limit=1e6) for name in WANTED[kind]})
+    if distance <= 0:
+        raise node.where.wrong(f"found a distance of {distance:g}, expected one above 0")
     face = 2 if elevation > np.pi / 2 + 1e-9 else 1
     if (reading.get("face") == "2") != (face == 2):
-        what = "readings state another face than their zenith angle shows: the angle is trusted"
-        notes[what] = notes.get(what, 0) + 1
+        notes["readings state another face than their zenith angle shows: the angle is trusted"] += 1
     return Pointing(
-        check_name(stations[reference], "station", file=path),
-        _target(element, geometries, path),
+        stations[reference].name("name", "station"),
+        _target(node, geometries),
         face,
         distance,
         azimuth,
         elevation,
-        _seconds(reading.get("time", "")),
-        sigmas,
-        source=f"{path.name}, line {line_of(element)}",
+        _seconds(reading.get("time")),
+        _sigmas(measured),
+        source=f"{node.file.name}, line {node.line}",
     )
 
 
-def _measurements(reading: Element, kind: str, path: Path) -> tuple[dict[str, float], dict[str, float]]:
-    """Values [m, rad] and stated standard deviations by column."""
-    values: dict[str, float] = {}
-    sigmas: dict[str, float] = {}
-    for element in reading.iter("measurement"):
-        name = attribute(element, "type", path)
-        values[name] = number(attribute(element, "value", path), file=path, column=shown(name), limit=1e6)
-        sigma = number(element.get("sigma", "0"), file=path, column=shown(name), limit=1e6)
-        if name in SIGMAS and sigma > 0:
-            sigmas[SIGMAS[name]] = sigma / (MILLIMETRE if name == "distance" else ARCSECOND)
-    missing = [name for name in WANTED[kind] if name not in values]
-    if missing:
-        raise RecordError(f"a {kind} reading lacks its {missing[0]}", file=path)
-    return values, sigmas
-
-
-def _polar(kind: str, values: dict[str, float]) -> tuple[float, float, float]:
-    """Range, azimuth and raw elevation."""
-    if kind == "cartesian":
+def _polar(values: dict[str, float]) -> tuple[float, float, float]:
+    """Range, azimuth and raw elevation; NaN for what was not measured."""
+    if "x" in values:
         d, a, e = to_polar(np.array([[values["x"], values["y"], values["z"]]]))[0].tolist()
         return d, a, e
-    distance = values["distance"] if "distance" in WANTED[kind] else NAN
-    if kind == "distance":
-        return distance, NAN, NAN
-    elevation = np.pi / 2 - values["zenith"] % (2 * np.pi)
+    elevation = np.pi / 2 - values.get("zenith", NAN) % (2 * np.pi)
     if elevation < -np.pi / 2 - 1e-9:
         elevation += 2 * np.pi
-    return distance, float(values["azimuth"] % (2 * np.pi)), float(elevation)
+    return values.get("distance", NAN), values.get("azimuth", NAN) % (2 * np.pi), elevation
 
 
-def _target(element: Element, geometries: dict[str, tuple[str, str]], path: Path) -> str:
+def _sigmas(measured: dict[str, Node]) -> dict[str, float]:
+    """Standard deviations that are stated, by column."""
+    stated = {name: measured[name].number("sigma", 0.0, limit=1e6) for name in SIGMAS if name in measured}
+    unit = {"distance": MILLIMETRE, "azimuth": ARCSECOND, "zenith": ARCSECOND}
+    return {SIGMAS[name]: sigma / unit[name] for name, sigma in stated.items() if sigma > 0}
+
+
+def _target(node: Node, geometries: dict[str, Node]) -> str:
     """Name of the point geometry, or one of its own for a touch of anything else."""
-    names = [geometries[ref] for e in element.iter("measuredTargetGeometry") if (ref := e.get("ref", "")) in geometries]
-    point = next((name for name, kind in names if kind == "point"), None)
-    if point is None:
-        number_ = attribute(element, "id", path)
-        point = f"{names[0][0]}.{number_}" if names else f"observation {number_}"
-    return check_name(point, "target", file=path)
+    touched = [geometries[e.get("ref")] for e in node.inside("measuredTargetGeometry") if e.get("ref") in geometries]
+    point = next((geometry for geometry in touched if geometry.get("type") == "point"), None)
+    if point is not None:
+        return point.name("name", "target")
+    number = node.attribute("id")
+    return node.where.name(f"{touched[0].get('name')}.{number}" if touched else f"observation {number}", "target")
 
 
 def _seconds(stamp: str) -> float:
@@ -152,8 +135,3 @@ def _seconds(stamp: str) -> float:
         return datetime.fromisoformat(stamp).replace(tzinfo=None).timestamp()
     except (ValueError, OverflowError, OSError):
         return NAN
-
-
-def _from_start(pointings: list[Pointing]) -> list[Pointing]:
-    first = min(p.time for p in pointings) if all(np.isfinite(p.time) for p in pointings) else NAN
-    return [Pointing(**{**vars(p), "time": p.time - first}) for p in pointings]

@@ -22,10 +22,9 @@ from ltsim.recording.files import read_lines, shown, write_text
 from ltsim.recording.recording import Recording
 from ltsim.recording.tables import reader as tables
 from ltsim.recording.tables.cells import is_value
-from ltsim.recording.tables.sheets import separator_of, split
+from ltsim.recording.tables.sheets import rows_of_head
 from ltsim.units import DEGREE, MILLIMETRE
 
-COMMENT = "#"
 WORDS = {name: get_args(kind) for name, kind in (("angle", Angle), ("vertical", Vertical), ("azimuth", Azimuth))}
 WORDS["length"] = get_args(Length)
 _SETTING = re.compile(r"#\s*(units|azimuth|vertical)\s*:\s*([\w-]+)(?:\s+(\w+))?\s*", re.IGNORECASE | re.ASCII)
@@ -34,9 +33,7 @@ _POLAR = re.compile(r"^#.*(polar|spherical|azimuth)", re.IGNORECASE | re.MULTILI
 
 def recognises(path: Path, head: str) -> bool:
     """Whether the first lines are names and three numbers; without a station only where a comment says polar."""
-    lines = [line for line in head.splitlines() if line.strip()]
-    separator = separator_of(lines)
-    body = [split(line, separator) for line in lines if not line.startswith(COMMENT)]
+    body = [row.fields for row in rows_of_head(head) if not row.comment]
     whole = body[: max(1, min(6, len(body) - 1))]
     columns = (4, 5) if _POLAR.search(head) else (5,)
     return bool(whole) and all(len(f) in columns and all(map(is_value, f[-3:])) for f in whole)
@@ -67,10 +64,7 @@ def _stated(lines: list[str], hints: Hints, file: Path) -> Hints:
 def write(recording: Recording, path: Path) -> None:
     """Write polar text in degrees and millimetres, azimuth counter-clockwise, elevation, raw on both faces.
 
-    Raises
-    ------
-    RecordError
-        For a recording with incomplete pointings, which this format cannot hold.
+    Raises RecordError for a recording with incomplete pointings, which this format cannot hold.
     """
     missing = np.flatnonzero(~np.all(recording.measured, axis=1))
     if len(missing):

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element, ParseError, TreeBuilder
 
+import numpy as np
 from defusedxml import DefusedXmlException
 from defusedxml.ElementTree import DefusedXMLParser
 
+from ltsim.arrays import Floats, Ints
 from ltsim.errors import RecordError
-from ltsim.recording.files import number, read_bytes, shown
+from ltsim.recording.files import Where, read_bytes, shown
 
 LINE = "{ltsim}line"
 """An attribute that no file can set: its namespace is none, and what a file says is overwritten."""
@@ -25,13 +29,10 @@ class _Numbered(TreeBuilder):
         return super().start(tag, {**attrs, LINE: str(self.parser.parser.CurrentLineNumber)})
 
 
-def parse(path: Path) -> Element:
+def parse(path: Path) -> Node:
     """The root of an XML file.
 
-    Raises
-    ------
-    RecordError
-        When it is not well formed (cut, badly encoded), or declares entities.
+    Raises RecordError when it is not well formed (cut, badly encoded), or declares entities.
     """
     content = read_bytes(path)
     try:
@@ -48,37 +49,77 @@ def parse(path: Path) -> Element:
         raise RecordError("is not XML in an encoding that is known here", file=path) from None
     if not isinstance(root, Element):
         raise RecordError("holds no XML element", file=path)
-    return root
+    return Node(root, path)
 
 
-def line_of(element: Element) -> int:
-    """The line of the file that an element begins in."""
-    return int(element.get(LINE, "0"))
+@dataclass(frozen=True)
+class Node:
+    """An element of a file: what it lacks or holds wrongly is told with its line."""
+
+    element: Element
+    file: Path
+
+    def __iter__(self) -> Iterator[Node]:
+        return (Node(inner, self.file) for inner in self.element)
+
+    def inside(self, *tags: str) -> Iterator[Node]:
+        """The elements with one of these names, itself and all below it, in the order of the file."""
+        nodes = (Node(inner, self.file) for inner in self.element.iter())
+        return (node for node in nodes if node.tag in tags)
+
+    @property
+    def tag(self) -> str:
+        """Its name without its namespace."""
+        return str(self.element.tag).rpartition("}")[2]
+
+    @property
+    def line(self) -> int:
+        """The line of the file that it begins in."""
+        return int(self.element.get(LINE, "0"))
+
+    @property
+    def where(self) -> Where:
+        """Its place."""
+        return Where(self.file, self.line)
+
+    @property
+    def text(self) -> str:
+        """Its text in one line."""
+        return " ".join((self.element.text or "").split())
+
+    def get(self, name: str, default: str = "") -> str:
+        """An attribute without blanks around it."""
+        return self.element.get(name, default).strip()
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.element.attrib
+
+    def attribute(self, name: str) -> str:
+        """An attribute that has to be there; raises RecordError."""
+        if name not in self:
+            raise self.where.wrong(f"<{shown(self.tag)}> lacks the attribute {name}")
+        return self.get(name)
+
+    def number(self, name: str, default: float | None = None, limit: float = 1e12) -> float:
+        """An attribute that is a number; `default` where it is absent, or RecordError without one."""
+        if default is not None and name not in self:
+            return default
+        return self.where.number(self.attribute(name), f"<{shown(self.tag)}> {name}", limit=limit)
+
+    def name(self, name: str, kind: str) -> str:
+        """An attribute that names a station or a target; raises RecordError."""
+        return self.where.name(self.attribute(name), kind)
 
 
-def tag(element: Element) -> str:
-    """The name of an element without its namespace."""
-    return str(element.tag).rpartition("}")[2]
+def banded(node: Node, size: float, band: float, values: Sequence[float]) -> tuple[Ints, Ints, Floats]:
+    """Row, column and value (k,) of the upper triangle of a matrix in Gama's band form; raises RecordError.
 
-
-def attribute(element: Element, name: str, file: Path) -> str:
-    """An attribute that has to be there, without blanks around it."""
-    value = element.get(name)
-    if value is None:
-        raise RecordError(f"<{shown(tag(element))}> lacks the attribute {name}", file=file)
-    return value.strip()
-
-
-def value_of(element: Element, name: str, file: Path, default: float | None = None) -> float:
-    """An attribute that is a number; `default` where it is absent.
-
-    Raises
-    ------
-    RecordError
-        When it is absent without a default, or is not a finite number.
+    `node` is named where its numbers are not those of so many rows and diagonals.
     """
-    text = element.get(name)
-    if text is None and default is not None:
-        return default
-    found = attribute(element, name, file)
-    return number(found, file=file, column=f"<{shown(tag(element))}> {name}")
+    rows = np.arange(min(int(size), len(values)))
+    last = np.minimum(rows + max(int(band), 0), int(size) - 1)
+    counts = last - rows + 1
+    if not 0 <= band < size or len(rows) < size or len(values) != counts.sum():
+        raise node.where.wrong("a <cov-mat> whose numbers do not match dim and band")
+    column = np.concatenate([np.arange(i, j + 1) for i, j in zip(rows, last, strict=True)])
+    return np.repeat(rows, counts), column, np.array(values)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from datetime import datetime, timedelta
 from decimal import Decimal
 
@@ -19,12 +19,7 @@ _SEXAGESIMAL = re.compile(
     r"([+-]?)(\d{1,3})\s*(?:°|d|:|-|\s)\s*(\d{1,2})\s*(?:'|′|’|m|:|-|\s)\s*(\d{1,2}(?:[.,]\d+)?)\s*(?:\"|″|”|''|s)?"
 )
 _CLOCK = re.compile(r"(\d{1,2}):(\d{2})(?::(\d{2})(?:[.,](\d{1,9}))?)?(?:\s*([AaPp])\.?[Mm]\.?)?")
-_DATES: tuple[tuple[str, re.Pattern[str], str], ...] = (
-    ("ymd", re.compile(r"(\d{4})[-/.](\d{1,2})[-/.](\d{1,2})"), "ymd"),
-    ("dmy", re.compile(r"(\d{1,2})\.(\d{1,2})\.(\d{4}|\d{2})"), "dmy"),
-    ("dmy", re.compile(r"(\d{1,2})[-/](\d{1,2})[-/](\d{4}|\d{2})"), "dmy"),
-    ("mdy", re.compile(r"(\d{1,2})[-/](\d{1,2})[-/](\d{4}|\d{2})"), "mdy"),
-)
+_DATE = re.compile(r"(\d{1,4})([-/.])(\d{1,2})\2(\d{1,4})")
 
 
 def plain(text: str) -> str:
@@ -44,10 +39,7 @@ _BOTH = {mark: re.compile(_GROUPED[mark].pattern + rf"[{other}]\d+", re.ASCII) f
 def grouping_of(rows: Iterable[Sequence[str]], file: object) -> str:
     """The mark that groups thousands in a sheet, as ``7.000,5`` shows it for the ``7.000`` beside; '' for none.
 
-    Raises
-    ------
-    RecordError
-        Where one cell groups by points and another by commas.
+    Raises RecordError where one cell groups by points and another by commas.
     """
     shown = {mark: cell for row in rows for cell in row for mark, form in _BOTH.items() if form.fullmatch(cell)}
     if len(shown) > 1:
@@ -93,36 +85,19 @@ def moments(texts: Sequence[str], order: str | None = None) -> tuple[list[float]
     strokes leave the order open (the text is "?" then).
     """
     clocks = [_clock(text) for text in texts]
-    if all(clock is not None for clock in clocks):
-        return _since(_unwrapped([clock for clock in clocks if clock is not None]), dated=False)
-    meanings: dict[str, list[datetime]] = {}
-    for name, form, letters in _DATES:
-        if (name == "mdy" and order == "dmy") or (name == "dmy" and order == "mdy" and "/" in form.pattern):
-            continue
-        stamps = _all(texts, lambda text, f=form, k=letters: _stamp(text, f, k))  # type: ignore[misc]
-        if stamps is not None:
-            meanings.setdefault(name, stamps)
-    found = [_since([stamp - datetime.min for stamp in stamps], dated=True) for stamps in meanings.values()]
-    if any(one[0] != found[0][0] for one in found):
+    if None not in clocks:
+        return _since([datetime.min + clock for clock in _unwrapped(clocks)], dated=False)  # type: ignore[arg-type]
+    read = ([_stamp(text, letters, order) for text in texts] for letters in ("ymd", "dmy", "mdy"))
+    found = [_since(stamps, dated=True) for stamps in read if None not in stamps]  # type: ignore[arg-type]
+    if any(seconds != found[0][0] for seconds, _ in found):
         return None, "?"
     return found[0] if found else (None, "")
 
 
-def _all(texts: Sequence[str], read: Callable[[str], datetime | None]) -> list[datetime] | None:
-    found = []
-    for text in texts:
-        stamp = read(text)
-        if stamp is None:
-            return None
-        found.append(stamp)
-    return found
-
-
-def _since(spans: list[timedelta], *, dated: bool) -> tuple[list[float], str]:
-    first = min(spans)
-    start = datetime.min + first
-    said = start.isoformat() if dated else start.time().isoformat()
-    return [(span - first).total_seconds() for span in spans], said
+def _since(stamps: list[datetime], *, dated: bool) -> tuple[list[float], str]:
+    first = min(stamps)
+    said = first.isoformat() if dated else first.time().isoformat()
+    return [(stamp - first).total_seconds() for stamp in stamps], said
 
 
 def _unwrapped(clocks: list[timedelta]) -> list[timedelta]:
@@ -151,16 +126,18 @@ def _clock(text: str) -> timedelta | None:
     )
 
 
-def _stamp(text: str, form: re.Pattern[str], letters: str) -> datetime | None:
+def _stamp(text: str, letters: str, order: str | None) -> datetime | None:
     """A date with or without a clock; the zone of an ISO stamp is left aside (all are taken as of one zone)."""
     day, _, rest = re.sub(r"(?<=\d)T(?=\d)", " ", text.strip()).partition(" ")
     rest = re.sub(r"(Z|[+-]\d{2}:?\d{2})$", "", rest.strip())
-    found = form.fullmatch(day)
-    clock = _clock(rest) if rest else timedelta(0)
-    if found is None or clock is None:
+    found, clock = _DATE.fullmatch(day), _clock(rest) if rest else timedelta(0)
+    if found is None or clock is None or (len(found[1]) == 4) != (letters == "ymd"):
         return None
-    parts = dict(zip(letters, (int(part) for part in found.groups()), strict=True))
+    excluded = letters == "mdy" if found[2] == "." else letters != "ymd" and order not in (None, letters)
+    parts = {letter: int(part) for letter, part in zip(letters, found.group(1, 3, 4), strict=True)}
     year = parts["y"] + (2000 if parts["y"] < 100 else 0)
+    if excluded or year < 1000:
+        return None
     try:
         return datetime(year, parts["m"], parts["d"]) + clock
     except ValueError:

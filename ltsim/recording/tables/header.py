@@ -133,15 +133,12 @@ def names_places(columns: Sequence[Column]) -> bool:
 
 def words_of(title: str) -> tuple[str, str]:
     """The words of a header without marks and accents, and its unit ('' where it states none)."""
-    name, unit = title, ""
-    bracket = _BRACKET.fullmatch(title)
-    if bracket is not None and bracket.group(1):
-        name, unit = bracket.groups()
-    else:
+    name, unit = _titled(title)
+    if not unit:
         parts = re.split(r"[\s_]+", title.strip())
         if len(parts) > 1 and parts[-1].lower() in NAMED and role_of("".join(parts[:-1])):
-            name, unit = " ".join(parts[:-1]), parts[-1]
-    return _folded(name), NAMED.get(unit.strip().lower(), unit.strip())
+            name, unit = " ".join(parts[:-1]), NAMED[parts[-1].lower()]
+    return _folded(name), unit
 
 
 def role_of(name: str) -> str:
@@ -179,10 +176,7 @@ def mapped(fields: Sequence[str], wanted: str, file: object) -> list[Column] | N
 
     A header that is a number counts columns from 1. Roles that are not named go by the words of the header.
 
-    Raises
-    ------
-    RecordError
-        For a role or a unit that is not known.
+    Raises RecordError for a role or a unit that is not known.
     """
     columns = columns_of(fields)
     said: dict[int, Column] = {}
@@ -216,10 +210,11 @@ def assignments(wanted: str, file: object = None) -> list[tuple[str, int, str, s
 
 
 def _titled(text: str) -> tuple[str, str]:
+    """A header without the unit in brackets behind it, and that unit."""
     bracket = _BRACKET.fullmatch(text)
-    if bracket is None or not bracket.group(1):
+    if bracket is None or not bracket[1]:
         return text, ""
-    return bracket.group(1), NAMED.get(bracket.group(2).lower(), bracket.group(2))
+    return bracket[1], NAMED.get(bracket[2].lower(), bracket[2])
 
 
 def _place(fields: Sequence[str], title: str) -> int | None:

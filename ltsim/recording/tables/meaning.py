@@ -1,4 +1,4 @@
-"""What the numbers of a table mean: units, zenith or elevation, the sense of the circle, faces.
+"""What the numbers of a table mean: units, zenith or elevation, the sense of the circle; coordinates for readings.
 
 What the header states is taken; the rest is decided by the data (`ltsim.recording.conventions`) or asked for. The
 mirror image of a network is a network: no data decide the sense of the circle, unless places are known. The words of
@@ -15,34 +15,41 @@ from pathlib import Path
 
 import numpy as np
 
+from ltsim.arrays import Floats
 from ltsim.errors import RecordError
-from ltsim.geometry.polar import from_polar
-from ltsim.recording.build import indices
+from ltsim.geometry.polar import from_polar, to_polar, unit_vectors
 from ltsim.recording.conventions import (
+    SENSE_UNKNOWN,
     Azimuth,
     Hints,
     PolarTable,
+    Pose,
     Vertical,
     angle_meaning,
     known_sense,
     length_meaning,
-    poses_of,
     sense_by_poses,
-    sense_unknown,
 )
 from ltsim.recording.files import shown
-from ltsim.recording.plausibility import SHORTEST_MM
-from ltsim.recording.setup import Setup
+from ltsim.recording.pointings import indices
+from ltsim.recording.recording import SIGMA_COLUMNS
+from ltsim.recording.slips import SHORTEST_MM
 from ltsim.recording.tables import cells
-from ltsim.recording.tables.header import DISTANCE, HEIGHTS, HORIZONTAL, VERTICAL, Column
+from ltsim.recording.tables.header import DISTANCE, HEIGHTS, HORIZONTAL, PLACE, SIGMA_OF, VERTICAL, Column
 from ltsim.recording.tables.rows import Printed, Table
-from ltsim.units import DEGREE, MILLIMETRE, ratio
+from ltsim.units import ARCSECOND, DEGREE, FACTOR, MILLIMETRE, ratio
 
-HALF, FULL, QUARTER = Decimal(180), Decimal(360), Decimal(90)
+FULL, QUARTER = Decimal(360), Decimal(90)
 TALL_M = (0.2, 3.0)
 """[m] Heights of instruments and targets over their marks lie here: they tell metres from millimetres."""
 AMBIGUOUS_MM = 1000.0
 """Longest distance that may as well be in metres."""
+ONE_FRAME = 2e-3
+"""[m] Common targets of two set-ups that agree so well are in one frame already."""
+TOLD = (
+    "coordinates in each set-up's own axes are turned into distance, azimuth and elevation; what is stated as noise "
+    "is that of the readings, and of both faces together"
+)
 
 
 @dataclass(frozen=True)
@@ -79,39 +86,31 @@ class Meaning:
         )
 
 
-def _float(value: Decimal | None) -> float:
-    return np.nan if value is None else float(value)
-
-
 def _of(p: Printed, kind: Sequence[str]) -> Decimal | None:
     return next((p.values[role] for role in kind if role in p.values), None)
 
 
-def meaning_of(table: Table, setup: Setup, hints: Hints, file: Path) -> Meaning:
-    """What the table's numbers mean.
+def readings_of(table: Table, poses: Mapping[int, Pose], hints: Hints, file: Path) -> tuple[Meaning, Floats]:
+    """What the table's numbers mean, and the raw readings (n, 3) [m, rad] that they are.
 
-    Raises
-    ------
-    RecordError
-        Asking for what neither header nor data decide, with the option to type.
+    Rough `poses` of stations, by the order in which the table names them, tell the sense of the circle.
+
+    Raises RecordError, asking for what neither header nor data decide, with the option to type.
     """
+    if table.holds_places:
+        return _readings_of_places(table, hints, file)
     columns = {kind[0]: table.column(kind) for kind in (HORIZONTAL, VERTICAL, DISTANCE)}
     stated = {kind: c.unit if c is not None else "" for kind, c in columns.items()}
-    polar = _polar(table, file)
+    _, station = indices((p.station for p in table.pointings), "station", file)
+    _, target = indices((p.target for p in table.pointings), "target", file)
+    printed = [[_of(p, kind) for kind in (HORIZONTAL, VERTICAL, DISTANCE)] for p in table.pointings]
+    polar = PolarTable(station, target, *np.array(printed, dtype=np.float64).T)
     units, vertical, notes = _angles(columns, stated, polar, hints, file)
     length, more = _length(stated["distance"], polar, table, hints, file)
     found = Meaning(*units, length, vertical, "counter-clockwise")
-    azimuth, why = _sense(table, found, polar, setup, hints, file)
-    return replace(found, azimuth=azimuth, notes=(*notes, *more, *why))
-
-
-def _polar(table: Table, file: Path) -> PolarTable:
-    """The numbers as printed, for whoever decides by them."""
-    _, station = indices((p.station for p in table.pointings), "station", file)
-    _, target = indices((p.target for p in table.pointings), "target", file)
-    kinds = (HORIZONTAL, VERTICAL, DISTANCE)
-    numbers = np.array([[_float(_of(p, kind)) for kind in kinds] for p in table.pointings])
-    return PolarTable(station, target, *numbers.T)
+    azimuth, why = _sense(table, found, polar, poses, hints, file)
+    found = replace(found, azimuth=azimuth, notes=(*notes, *more, *why))
+    return found, np.array([found.readings(p) for p in table.pointings])
 
 
 def _angles(
@@ -146,7 +145,7 @@ def _length(stated: str, polar: PolarTable, table: Table, hints: Hints, file: Pa
         return stated or hints.length or "mm", []
     longest = float(np.nanmax(polar.distance))
     if hints.length is not None or not SHORTEST_MM <= longest < AMBIGUOUS_MM:
-        return length_meaning(polar, hints)
+        return length_meaning(polar.distance, hints)
     column = next((c for c in table.columns if c.role in HEIGHTS and not c.unit), None)
     heights = [] if column is None else [cells.value(p.further.get(column.title, "")) for p in table.pointings]
     tall = [abs(float(height)) for height in heights if height]
@@ -157,27 +156,81 @@ def _length(stated: str, polar: PolarTable, table: Table, hints: Hints, file: Pa
 
 
 def _sense(
-    table: Table, meaning: Meaning, polar: PolarTable, setup: Setup, hints: Hints, file: Path
+    table: Table, meaning: Meaning, polar: PolarTable, poses: Mapping[int, Pose], hints: Hints, file: Path
 ) -> tuple[Azimuth, list[str]]:
     """The sense of the circle: said, by known places, or by the words of the header."""
     if hints.azimuth is not None or not np.isfinite(polar.horizontal).any():
         return hints.azimuth or "counter-clockwise", []
-    readings = np.array([meaning.readings(p) for p in table.pointings])
-    targets = tuple(dict.fromkeys(p.target for p in table.pointings))
-    by_places = known_sense(from_polar(readings), polar, targets, hints)
-    if by_places is not None:
-        return by_places
-    poses = poses_of(setup, tuple(dict.fromkeys(p.station for p in table.pointings)))
-    azimuth = sense_by_poses(from_polar(readings), polar, poses) if len(poses) > 1 else None
+    local = from_polar(np.array([meaning.readings(p) for p in table.pointings]))
+    if hints.points is not None:
+        return known_sense(local, polar, list(dict.fromkeys(p.target for p in table.pointings)), hints.points)
+    azimuth = sense_by_poses(local, polar, poses) if len(poses) > 1 else None
     if azimuth is not None:
-        return azimuth, [f"azimuths taken as {azimuth}: so the stations see the same points from their rough places"]
+        return azimuth, [f"azimuths taken as {azimuth}: so the set-ups see the same points from their rough places"]
     column = table.column(HORIZONTAL)
     if table.positional or column is None:
-        raise RecordError(sense_unknown(), file=file)
+        raise RecordError(SENSE_UNKNOWN, file=file)
     if column.role == "horizontal":
         circle = f"'{column.title}' taken as a horizontal circle, clockwise"
-        return "clockwise", [circle + " (--hint azimuth=counter-clockwise says otherwise)"]
+        return "clockwise", [
+            f"{circle} (--hint azimuth=counter-clockwise says otherwise); this file alone cannot show it"
+        ]
     if meaning.vertical == "elevation":
         spherical = "azimuth beside elevation taken as counter-clockwise (--hint azimuth=clockwise says otherwise)"
         return "counter-clockwise", [spherical]
-    raise RecordError(sense_unknown(), file=file)
+    raise RecordError(SENSE_UNKNOWN, file=file)
+
+
+def _readings_of_places(table: Table, hints: Hints, file: Path) -> tuple[Meaning, Floats]:
+    """Coordinates as readings of face 1.
+
+    Raises RecordError where a coordinate is missing, or all set-ups see their common targets in one frame.
+    """
+    for p in table.pointings:
+        missing = next((axis for axis in PLACE if axis not in p.values), None)
+        if missing:
+            raise p.where.wrong(f"the coordinate {missing} is missing")
+    printed = np.array([[float(p.values[axis]) for axis in PLACE] for p in table.pointings])
+    length = next((c.unit for c in table.columns if c.role in PLACE and c.unit), "")
+    notes: list[str] = []
+    if not length:
+        length, notes = length_meaning(np.linalg.norm(printed, axis=1), hints)
+    readings = to_polar(printed * FACTOR[length])
+    near = np.flatnonzero(readings[:, 0] < MILLIMETRE)
+    if len(near):
+        raise table.pointings[near[0]].where.wrong("lies in the instrument itself, expected coordinates from it")
+    _check_frames(table, printed * FACTOR[length], file)
+    return Meaning("rad", "rad", length, "elevation", "counter-clockwise", (*notes, TOLD)), readings
+
+
+def _check_frames(table: Table, points: Floats, file: Path) -> None:
+    """Refuse coordinates that were brought into one frame: as readings they would hold no network."""
+    first: dict[str, tuple[str, Floats]] = {}
+    gaps = []
+    for p, point in zip(table.pointings, points, strict=True):
+        station, place = first.setdefault(p.target, (p.station, point))
+        if station != p.station:
+            gaps.append(float(np.linalg.norm(point - place)))
+    if len(gaps) > 2 and float(np.median(gaps)) < ONE_FRAME:
+        message = (
+            f"{len(gaps)} targets have the same coordinates from several set-ups: they are in one frame already; "
+            "export them in the axes of each instrument"
+        )
+        raise RecordError(message, file=file)
+
+
+def sigmas_of_places(table: Table, readings: Floats, length: str) -> list[dict[str, float]] | None:
+    """Standard deviations of each pointing's readings (n, 3) by those of x, y, z, where the table states them."""
+    columns = [next((c for c in table.columns if c.role == SIGMA_OF[axis]), None) for axis in PLACE]
+    titles = [(c.title, FACTOR[c.unit or length]) for c in columns if c is not None]
+    if not table.holds_places or len(titles) < len(PLACE):
+        return None
+    given = [[cells.value(p.further.pop(title, ""), p.grouping) for title, _ in titles] for p in table.pointings]
+    stated = np.array([[float(s) if s is not None and s > 0 else np.nan for s in row] for row in given])
+    variance = (stated * [factor for _, factor in titles]) ** 2
+    range_, azimuth, elevation = readings.T
+    ways = np.stack(unit_vectors(azimuth, elevation), axis=1) ** 2
+    level = np.maximum(range_ * np.cos(elevation), 1e-9)
+    units = np.stack([np.full(len(range_), MILLIMETRE), level * ARCSECOND, range_ * ARCSECOND], axis=1)
+    sigma = np.sqrt(np.einsum("nki,ni->nk", ways, variance)) / units
+    return [dict(zip(SIGMA_COLUMNS, row, strict=True)) if row[0] == row[0] else {} for row in sigma.tolist()]

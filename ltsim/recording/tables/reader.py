@@ -9,26 +9,23 @@ from pathlib import Path
 import numpy as np
 
 from ltsim.arrays import Floats
-from ltsim.errors import RecordError
-from ltsim.recording.build import NAN, Pointing, recording_of
-from ltsim.recording.conventions import NO_HINTS, NO_NOISE, Hints
-from ltsim.recording.files import MAX_TEXT, check_name, shown
+from ltsim.geometry.polar import to_face
+from ltsim.recording.conventions import NO_HINTS, NO_NOISE, Hints, poses_of
+from ltsim.recording.files import MAX_TEXT, shown
+from ltsim.recording.pointings import NAN, Pointing, recording_of
 from ltsim.recording.recording import HEIGHT_COLUMNS, KIND_COLUMN, Recording
 from ltsim.recording.settings import read_setup
 from ltsim.recording.setup import Setup
 from ltsim.recording.tables import cells
 from ltsim.recording.tables.header import ALLOWED, Column, names_places
-from ltsim.recording.tables.meaning import Meaning, meaning_of
-from ltsim.recording.tables.names import common_names
-from ltsim.recording.tables.places import is_of_places, readings_of_places
+from ltsim.recording.tables.meaning import Meaning, readings_of, sigmas_of_places
 from ltsim.recording.tables.rows import Printed, Table, header_of, table_of
-from ltsim.recording.tables.setups import heights_not_applied, over_marks, split_rounds
-from ltsim.recording.tables.sheets import SUFFIXES, WORKBOOK, Row, is_folder, separator_of, sheets_of, split
+from ltsim.recording.tables.setups import common_names, heights_not_applied, over_marks, split_rounds
+from ltsim.recording.tables.sheets import SUFFIXES, WORKBOOK, is_folder, rows_of_head, sheets_of
 from ltsim.units import FACTOR, MILLIMETRE, ratio
 
 SETUP = "setup.toml"
 MOST_SHOWN = 3
-Further = tuple[dict[str, float], dict[str, str]]
 
 
 def recognises(path: Path, head: str) -> bool:
@@ -39,13 +36,11 @@ def recognises(path: Path, head: str) -> bool:
         return path.suffix.lower() == ".xlsx"
     if "\x00" in head[2:] or head.lstrip()[:1] in ("<", "{"):
         return False
-    lines = [line for line in head.splitlines()[:-1][:60] if line.strip()]
-    separator = separator_of(lines)
-    rows = [Row(i, split(line.lstrip("# "), separator)) for i, line in enumerate(lines)]
+    rows = rows_of_head("\n".join(head.splitlines()[:-1]))  # the last line may be cut
     headers = [columns for row in rows if (columns := header_of(row, NO_HINTS))]
     if headers and names_places(headers[0]) and not any(c.role == "station" for c in headers[0]):
         return False  # a list of coordinates, unless its station is named
-    measured = sum(sum(map(cells.is_value, row.fields)) > 1 and len(row.fields) > 2 for row in rows)
+    measured = sum(row.values > 1 and len(row.fields) > 2 for row in rows)
     return measured > 0 and (bool(headers) or (path.suffix.lower() in SUFFIXES and 2 * measured > len(rows)))
 
 
@@ -54,52 +49,48 @@ def read(path: Path, hints: Hints = NO_HINTS, *, positional: bool = False) -> Re
     table = table_of(sheets_of(path), hints, path, positional=positional)
     renamed, named = common_names([(p.station, p.target) for p in table.pointings])
     table.pointings = [replace(p, target=name) for p, name in zip(table.pointings, renamed, strict=True)]
+    table.notes += named
     setup, notes = _setup(path, hints)
-    if is_of_places(table):
-        meaning, readings, sigmas = readings_of_places(table, hints, path)
-    else:
-        meaning = meaning_of(table, setup, hints, path)
-        readings, sigmas = np.array([meaning.readings(p) for p in table.pointings]), None
+    poses = poses_of(setup, tuple(dict.fromkeys(p.station for p in table.pointings)))
+    meaning, readings = readings_of(table, poses, hints, path)
+    found = assembled(table, meaning, readings, setup, hints, path)
+    return found.replace(notes=(*found.notes, *notes))
+
+
+def assembled(table: Table, meaning: Meaning, readings: Floats, setup: Setup, hints: Hints, file: Path) -> Recording:
+    """The recording of a table whose readings (n, 3) are understood, in the order of its pointings."""
+    sigmas = sigmas_of_places(table, readings, meaning.length_unit)
     rounds = split_rounds(table, readings)
     setup, over = over_marks(table, setup)
     faces, reduced = _faces(table, readings)
-    times, started, timed = _times(table, hints, path)
+    times, started, timed = _times(table, hints)
     if started and not setup.started:
         setup = setup.model_copy(update={"started": started})
-    further, kept = _further(table, meaning)
-    height = np.array([[values.get(name, NAN) for name in HEIGHT_COLUMNS] for values, _ in further]) * MILLIMETRE
+    covariates, labels, kept = _further(table, meaning)
+    height = np.array([[values.get(name, NAN) for name in HEIGHT_COLUMNS] for values in covariates]) * MILLIMETRE
     unused = heights_not_applied(table, readings, height)
     if unused:
-        further = [({k: x for k, x in values.items() if k not in HEIGHT_COLUMNS}, texts) for values, texts in further]
-    days = _days(table) if timed else None
+        covariates = [{k: x for k, x in values.items() if k not in HEIGHT_COLUMNS} for values in covariates]
+    dated = bool(timed) and table.column(("date",)) is not None  # kept as text where it is no clock
     pointings = []
-    for i, (p, face, (distance, azimuth, elevation)) in enumerate(
-        zip(table.pointings, faces, readings.tolist(), strict=True)
-    ):
-        covariates, labels = further[i]
-        covariates |= sigmas[i] if sigmas else {}
-        labels |= {"date": days[i]} if days else {}
-        if "flat" in p.values:
-            labels[KIND_COLUMN] = "horizontal"
-        target = check_name(p.target, "target", file=p.file, row=p.line)
-        source = f"{Path(str(p.file)).name}, line {p.line}"
+    for i, (p, (distance, azimuth, elevation)) in enumerate(zip(table.pointings, readings.tolist(), strict=True)):
+        flat = {KIND_COLUMN: "horizontal"} if "flat" in p.values else {}
         pointings.append(
-            Pointing(p.station, target, face, distance, azimuth, elevation, times[i], covariates, labels, source)
+            Pointing(
+                p.station,
+                p.where.name(p.target, "target"),
+                faces[i],
+                distance,
+                azimuth,
+                elevation,
+                times[i],
+                covariates[i] | (sigmas[i] if sigmas else {}),
+                labels[i] | ({"date": p.moment} if dated else {}) | flat,
+                f"{Path(str(p.where.file)).name}, line {p.where.row}",
+            )
         )
-    said = [
-        *table.notes,
-        *named,
-        *meaning.notes,
-        *rounds,
-        *over,
-        *reduced,
-        *timed,
-        *kept,
-        *unused,
-        *_left_out(table),
-        *notes,
-    ]
-    return recording_of(pointings, setup, notes=said, file=path)
+    said = [table.notes, meaning.notes, rounds, over, reduced, timed, kept, unused, _left_out(table)]
+    return recording_of(pointings, setup, notes=[note for notes in said for note in notes], file=file)
 
 
 def _setup(path: Path, hints: Hints) -> tuple[Setup, list[str]]:
@@ -120,12 +111,12 @@ def _faces(table: Table, readings: Floats) -> tuple[list[int], list[str]]:
     second = np.array(faces) == 2
     if not second.any() or beyond[second].any() or not np.isfinite(readings[second, 2]).any():
         return faces, []
-    readings[second, 1] = np.mod(readings[second, 1] + np.pi, 2 * np.pi)
-    readings[second, 2] = np.pi - readings[second, 2]
+    readings[:] = to_face(readings, np.array(faces))
+    readings[second, 1] %= 2 * np.pi
     return faces, ["readings of face 2 were reduced to face 1 and are turned back to what the circles showed"]
 
 
-def _times(table: Table, hints: Hints, file: Path) -> tuple[list[float], str, list[str]]:
+def _times(table: Table, hints: Hints) -> tuple[list[float], str, list[str]]:
     """Time [s] of each pointing, the moment of 0 where it is known, and notes; NaN where times cannot be read."""
     column = table.column(("time",)) or table.column(("date",))
     texts = [p.moment for p in table.pointings]
@@ -142,7 +133,7 @@ def _times(table: Table, hints: Hints, file: Path) -> tuple[list[float], str, li
     found, start = cells.moments(texts, hints.date)
     if found is None and start:
         message = f"'{shown(texts[0])}' may be day and month or month and day; say which: --hint date=dmy or date=mdy"
-        raise RecordError(message, file=file, row=table.pointings[0].line, column=shown(column.title))
+        raise table.pointings[0].where.wrong(message, shown(column.title))
     if found is None:
         unknown = f"column '{shown(column.title)}' holds no time that is known here ('{shown(texts[0])}')"
         return nothing, "", [f"{unknown}: {by_rows}"]
@@ -151,12 +142,7 @@ def _times(table: Table, hints: Hints, file: Path) -> tuple[list[float], str, li
     return found, start, []
 
 
-def _days(table: Table) -> list[str] | None:
-    """The column of dates as text, which is kept where it is no clock."""
-    return [p.moment for p in table.pointings] if table.column(("date",)) else None
-
-
-def _further(table: Table, meaning: Meaning) -> tuple[list[Further], list[str]]:
+def _further(table: Table, meaning: Meaning) -> tuple[list[dict[str, float]], list[dict[str, str]], list[str]]:
     """Further columns of each pointing: numbers as covariates, texts as labels, and what is said of them.
 
     Sigmas and heights have names and units of their own, those of the readings where their header states none.
@@ -164,10 +150,9 @@ def _further(table: Table, meaning: Meaning) -> tuple[list[Further], list[str]]:
     columns = [c for c in table.columns if c.is_further]
     numeric = {c.title: number for c in columns if (number := _factor(c, table.pointings, meaning)) is not None}
     names = {c.title: c.role if "_" in c.role and c.title in numeric else c.title for c in columns}
-    found: list[Further] = []
-    for p in table.pointings:
-        values = {names[t]: _number(p, t) * factor for t, factor in numeric.items() if t in p.further}
-        found.append((values, {names[t]: x for t, x in p.further.items() if t not in numeric}))
+    rows = [p.further for p in table.pointings]
+    covariates = [{names[t]: _number(p, t) * f for t, f in numeric.items() if t in p.further} for p in table.pointings]
+    labels = [{names[t]: text for t, text in row.items() if t not in numeric} for row in rows]
     own = {c.title for c in columns if c.role in HEIGHT_COLUMNS or c.role.startswith("sigma_")}
     said = [
         f"'{shown(c.title)}' taken as {c.role}" + ("" if c.unit else f", in {_unit(c, meaning)} as its reading")
@@ -175,7 +160,7 @@ def _further(table: Table, meaning: Meaning) -> tuple[list[Further], list[str]]:
         if c.title in own and c.title in numeric
     ]
     kept = ", ".join(f"'{shown(names[c.title])}'" for c in columns if c.title not in own)
-    return found, [*said, *([f"kept as further columns: {kept}"] if kept else [])]
+    return covariates, labels, [*said, *([f"kept as further columns: {kept}"] if kept else [])]
 
 
 def _unit(column: Column, meaning: Meaning) -> str:

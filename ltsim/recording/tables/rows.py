@@ -9,11 +9,12 @@ from decimal import Decimal
 
 from ltsim.errors import RecordError
 from ltsim.recording.conventions import Hints
-from ltsim.recording.files import check_text, shown
+from ltsim.recording.files import Where, shown
 from ltsim.recording.tables import cells
 from ltsim.recording.tables.header import (
     DISTANCE,
     HORIZONTAL,
+    PLACE,
     READINGS,
     VERTICAL,
     Column,
@@ -24,7 +25,7 @@ from ltsim.recording.tables.header import (
     role_of,
     words_of,
 )
-from ltsim.recording.tables.sheets import Row, Sheet, check_whole, words_of_row
+from ltsim.recording.tables.sheets import Row, Sheet
 
 POSITIONS = ("station", "target", "azimuth", "vertical", "distance")
 """Roles of a table without a header whose lines are names and three numbers."""
@@ -35,8 +36,7 @@ _STATION = re.compile(r"#?\s*([^\W\d_]+)\s*[:=;,\t ]\s*(\S.*?)[\s;,]*")
 class Printed:
     """One pointing as its row prints it: numbers by role in the units of their columns, those that are not empty."""
 
-    file: object
-    line: int
+    where: Where
     station: str
     target: str
     face: int | None
@@ -65,18 +65,20 @@ class Table:
         """The first column of one of the roles."""
         return next((c for c in self.columns if c.role in kind), None)
 
+    @property
+    def holds_places(self) -> bool:
+        """Whether it holds coordinates in place of readings."""
+        return {*PLACE} <= {c.role for c in self.columns}
+
     def take(self, columns: Sequence[Column], file: object, row: int | None = None) -> None:
         """A further header: of the same roles and units, perhaps with more columns that are kept.
 
-        Raises
-        ------
-        RecordError
-            Where it holds other readings, or in other units.
+        Raises RecordError where it holds other readings, or in other units.
         """
         said = [[(c.role, c.unit, c.face) for c in all_ if c.role in READINGS] for all_ in (self.columns, columns)]
         if said[0] and said[0] != said[1]:
             message = "its columns differ from those of the headers before, expected the same roles and units"
-            raise RecordError(message, file=file, row=row)
+            raise Where(file, row).wrong(message)
         titles = {c.title for c in self.columns}
         self.columns += [c for c in columns if c.title not in titles]
 
@@ -93,20 +95,18 @@ class Table:
 def table_of(sheets: Sequence[Sheet], hints: Hints, file: object, *, positional: bool = False) -> Table:
     """The pointings of all sheets; `positional` takes lines of names and three numbers without a header.
 
-    Raises
-    ------
-    RecordError
-        Where a header does not say what its columns hold, headers differ in what they hold, or a cell is wrong.
+    Raises RecordError where a header does not say what its columns hold, headers differ in what they hold, or a cell is
+    wrong.
     """
     whole = Table([])
     for sheet in sheets:
         start = header_at(sheet, hints)
-        reader = _SheetReader(sheet, hints, several=len(sheets) > 1)
+        reader = _SheetReader(sheet, hints)
         if start is not None:
             whole.add(reader.read(start), sheet.file)
         elif positional:
             whole.add(reader.read_positional(), sheet.file)
-        elif len(sheets) == 1 or any(sum(map(cells.is_value, row.fields)) > 2 for row in sheet.rows[:50]):
+        elif len(sheets) == 1 or any(row.values > 2 for row in sheet.rows[:50]):
             raise RecordError(unnamed(sheet), file=sheet.file)
     if not whole.pointings:
         raise RecordError("holds no pointings", file=file)
@@ -118,7 +118,7 @@ def header_of(row: Row, hints: Hints, file: object = None) -> list[Column] | Non
     if hints.columns is not None:
         return mapped(row.fields, hints.columns, file) if any(row.fields) else None
     columns = columns_of(row.fields)
-    return columns if is_header(columns) and not any(cells.is_value(f) for f in row.fields) else None
+    return columns if is_header(columns) and not row.values else None
 
 
 def header_at(sheet: Sheet, hints: Hints) -> int | None:
@@ -127,16 +127,16 @@ def header_at(sheet: Sheet, hints: Hints) -> int | None:
         asked = assignments(hints.columns, sheet.file)
         if all(title.isdigit() for *_, title, _ in asked):
             first = next((i for i, row in enumerate(sheet.rows) if not row.comment), 0)
-            return first if not any(map(cells.is_value, sheet.rows[first].fields)) else first - 1
+            return first if not sheet.rows[first].values else first - 1
     return next((i for i, row in enumerate(sheet.rows) if header_of(row, hints, sheet.file) is not None), None)
 
 
 class _SheetReader:
     """Reads one sheet row by row: the header that holds, the station that the last block named."""
 
-    def __init__(self, sheet: Sheet, hints: Hints, *, several: bool) -> None:
+    def __init__(self, sheet: Sheet, hints: Hints) -> None:
         self.sheet, self.hints = sheet, hints
-        self.station = sheet.name if several else hints.station or ""
+        self.station = sheet.station or hints.station or ""
         self.table = Table([])
         self.columns: list[Column] = []
         self.wanted: list[int] = []
@@ -158,7 +158,7 @@ class _SheetReader:
         for row in body:
             if len(row.fields) != len(roles):
                 message = f"{len(row.fields)} fields, expected station, target, two angles and a distance"
-                raise RecordError(message, file=self.sheet.file, row=row.line)
+                raise Where(self.sheet.file, row.line).wrong(message)
         self.table.positional = True
         self._head([Column(i, role, role) for i, role in enumerate(roles)], None)
         return self._read(self.sheet.rows, every=True)
@@ -183,7 +183,7 @@ class _SheetReader:
 
     def _has_values(self, row: Row) -> bool:
         """Whether a cell of the readings, or what stands in its place, is a number."""
-        return any(cells.is_value(row.fields[i]) for i in self.wanted if i < len(row.fields))
+        return any(cells.is_value(row.cell(i)) for i in self.wanted)
 
     def _other(self, row: Row) -> None:
         """A line that is no pointing: it names the station of a block, or is left out."""
@@ -191,61 +191,53 @@ class _SheetReader:
         if found is not None and role_of(found.group(1)) == "station":
             self.station = found.group(2)
         elif not row.comment:
-            self.table.left_out.append(f"line {row.line} of {self.sheet.file.name} ('{words_of_row(row)}')")
+            self.table.left_out.append(f"line {row.line} of {self.sheet.file.name} ('{row}')")
 
     def _pointing(self, row: Row, *, last: bool) -> None:
-        columns, file = self.columns, self.sheet.file
+        columns, where = self.columns, Where(self.sheet.file, row.line)
         if last and self.sheet.open_end:
             if self.hints.growing:
                 return  # it may not be whole yet
-            check_whole(self.sheet, len(columns), strict=self.table.positional)
-        if len(row.fields) > len(columns) and any(row.fields[len(columns) :]):
-            message = f"{len(row.fields)} fields, expected {len(columns)} as in the header"
-            raise RecordError(message, file=file, row=row.line)
-        cell = {c.place: row.fields[c.place] if c.place < len(row.fields) else "" for c in columns}
+            self.sheet.check_whole(len(columns), strict=self.table.positional)
+        if any(row.fields[len(columns) :]):
+            raise where.wrong(f"{len(row.fields)} fields, expected {len(columns)} as in the header")
         for face in (1, 2) if any(c.face for c in columns) else (0,):
-            one = self._one(row, [c for c in columns if c.face in (0, face)], cell, face)
+            one = self._one(row, [c for c in columns if c.face in (0, face)], face, where)
             if face == 0 or any(role in one.values for role in (*HORIZONTAL, *VERTICAL)):
                 self.table.pointings.append(one)
 
-    def _one(self, row: Row, columns: list[Column], cell: dict[int, str], face: int) -> Printed:
-        def text(role: str) -> str:
-            return next((cell[c.place] for c in columns if c.role == role), "")
+    def _one(self, row: Row, columns: list[Column], face: int, where: Where) -> Printed:
+        text = {c.role: row.cell(c.place) for c in reversed(columns) if c.role}
 
-        station, file = text("station") or self.station, self.sheet.file
+        def both(*roles: str) -> str:
+            return " ".join(filter(None, (text.get(role) for role in roles)))
+
+        station, told = text.get("station") or self.station, text.get("face", "")
         self.table.nameless |= not station
-        further = {c.title: cell[c.place] for c in columns if c.is_further}
+        stated = cells.face(told) if told else None
+        if told and stated is None:
+            raise where.wrong(f"found '{shown(told)}', expected 1 or 2", "face")
+        read = [c for c in columns if c.role in READINGS and row.cell(c.place)]
         return Printed(
-            file,
-            row.line,
+            where,
             station or "S1",
-            text("target"),
-            face or _face(text("face"), row, file),
-            {c.role: self._number(cell[c.place], c, row) for c in columns if c.role in READINGS and cell[c.place]},
-            moment=" ".join(filter(None, (text("date"), text("time")))),
-            further={title: check_text(said, file=file, row=row.line) for title, said in further.items()},
+            text.get("target", ""),
+            face or stated,
+            {c.role: self._number(row.cell(c.place), c, where) for c in read},
+            moment=both("date", "time"),
+            further={c.title: where.text(row.cell(c.place)) for c in columns if c.is_further},
             grouping=self.sheet.grouping,
-            round=" ".join(filter(None, (text("date"), text("round")))),
+            round=both("date", "round"),
         )
 
-    def _number(self, text: str, column: Column, row: Row) -> Decimal:
+    def _number(self, text: str, column: Column, where: Where) -> Decimal:
         found = cells.value(text, self.sheet.grouping)
         if found is None or not abs(found) < 10**9:
-            what = f"found '{shown(text)}', expected a number"
-            raise RecordError(what, file=self.sheet.file, row=row.line, column=shown(column.title))
+            raise where.wrong(f"found '{shown(text)}', expected a number", shown(column.title))
         if column.role in DISTANCE and not found > 0:
             what = f"found {shown(text)}, expected a distance above 0, or nothing where none was measured"
-            raise RecordError(what, file=self.sheet.file, row=row.line, column=shown(column.title))
+            raise where.wrong(what, shown(column.title))
         return found
-
-
-def _face(text: str, row: Row, file: object) -> int | None:
-    if not text:
-        return None
-    found = cells.face(text)
-    if found is None:
-        raise RecordError(f"found '{shown(text)}', expected 1 or 2", file=file, row=row.line, column="face")
-    return found
 
 
 def _doubled(columns: Sequence[Column]) -> list[str]:
@@ -261,8 +253,8 @@ def _doubled(columns: Sequence[Column]) -> list[str]:
 
 def unnamed(sheet: Sheet) -> str:
     """The sentence for a header that says nothing, with the option to type."""
-    head = next((row for row in sheet.rows if len(row.fields) > 2 and not any(map(cells.is_value, row.fields))), None)
-    body = [row.fields for row in sheet.rows if sum(map(cells.is_value, row.fields)) > 1]
+    head = next((row for row in sheet.rows if len(row.fields) > 2 and not row.values), None)
+    body = [row.fields for row in sheet.rows if row.values > 1]
     if not body:
         return "holds no row with two numbers or more: nothing that could be a pointing"
     width = max(map(len, body))

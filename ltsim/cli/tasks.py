@@ -1,0 +1,172 @@
+"""`ltsim compare`, `uncertainty`: which points moved, and what a task on a recording is worth."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+import ltsim as lt
+from ltsim.chances import p_is
+from ltsim.cli.options import Out, Reading, Source
+from ltsim.cli.places import Force, claim
+from ltsim.cli.terminal import Terminal, table
+from ltsim.errors import SetupError
+from ltsim.simulation.builtin import builtin_names
+
+if TYPE_CHECKING:
+    from ltsim.recording.coordinates import Coordinates
+    from ltsim.recording.recording import Recording
+    from ltsim.tasks.comparison import Comparison
+    from ltsim.tasks.evaluation import Evaluation
+    from ltsim.tasks.files import UncertaintyFile
+    from ltsim.tasks.spec import Tasks
+
+Second = Annotated[Path, typer.Argument(metavar="REC2", help="The later recording, of the same points.")]
+TaskFile = Annotated[Path, typer.Argument(metavar="FILE", help="A task file (ltsim-tasks/1).")]
+TaskSource = Annotated[
+    str | None, typer.Option("--source", metavar="REC", help="Recording or scenario instead of the file's own.")
+]
+Against = Annotated[
+    Path | None,
+    typer.Option("--against", metavar="FILE", help="Results of another recording or instrument: E_n of each result."),
+]
+
+
+def compare(
+    source: Source,
+    second: Second,
+    out: Out = None,
+    *,
+    reading: Reading,
+    force: Force = False,
+    terminal: Terminal,
+    **options: Any,
+) -> int:
+    """Say which points moved between two recordings, by how much, and which motion could not have been seen.
+
+    Two lists of coordinates with covariance are compared too: adjustment results of gama-local, or CSV tables with
+    NAME.covariance.csv beside them.
+
+    Writes comparison.json and displacements.csv to --out. Exit status 1 when a point moved.
+
+    Example: ltsim compare january march --stable P1,P2,P3 --out my-comparison
+    """
+    from ltsim.recording.coordinates import holds_coordinates
+    from ltsim.recording.result_file import write_result
+    from ltsim.tasks.comparison import DISPLACEMENTS, Comparison
+
+    claim(out, Comparison, (DISPLACEMENTS.file,), force=force)
+    lists = holds_coordinates(source) or holds_coordinates(second)
+    one, other = (_listed(p, terminal) if lists else reading.open(p, terminal) for p in (source, second))
+    with terminal.busy("comparing"):
+        found = lt.compare(one, other, **options)
+    if out is not None:
+        found = write_result(out, found, {DISPLACEMENTS.file: found.table().csv()})
+    terminal.answer(found.content())
+    show_comparison(terminal, found)
+    terminal.written(out)
+    return int(bool(found.moved))
+
+
+def _listed(path: Path, terminal: Terminal) -> Coordinates | Path:
+    """A list of coordinates, with what its reader decided and its size said."""
+    from ltsim.recording.coordinates import holds_coordinates, read_coordinates
+
+    if not holds_coordinates(path):
+        return path
+    found = read_coordinates(path)
+    terminal.notes(found.notes)
+    terminal.say(f"{found.title}: {len(found.names)} points along {', '.join(found.axes)}")
+    return found
+
+
+def show_comparison(terminal: Terminal, found: Comparison) -> None:
+    """The verdict, then a line a point."""
+    terminal.say("\n" + found.sentence)
+    terminal.say(
+        f"no motion at all has {p_is(found.p_value)} (chi-square {found.statistic:.1f}, {found.dof} degrees of "
+        f"freedom); without the points that moved {p_is(found.p_value_after)}"
+    )
+    terminal.say(found.table().only("target moved dx_um dy_um dz_um visible_um p_value").text())
+    terminal.say("a +- b: one standard deviation; visible: the smallest motion that is found in 4 of 5 cases")
+
+
+def uncertainty(
+    file: TaskFile,
+    source: TaskSource = None,
+    against: Against = None,
+    out: Out = None,
+    force: Force = False,
+    *,
+    terminal: Terminal,
+    **options: Any,
+) -> int:
+    """Say how well the tasks of a file are known: GUM and Monte Carlo, budget, verdict.
+
+    Writes uncertainty.json, uncertainty.csv and budget.csv to --out. Exit status 1 when a result fails its tolerance.
+
+    Example: ltsim uncertainty flange.toml --out my-uncertainty
+    """
+    from ltsim.recording.result_file import read_result
+    from ltsim.tasks.evaluation import write_uncertainty
+    from ltsim.tasks.files import BUDGET, RESULTS, UncertaintyFile, compared
+    from ltsim.tasks.spec import load_tasks
+
+    claim(out, UncertaintyFile, (RESULTS.file, BUDGET.file), force=force)
+    tasks = load_tasks(file)
+    if source is not None:
+        tasks = tasks.model_copy(update={"source": source})
+    drawn = tasks.monte_carlo.seed if options["seed"] is None else options["seed"]
+    recording = _recording(terminal, tasks, file, drawn, beside=source is None)
+    with terminal.busy("drawing trials"):
+        evaluation = lt.uncertainty(recording, tasks, **options)
+    content = evaluation.content
+    other = None if against is None else compared(content, read_result(against, UncertaintyFile))
+    if out is not None:
+        content = write_uncertainty(evaluation, out)
+    answer = content.content()
+    if other is not None:
+        answer["against"] = [{"result": name, "E_n": value} for name, value in other]
+    terminal.answer(answer)
+    show_uncertainty(terminal, evaluation, content)
+    if other is not None:
+        _show_against(terminal, other)
+    terminal.written(out)
+    return int(any(r.conformity is not None and r.conformity.judgement == "rejected" for r in content.results))
+
+
+def _recording(terminal: Terminal, tasks: Tasks, file: Path, seed: int, *, beside: bool) -> Recording:
+    """The recording of the tasks; a scenario is measured once, virtually."""
+    name = tasks.source
+    place = file.parent / name if beside else Path(name)
+    if name in builtin_names() or place.suffix == ".toml":
+        chosen = name if name in builtin_names() else place
+        recording, _ = lt.simulate(chosen, seed=seed)
+        terminal.say(f"scenario {name}, measured once with seed {seed}")
+        return recording
+    if not place.exists():
+        raise SetupError(f"{file}: source names {place}, which is neither a recording nor a scenario")
+    return Reading().open(place, terminal)
+
+
+def show_uncertainty(terminal: Terminal, evaluation: Evaluation, content: UncertaintyFile) -> None:
+    """A line a result: value, expanded uncertainty, what makes most of it, verdict; then what to mind."""
+    percent, trials = 100 * content.coverage, content.trials
+    terminal.say(f"\nResults with expanded uncertainty U ({percent:g} %, {trials} trials); frame: {content.frame}")
+    terminal.say(evaluation.table().only("task result value U unit judgement largest_source").text())
+    for r in content.results:
+        if r.conformity is not None:
+            judged, chance = r.conformity.judgement, r.conformity.probability
+            terminal.say(f"{r.task}, {r.name}: {judged} (conforms with probability {chance:.3f})")
+    for warning in content.warnings:
+        terminal.say(f"mind: {warning}")
+
+
+def _show_against(terminal: Terminal, other: list[tuple[str, float]]) -> None:
+    if not other:
+        terminal.say("\nno result of the other file has the same task, name and unit")
+        return
+    terminal.say("\nAgainst the other results (|E_n| up to 1 agrees):")
+    terminal.say(table(["result", "E_n", ""], [[n, f"{v:.2f}", "" if abs(v) <= 1 else "differs"] for n, v in other]))

@@ -1,0 +1,166 @@
+"""Points against something: another epoch, limits of tests, themselves on the other face."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from ltsim.acceptance.files import AcceptanceFile
+from ltsim.arrays import Bools, Floats
+from ltsim.fieldcheck.check import Check
+from ltsim.pages.figures.floor_plan import Label, place_labels
+from ltsim.pages.style import (
+    AFTER,
+    BLUE,
+    CYCLE,
+    GREEN,
+    GREY,
+    INK,
+    ORANGE,
+    RED,
+    category_rows,
+    new_figure,
+    quiet_axis,
+    shorten,
+    styled,
+)
+
+VIEWS = (("seen from above", 0, 1), ("seen from the side", 0, 2))
+
+
+def enlargement(places: Floats, shifts: Floats, semi_axes: Floats) -> float:
+    """How many times larger than life shifts are drawn: the longest takes an eighth of the picture."""
+    extent = float(np.ptp(places, axis=0).max()) or 1.0
+    longest = float(max(np.linalg.norm(shifts, axis=1).max(), semi_axes.max(), 1e-9))
+    return 1e3 * 0.125 * extent / longest
+
+
+@styled
+def displacement_figure(places: Floats, shifts: Floats, semi_axes: Floats, moved: Bools, names: list[str]) -> Figure:
+    """Arrows of the shifts, enlarged alike, and a circle of the largest semi-axis around each tip.
+
+    Parameters
+    ----------
+    places : (T, 3) float, [mm]
+    shifts, semi_axes : (T, 3) float, [um]
+    moved : (T,) bool
+    names : list of str
+    """
+    figure = new_figure(3.0)
+    enlarged = enlargement(places, shifts, semi_axes) * 1e-3
+    for ax, (title, i, j) in zip(figure.subplots(1, 2), VIEWS, strict=True):
+        for place, shift, axes, far in zip(places, shifts, semi_axes, moved, strict=True):
+            colour = RED if far else AFTER
+            start, end = place[[i, j]], place[[i, j]] + enlarged * shift[[i, j]]
+            turn = np.linspace(0, 2 * np.pi, 60)
+            ring = end[:, None] + enlarged * axes[0] * np.stack([np.cos(turn), np.sin(turn)])
+            ax.plot(*ring, color=GREY, linewidth=0.7)
+            ax.plot([start[0], end[0]], [start[1], end[1]], color=colour, linewidth=1.8 if far else 1.0)
+            ax.plot(*start, marker="s" if far else "o", markersize=3.5, color=colour, linestyle="none")
+        ax.set_aspect("equal", adjustable="datalim")
+        ax.set_title(title)
+        ax.set_xlabel(f"{'xyz'[i]} [mm]")
+        ax.set_ylabel(f"{'xyz'[j]} [mm]")
+    gone = np.flatnonzero(moved)
+    for ax, (_, i, j) in zip(figure.axes, VIEWS, strict=True):
+        place_labels(figure, ax, [Label(names[k], places[k, [i, j]], colour=RED) for k in gone], places[:, [i, j]])
+    return figure
+
+
+SPREAD = 0.32
+"""Of a group's tests about its row."""
+
+
+@styled
+def shares_of_limits(content: AcceptanceFile) -> Figure:
+    """Error over limit of every test, a row a group; bars are expanded uncertainties, failed errors are crosses."""
+    groups = [g.name for g in content.groups]
+    figure = new_figure(0.9 + 0.42 * max(len(groups), 3))
+    ax = figure.subplots()
+    rows = category_rows(ax, groups)
+    ax.axvspan(-1, 1, color=BLUE, alpha=0.08, lw=0)
+    for edge in (-1, 1):
+        ax.axvline(edge, color=INK, lw=0.8)
+    for row, name in zip(rows, groups, strict=True):
+        mine = [t for t in content.tests if t.group == name]
+        share = np.array([t.error_um / t.limit_um for t in mine])
+        width = np.array([(t.expanded_um or 0.0) / t.limit_um for t in mine])
+        place = row + np.linspace(-SPREAD, SPREAD, len(mine)) * (len(mine) > 1)
+        good = np.abs(share) <= 1
+        ax.hlines(place, share - width, share + width, color=BLUE, lw=0.6, alpha=0.6)
+        ax.plot(share[good], place[good], "o", ms=2.6, color=BLUE, mec="none")
+        ax.plot(share[~good], place[~good], "x", ms=5, color=RED, mew=1.4)
+    largest = max(1.0, *(abs(t.error_um) / t.limit_um for t in content.tests))
+    ax.set_xlim(-1.15 * largest, 1.15 * largest)
+    ax.set_xlabel("error / limit")
+    return figure
+
+
+OBSERVABLES = (("range", BLUE, "o"), ("across the beam", ORANGE, "s"), ("elevation", GREEN, "^"))
+MOST_NAMES = 40
+MOST_STATIONS = 8
+
+
+@styled
+def check_figure(check: Check) -> Figure:
+    """Two panels: half two-face differences over their limits, target by target; misfit of pointings over time."""
+    figure = new_figure(5.2)
+    above, below = figure.subplots(2, 1)
+    _faces(above, check)
+    _course(below, check)
+    figure.suptitle("go" if check.passed else "no-go", x=0.01, ha="left", color=GREEN if check.passed else RED)
+    return figure
+
+
+def _faces(ax: Axes, check: Check) -> None:
+    names: list[str] = []
+    at = 0
+    for setup in check.setups:
+        if setup.faces is None:
+            continue
+        share = setup.faces.pairs.half / setup.faces.limit
+        places = at + np.arange(len(share))
+        for column, (what, colour, marker) in enumerate(OBSERVABLES):
+            label = what if at == 0 else None
+            ax.plot(places, share[:, column], marker, ms=3.2, color=colour, label=label, alpha=0.85)
+        rows = setup.rows[setup.faces.pairs.rows[:, 0]] - 1
+        names += [check.recording.targets[check.recording.target[row]] for row in rows]
+        at += len(share)
+        ax.axvline(at - 0.5, color=INK, lw=0.4)
+    for limit in (-1.0, 1.0):
+        ax.axhline(limit, color=RED, lw=1.0)
+    quiet_axis(ax)
+    ax.set_title("Half two-face differences over their limits")
+    ax.set_ylabel("share of the limit")
+    if not names:
+        ax.text(0.5, 0.5, "no target was measured on both faces", transform=ax.transAxes, ha="center")
+        ax.set_xticks([])
+        return
+    ax.set_xlim(-0.8, at - 0.2)
+    few = len(names) <= MOST_NAMES
+    ax.set_xticks(range(at) if few else [], [shorten(n) for n in names] if few else [], rotation=90, fontsize=6)
+    ax.legend(loc="upper right", ncols=3)
+
+
+def _course(ax: Axes, check: Check) -> None:
+    scale, unit = (60.0, "time [min]") if check.recording.has_clock else (1.0, "pointing")
+    for i, setup in enumerate(check.setups):
+        if setup.visit is None:
+            continue
+        size = np.sqrt(np.mean(setup.visit.whitened**2, axis=1))
+        label = setup.station if i < MOST_STATIONS else None
+        ax.plot(setup.visit.recording.time / scale, size, ".", ms=4, color=CYCLE[i % len(CYCLE)], label=label)
+    marked = False
+    for item in check.items:
+        if item.between_s is not None:
+            ax.axvspan(item.between_s[0] / scale, item.between_s[1] / scale, color=RED, alpha=0.35, lw=0)
+            ax.axvline(item.between_s[0] / scale, color=RED, lw=1.0, label=None if marked else "moved")
+            marked = True
+    quiet_axis(ax)
+    ax.set_title("What each pointing misses")
+    ax.set_xlabel(unit)
+    ax.set_ylabel("rms [sigma]")
+    ax.set_ylim(0, 1.3 * ax.get_ylim()[1])
+    if ax.get_legend_handles_labels()[0]:
+        ax.legend(loc="upper right", ncols=5)

@@ -1,0 +1,182 @@
+"""From pointings, or single observations, as a foreign file lists them to a recording."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+
+from ltsim.arrays import Ints
+from ltsim.errors import RecordError
+from ltsim.recording.files import Where
+from ltsim.recording.recording import HEIGHT_COLUMNS, KIND_COLUMN, OBSERVABLES, SIGMA_COLUMNS, Recording
+from ltsim.recording.setup import Setup
+from ltsim.units import ARCSECOND, MILLIMETRE
+
+NAN = float("nan")
+Kind = Literal["distance", "azimuth", "elevation"]
+_UNIT = {"distance": MILLIMETRE, "azimuth": ARCSECOND, "elevation": ARCSECOND}
+
+
+@dataclass(frozen=True)
+class Pointing:
+    """One row: names, face, range [m], azimuth and elevation [rad] (NaN: not measured), time [s]."""
+
+    station: str
+    target: str
+    face: int
+    distance: float = NAN
+    azimuth: float = NAN
+    elevation: float = NAN
+    time: float = NAN
+    covariates: dict[str, float] = field(default_factory=dict)
+    labels: dict[str, str] = field(default_factory=dict)
+    source: str = ""
+
+
+def numbered(point: str, before: int) -> str:
+    """The name of a set-up on a point that had some before: the point's, from the second on with a number."""
+    return f"{point}#{before + 1}" if before else point
+
+
+def indices(names: Iterable[str], kind: str, file: object) -> tuple[tuple[str, ...], Ints]:
+    """Distinct names in order of appearance, and each one's index; raises RecordError for one that cannot be used."""
+    place: dict[str, int] = {}
+    index = []
+    for row, name in enumerate(names):
+        if name not in place:
+            place[Where(file, row + 1).name(name, kind, kind)] = len(place)
+        index.append(place[name])
+    return tuple(place), np.array(index, dtype=np.int64)
+
+
+def recording_of(
+    pointings: Sequence[Pointing], setup: Setup, *, notes: Sequence[str] = (), file: object = None
+) -> Recording:
+    """A recording of pointings in the order of the file; repeats are counted.
+
+    Raises RecordError when there is nothing, a row measures nothing, or a name cannot be used.
+    """
+    if not pointings:
+        raise RecordError("holds no pointings", file=file)
+    stations, station = indices((p.station for p in pointings), "station", file)
+    targets, target = indices((p.target for p in pointings), "target", file)
+    readings = np.array([[p.distance, p.azimuth, p.elevation] for p in pointings])
+    empty = np.flatnonzero(np.all(np.isnan(readings), axis=1))
+    if len(empty):
+        raise RecordError("nothing was measured here", file=file, row=int(empty[0]) + 1)
+    time = np.array([p.time for p in pointings])
+    has_clock = bool(np.all(np.isfinite(time)))
+    columns = dict.fromkeys(name for p in pointings for name in p.covariates)
+    words = dict.fromkeys(name for p in pointings for name in p.labels)
+    return Recording(
+        setup=setup,
+        stations=stations,
+        targets=targets,
+        station=station,
+        target=target,
+        face=np.array([p.face for p in pointings], dtype=np.int64),
+        repeat=_repeats(pointings),
+        time=time if has_clock else np.arange(len(pointings), dtype=np.float64),
+        readings=readings,
+        covariates={c: np.array([p.covariates.get(c, NAN) for p in pointings]) for c in columns},
+        labels={w: tuple(Where(file).text(p.labels.get(w, "")) for p in pointings) for w in words},
+        has_clock=has_clock,
+        notes=tuple(notes),
+        sources=tuple(p.source for p in pointings) if all(p.source for p in pointings) else (),
+    )
+
+
+def _repeats(pointings: Sequence[Pointing]) -> Ints:
+    """1, 2, ... for every further pointing of one station to one target on one face."""
+    seen: dict[tuple[str, str, int], int] = {}
+    repeat = []
+    for p in pointings:
+        key = (p.station, p.target, p.face)
+        seen[key] = seen.get(key, 0) + 1
+        repeat.append(seen[key])
+    return np.array(repeat, dtype=np.int64)
+
+
+@dataclass(frozen=True)
+class Observed:
+    """One observation [m, rad], its standard deviation and heights [m] (NaN: not stated), its line (0: not known)."""
+
+    kind: Kind
+    station: str
+    target: str
+    value: float
+    sigma: float = NAN
+    instrument_height: float = NAN
+    target_height: float = NAN
+    horizontal: bool = False
+    line: int = 0
+
+    @property
+    def heights(self) -> tuple[float, float]:
+        """Of instrument and target."""
+        return self.instrument_height, self.target_height
+
+
+def merged(observed: Iterable[Observed], file: str) -> list[Pointing]:
+    """Pointings: the k-th direction, zenith angle and distance of a station to a target, at the same heights, are one.
+
+    Standard deviations and heights stand in columns.
+    """
+    rows: list[dict[str, Observed]] = []
+    open_rows: dict[tuple[str, str], list[dict[str, Observed]]] = {}
+    for one in observed:
+        candidates = open_rows.setdefault((one.station, one.target), [])
+        row = next((r for r in candidates if one.kind not in r and _at_one_height([*r.values(), one])), None)
+        if row is None:
+            row = {}
+            candidates.append(row)
+            rows.append(row)
+        row[one.kind] = one
+        if len(row) == len(OBSERVABLES):
+            candidates.remove(row)
+    return [_pointing(row, file) for row in rows]
+
+
+def _at_one_height(observed: Sequence[Observed]) -> bool:
+    return all(len({h for h in heights if h == h}) < 2 for heights in zip(*(o.heights for o in observed), strict=True))
+
+
+def _pointing(row: dict[str, Observed], file: str) -> Pointing:
+    sigmas = {SIGMA_COLUMNS[OBSERVABLES.index(kind)]: row[kind].sigma / _UNIT[kind] for kind in row}
+    heights = zip(HEIGHT_COLUMNS, zip(*(o.heights for o in row.values()), strict=True), strict=True)
+    stated = {name: next((h / MILLIMETRE for h in of if h == h), NAN) for name, of in heights}
+    flat = "distance" in row and row["distance"].horizontal
+    lines = sorted({one.line for one in row.values() if one.line})
+    first = next(iter(row.values()))
+    return Pointing(
+        first.station,
+        first.target,
+        1,
+        **{kind: one.value for kind, one in row.items()},
+        covariates={name: value for name, value in (sigmas | stated).items() if value == value},
+        labels={KIND_COLUMN: "horizontal"} if flat else {},
+        source=f"{file}, line{'s' * (len(lines) > 1)} {', '.join(map(str, lines))}" if lines else "",
+    )
+
+
+def settled_heights(pointings: Sequence[Pointing]) -> tuple[list[Pointing], dict[str, float], dict[str, float]]:
+    """Heights [mm] of stations and of targets that all pointings agree on, taken out of the columns.
+
+    Where those of one name differ, all such heights stay in their column.
+    """
+    found: list[dict[str, float]] = []
+    for column, kind in zip(HEIGHT_COLUMNS, ("station", "target"), strict=True):
+        stated = [(getattr(p, kind), p.covariates[column]) for p in pointings if column in p.covariates]
+        one = dict(stated)
+        settled = all(one[name] == height for name, height in stated)
+        found.append({name: height for name, height in one.items() if height} if settled else {})
+        pointings = [replace(p, covariates=_without(p.covariates, column, settled=settled)) for p in pointings]
+    return list(pointings), found[0], found[1]
+
+
+def _without(covariates: dict[str, float], column: str, *, settled: bool) -> dict[str, float]:
+    rest = {name: value for name, value in covariates.items() if name != column}
+    return rest if settled else {**rest, column: covariates.get(column, 0.0)}
