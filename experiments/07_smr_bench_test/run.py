@@ -3,13 +3,13 @@
 from typing import Any
 
 import numpy as np
-from ltsim.pages.figures.by_factor import Swept, by_factor
 
 from experiments.common import Made, Options, tell, write_figure, write_table
 from experiments.virtual_bench import MIDDLE, BenchTest, measure_bench, vertex_table
 from ltsim.arrays import Floats
 from ltsim.effects.smr_incidence import TABLE_ANGLES
 from ltsim.evaluation.bench import BenchResult, as_vertex, evaluate_bench
+from ltsim.pages.figures.campaign import Swept, by_factor
 from ltsim.randomness import stream
 from ltsim.units import DEGREE, MICROMETRE
 

@@ -4,7 +4,6 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from ltsim.pages.figures.by_factor import Swept, by_factor
 
 from experiments.common import Made, Options, tell, write_figure, write_table
 from ltsim.acceptance.prediction import Plan, harm_of
@@ -12,6 +11,7 @@ from ltsim.acceptance.tests import Standard, builtin, envelope
 from ltsim.arrays import Bools, Floats
 from ltsim.geometry.polar import to_polar
 from ltsim.model.construction import misalignment
+from ltsim.pages.figures.campaign import Swept, by_factor
 from ltsim.randomness import stream
 from ltsim.recording.specification import sheet
 
