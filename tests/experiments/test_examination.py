@@ -23,8 +23,8 @@ from ltsim.model.construction import misalignment
 from ltsim.model.measurement import MeasurementModel, State, sightings_of
 
 PLACE = "experiments.20_concealed_physics."
-hall_of, known, law, made, tracker, score, clusters, network = (
-    import_module(PLACE + name) for name in ("hall", "known", "law", "make", "tracker", "score", "clusters", "network")
+hall_of, known, law, made, tracker, score, report = (
+    import_module(PLACE + name) for name in ("hall", "known", "law", "make", "tracker", "score", "report")
 )
 PLAN = """seed = 5
 laws = ["boxes"]
@@ -238,10 +238,10 @@ def test_a_motion_is_right_as_itself_or_by_its_observables() -> None:
 
 def test_intervals_are_wider_where_recordings_of_a_law_are_alike() -> None:
     hits, alone = [True] * 15 + [False] * 15, [str(k) for k in range(30)]
-    independent, alike = clusters.share(hits, alone), clusters.share(hits, [str(k // 5) for k in range(30)])
+    independent, alike = report.share(hits, alone), report.share(hits, [str(k // 5) for k in range(30)])
     assert alike["design_effect"] == pytest.approx(5.0) and independent["design_effect"] == 1.0
     assert alike["high"] - alike["low"] > 1.8 * (independent["high"] - independent["low"])
-    assert clusters.share([True] * 30, alone)["low"] > clusters.share([True] * 30, ["a", "b", "c"] * 10)["low"]
+    assert report.share([True] * 30, alone)["low"] > report.share([True] * 30, ["a", "b", "c"] * 10)["low"]
 
 
 def test_intervals_hold_what_they_say() -> None:
@@ -249,6 +249,6 @@ def test_intervals_hold_what_they_say() -> None:
     rng, held = np.random.default_rng(4), 0
     for _ in range(400):
         own = np.repeat(rng.beta(2.0, 1.0, 40), 4)
-        part = clusters.share((rng.random(160) < own).tolist(), [str(k // 4) for k in range(160)])
+        part = report.share((rng.random(160) < own).tolist(), [str(k // 4) for k in range(160)])
         held += part["low"] <= 2 / 3 <= part["high"]
     assert 0.92 <= held / 400 <= 0.985
