@@ -91,7 +91,7 @@ def run(given: Options) -> Made:
         dealt = zip(places.items(), cycle(heights), strict=False)
         moved = {f"targets__{name}__position_mm": [*own.position_mm[:2], height] for (name, own), height in dealt}
         results = campaign("config.toml", given, f"heights-{'-'.join(map(str, heights))}", **moved)
-        means += [replace(m, setting=title) for m in beside(results, ERROR)]
+        means += [replace(m, x=title) for m in beside(results, ERROR)]
         table = results.to_dataframe("rows")
         errors[title] = table[table.method == "network"].set_index("trial")[ERROR]
     write_figure(given.out / "designs.svg", by_setting(means, label=NEW_POINTS))

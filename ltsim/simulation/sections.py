@@ -370,5 +370,6 @@ class EffectEntry(Section):
     @classmethod
     def of(cls, effect: Effect) -> EffectEntry:
         """An effect with its places and constants, its parameters to be drawn."""
-        places = {"stations": getattr(effect, "stations", ()), "targets": getattr(effect, "targets", ())}
-        return cls(name=effect.name, draw=True, shape=shape_of(effect), **places)
+        return cls(
+            name=effect.name, stations=effect.stations, targets=effect.targets, draw=True, shape=shape_of(effect)
+        )
