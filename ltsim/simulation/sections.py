@@ -370,5 +370,5 @@ class EffectEntry(Section):
     @classmethod
     def of(cls, effect: Effect) -> EffectEntry:
         """An effect with its places and constants, its parameters to be drawn."""
-        places = {"stations": getattr(effect, "stations", ()), "targets": getattr(effect, "targets", ())}
-        return cls(name=effect.name, draw=True, shape=shape_of(effect), **places)
+        stations, targets = getattr(effect, "stations", ()), getattr(effect, "targets", ())
+        return cls(name=effect.name, draw=True, stations=stations, targets=targets, shape=shape_of(effect))
