@@ -112,7 +112,7 @@ class Scenario(Section, Result):
         measured = f"{len(self.stations)} stations{trackers}, {len(self.target_names)} targets"
         return [f"Scenario: {title}{measured}, {faces}, {effects}"]
 
-    __repr__ = Result.__repr__
+    __repr__ = __str__ = Result.__repr__
 
 
 def load_scenario(name_or_path: str | Path) -> Scenario:

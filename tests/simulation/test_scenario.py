@@ -175,3 +175,8 @@ def test_effects_as_objects_are_those_of_a_file() -> None:
         recording, truth = lt.simulate("paper-workshop", seed=7, changes={"effects": given})
         assert np.array_equal(recording.readings, by_table.recording.readings)
         assert truth.effects[0].effect == drift
+
+
+def test_a_printed_scenario_is_one_line() -> None:
+    assert str(lt.scenario("paper-workshop")).count("\n") == 0
+    assert str(lt.scenario("paper-workshop")) == repr(lt.scenario("paper-workshop"))
