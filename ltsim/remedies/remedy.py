@@ -42,7 +42,7 @@ GRID, TURNS = 5, 4
 CROWDED = 30
 """Set-ups from which a further place for one more is not looked for: it is one among many."""
 CLEARANCE = 0.8
-"""[m] how near to another station, and to a target, a further one is not put."""
+"""[m] how near to another station, and to a target, a further one is not put; nor is a nearer target asked for."""
 KNOWN_LENGTH, KNOWN_SIGMA_MM, CALIBRATION = 2.0, 0.002, 7200.0
 """[m] a length that a workshop can have calibrated, how well, and the time it takes [s]."""
 NEAR = np.array([[1.2, a * DEGREE, e * DEGREE] for a, e in ((0, 40), (90, -30), (180, 40), (270, -30))])
@@ -173,6 +173,8 @@ def further_pointings(network: Network, suspects: Iterable[str] = ()) -> Iterato
         yield remedy("look again", np.tile(np.array(again, dtype=np.int64), AGAIN), targets=names, count=AGAIN)
     yield remedy("to and fro", np.tile(np.r_[order[::-1], order], ROUNDS // 2), count=ROUNDS)
     unseen = np.setdiff1d(np.arange(len(recording.targets)), order)
+    away = np.linalg.norm(network.state.points[unseen] - network.state.position[last], axis=1)
+    unseen = unseen[away > CLEARANCE]  # nobody aims at the mark that the tripod stands on
     if len(unseen):
         yield remedy("unmeasured", unseen, targets=", ".join(recording.targets[t] for t in unseen[:6]))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from ltsim.adjustment import adjust
 from ltsim.calibration import calibrate_network
 from ltsim.model.construction import misalignment
 from ltsim.remedies.network import Network
-from ltsim.remedies.remedy import ADVICE, known_length, near_reflectors, other_ways, returns
+from ltsim.remedies.remedy import ADVICE, further_pointings, known_length, near_reflectors, other_ways, returns
 from tests.networks import drawn, network
 
 
@@ -70,3 +71,17 @@ def test_every_way_of_measuring_on_has_its_sentence(measured: Network) -> None:
     }
     assert all(len(keys) == 1 for keys in said.values()), said
     assert {"other face", "close", "reverse", "length", "near", "turned"} <= set().union(*said.values())
+
+
+def test_nobody_aims_at_the_mark_that_the_tripod_stands_on(measured: Network) -> None:
+    """A target that the last station has not measured because it stands over it is no remedy; another one is."""
+    recording = measured.recording
+    last = int(recording.station[np.argmax(recording.time)])
+    kept = recording.select(~((recording.station == last) & np.isin(recording.target, [3, 4])))
+    network = Network.of(adjust(kept, misalignment()))
+    points, position = network.state.points.copy(), network.state.position
+    points[kept.targets.index(recording.targets[3])] = position[last]
+    over = replace(network, state=replace(network.state, points=points))
+    words = [remedy.words for remedy in further_pointings(over) if "has not measured" in remedy.words]
+    assert len(words) == 1
+    assert f"({recording.targets[4]})" in words[0]
