@@ -6,8 +6,6 @@ python -m experiments 11 transfer         some steps of one that has steps
 python -m experiments all                 those of all.toml one after another; goes on where it was broken off
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import subprocess
@@ -57,9 +55,9 @@ def run_one(number: str, words: Sequence[str], trials: int | None, jobs: int, ou
     from experiments.common import Options, refuse_changes, write_manifest
 
     folder = FOLDERS[number]
-    options = Options(trials, jobs, (out or RESULTS / folder.name).resolve(), tuple(words))
+    options = Options(folder, trials, jobs, (out or RESULTS / folder.name).resolve(), tuple(words))
     refuse_changes(options.out)
-    write_manifest(folder, options, import_module(f"experiments.{folder.name}.run").run(options))
+    write_manifest(options, import_module(f"experiments.{folder.name}.run").run(options))
 
 
 def run_all(out: Path, jobs: int) -> None:

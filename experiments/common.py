@@ -1,12 +1,11 @@
 """What the experiments share: options, campaigns and their figures, tables, manifests."""
 
-from __future__ import annotations
-
 import csv
 import json
 import platform
 import subprocess
 import sys
+import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import version
@@ -19,6 +18,8 @@ from matplotlib.figure import Figure
 
 import ltsim as lt
 from ltsim.arrays import Floats
+from ltsim.campaigns import spec
+from ltsim.campaigns.spec import Campaign, Cell, load_campaign
 from ltsim.campaigns.statistics import Results
 from ltsim.pages.figures.campaign import Swept
 from ltsim.pages.style import svg
@@ -33,12 +34,23 @@ ERROR = "new_point_error_calibrated_um"
 
 @dataclass(frozen=True)
 class Options:
-    """How an experiment is run: number of trials, processes, folder of the results, further words of the command."""
+    """How an experiment is run: its folder, number of trials, processes, folder of the results, further words."""
 
+    here: Path
     trials: int | None
     jobs: int
     out: Path
     words: tuple[str, ...] = ()
+
+    @property
+    def config(self) -> dict[str, Any]:
+        """Its `config.toml`."""
+        return tomllib.loads((self.here / "config.toml").read_text(encoding="utf-8"))
+
+    @property
+    def changes(self) -> dict[str, Any]:
+        """What the command changes in a campaign file."""
+        return {} if self.trials is None else {"trials": self.trials}
 
 
 @dataclass(frozen=True)
@@ -67,15 +79,21 @@ def spread_out(work: Any, tasks: Sequence[tuple[Any, ...]], jobs: int) -> list[A
     return list(Parallel(n_jobs=jobs, inner_max_num_threads=1, backend="loky")(delayed(work)(*task) for task in tasks))
 
 
-def campaign(file: Path, given: Options, name: str = "", **changes: Any) -> Results:
+def cells_of(given: Options) -> tuple[Campaign, Sequence[Cell]]:
+    """The campaign of an experiment's `config.toml` with its cells."""
+    file = given.here / "config.toml"
+    found, scenarios = load_campaign(file, given.changes)
+    return found, spec.cells_of(found, scenarios, file)[1]
+
+
+def campaign(file: str, given: Options, name: str = "", **changes: Any) -> Results:
     """Run an experiment's campaign file; its rows are kept as Parquet below the results, and `summary.csv` with them.
 
     `changes` are new values of keys of the file, by dotted key with `__` for a dot; `name` is that of their folder.
     """
-    other = {key.replace("__", "."): value for key, value in changes.items()}
-    other |= {} if given.trials is None else {"trials": given.trials}
-    results = lt.campaign(file, out=given.out / (name or file.stem), jobs=given.jobs, force=True, changes=other)
-    folder = given.out / (name or file.stem)
+    folder = given.out / (name or Path(file).stem)
+    other = {key.replace("__", "."): value for key, value in changes.items()} | given.changes
+    results = lt.campaign(given.here / file, out=folder, jobs=given.jobs, force=True, changes=other)
     tables = [factor.name for factor in results.factors if factor.kind == "table"]  # a title stands for them
     results.to_dataframe().drop(columns=tables).to_csv(folder / "summary.csv", index=False, float_format="%.6g")
     tell(f"{folder.name}: {len(results.levels)} cells, {results.manifest.trials} trials")
@@ -87,13 +105,16 @@ def swept(
 ) -> list[Swept]:
     """A statistic of the cells with the levels `only`, for `by_factor`: along one factor, a line a method.
 
-    Errors of new points have a further line: the floor that the noise of the new readings makes.
+    Errors of new points have a further line: the floor that the noise of the new readings makes, by the method whose
+    parameters can be true.
     """
     floor = column.replace("calibrated", "true_parameters") if column.startswith("new_point_error_cal") else ""
-    wanted, rows, first = dict(only or {}), [], results.manifest.methods[0]
-    for s in [*results.spread(column), *(results.spread(floor) if floor else ())]:
+    wanted, rows = dict(only or {}), []
+    floors = results.spread(floor) if floor else []
+    lowest = [min((s for s in floors if s.cell == cell), key=lambda s: s.mean) for cell in {s.cell: 0 for s in floors}]
+    for s in [*results.spread(column), *lowest]:
         here = results.levels[s.cell] | {"method": s.method}
-        if (s.column == floor and s.method != first) or any(here[name] != own for name, own in wanted.items()):
+        if any(here[name] != own for name, own in wanted.items()):
             continue
         line = "noise floor" if s.column == floor else s.method
         where = _words(panel, here[panel]) if panel else ""
@@ -131,13 +152,13 @@ def summary(values: Floats, digits: int = 2) -> Row:
 
 
 def write_table(path: Path, rows: Sequence[Row]) -> None:
-    """A CSV table; columns in the order in which they first appear."""
+    """A CSV table, numbers with six digits; columns in the order in which they first appear."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    fields = list(dict.fromkeys(key for row in rows for key in row))
     with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.DictWriter(file, fields, lineterminator="\n")
+        writer = csv.DictWriter(file, list(dict.fromkeys(key for row in rows for key in row)), lineterminator="\n")
         writer.writeheader()
-        writer.writerows(rows)
+        for row in rows:
+            writer.writerow({k: float(f"{v:.6g}") if isinstance(v, float) else v for k, v in row.items()})
 
 
 def write_figure(path: Path, figure: Figure) -> None:
@@ -159,15 +180,16 @@ def changes() -> str | None:
     return _git("status", "--porcelain", "--", "ltsim", "experiments", "benchmarks", "pyproject.toml")
 
 
-def write_manifest(here: Path, given: Options, made: Made) -> None:
+def write_manifest(given: Options, made: Made) -> None:
     """``manifest.json``: command, seed, trials, versions, commit, and the experiment's files of settings."""
-    words = [here.name[:2], *given.words, *([] if made.trials is None else ["--trials", str(made.trials)])]
-    settings = {f.name: f.read_text(encoding="utf-8") for f in sorted(here.glob("*.toml"))}
-    own = {"seed": made.seed, "trials": made.trials} | {"settings": settings} | dict(made.more)
+    words = [given.here.name[:2], *given.words, *([] if made.trials is None else ["--trials", str(made.trials)])]
+    settings = {f.name: f.read_text(encoding="utf-8") for f in sorted(given.here.glob("*.toml"))}
+    own = {"seed": made.seed, "trials": made.trials, "settings": settings, **made.more}
     folder = made.folder or given.out
     folder.mkdir(parents=True, exist_ok=True)
     text = json.dumps(manifest(" ".join(["python -m experiments", *words]), **own), indent=1) + "\n"
-    (folder / manifest_name(given.words if made.folder is None else ())).write_text(text, encoding="utf-8")
+    steps = given.words if made.folder is None else ()  # steps of a whole have manifests of their own
+    (folder / f"manifest{'-'.join(['', *steps])}.json").write_text(text, encoding="utf-8")
 
 
 def manifest(command: str, **more: Any) -> dict[str, Any]:
@@ -175,11 +197,6 @@ def manifest(command: str, **more: Any) -> dict[str, Any]:
     versions = {"python": platform.python_version()} | {name: version(name) for name in USED}
     made = {"command": command, "versions": versions, "commit": commit(), "uncommitted_changes": bool(changes())}
     return made | more
-
-
-def manifest_name(words: Sequence[str]) -> str:
-    """Steps of a whole have manifests of their own."""
-    return f"manifest{'-'.join(['', *words])}.json"
 
 
 def commit() -> str | None:

@@ -1,7 +1,5 @@
 """Criteria of what a calibration corrects, beside those of the parameters in `ltsim.planning.objective`."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ltsim.arrays import Floats

@@ -9,12 +9,9 @@ References
 Saltelli et al., Comput. Phys. Commun. 181 (2010) 259-270, the estimator of `scipy.stats.sobol_indices`.
 """
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 from scipy import stats
@@ -28,16 +25,17 @@ OUTPUTS = ("distance improvement", "coordinate improvement", "distance after", "
 LEVEL = 0.95
 
 
-@dataclass(frozen=True)
-class Index:
+class Index(NamedTuple):
     """Sobol indices of one output by one input, each with its 95 % interval (bootstrap)."""
 
     output: str
     input: str
     first: float
-    first_interval: tuple[float, float]
+    first_low: float
+    first_high: float
     total: float
-    total_interval: tuple[float, float]
+    total_low: float
+    total_high: float
 
 
 def sensitivity(
@@ -68,14 +66,7 @@ def sensitivity(
 
     def criteria(logs: Floats) -> Floats:
         expected = predictor.expected(dict(zip(names, np.exp(logs), strict=True)))
-        return np.stack(
-            [
-                expected.distance_improvement,
-                expected.coordinate_improvement,
-                expected.distance_after,
-                expected.coordinate_after,
-            ]
-        )
+        return np.stack([getattr(expected, output.replace(" ", "_")) for output in OUTPUTS])
 
     bounds = [(np.log(low), np.log(high)) for low, high in ranges.values()]
     result = stats.sobol_indices(
@@ -88,20 +79,12 @@ def sensitivity(
     with np.errstate(invalid="ignore"), warnings.catch_warnings():
         warnings.simplefilter("ignore", stats.DegenerateDataWarning)
         spread = result.bootstrap(LEVEL)
+    columns = []
+    for found, interval in ((result.first_order, spread.first_order), (result.total_order, spread.total_order)):
+        ends = interval.confidence_interval
+        columns += [found, *(np.where(np.isfinite(end), end, found) for end in (ends.low, ends.high))]
     return [
-        Index(
-            output,
-            name,
-            float(result.first_order[i, j]),
-            _interval(spread.first_order.confidence_interval, i, j, float(result.first_order[i, j])),
-            float(result.total_order[i, j]),
-            _interval(spread.total_order.confidence_interval, i, j, float(result.total_order[i, j])),
-        )
+        Index(output, name, *(float(column[i, j]) for column in columns))
         for i, output in enumerate(OUTPUTS)
         for j, name in enumerate(names)
     ]
-
-
-def _interval(interval: Any, i: int, j: int, value: float) -> tuple[float, float]:
-    low, high = float(interval.low[i, j]), float(interval.high[i, j])
-    return (low, high) if np.isfinite(low + high) else (value, value)

@@ -10,8 +10,6 @@ An interferometer records changes only: the table is found less its value at 0 d
 offset takes up.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

@@ -197,7 +197,7 @@ def test_every_result_can_be_copied_pickled_saved_and_compared(name: str, kept, 
     assert all(other is result or other != result for other in kept.values())
 
 
-@pytest.mark.parametrize("name", ["calibration", "criteria", "check", "comparison"])
+@pytest.mark.parametrize("name", ["calibration", "criteria", "check", "comparison", "history"])
 def test_results_are_drawn(name: str, kept):
     assert kept[name].plot().axes
 

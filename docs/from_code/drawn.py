@@ -2,6 +2,7 @@
 
 import base64
 import contextlib
+from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
@@ -12,11 +13,14 @@ from from_code.pictures import Pictures
 from ltsim.pages import scene3d
 from ltsim.pages.style import svg, svg_uri
 
+HOW_TO = Path(__file__).resolve().parents[1] / "how-to"
+"""Where the files lie that the how-tos have for download."""
+
 
 def shown(pictures: Pictures, lines: list[str], name: str) -> str:
     """Markdown: what the last line of the code gives (a figure or a view), with the first line as its caption."""
     caption, *code, last = lines
-    names: dict[str, Any] = {"lt": lt}
+    names: dict[str, Any] = {"lt": lt, "how_to": HOW_TO}
     with TemporaryDirectory() as place, contextlib.chdir(place):
         exec("\n".join(code), names)
         made = eval(last, names)

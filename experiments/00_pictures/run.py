@@ -1,7 +1,5 @@
 """The picture of the README: the paper's workshop with its shadow cones, drawn from the scenario alone."""
 
-from __future__ import annotations
-
 import ltsim as lt
 from experiments.common import Made, Options
 

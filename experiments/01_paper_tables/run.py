@@ -1,16 +1,15 @@
 """Where the paper's figures lie: Table 3 in the simulated workshop, Table 4 in the simulated laboratory."""
 
-from __future__ import annotations
-
+import tomllib
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
-from experiments.common import Made, Options, spread_out, stacked, summary, write_figure, write_table
+from experiments.common import Made, Options, cells_of, spread_out, stacked, summary, write_figure, write_table
 from ltsim.arrays import Floats
 from ltsim.campaigns.rows import Prepared, Work
-from ltsim.campaigns.spec import Campaign, Cell, cells_of, load_campaign
+from ltsim.campaigns.spec import Campaign, Cell
 from ltsim.evaluation.clouds import in_first_frame, on_points
 from ltsim.evaluation.criteria import coordinate_differences, distance_differences, pair_distances
 from ltsim.evaluation.verification import coordinate_errors, distance_errors
@@ -18,39 +17,12 @@ from ltsim.pages.figures.campaign import Distribution, distributions
 from ltsim.simulation.gauge import nominal_points
 from ltsim.units import MICROMETRE
 
-HERE = Path(__file__).resolve().parent
-
 DRAWN = {
     "workshop": {"noise_factor": 2.8, "error_factor": 0.7, "prior_factor": 1.0},
     "laboratory": {"noise_factor": 2.8, "error_factor": 2.8, "prior_factor": 1.0},
 }
 """The cells whose distributions are drawn: those whose errors give the table's figures."""
-PAPER: dict[str, dict[str, float]] = {
-    "workshop": {
-        "coordinate_before_max": 149,
-        "coordinate_before_mean": 46,
-        "distance_before_max": 60,
-        "distance_before_mean": 29,
-        "coordinate_after_max": 118,
-        "coordinate_after_mean": 39,
-        "distance_after_max": 39,
-        "distance_after_mean": 17,
-        "coordinate_improvement_percent": 14.47,
-        "distance_improvement_percent": 40.1,
-    },
-    "laboratory": {
-        "coordinate_before_max": 54,
-        "coordinate_before_mean": 21,
-        "distance_before_max": 84,
-        "distance_before_mean": 24,
-        "coordinate_after_max": 41,
-        "coordinate_after_mean": 17,
-        "distance_after_max": 53,
-        "distance_after_mean": 18,
-        "coordinate_improvement_percent": 17.98,
-        "distance_improvement_percent": 25.53,
-    },
-}
+PAPER: dict[str, dict[str, float]] = tomllib.loads(Path(__file__).with_name("paper.toml").read_text(encoding="utf-8"))
 """Tables 3 and 4 [um, %]."""
 Columns = dict[str, Floats]
 
@@ -158,9 +130,7 @@ def figure_rows(columns: Columns, table: str) -> list[Distribution]:
 
 
 def run(given: Options) -> Made:
-    file = HERE / "config.toml"
-    campaign, scenarios = load_campaign(file, {} if given.trials is None else {"trials": given.trials})
-    cells = cells_of(campaign, scenarios, file)[1]
+    campaign, cells = cells_of(given)
     found = spread_out(figures_of, [(campaign, cell) for cell in cells], given.jobs)
     for table, name in (("workshop", "table_3"), ("laboratory", "table_4")):
         rows = [

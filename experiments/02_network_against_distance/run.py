@@ -1,26 +1,21 @@
 """The paper's method and the network adjustment on the same trials, judged by what only a simulation knows."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import pandas as pd
 
 from experiments.common import ERROR, NEW_POINTS, Made, Options, campaign, swept, write_figure
 from ltsim.pages.figures.campaign import by_factor
 
-HERE = Path(__file__).resolve().parent
 AXIS = "stated prior over the true one"
 
 
 def run(given: Options) -> Made:
-    results = campaign(HERE / "config.toml", given)
+    results = campaign("config.toml", given)
     write_figure(
         given.out / "new_points.svg",
         by_factor(swept(results, ERROR, "prior_factor", panel="title"), label=NEW_POINTS, axis=AXIS),
     )
     shown = swept(results, "distance_improvement_percent", "prior_factor", panel="title")
-    label = "improvement of the paper's distance criterion [%]"
+    label = "improvement shown [%]"
     write_figure(given.out / "criterion.svg", by_factor(shown, label=label, axis=AXIS))
     # The same draws by both methods, with one prior: differences are known better than either mean.
     rivals = [name for name in results.manifest.methods if name != "network"]

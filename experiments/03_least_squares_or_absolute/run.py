@@ -1,9 +1,6 @@
 """Least squares and least absolute deviations of the paper's objective, clean and with outliers."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
@@ -12,6 +9,7 @@ from experiments.common import (
     NEW_POINTS,
     Made,
     Options,
+    cells_of,
     spread_out,
     stacked,
     summary,
@@ -22,7 +20,7 @@ from ltsim.adjustment import Adjustment, adjust
 from ltsim.arrays import Floats, Ints
 from ltsim.campaigns.engine import Calibrated, recording_of
 from ltsim.campaigns.rows import Prepared, Work
-from ltsim.campaigns.spec import Campaign, Cell, cells_of, load_campaign
+from ltsim.campaigns.spec import Campaign, Cell
 from ltsim.campaigns.truth import Block, Truth
 from ltsim.effects.effect import Effect
 from ltsim.evaluation.clouds import on_points
@@ -32,7 +30,6 @@ from ltsim.randomness import stream
 from ltsim.recording.recording import Recording
 from ltsim.units import MICROMETRE
 
-HERE = Path(__file__).resolve().parent
 PERCENT = (0.0, 1.0, 2.0)
 SIZE = (100 * MICROMETRE, 500 * MICROMETRE)
 """Of an outlier, as a shift at the reflector; larger ones are screened out before any method sees them."""
@@ -105,9 +102,7 @@ def errors_of(campaign: Campaign, cell: Cell, percent: float) -> dict[str, dict[
 
 
 def run(given: Options) -> Made:
-    file = HERE / "config.toml"
-    campaign, scenarios = load_campaign(file, {} if given.trials is None else {"trials": given.trials})
-    (cell,) = cells_of(campaign, scenarios, file)[1]
+    campaign, (cell,) = cells_of(given)
     found = spread_out(errors_of, [(campaign, cell, percent) for percent in PERCENT], given.jobs)
     table, rows = [], []
     for percent, methods in zip(PERCENT, found, strict=True):

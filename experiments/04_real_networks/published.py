@@ -1,7 +1,5 @@
 """What others published about the recordings beside the checkout: GNU Gama's results, the scanner's true parameters."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree.ElementTree import Element
@@ -25,29 +23,19 @@ _SPACE = "{http://www.gnu.org/software/gama/gama-local-adjustment}"
 
 @dataclass(frozen=True)
 class GamaResult:
-    """An adjustment by gama-local.
-
-    Attributes
-    ----------
-    names : tuple of str
-        Point of each coordinate.
-    axis : (k,) int
-    value, sigma : (k,) float, [m]
-        y of left-handed systems turned over, as the reader does it.
-    square_sum : float
-    dof : int
-    apriori, aposteriori : float
-        sigma0.
-    """
+    """An adjustment by gama-local; y of left-handed systems is turned over, as the reader does it."""
 
     names: tuple[str, ...]
     axis: Floats
+    """Point and axis of each coordinate (k,)."""
     value: Floats
     sigma: Floats
+    """(k,) [m]."""
     square_sum: float
     dof: int
     apriori: float
     aposteriori: float
+    """Of sigma0."""
 
 
 def gama_result(name: str, folder: str = "gama-3d-networks") -> GamaResult:

@@ -6,19 +6,16 @@ Reads ../shared/recordings beside the checkout; writes only figures found: rows 
 the file.
 """
 
-from __future__ import annotations
-
 import sys
 import time
-from itertools import combinations
 from pathlib import Path
 
 import numpy as np
 from scipy import stats
+from scipy.optimize import least_squares
 
 from experiments.common import Made, Options, run_steps, show_table
 from ltsim.adjustment import Adjustment, adjust
-from ltsim.adjustment.problem import NetworkProblem
 from ltsim.adjustment.verdict import verdict
 from ltsim.calibration import calibrate_network
 from ltsim.calibration.known import Choice
@@ -30,8 +27,6 @@ from ltsim.model.measurement import MeasurementModel, State
 from ltsim.randomness import stream
 from ltsim.recording import Recording, read
 from ltsim.recording.recording import HEIGHT_COLUMNS, OBSERVABLES
-from ltsim.solve.blocks import BlockSystem
-from ltsim.solve.gauss_newton import solve
 from ltsim.units import ARCSECOND, MILLIMETRE
 
 from .published import DATA, GAMA, SCANNER_TRUTH, coordinates_of, gama_result, scanner, scanner_recording
@@ -98,30 +93,6 @@ def to_marks(ours: Adjustment) -> Recording:
     return flat.with_readings(MeasurementModel(flat, ideal()).predict(state) + ours.residuals)
 
 
-class Turns:
-    """The sum of squares over the stations' turns alone, everything else held."""
-
-    def __init__(self, problem: NetworkProblem) -> None:
-        self.problem = problem
-        self.free = np.isin(np.arange(problem.unknowns.size), problem.unknowns.pose[:, 3:])
-
-    def linearise(self, state: State) -> BlockSystem:
-        """The system with the columns of the turns."""
-        system = self.problem.linearise(state)
-        rows = system.design[:, self.free]
-        return BlockSystem(rows, system.residual, rows.shape[1])
-
-    def residual(self, state: State) -> np.ndarray:
-        """The whitened residual."""
-        return self.problem.residual(state)
-
-    def retract(self, state: State, step: np.ndarray) -> State:
-        """The state with its stations turned."""
-        whole = np.zeros(self.problem.unknowns.size)
-        whole[self.free] = step
-        return self.problem.retract(state, whole)
-
-
 def best_turns(ours: Adjustment, name: str) -> float:
     """Least sum of squares with all points at the coordinates that gama-local printed."""
     theirs, recording, marks = gama_result(name), ours.recording, ours.problem.marks
@@ -133,7 +104,14 @@ def best_turns(ours: Adjustment, name: str) -> float:
             if mark == point:
                 position[s, axis] = value + marks.offset[s, axis]
     state = State(position, ours.state.rotation, points, ours.state.instrument)
-    return solve(Turns(ours.problem), state).cost
+    free = np.isin(np.arange(ours.problem.unknowns.size), ours.problem.unknowns.pose[:, 3:])
+
+    def residual(turns: np.ndarray) -> np.ndarray:
+        step = np.zeros(len(free))
+        step[free] = turns
+        return ours.problem.residual(ours.problem.retract(state, step))
+
+    return float(2 * least_squares(residual, np.zeros(free.sum()), xtol=1e-12, ftol=1e-12).cost)
 
 
 # --- CERN ---------------------------------------------------------------------------------------------------------
@@ -157,7 +135,7 @@ def cern(out: Path) -> None:
             used = time.process_time() - start
             summary.append({"network": name, "way": way, **state_of(found), "seconds": f"{used:.2f}"})
         misfits += [{"network": name, **row} for row in what_does_not_fit(found)]
-        noise += [{"network": name, "instrument": k, **row} for k, row in enumerate_instruments(found)]
+        noise += [{"network": name, **row} for row in components(found)]
         levels = found.problem.levels
         if len(levels):
             tilt = levels.predict(found.state.rotation) / ARCSECOND
@@ -196,37 +174,21 @@ def what_does_not_fit(found: Adjustment) -> Rows:
     """Readings left out, with the error they show against the network without them."""
     rows: Rows = []
     for i, j in np.argwhere(found.rejected):
-        miss = found.residuals[i, j]
-        arm = 1.0 if j == 0 else found.recording.readings[i, 0]
-        rows.append(
-            {
-                "row": int(i) + 1,
-                "set_up": int(found.recording.station[i]) + 1,
-                "reading": OBSERVABLES[j],
-                "error": f"{miss / UNIT[j]:.3f} {'mm' if j == 0 else 'arcsec'}",
-                "error_at_target_mm": f"{1e3 * miss * arm:.3f}",
-                "in_sigma": f"{miss / found.problem.sigma[i, j]:.1f}",
-                "range_m": f"{found.recording.readings[i, 0]:.1f}",
-            }
-        )
+        miss, range_ = found.residuals[i, j], found.recording.readings[i, 0]
+        rows.append({
+            "row": int(i) + 1, "set_up": int(found.recording.station[i]) + 1, "reading": OBSERVABLES[j],
+            "error": f"{miss / UNIT[j]:.3f} {'mm' if j == 0 else 'arcsec'}",
+            "error_at_target_mm": f"{1e3 * miss * (1.0 if j == 0 else range_):.3f}",
+            "in_sigma": f"{miss / found.problem.sigma[i, j]:.1f}", "range_m": f"{range_:.1f}",
+        })  # fmt: skip
     return rows
 
 
-def enumerate_instruments(found: Adjustment) -> Rows:
+def components(found: Adjustment) -> Rows:
     """Variance components with instruments numbered."""
     number = {name: i + 1 for i, name in enumerate(found.recording.instruments)}
-    return [
-        (
-            number.get(c.instrument, "all"),
-            {
-                "reading": c.observable,
-                "factor": f"{c.factor:.3f}",
-                "sigma": f"{c.sigma:.3f}",
-                "redundancy": f"{c.redundancy:.1f}",
-            },
-        )
-        for c in found.components
-    ]
+    return [{"instrument": number.get(c.instrument, "all"), "reading": c.observable, "factor": f"{c.factor:.3f}",
+             "sigma": f"{c.sigma:.3f}", "redundancy": f"{c.redundancy:.1f}"} for c in found.components]  # fmt: skip
 
 
 # --- GeoEasy ------------------------------------------------------------------------------------------------------
@@ -240,15 +202,7 @@ def geoeasy(out: Path) -> None:
         for way, options in (("as stated", {}), ("noise estimated", {"variance_components": "observable"})):
             found = adjust(recording, built, robust=bool(options), **options)
             factors = {c.observable: f"{c.factor:.2f}" for c in found.components}
-            rows.append(
-                {
-                    "parameters": name,
-                    "way": way,
-                    **state_of(found),
-                    **dict.fromkeys(("distance", "azimuth", "elevation", "level"), ""),
-                    **factors,
-                }
-            )
+            rows.append({"parameters": name, "way": way} | state_of(found) | factors)
     show_table(out / "geoeasy.csv", rows)
     values, sigma = found.state.instrument[0], np.sqrt(np.diag(found.instrument_covariance))
     show_table(out / "geoeasy_parameters.csv", [
@@ -274,12 +228,8 @@ def scanner_truth(out: Path) -> None:
         errors = np.array([fitted(rounded(trial), known)[0] - TRUTH for trial in range(80)])
         found, sigma = fitted(recording, known)
         exact = adjust(recording, misalignment(FIRST_ORDER)).state.instrument[0] / UNITS
-        by_form = (
-            adjust(rounded(None), misalignment(FIRST_ORDER))
-            if known
-            else adjust(without_points(rounded(None)), misalignment(FIRST_ORDER))
-        )
-        form = by_form.state.instrument[0] / UNITS - TRUTH
+        made_again = rounded(None) if known else without_points(rounded(None))
+        form = adjust(made_again, misalignment(FIRST_ORDER)).state.instrument[0] / UNITS - TRUTH
         gap = found - TRUTH
         joint = float(gap @ np.linalg.solve(np.cov(errors.T), gap))
         for k, p in enumerate(PARAMETERS):
@@ -292,33 +242,11 @@ def scanner_truth(out: Path) -> None:
             })  # fmt: skip
     show_table(out / "scanner.csv", rows)
     show_table(out / "scanner_choice.csv", [row for known in (True, False) for row in choice_of_parameters(known)])
-    show_table(out / "scanner_fours.csv", [row for known in (True, False) for row in every_four(known)])
-
-
-def every_four(known: bool) -> Rows:
-    """How many times better each parameter is known alone than among sixteen, and in the four that gain most.
-
-    Poses and points are eliminated, so that every choice is a part of one information matrix, in prior sigmas.
-    """
-    recording = scanner(known) if known else without_points(scanner(True))
-    found = calibrate_network(recording, advise=False, weigh=False)
-    covariance = found.covariance / np.outer(found.prior_sigma, found.prior_sigma)
-    whole, sigma = np.linalg.inv(covariance), np.sqrt(np.diag(covariance))
-
-    def ratios(chosen: tuple[int, ...]) -> np.ndarray:
-        return sigma[list(chosen)] / np.sqrt(np.diag(np.linalg.inv(whole[np.ix_(chosen, chosen)])))
-
-    best = max(combinations(range(len(sigma)), 4), key=lambda four: float(ratios(four).min()))
-    among = dict(zip(best, ratios(best), strict=True))
-    points = "known" if known else "unknown"
-    return [{"points": points, "parameter": name, "ratio_alone": f"{ratios((k,))[0]:.1f}",
-             "ratio_in_the_four_whose_smallest_is_largest": f"{among[k]:.1f}" if k in among else ""}
-            for k, name in enumerate(found.names)]  # fmt: skip
 
 
 def choice_of_parameters(known: bool) -> Rows:
     """`ltsim calibrate --parameters` with the four that the exercise has, beside all sixteen."""
-    recording = scanner(known) if known else without_points(scanner(True))
+    recording = scanner(known)
     every, four = (
         calibrate_network(recording, advise=False, weigh=False, choice=choice)
         for choice in (Choice(), Choice(parameters=tuple(SCANNER_TRUTH)))

@@ -1,17 +1,11 @@
 """Gauges of 0 to 6 reflectors; harmonics up to order 2, 3 and 4 fitted to truths that go beyond the second."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 from experiments.common import ERROR, NEW_POINTS, Made, Options, beside, campaign, swept, write_figure
 from ltsim.pages.figures.campaign import by_factor, by_setting
 
-HERE = Path(__file__).resolve().parent
-
 
 def run(given: Options) -> Made:
-    gauges, orders = campaign(HERE / "gauge.toml", given), campaign(HERE / "config.toml", given, "harmonics")
+    gauges, orders = campaign("gauge.toml", given), campaign("config.toml", given, "harmonics")
     write_figure(
         given.out / "gauge.svg", by_setting(beside(gauges, ERROR, "title", "range_scale_ppm"), label=NEW_POINTS)
     )

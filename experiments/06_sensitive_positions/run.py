@@ -1,10 +1,8 @@
 """Where a unit of each error moves a point the most, and which heights of the reflectors make the best calibration."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import cycle
-from pathlib import Path
+from textwrap import fill
 from typing import Any
 
 import numpy as np
@@ -28,8 +26,6 @@ from ltsim.pages.figures.campaign import Swept, by_setting
 from ltsim.pages.style import CYCLE, new_figure, quiet_axis, styled
 from ltsim.simulation.scenario import Scenario, load_scenario
 from ltsim.units import DEGREE, MICROMETRE
-
-HERE = Path(__file__).resolve().parent
 
 DESIGNS = (
     (5900, 2000, 150), (2000,), (5900,), (5900, 150), (5900, 2000), (150, 2000), (4300, 3200, 1000),
@@ -74,7 +70,7 @@ def by_elevation(rows: list[Row], distance: float) -> Figure:
     elevation = sorted({row["elevation_deg"] for row in rows})
     for k, (shifts, names) in enumerate(lines.items()):
         style = "-" if k < len(CYCLE) else "--"
-        ax.plot(elevation, shifts, color=CYCLE[k % len(CYCLE)], linestyle=style, label=", ".join(names))
+        ax.plot(elevation, shifts, color=CYCLE[k % len(CYCLE)], linestyle=style, label=fill(", ".join(names), 75))
     ax.set_xlabel("elevation [°]")
     ax.set_ylabel(f"shift by one sigma at {distance:g} m [µm]")
     quiet_axis(ax, grid="both")
@@ -94,8 +90,8 @@ def run(given: Options) -> Made:
         title = title if len(heights) <= 3 else f"{len(heights)} heights"
         dealt = zip(places.items(), cycle(heights), strict=False)
         moved = {f"targets__{name}__position_mm": [*own.position_mm[:2], height] for (name, own), height in dealt}
-        results = campaign(HERE / "config.toml", given, f"heights-{'-'.join(map(str, heights))}", **moved)
-        means += [replace(m, setting=title) for m in beside(results, ERROR)]
+        results = campaign("config.toml", given, f"heights-{'-'.join(map(str, heights))}", **moved)
+        means += [replace(m, x=title) for m in beside(results, ERROR)]
         table = results.to_dataframe("rows")
         errors[title] = table[table.method == "network"].set_index("trial")[ERROR]
     write_figure(given.out / "designs.svg", by_setting(means, label=NEW_POINTS))

@@ -1,20 +1,15 @@
 """Noise, faces and reflectors: what each does to a calibration, judged on held-out points."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import pandas as pd
 
 from experiments.common import ERROR, NEW_POINTS, Made, Options, campaign, swept, write_figure
 from ltsim.pages.figures.campaign import by_factor
 
-HERE = Path(__file__).resolve().parent
 AXIS = "true noise over that of the specification"
 
 
 def run(given: Options) -> Made:
-    results = campaign(HERE / "config.toml", given)
+    results = campaign("config.toml", given)
     for faces in (1, 2):
         rows = swept(results, ERROR, "noise_factor", panel="title", only={"faces": faces})
         write_figure(given.out / f"faces-{faces}.svg", by_factor(rows, label=NEW_POINTS, axis=AXIS))

@@ -1,14 +1,10 @@
 """Parameters found at 27 C, applied at 20 C: how much the instrument may change before they stop to help."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from pathlib import Path
 
 from experiments.common import ERROR, NEW_POINTS, Made, Options, campaign, swept, write_figure
 from ltsim.pages.figures.campaign import Swept, by_factor
 
-HERE = Path(__file__).resolve().parent
 DRIFTS = (0.0, 0.25, 0.5, 1.0)
 """Of the prior, 9.7 urad and 14 um, over 7 K: a share of 0.25 is 0.35 urad and 0.5 um per kelvin."""
 AS_READ = "new_point_error_raw_um"
@@ -17,7 +13,7 @@ AS_READ = "new_point_error_raw_um"
 def run(given: Options) -> Made:
     rows: list[Swept] = []
     for drift in DRIFTS:
-        results = campaign(HERE / "config.toml", given, f"drift-{drift:g}", judge_drift=drift)
+        results = campaign("config.toml", given, f"drift-{drift:g}", judge_drift=drift)
         rows += [replace(s, x=drift) for s in swept(results, ERROR, "gauge-scale", panel="gauge-scale")]
         as_read = swept(results, AS_READ, "gauge-scale", panel="gauge-scale", only={"method": "network"})
         rows += [replace(s, x=drift, line="not calibrated") for s in as_read]

@@ -1,18 +1,14 @@
 """How much better than the paper's layout can five stations stand, and how few would do? Checked by simulation."""
 
-from __future__ import annotations
-
-import tomllib
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
-from experiments.common import Made, Options, Row, spread_out, tell, write_figure, write_table
+from experiments.common import Made, Options, Row, batches, spread_out, tell, write_figure, write_table
 from experiments.criteria import corrections, g_criterion, i_criterion
 from ltsim.adjustment import adjust
 from ltsim.arrays import Floats
-from ltsim.geometry.alignment import align
+from ltsim.evaluation.clouds import on_points
 from ltsim.model.construction import misalignment
 from ltsim.pages.figures.floor_plan import floor_plan
 from ltsim.pages.workshop import from_scenario
@@ -33,8 +29,6 @@ from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.simulator import simulate
 from ltsim.units import DEGREE, MICROMETRE, MILLIMETRE
 
-HERE = Path(__file__).resolve().parent
-
 BLOCK = 50
 MICRO = 1.0 / MICROMETRE
 
@@ -46,6 +40,11 @@ class Candidate:
     name: str
     cone_deg: float
     scenario: Scenario
+
+    @property
+    def words(self) -> Row:
+        """What its rows begin with."""
+        return {"cone_deg": self.cone_deg, "layout": self.name}
 
 
 @dataclass(frozen=True)
@@ -101,27 +100,23 @@ def quality(candidate: Candidate) -> Row:
     information = LayoutInformation.of(survey_of(candidate.scenario))
     covariance, rows = information.scaled_covariance, corrections(information)
     expected = Predictor.of(information).expected()
-    values = {
+    promised = {}
+    for kind in ("distance", "coordinate"):
+        before, after, gain = (getattr(expected, f"{kind}_{what}")[0] for what in ("before", "after", "improvement"))
+        promised |= {f"{kind}_before_um": before * MICRO, f"{kind}_after_um": after * MICRO}
+        promised[f"{kind}_improvement_percent"] = gain
+    return {
+        **candidate.words,
+        "stations": len(candidate.scenario.stations),
+        "hours": information.survey.seconds / 3600,
         "D": d_criterion(covariance),
         "A": a_criterion(covariance),
         "E": e_criterion(covariance),
         "G_um": g_criterion(covariance, rows) * MICRO,
         "I_um": i_criterion(covariance, rows) * MICRO,
         "target_rms_um": information.target_rms * MICRO,
-        "distance_before_um": expected.distance_before[0] * MICRO,
-        "distance_after_um": expected.distance_after[0] * MICRO,
-        "distance_improvement_percent": expected.distance_improvement[0],
-        "coordinate_before_um": expected.coordinate_before[0] * MICRO,
-        "coordinate_after_um": expected.coordinate_after[0] * MICRO,
-        "coordinate_improvement_percent": expected.coordinate_improvement[0],
+        **promised,
     }
-    head: Row = {
-        "cone_deg": candidate.cone_deg,
-        "layout": candidate.name,
-        "stations": len(candidate.scenario.stations),
-        "hours": round(information.survey.seconds / 3600, 2),
-    }
-    return head | {name: round(float(value), 4) for name, value in values.items()}
 
 
 def trials_of(scenario: Scenario, seed: int, first: int, count: int) -> tuple[Floats, Floats, int]:
@@ -135,9 +130,7 @@ def trials_of(scenario: Scenario, seed: int, first: int, count: int) -> tuple[Fl
             continue
         true = np.array([truth.instrument[name] for name in solved.construction.names])
         parameters.append(solved.state.instrument[0] - true)
-        rotation, translation = align(solved.state.points, truth.points)
-        gap = solved.state.points @ rotation.T + translation - truth.points
-        targets.append((gap**2).sum(axis=1))
+        targets.append(((on_points(solved.state.points, truth.points) - truth.points) ** 2).sum(axis=1))
     return np.array(parameters), np.array(targets), lost
 
 
@@ -148,42 +141,31 @@ def full(scenario: Scenario) -> int:
 
 def check(candidate: Candidate, trials: int, seed: int, jobs: int) -> tuple[list[Row], Row]:
     """Predicted against achieved standard deviation of every parameter; and of all together and the targets."""
-    tasks = [(candidate.scenario, seed, first, min(BLOCK, trials - first)) for first in range(0, trials, BLOCK)]
+    tasks = [(candidate.scenario, seed, number * BLOCK, width) for number, width in batches(trials, BLOCK)]
     parts = spread_out(trials_of, tasks, jobs)
     errors = np.concatenate([p for p, _, _ in parts if len(p)])
     squares = np.concatenate([t for _, t, _ in parts if len(t)])
     information = LayoutInformation.of(survey_of(candidate.scenario))
-    predicted = information.instrument_sigma
-    achieved = np.sqrt(np.mean(errors**2, axis=0))
-    rows: list[Row] = []
-    for k, p in enumerate(information.construction.parameters):
-        rows.append(
-            {
-                "cone_deg": candidate.cone_deg,
-                "layout": candidate.name,
-                "parameter": p.name,
-                "unit": p.unit,
-                "predicted": round(float(predicted[k] / p.factor), 4),
-                "achieved": round(float(achieved[k] / p.factor), 4),
-                "ratio": round(float(achieved[k] / predicted[k]), 4),
-                "z_mean": round(float(errors[:, k].mean() / predicted[k]), 3),
-            }
-        )
-    ratio = achieved / predicted
+    predicted, achieved = information.instrument_sigma, np.sqrt(np.mean(errors**2, axis=0))
+    ratio, bias = achieved / predicted, errors.mean(axis=0) / predicted
+    rows: list[Row] = [
+        {**candidate.words, "parameter": p.name, "unit": p.unit, "predicted": predicted[k] / p.factor,
+         "achieved": achieved[k] / p.factor, "ratio": ratio[k], "z_mean": bias[k]}
+        for k, p in enumerate(information.construction.parameters)
+    ]  # fmt: skip
     whitened = np.einsum("ti,ij,tj->t", errors, np.linalg.inv(information.instrument_covariance), errors)
-    rms = float(np.sqrt(squares.mean()))
+    rms = np.sqrt(squares.mean())
     summary: Row = {
-        "cone_deg": candidate.cone_deg,
-        "layout": candidate.name,
+        **candidate.words,
         "trials": len(errors),
         "left_out": sum(n for _, _, n in parts),
-        "ratio_rms": round(float(np.sqrt(np.mean(ratio**2))), 4),
-        "ratio_least": round(float(ratio.min()), 4),
-        "ratio_largest": round(float(ratio.max()), 4),
-        "nees_per_parameter": round(float(whitened.mean() / len(ratio)), 4),
-        "target_rms_predicted_um": round(information.target_rms * MICRO, 3),
-        "target_rms_achieved_um": round(rms * MICRO, 3),
-        "target_ratio": round(rms / information.target_rms, 4),
+        "ratio_rms": np.sqrt(np.mean(ratio**2)),
+        "ratio_least": ratio.min(),
+        "ratio_largest": ratio.max(),
+        "nees_per_parameter": whitened.mean() / len(ratio),
+        "target_rms_predicted_um": information.target_rms * MICRO,
+        "target_rms_achieved_um": rms * MICRO,
+        "target_ratio": rms / information.target_rms,
     }
     return rows, summary
 
@@ -191,15 +173,10 @@ def check(candidate: Candidate, trials: int, seed: int, jobs: int) -> tuple[list
 def station_rows(candidate: Candidate) -> list[Row]:
     """Where the tripod goes."""
     survey = survey_of(candidate.scenario)
+    places = np.column_stack([survey.position / MILLIMETRE, survey.yaw / DEGREE % 360])
     return [
-        {
-            "cone_deg": candidate.cone_deg,
-            "layout": candidate.name,
-            "station": name,
-            **{f"{axis}_mm": round(float(v) / MILLIMETRE, 1) for axis, v in zip("xyz", place, strict=True)},
-            "yaw_deg": round(float(yaw) / DEGREE % 360, 1),
-        }
-        for name, place, yaw in zip(survey.station_names, survey.position, survey.yaw, strict=True)
+        {**candidate.words, "station": name, **dict(zip(("x_mm", "y_mm", "z_mm", "yaw_deg"), place, strict=True))}
+        for name, place in zip(survey.station_names, places, strict=True)
     ]
 
 
@@ -209,31 +186,24 @@ def lot_row(cone: float, drawn: Drawn, plan: Plan) -> Row:
     named = dict(zip(("best", "p5", "median", "p95"), np.percentile(drawn.values, [0, 5, 50, 95]), strict=True))
     of_ten = drawn.values[: len(drawn.values) // 10 * 10].reshape(-1, 10).min(axis=1).mean()
     row = named | {"best_of_ten_mean": of_ten, "paper": paper, "searched": plan.chosen.value}
-    better = {"drawn_better_than_paper_percent": round(100 * float(np.mean(drawn.values < paper)), 1)}
-    return {"cone_deg": cone, "drawn": len(drawn.values)} | {k: round(float(v), 4) for k, v in row.items()} | better
+    better = {"drawn_better_than_paper_percent": 100 * np.mean(drawn.values < paper)}
+    return {"cone_deg": cone, "drawn": len(drawn.values)} | row | better
 
 
 def curve_rows(plan: Plan, cone: float) -> list[Row]:
     """Cost against quality."""
     return [
-        {
-            "cone_deg": cone,
-            "stations": len(o.survey.position),
-            "faces": len(o.survey.faces),
-            "pointings": o.survey.pointings,
-            "hours": round(o.hours, 2),
-            "D": round(o.value, 5),
-            "efficient": o.efficient,
-        }
+        {"cone_deg": cone, "stations": len(o.survey.position), "faces": len(o.survey.faces),
+         "pointings": o.survey.pointings, "hours": o.hours, "D": o.value, "efficient": o.efficient}
         for o in plan.options
-    ]
+    ]  # fmt: skip
 
 
 def run(given: Options) -> Made:
     """Search under both readings of the shadow cone, then simulate."""
-    config = tomllib.loads((HERE / "config.toml").read_text(encoding="utf-8"))
+    config = given.config
     trials = given.trials or config["trials"]
-    file, base = load_plan(HERE / "plan.toml")
+    file, base = load_plan(given.here / "plan.toml")
     layouts, lots, curve, stations, checks, summaries, reasons = [], [], [], [], [], [], {}
     for cone in config["cones_deg"]:
         workshop = base.workshop.model_copy(update={"shadow_cone_deg": float(cone)})

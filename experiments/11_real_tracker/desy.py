@@ -1,7 +1,5 @@
 """The epochs of the DESY girder tests as recordings: reading, noise found from them, pairs that do not belong."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import dataclass
 from itertools import combinations
@@ -21,7 +19,6 @@ from ltsim.units import GON, MILLIMETRE
 ROOT = Path(__file__).resolve().parents[2]
 DATA = ROOT.parent / "shared" / "recordings" / "desy-girder-at960"
 EPOCHS = ("20Sep21", "22Sep21", "21Feb22", "22Feb22", "24Feb22", "1Mar22", "7Mar22", "25Mar22", "21Apr22")
-REPORT = "SA_CompositeReport_20Sep21.csv"
 AUTHORS = Noise(distance_mm=0.010, distance_ppm=0.0, azimuth_arcsec=0.486, elevation_arcsec=0.486)
 """0.15 mgon in both angles, 0.010 mm: what the authors of the data state."""
 START = Noise(distance_mm=0.0015, distance_ppm=0.3, azimuth_arcsec=0.4, elevation_arcsec=0.55)
@@ -38,11 +35,6 @@ def data_or_leave(folder: Path = DATA) -> Path:
 def epoch(name: str, noise: Noise | None = None) -> Recording:
     """The plain text of an epoch; without `noise` that of the default instrument."""
     return with_noise(read(DATA / f"Polar_measurements_{name}.txt", hints=Hints(azimuth="clockwise")), noise)
-
-
-def report(noise: Noise | None = None) -> Recording:
-    """The instrument report of the first epoch."""
-    return with_noise(read(DATA / REPORT), noise)
 
 
 def with_noise(recording: Recording, noise: Noise | None) -> Recording:

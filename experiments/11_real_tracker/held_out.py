@@ -1,6 +1,4 @@
-"""What leaving out terms is worth that held-out targets speak against: on the tracker and on simulated ones."""
-
-from __future__ import annotations
+"""What leaving out terms is worth that held-out targets speak against: on simulated trackers."""
 
 from collections.abc import Iterator
 from itertools import product
@@ -8,16 +6,11 @@ from itertools import product
 import numpy as np
 
 import ltsim as lt
-from ltsim.arrays import Floats
 from ltsim.calibration import calibrate_network
-from ltsim.calibration.known import Choice
 from ltsim.calibration.worth import point_errors
-from ltsim.evaluation.two_face import compare_two_face
 from ltsim.randomness import stream
 from ltsim.recording import Recording
 from ltsim.simulation.scenario import load_scenario
-
-from .desy import EPOCHS, epoch, set_up
 
 FLIPPING = ("transit-offset", "beam-offset", "beam-tilt", "transit-tilt", "vertical-index")
 SCENARIO = "paper-workshop-two-face"
@@ -32,35 +25,6 @@ INSTRUMENTS = {
 }
 """Size in prior sigmas, whether only what flips with the face, and whether pointings slipped."""
 Rows = list[dict[str, object]]
-
-
-def measures() -> Rows:
-    """Shares removed by six terms, all sixteen and the default, as one may sum up nine epochs and two directions."""
-    halves: dict[tuple[str, int], list[tuple[Floats, Floats, Floats]]] = {}
-    for name, source in product(EPOCHS, (0, 1)):
-        own, other = (set_up(epoch(name), number) for number in (source, 1 - source))
-        default = calibrate_network(own, advise=False)
-        six = calibrate_network(own, advise=False, weigh=False, choice=Choice(parameters=FLIPPING))
-        for method, values in (("six", six.values), ("16", default.values), ("default", default.applied)):
-            found = compare_two_face(other, default.construction, values[0])
-            pairs = (found.before.half[:, 1:], found.after.half[:, 1:], found.before.place[:, :1])
-            halves.setdefault((method, source), []).append(pairs)
-    rows: Rows = []
-    for direction, unit in product(((0,), (1,), (0, 1)), ("angle", "length at the target")):
-        for method in ("six", "16", "default"):
-            chosen = [pairs for source in direction for pairs in halves[method, source]]
-            scaled = [(b, a) if unit == "angle" else (b * d, a * d) for b, a, d in chosen]
-            share = np.array([_share(b, a) for b, a in scaled])
-            ways = {"median of epochs": np.median(share, axis=0), "mean of epochs": share.mean(axis=0),
-                    "pooled": _share(*(np.concatenate(part) for part in zip(*scaled, strict=True)))}  # fmt: skip
-            rows.append({"from": " and ".join(map(str, direction)), "of": unit, "method": method,
-                         **{f"{way}, {axis}": f"{100 * value[k]:.1f}" for way, value in ways.items()
-                            for k, axis in enumerate(("across", "elevation"))}})  # fmt: skip
-    return rows
-
-
-def _share(before: Floats, after: Floats) -> Floats:
-    return 1.0 - np.sqrt(np.mean(after**2, axis=0) / np.mean(before**2, axis=0))
 
 
 def simulated(trials: int = TRIALS) -> Rows:

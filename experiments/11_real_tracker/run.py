@@ -1,29 +1,25 @@
 """A real tracker: calibrated from one set-up, checked on the other, followed over nine epochs.
 
-    python -m experiments 11 [noise] [first] [course] [transfer] [held-out] [lines] [index] [checks] [diagnoses]
+    python -m experiments 11 [noise] [course] [transfer] [held-out] [lines] [index] [checks] [diagnoses]
 
 Reads ../shared/recordings beside the checkout; writes figures found.
 """
 
-from __future__ import annotations
-
 import json
-import tempfile
 from pathlib import Path
 
 import numpy as np
 
 from experiments.common import Made, Options, run_steps, show_table, write_figure
 from ltsim.adjustment import adjust
-from ltsim.calibration import calibrate_network, correct, read_calibration, write_calibration
+from ltsim.calibration import calibrate_network
 from ltsim.calibration.files import history_file
 from ltsim.calibration.history import History
-from ltsim.calibration.known import Choice
 from ltsim.diagnosis import diagnose
 from ltsim.effects import BASELINE
 from ltsim.evaluation.two_face import TwoFace, TwoFaceComparison, compare_two_face, two_face
 from ltsim.geometry.polar import from_polar
-from ltsim.model.construction import Construction, misalignment
+from ltsim.model.construction import misalignment
 from ltsim.pages.figures.parameters import history_figure
 from ltsim.recording import Recording
 from ltsim.recording.setup import Noise
@@ -37,12 +33,11 @@ from .desy import (
     epoch,
     interferometer,
     noise_found,
-    report,
     set_up,
     snooped,
     variance_factors,
 )
-from .held_out import FLIPPING, measures, simulated
+from .held_out import FLIPPING, simulated
 
 DEFAULT = "what `calibrate` applies by default"
 SIX = misalignment([effect for effect in BASELINE if effect.name in FLIPPING])
@@ -75,37 +70,6 @@ def noise(out: Path) -> None:
                      "pairs left out": "; ".join(f"{d.station} {d.target} {d.observable} w={d.w:.1f}"
                                                  for d in dropped)})  # fmt: skip
     show_table(out / "noise.csv", rows)
-
-
-def through_files(own: Recording, other: Recording, construction: Construction) -> TwoFaceComparison:
-    """Parameters of one set-up, written, read and applied to the other as `ltsim correct` does."""
-    with tempfile.TemporaryDirectory() as folder:
-        write_calibration(calibrate_network(own, construction, advise=False), Path(folder))
-        applied = correct(other, read_calibration(Path(folder)))
-    return TwoFaceComparison(two_face(other), two_face(applied))
-
-
-def first(out: Path) -> None:
-    found, parameters, transfer = found_noise(out), [], []
-    for source, get in (("report", report), ("text", lambda n: epoch(EPOCHS[0], n))):
-        for label, stated in (("authors", AUTHORS), ("found", found)):
-            recording = get(stated)
-            kept, dropped = snooped(recording)
-            calibration = calibrate_network(kept, advise=False)
-            for k, parameter in enumerate(calibration.construction.parameters):
-                parameters.append({"source": source, "noise": label, "parameter": parameter.name,
-                                   "value": round(calibration.values[0, k] / parameter.factor, 3),
-                                   "sigma": round(calibration.sigma[0, k] / parameter.factor, 3),
-                                   "unit": parameter.unit, "chi2/dof": round(calibration.fit.chi2
-                                   / calibration.fit.dof, 3), "left out": len(dropped)})  # fmt: skip
-            for number in (0, 1):
-                other = set_up(recording, 1 - number)
-                compared = through_files(snooped(set_up(recording, number))[0], other, misalignment())
-                for kind, chosen in (("all", compared), ("clean", compared.only(clean(compared.before, other)))):
-                    transfer.append({"source": source, "noise": label, "from": number, "to": 1 - number,
-                                     **figures(kind, chosen)})  # fmt: skip
-    show_table(out / "first_epoch_parameters.csv", parameters)
-    show_table(out / "first_epoch_transfer.csv", transfer)
 
 
 def figures(kind: str, compared: TwoFaceComparison) -> dict[str, object]:
@@ -177,11 +141,9 @@ def transfer(out: Path) -> None:
             total.append({"method": method, **figures(kind, pooled(chosen)), **medians(chosen)})
     show_table(out / "transfer.csv", every)
     show_table(out / "transfer_summary.csv", [*total, ceiling(raw, good)])
-    show_table(out / "transfer_limit.csv", limits(found))
 
 
 def held_out(out: Path) -> None:
-    show_table(out / "transfer_measures.csv", measures())
     show_table(out / "held_out_simulated.csv", simulated())
 
 
@@ -203,42 +165,6 @@ def ceiling(raw: dict[tuple[str, int], Recording], good: dict[tuple[str, int], n
            for k, r in raw.items()]  # fmt: skip
     return {"method": "ceiling: 16 parameters on the set-up they were fitted to",
             **figures("clean", pooled(own)), **medians(own)}  # fmt: skip
-
-
-def limits(found: Noise) -> Rows:
-    """From set-up 0 to set-up 1, epoch by epoch and in the middle: what limits the share that is removed.
-
-    Six terms fitted to the evaluated set-up itself, and no half difference but the noise found, are what no transfer
-    can do better than.
-    """
-    six = Choice(parameters=FLIPPING)
-    rows: Rows = []
-    for name in EPOCHS:
-        recording = epoch(name)
-        own, other = set_up(recording, 0), set_up(recording, 1)
-        default = calibrate_network(own, advise=False)
-        few, itself = (calibrate_network(r, advise=False, choice=six, weigh=False) for r in (own, other))
-        before = two_face(other)
-        floor = noise_of_halves(epoch(name, found), before)
-        shares = {
-            "default": compare_two_face(other, default.construction, default.applied[0]).rms_removed,
-            "six": compare_two_face(other, few.construction, few.values[0]).rms_removed,
-            "six fitted to set-up 1": compare_two_face(other, itself.construction, itself.values[0]).rms_removed,
-            "noise alone left": 1.0 - floor / before.rms,
-        }
-        rows.append({"epoch": name, **{f"{how}, {axis}": round(100 * float(share[k]), 1)
-                                       for how, share in shares.items()
-                                       for k, axis in ((1, "across"), (2, "elevation"))}})  # fmt: skip
-    keys = [key for key in rows[0] if key != "epoch"]
-    return [*rows, {"epoch": "median", **{key: round(float(np.median([row[key] for row in rows])), 1) for key in keys}}]
-
-
-def noise_of_halves(recording: Recording, pairs: TwoFace) -> np.ndarray:
-    """(3,) rms [m, rad, rad] that white noise alone gives the half differences of these pairs."""
-    sigma = set_up(recording, 1).sigma()
-    sigma[:, 1] *= np.abs(np.cos(set_up(recording, 1).readings[:, 2]))
-    variance = 0.25 * np.sum(sigma[pairs.rows] ** 2, axis=1)
-    return np.sqrt(variance.mean(axis=0))
 
 
 def lines(out: Path) -> None:
@@ -348,7 +274,6 @@ def diagnoses(out: Path) -> None:
             before, after = content["fit"]["before"], content["fit"]["after"]
             rows.append({"noise": label, "epoch": name, "verdict": content["verdict"],
                          "chi2/dof": f"{before['chi2'] / before['dof']:.2f} to {after['chi2'] / after['dof']:.2f}",
-                         "held out": f"{before['held_out_rms']:.2f} to {after['held_out_rms']:.2f}",
                          "findings": "; ".join(in_words(f) for f in content["findings"])})  # fmt: skip
     show_table(out / "diagnoses.csv", rows)
 
@@ -363,7 +288,7 @@ def in_words(finding: dict) -> str:
     return f"{finding['effect']} {place} ({sizes}; {chance}{'; or ' + others if others else ''})".replace("  ", " ")
 
 
-STEPS = {"noise": noise, "first": first, "course": course, "transfer": transfer, "held-out": held_out, "lines": lines,
+STEPS = {"noise": noise, "course": course, "transfer": transfer, "held-out": held_out, "lines": lines,
          "index": index, "checks": checks, "diagnoses": diagnoses}  # fmt: skip
 
 

@@ -1,9 +1,5 @@
 """A machine on the floor: what it does to sight, information and plan."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 from experiments.common import Made, Options, Row, tell, write_figure, write_table
 from ltsim.errors import NetworkError
 from ltsim.pages.figures.floor_plan import floor_plan
@@ -20,8 +16,6 @@ from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.sections import Obstacle
 from ltsim.simulation.workshop import obstacles_of, visibility_of
 from ltsim.units import MICROMETRE
-
-HERE = Path(__file__).resolve().parent
 
 MACHINE = Obstacle(name="machine", box_mm=(800, 500, 1100), position_mm=(1600, 700, 0), yaw_deg=20)
 
@@ -49,7 +43,7 @@ def row(name: str, scenario: Scenario, survey: Survey) -> Row:
 
 def run(given: Options) -> Made:
     """The paper's layout and the plan, each in the empty workshop and with the machine."""
-    file, empty = load_plan(HERE / "machine.toml")
+    file, empty = load_plan(given.here / "machine.toml")
     full = with_machine(empty)
     plans: dict[str, Plan] = {name: make_plan(file, scenario, jobs=given.jobs)
                               for name, scenario in (("empty", empty), ("machine", full))}  # fmt: skip

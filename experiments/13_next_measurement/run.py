@@ -1,10 +1,6 @@
 """Does the proposed measurement decide a diagnosis that was left open? It is simulated, added, and diagnosed again."""
 
-from __future__ import annotations
-
-import tomllib
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -24,8 +20,6 @@ from ltsim.simulation.sections import EffectEntry
 from ltsim.simulation.simulator import simulate
 from ltsim.simulation.truth import Truth
 from ltsim.units import MICROMETRE
-
-HERE = Path(__file__).resolve().parent
 
 
 def measured(remedy: Remedy, before: Recording, truth: Truth, seed: int) -> Recording:
@@ -98,7 +92,7 @@ def one(scenario_name: str, case: dict[str, Any], seed: int, number: int) -> Row
 
 def run(given: Options) -> Made:
     """All cases and recordings."""
-    config = tomllib.loads((HERE / "config.toml").read_text(encoding="utf-8"))
+    config = given.config
     count = given.trials or config["recordings"]
     tasks = [(config["scenario"], case, config["seed"], number) for case in config["cases"] for number in range(count)]
     rows = spread_out(one, tasks, given.jobs)

@@ -1,15 +1,11 @@
 """Which errors decide how much calibration improves the paper's criteria? Sobol indices."""
 
-from __future__ import annotations
-
-import tomllib
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 
 from experiments.common import Made, Options, Row, tell, write_table
-from experiments.sobol import Index, sensitivity
+from experiments.sobol import sensitivity
 from ltsim.effects import find_effect
 from ltsim.effects.effect import Effect
 from ltsim.planning.improvement import Predictor
@@ -17,8 +13,6 @@ from ltsim.planning.information import LayoutInformation
 from ltsim.planning.workshop import survey_of
 from ltsim.simulation.scenario import load_scenario
 from ltsim.units import MICROMETRE
-
-HERE = Path(__file__).resolve().parent
 
 
 def effects_of(names: Sequence[str], stations: Sequence[str]) -> list[Effect]:
@@ -30,24 +24,9 @@ def effects_of(names: Sequence[str], stations: Sequence[str]) -> list[Effect]:
     return found
 
 
-def index_row(scenario: str, index: Index) -> Row:
-    """One line of the table."""
-    return {
-        "scenario": scenario,
-        "output": index.output,
-        "input": index.input,
-        "first": round(index.first, 4),
-        "first_low": round(index.first_interval[0], 4),
-        "first_high": round(index.first_interval[1], 4),
-        "total": round(index.total, 4),
-        "total_low": round(index.total_interval[0], 4),
-        "total_high": round(index.total_interval[1], 4),
-    }
-
-
 def run(given: Options) -> Made:
     """Predict, then take the predictions apart."""
-    config = tomllib.loads((HERE / "config.toml").read_text(encoding="utf-8"))
+    config = given.config
     samples = given.trials or config["samples"]
     indices: list[Row] = []
     spread: list[Row] = []
@@ -67,14 +46,13 @@ def run(given: Options) -> Made:
             after = getattr(expected, f"{kind}_after") / MICROMETRE
             five, middle, most = np.percentile(gain, [5, 50, 95])
             line: Row = {
-                "scenario": name, "criterion": kind, "improvement_p5": round(five, 1),
-                "improvement_median": round(middle, 1), "improvement_p95": round(most, 1),
-                "after_median_um": round(float(np.median(after)), 2),
+                "scenario": name, "criterion": kind, "improvement_p5": five, "improvement_median": middle,
+                "improvement_p95": most, "after_median_um": np.median(after),
             }  # fmt: skip
             spread.append(line)
             tell(str(line))
         found = sensitivity(predictor, ranges, samples=samples, seed=config["seed"])
-        indices += [index_row(name, index) for index in found]
+        indices += [{"scenario": name} | index._asdict() for index in found]
     write_table(given.out / "indices.csv", indices)
     write_table(given.out / "improvement.csv", spread)
     return Made(config["seed"], samples)

@@ -1,9 +1,5 @@
 """Does a hall get better by what its plan says of single reflectors? Every change told, simulated many times."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import numpy as np
 
 from experiments.common import Made, Options, Row, batches, spread_out, tell, write_figure, write_table
@@ -22,7 +18,6 @@ from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.sections import Target
 from ltsim.units import MICROMETRE
 
-HERE = Path(__file__).resolve().parent
 TRIALS, SEED = 100_000, 15
 
 
@@ -65,7 +60,7 @@ def gain(scenarios: tuple[Scenario, Scenario], weights: dict[str, float], trials
 def run(given: Options) -> Made:
     """Plan, then a campaign of the plan's layout and of each change of it that is told."""
     trials = given.trials or TRIALS
-    file, hall = load_plan(HERE / "hall.toml")
+    file, hall = load_plan(given.here / "hall.toml")
     plan = make_plan(file, hall, jobs=given.jobs)
     scenario, survey = planned_scenario(plan), plan.chosen.survey
     own = dict(zip(survey.target_names, survey.weight.tolist(), strict=True))

@@ -7,8 +7,6 @@ python -m experiments.20_concealed_physics answer WORK NAME --command 'CMD {reco
 python -m experiments.20_concealed_physics score WORK ENTRANT... --out FOLDER
 """
 
-from __future__ import annotations
-
 import argparse
 import hashlib
 import json

@@ -1,7 +1,5 @@
 """Who answers: ltsim, what else a user would take, or any program; each is given the folder of a recording alone."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import json
@@ -33,47 +31,42 @@ def ltsim(recording: Path, out: Path) -> None:
 
 def plain(recording: Path, out: Path) -> None:
     """The calibration of the instrument in a network adjustment, and its global test."""
-    _adjusted(recording, out, robust=False)
+    _calibrated(recording, out, robust=False)
 
 
 def snooping(recording: Path, out: Path) -> None:
     """The same with data snooping (Baarda 1968): readings that fail are left out, each tested again at the end."""
-    _adjusted(recording, out, robust=True)
+    _calibrated(recording, out, robust=True)
 
 
 def huber(recording: Path, out: Path) -> None:
     """The same by a robust estimator: Huber's function at 1.5 sigma (1964), by iterated weights of single readings."""
     import numpy as np
+    import pandas as pd
 
-    import ltsim as lt
     from ltsim.adjustment import adjust
     from ltsim.model.construction import misalignment
 
-    read = lt.read(str(recording))
-    stated = found = None
-    for _ in range(HUBER_ROUNDS):
-        found = adjust(read, misalignment(), sigma=stated)
-        stated = read.sigma() * np.sqrt(np.maximum(np.abs(np.nan_to_num(found.residuals / read.sigma())) / HUBER, 1.0))
-    assert found is not None
-    names, points = read.targets, 1e3 * found.state.points
-    rows = [f"{name},{x:.6f},{y:.6f},{z:.6f}" for name, (x, y, z) in zip(names, points.tolist(), strict=True)]
-    (out / "targets.csv").write_text("\n".join(["target,x_mm,y_mm,z_mm", *rows]) + "\n", encoding="utf-8")
-    _verdict(out, float(lt.calibrate(read, advise=False).fit.p_value))
+    read = _calibrated(recording, out, robust=False)
+    found = adjust(read, misalignment())
+    for _ in range(HUBER_ROUNDS - 1):
+        size = np.abs(np.nan_to_num(found.residuals / read.sigma())) / HUBER
+        found = adjust(read, misalignment(), sigma=read.sigma() * np.sqrt(np.maximum(size, 1.0)))
+    targets = pd.DataFrame(1e3 * found.state.points, index=list(read.targets), columns=["x_mm", "y_mm", "z_mm"])
+    targets.to_csv(out / "targets.csv", index_label="target", float_format="%.6f")
 
 
-def _adjusted(recording: Path, out: Path, *, robust: bool) -> None:
+def _calibrated(recording: Path, out: Path, *, robust: bool) -> Any:
+    """Targets of the calibration, and the global test before anything is left out; such programs tell no cause."""
     import ltsim as lt
 
-    found = lt.calibrate(str(recording), advise=False, robust=robust)
+    read = lt.read(str(recording))
+    found = lt.calibrate(read, advise=False, robust=robust)
     found.to_dataframe("targets").to_csv(out / "targets.csv", index=False)
-    _verdict(out, float((lt.calibrate(str(recording), advise=False) if robust else found).fit.p_value))
-
-
-def _verdict(out: Path, p: float) -> None:
-    """The global test of the adjustment before anything is left out; such programs tell no cause."""
-    verdict = "mismatch" if p < LEVEL else "consistent"
-    content = {"format": "ltsim-diagnosis/1", "verdict": verdict, "global_test": {"p_value": p}, "findings": []}
-    (out / "diagnosis.json").write_text(json.dumps(content) + "\n", encoding="utf-8")
+    p = float((lt.calibrate(read, advise=False) if robust else found).fit.p_value)
+    verdict = {"verdict": "mismatch" if p < LEVEL else "consistent", "global_test": {"p_value": p}, "findings": []}
+    (out / "diagnosis.json").write_text(json.dumps({"format": "ltsim-diagnosis/1"} | verdict) + "\n", encoding="utf-8")
+    return read
 
 
 ENTRANTS: dict[str, Callable[[Path, Path], None]] = {f.__name__: f for f in (ltsim, plain, snooping, huber)}

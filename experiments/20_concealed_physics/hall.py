@@ -3,10 +3,7 @@
 What a law may use is listed in RULES.md: time, order, distance, ... of each pointing, and a few things that are drawn.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -41,7 +38,7 @@ SIZES = {
 }
 
 
-@dataclass(frozen=True)
+@dataclass
 class Hall:
     """Pointings with the truth they are made at, in the frame of the floor plan, and what a person knows of them."""
 
@@ -59,106 +56,33 @@ class Hall:
     bars: Index
     """(g, 2) Ends of the known lengths."""
 
-    # names
-
-    @property
-    def stations(self) -> tuple[str, ...]:
-        """Names of the set-ups."""
-        return tuple(f"S{s + 1}" for s in range(len(self.pointings.position)))
-
-    @property
-    def targets(self) -> tuple[str, ...]:
-        """Names of the targets."""
-        return tuple(f"P{t + 1:02d}" for t in range(len(self.pointings.points)))
-
-    @property
-    def trackers(self) -> tuple[str, ...]:
-        """One tracker, or two that take turns."""
-        return ("A", "B")[: len(self.pointings.constants)]
-
-    # what a law may follow: one value a pointing, in the order of the work
-
-    @property
-    def n(self) -> int:
-        """Pointings."""
-        return len(self.pointings)
-
-    @property
-    def time(self) -> Array:
-        """[s]."""
-        return self.pointings.time
-
-    @cached_property
-    def starts(self) -> Index:
-        """Row at which the set-up of each row began."""
-        first = np.flatnonzero(np.diff(self.pointings.station, prepend=-1))
-        return np.repeat(first, np.diff(first, append=self.n))
-
-    @property
-    def order(self) -> Array:
-        """Pointings made before in this set-up."""
-        return np.asarray(np.arange(self.n) - self.starts, dtype=np.float64)
-
-    @property
-    def since_setup(self) -> Array:
-        """[s] Since the first pointing of this set-up."""
-        return np.asarray(self.time - self.time[self.starts])
-
-    @property
-    def gap(self) -> Array:
-        """[s] Since the pointing before, breaks between set-ups included."""
-        return np.diff(self.time, prepend=self.time[0])
-
-    @cached_property
-    def seen(self) -> Array:
-        """(n, 3) Distance [m], azimuth and elevation [rad] in the tracker's frame, on either face as on the front."""
-        return self.pointings.seen
-
-    @property
-    def distance(self) -> Array:
-        """[m]."""
-        return self.seen[:, 0]
-
-    @property
-    def azimuth(self) -> Array:
-        """[rad]."""
-        return self.seen[:, 1]
-
-    @property
-    def elevation(self) -> Array:
-        """[rad]."""
-        return self.seen[:, 2]
-
-    @property
-    def back(self) -> Array:
-        """1 on the back face, 0 on the front."""
-        return (self.pointings.face == 2).astype(np.float64)
-
-    @property
-    def circle(self) -> Array:
-        """[rad] Where the azimuth circle is read: half a turn on for the back face."""
-        return within_a_turn(self.azimuth + np.pi * self.back)
-
-    @property
-    def aim(self) -> Array:
-        """(n, 3) [m] The nest, in the room: x along the hall, z up."""
-        return np.asarray(self.pointings.points[self.pointings.target])
-
-    @property
-    def stand(self) -> Array:
-        """(n, 3) [m] The tracker, in the room."""
-        return np.asarray(self.pointings.position[self.pointings.station])
-
-    @property
-    def normal(self) -> Array:
-        """(n, 3) Where the nest looks."""
-        return np.asarray(self.normals[self.pointings.target])
-
-    @property
-    def incidence(self) -> Array:
-        """[rad] Between the beam and where the nest looks."""
+    def __post_init__(self) -> None:
+        """What a law may follow: one value a pointing, in the order of the work; and names."""
+        p = self.pointings
+        self.n, self.time = len(p), p.time  # [s]
+        first = np.flatnonzero(np.diff(p.station, prepend=-1))
+        self.starts: Index = np.repeat(first, np.diff(first, append=self.n))  # row at which its set-up began
+        self.order = (np.arange(self.n) - self.starts).astype(np.float64)  # pointings made before in this set-up
+        self.since_setup = self.time - self.time[self.starts]  # [s] since the first pointing of this set-up
+        self.gap = np.diff(self.time, prepend=self.time[0])  # [s] since the pointing before, breaks included
+        self.seen = p.seen  # (n, 3) in the tracker's frame, on either face as on the front:
+        self.distance, self.azimuth, self.elevation = self.seen.T  # [m], [rad], [rad]
+        self.back = (p.face == 2).astype(np.float64)  # 1 on the back face, 0 on the front
+        self.circle = within_a_turn(self.azimuth + np.pi * self.back)  # [rad] where the azimuth circle is read
+        self.aim, self.stand = p.points[p.target], p.position[p.station]  # (n, 3) [m] nest, tracker in the room
+        self.normal = self.normals[p.target]  # (n, 3) where the nest looks
         beam = (self.stand - self.aim) / self.distance[:, None]
-        return np.arccos(np.clip((beam * self.normal).sum(axis=1), -1.0, 1.0))
+        self.incidence = np.arccos(np.clip((beam * self.normal).sum(axis=1), -1.0, 1.0))  # [rad] beam to normal
+        self.swing = within_a_turn(self.change(self.circle))  # [rad] turn of the head since the pointing before
+        total = np.cumsum(self.swing)
+        self.wound = total - total[self.starts]  # [rad] sum of all turns of the head since the set-up
+        self.stations = tuple(f"S{s + 1}" for s in range(len(p.position)))
+        self.targets = tuple(f"P{t + 1:02d}" for t in range(len(p.points)))
+        self.trackers = ("A", "B")[: len(p.constants)]  # one tracker, or two that take turns
+        range_ = self.noise[0] + self.noise[1] * self.distance
+        across = np.full(self.n, self.noise[2])
+        self.sigma = np.stack([range_, across / np.cos(self.elevation), across], axis=1)  # (n, 3) stated
+        self.lengths = np.sqrt((np.diff(p.points[self.bars], axis=1) ** 2).sum(axis=2))[:, 0]  # (g,) [m] true
 
     @property
     def warmth(self) -> Array:
@@ -170,22 +94,9 @@ class Hall:
         """Of the press, 0 to about 1; LookupError where nobody wrote it down."""
         return np.asarray(self.columns[LOAD] / 100.0)
 
-    # made of these
-
     def change(self, values: Array) -> Array:
         """Value less that of the pointing before; 0 at the first of a set-up."""
         return np.where(self.order > 0, np.diff(values, prepend=values[0]), 0.0)
-
-    @property
-    def swing(self) -> Array:
-        """[rad] Turn of the head since the pointing before, the short way round; 0 at the first of a set-up."""
-        return within_a_turn(self.change(self.circle))
-
-    @property
-    def wound(self) -> Array:
-        """[rad] Sum of all turns of the head since the set-up."""
-        total = np.cumsum(self.swing)
-        return np.asarray(total - total[self.starts])
 
     def fading(self, given: Array, memory: float) -> Array:
         """What is left of all that was given up to each pointing, where it dies away with a memory [s]."""
@@ -229,21 +140,6 @@ class Hall:
     def group(self, name: str) -> Array:
         """1 where the target belongs to `wall`, `floor`, `gallery` or `table`."""
         return np.isin(self.pointings.target, self.groups[name]).astype(np.float64)
-
-    # what the network is told
-
-    @cached_property
-    def sigma(self) -> Array:
-        """(n, 3) [m, rad, rad] Stated standard deviations."""
-        range_ = self.noise[0] + self.noise[1] * self.distance
-        across = np.full(self.n, self.noise[2])
-        return np.stack([range_, across / np.cos(self.elevation), across], axis=1)
-
-    @property
-    def lengths(self) -> Array:
-        """(g,) [m] True lengths of the bars."""
-        ends = self.pointings.points[self.bars]
-        return np.sqrt(((ends[:, 1] - ends[:, 0]) ** 2).sum(axis=1))
 
 
 def draw_hall(rng: Draw, kind: str = "hall") -> Hall:

@@ -4,8 +4,6 @@ A parameter is a correction (truth less reading), so a reading changes by its ne
 target or a station, or an added variance.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import reduce
@@ -13,14 +11,13 @@ from operator import add
 
 import numpy as np
 
-from .hall import Hall
+from .hall import Draw, Hall
 from .tracker import Array, Change, within_a_turn
 
 MICRO = 1e-6
 HOUR = 3600.0
 STILL = 1e-4
 """[rad] A circle that turned less stood still."""
-Draw = np.random.Generator
 
 
 @dataclass(frozen=True)
@@ -66,9 +63,8 @@ def range_step(h: Hall, rng: Draw) -> Known:
     name, here = _station(h, rng)
     time = _gap(h.pointings.time[here], rng, 3)
     part = _correction(h, 0, here * (h.pointings.time >= time))
-    return Known(
-        (part,), ("range-step",), "um", rng.choice([-30.0, 30.0], 1), ("distance",), (name,), (), {"time": time}
-    )
+    values, shape = rng.choice([-30.0, 30.0], 1), {"time": time}
+    return Known((part,), ("range-step",), "um", values, ("distance",), (name,), shape=shape)
 
 
 def range_drift(h: Hall, rng: Draw) -> Known:
@@ -178,20 +174,6 @@ def station_noise(h: Hall, rng: Draw) -> Known:
     return Known(parts, names, "", rng.uniform(0.5, 2.0, 3), (), (name,))
 
 
-KNOWN: dict[str, Callable[[Hall, Draw], Known]] = {
-    law.__name__.replace("_", "-"): law
-    for law in (
-        range_step,
-        range_drift,
-        index_drift,
-        azimuth_drift,
-        station_bump,
-        target_moved,
-        nest_lift,
-        range_cyclic,
-        station_weather,
-        azimuth_harmonic,
-        backlash,
-        station_noise,
-    )
-}
+_ALL = (range_step, range_drift, index_drift, azimuth_drift, station_bump, target_moved, nest_lift, range_cyclic,
+        station_weather, azimuth_harmonic, backlash, station_noise)  # fmt: skip
+KNOWN: dict[str, Callable[[Hall, Draw], Known]] = {cause.__name__.replace("_", "-"): cause for cause in _ALL}

@@ -1,7 +1,5 @@
 """How a law is written: what it turns, moves or scatters, by how much at every pointing. RULES.md has an example."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module

@@ -1,7 +1,5 @@
 """Recordings with something hidden in them, and the truth, sealed apart from them with its sha256."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import tomllib
@@ -144,7 +142,7 @@ def _size(network: Network, change: Change, wanted: float) -> float:
     """Factor at which a change has the wanted strength; 0 where none has."""
 
     def miss(decade: float) -> float:
-        return float(np.log(max(network.strength(change.scaled(10**decade)), 1e-30) / wanted))
+        return float(np.log(max(network.strengths(change.scaled(10**decade)).sum(), 1e-30) / wanted))
 
     if miss(LARGEST) <= 0.0:
         return 0.0

@@ -1,7 +1,5 @@
 """A recording as two files, `observations.csv` and `setup.toml`, by the format that docs/reference describes."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -3,8 +3,6 @@
 python -m experiments 20 [PLAN] [ENTRANT ...]    a plan of `plans/`, quick by default; ltsim by default
 """
 
-from __future__ import annotations
-
 from experiments.common import ROOT, Made, Options
 
 from . import entrants, make

@@ -1,7 +1,5 @@
 """One answer against the truth of its recording. RULES.md says in words what each function here counts as right."""
 
-from __future__ import annotations
-
 import csv
 import json
 import re
@@ -9,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from .law import OBSERVABLES
 from .tracker import Array
@@ -83,9 +82,8 @@ def target_error(true_mm: dict[str, list[float]], file: Path) -> float | None:
 def rigid_error(points: Array, truth: Array) -> float:
     """Root mean square distance of points (T, 3) from the truth after the best rotation and shift."""
     a, b = points - points.mean(axis=0), truth - truth.mean(axis=0)
-    u, _, v = np.linalg.svd(a.T @ b)
-    turn = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ v))]) @ v
-    return float(np.sqrt(((a @ turn - b) ** 2).sum(axis=1).mean()))
+    gap = Rotation.align_vectors(b, a)[0].apply(a) - b
+    return float(np.sqrt((gap**2).sum(axis=1).mean()))
 
 
 # catalogued effects

@@ -16,33 +16,20 @@ face the raw readings are (d, a + pi, pi - e), and the signs of the faces follow
 Source: Muralikrishnan et al. 2009, J. Res. NIST 114, 21-35 (which errors); Loser and Kyle 1998 (beam and axes).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
+_CIRCLES = [f"{circle}-{order}" for circle in ("azimuth", "elevation") for order in ("eccentricity", "second-order")]
 CONSTANTS = (
-    "range-offset",
-    "range-scale",
-    "transit-offset",
-    "beam-offset-lateral",
-    "beam-offset-vertical",
-    "beam-tilt",
-    "transit-tilt",
-    "vertical-index",
-    "azimuth-eccentricity-cos",
-    "azimuth-eccentricity-sin",
-    "azimuth-second-order-cos",
-    "azimuth-second-order-sin",
-    "elevation-eccentricity-cos",
-    "elevation-eccentricity-sin",
-    "elevation-second-order-cos",
-    "elevation-second-order-sin",
+    *("range-offset", "range-scale", "transit-offset", "beam-offset-lateral", "beam-offset-vertical"),
+    *("beam-tilt", "transit-tilt", "vertical-index", *(f"{c}-{wave}" for c in _CIRCLES for wave in ("cos", "sin"))),
 )
 ARCSECOND = np.pi / 648_000
 GUARANTEED = np.array([10e-6, 2e-6, *[20e-6] * 3, *[3 * ARCSECOND] * 11])
@@ -96,12 +83,8 @@ def readings_of(local: Array, back: NDArray[np.bool_], constants: Array) -> Arra
 
 
 def turned(vectors: Array, about: Array) -> Array:
-    """Vectors (n, 3) turned by rotation vectors (n, 3) [rad], by Rodrigues' formula."""
-    angle = np.sqrt((about**2).sum(axis=1, keepdims=True))
-    axis = about / np.where(angle > 0, angle, 1.0)
-    across = np.cross(axis, vectors)
-    along = axis * (axis * vectors).sum(axis=1, keepdims=True)
-    return np.asarray(vectors * np.cos(angle) + across * np.sin(angle) + along * (1 - np.cos(angle)))
+    """Vectors (n, 3) turned by rotation vectors (n, 3) [rad]."""
+    return np.asarray(Rotation.from_rotvec(about).apply(vectors))
 
 
 @dataclass(frozen=True)
@@ -122,7 +105,7 @@ class Change:
     lengths: Array | None = None
     """(g,) Added to the known lengths [m] that the certificate states."""
 
-    def scaled(self, factor: float) -> Change:
+    def scaled(self, factor: float) -> Self:
         """The same at another size."""
         return replace(self, **{name: factor * part for name, part in self.parts.items()})
 
@@ -131,10 +114,10 @@ class Change:
         """What it has, by name."""
         return {name: part for name, part in vars(self).items() if part is not None}
 
-    def __add__(self, other: Change) -> Change:
+    def __add__(self, other: Self) -> Self:
         """Both."""
         names = self.parts.keys() | other.parts.keys()
-        return Change(**{n: self.parts.get(n, 0.0) + other.parts.get(n, 0.0) for n in sorted(names)})
+        return type(self)(**{n: self.parts.get(n, 0.0) + other.parts.get(n, 0.0) for n in sorted(names)})
 
 
 NOTHING = Change()

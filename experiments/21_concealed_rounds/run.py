@@ -4,8 +4,6 @@ python -m experiments 21                  rounds 1 and 2: diagnosed today, both 
 python -m experiments 21 round-3          diagnosed once, into results/concealed/round-3; scored once its truth is open
 """
 
-from __future__ import annotations
-
 import json
 import shutil
 import sys

@@ -1,42 +1,21 @@
 """Diagnoses of concealed recordings against the truth, once that is open."""
 
-from __future__ import annotations
-
-import csv
 import json
+from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
-from ltsim.geometry.alignment import align
+from ltsim.evaluation.clouds import on_points
 
 PLACES = ("stations", "targets", "observables")
 BINS = ((0.0, 0.5), (0.5, 0.7), (0.7, 0.9), (0.9, 0.99), (0.99, 1.01))
 
 
-@dataclass(frozen=True)
-class Row:
-    """One recording by one diagnosis."""
-
-    name: str
-    truth: str
-    told: str
-    clean: bool
-    found: bool
-    named: int
-    first: int
-    of: int
-    place: int
-    unknown: int
-    exact: int
-    unknown_of: int
-    alarms: int
-    stated: tuple[tuple[float, bool], ...]
-    before_um: float
-    after_um: float
+Row = dict[str, Any]
 
 
 def answers_of(folder: Path) -> dict[str, dict[str, Any]]:
@@ -46,10 +25,9 @@ def answers_of(folder: Path) -> dict[str, dict[str, Any]]:
         return found
     found = {}
     for file in sorted(folder.glob("*/diagnosis.json")):
-        with (file.parent / "targets.csv").open(encoding="utf-8") as lines:
-            rows = list(csv.DictReader(lines))
+        rows = pd.read_csv(file.parent / "targets.csv", dtype={"target": str}).set_index("target")
         found[file.parent.name] = json.loads(file.read_text(encoding="utf-8")) | {
-            key: {r["target"]: [float(r[f"{prefix}{a}_mm"]) for a in "xyz"] for r in rows}
+            key: dict(zip(rows.index, rows[[f"{prefix}{a}_mm" for a in "xyz"]].to_numpy().tolist(), strict=True))
             for key, prefix in (("targets_mm", ""), ("change_mm", "change_"))
         }
     return found
@@ -57,9 +35,7 @@ def answers_of(folder: Path) -> dict[str, dict[str, Any]]:
 
 def rigid_error(points: np.ndarray, truth: np.ndarray) -> float:
     """Root mean square distance [um] of points (T, 3) [mm] from the truth after the best rigid fit."""
-    rotation, translation = align(points, truth)
-    gap = points @ rotation.T + translation - truth
-    return float(1e3 * np.sqrt(np.mean(np.sum(gap**2, axis=1))))
+    return float(1e3 * np.sqrt(np.mean(np.sum((on_points(points, truth) - truth) ** 2, axis=1))))
 
 
 def names_of(answer: dict[str, Any]) -> set[str]:
@@ -78,9 +54,9 @@ def fits(answer: dict[str, Any], finding: dict[str, Any]) -> bool:
 def scored(name: str, truth: dict[str, Any], found: dict[str, Any]) -> Row:
     """Everything that is counted of one recording."""
     answers, findings = truth["case"]["answer"], list(found["findings"])
-    known = [a for a in answers if a["effect"] != "unknown"]
-    free, named, first, place, unknown, exact = list(findings), 0, 0, 0, 0, 0
-    stated: list[tuple[float, bool]] = []
+    count = Counter({"of": sum(a["effect"] != "unknown" for a in answers)})
+    count["unknown_of"] = len(answers) - count["of"]
+    free = list(findings)
     for answer in answers:
         right = names_of(answer)
         strict = [f for f in free if f["effect"] in right]
@@ -90,32 +66,25 @@ def scored(name: str, truth: dict[str, Any], found: dict[str, Any]) -> Row:
         hit = (strict + loose)[0]
         free.remove(hit)
         if answer["effect"] == "unknown":
-            unknown += bool(strict) and fits(answer, hit)
-            exact += bool(strict) and set(hit["where"]["observables"]) == set(answer["where"].get("observables", ()))
+            count["unknown"] += bool(strict) and fits(answer, hit)
+            told, true = hit["where"]["observables"], answer["where"].get("observables", ())
+            count["exact"] += bool(strict) and set(told) == set(true)
         else:
-            named, first = named + 1, first + bool(strict)
-            place += fits(answer, hit)
+            count.update(named=1, first=bool(strict), place=fits(answer, hit))
     everything = {n for a in answers for n in names_of(a)}
-    stated = [(f["evidence"]["probability"], f["effect"] in everything) for f in findings]
+    count["alarms"] = len(findings) if not answers else max(len(findings) - len(answers), 0)
     before, after = _errors(truth, found)
-    return Row(
-        name,
-        " + ".join(a["effect"] for a in answers) or "–",
-        " + ".join(f["effect"] for f in findings) or "–",
-        not answers,
-        found["verdict"] == "mismatch",
-        named,
-        first,
-        len(known),
-        place,
-        unknown,
-        exact,
-        len(answers) - len(known),
-        len(findings) if not answers else max(len(findings) - len(answers), 0),
-        tuple(stated),
-        before,
-        after,
-    )
+    return {
+        "name": name,
+        "truth": " + ".join(a["effect"] for a in answers) or "–",
+        "told": " + ".join(f["effect"] for f in findings) or "–",
+        "clean": not answers,
+        "found": found["verdict"] == "mismatch",
+        "count": count,
+        "stated": [(f["evidence"]["probability"], f["effect"] in everything) for f in findings],
+        "before_um": before,
+        "after_um": after,
+    }
 
 
 def _errors(truth: dict[str, Any], found: dict[str, Any]) -> tuple[float, float]:
@@ -130,23 +99,22 @@ def _errors(truth: dict[str, Any], found: dict[str, Any]) -> tuple[float, float]
 
 def totals(rows: Sequence[Row]) -> list[tuple[str, str]]:
     """What is counted over all recordings."""
-    clean, other = [r for r in rows if r.clean], [r for r in rows if not r.clean]
-    stated = [s for r in rows for s in r.stated]
-    worse = sum(r.after_um > 1.05 * r.before_um for r in rows)
+    clean, other = ([r for r in rows if r["clean"] == kind] for kind in (True, False))
+    stated = [s for r in rows for s in r["stated"]]
+    n: Counter[str] = sum((r["count"] for r in rows), Counter())
+    worse = sum(r["after_um"] > 1.05 * r["before_um"] for r in rows)
+    ratio = float(np.median([r["after_um"] / r["before_um"] for r in other]))
     lines = [
-        ("false alarms", f"{sum(r.found for r in clean)} of {len(clean)}"),
-        ("found", f"{sum(r.found for r in other)} of {len(other)}"),
-        ("named first", f"{sum(r.first for r in rows)} of {sum(r.of for r in rows)}"),
-        ("named or stated", f"{sum(r.named for r in rows)} of {sum(r.of for r in rows)}"),
-        ("place of what was named", f"{sum(r.place for r in rows)} of {sum(r.named for r in rows)}"),
-        (
-            "unknown, with one of its observables",
-            f"{sum(r.unknown for r in rows)} of {sum(r.unknown_of for r in rows)}",
-        ),
-        ("unknown, exactly its observables", f"{sum(r.exact for r in rows)} of {sum(r.unknown_of for r in rows)}"),
-        ("findings beyond the truth", str(sum(r.alarms for r in rows))),
+        ("false alarms", f"{sum(r['found'] for r in clean)} of {len(clean)}"),
+        ("found", f"{sum(r['found'] for r in other)} of {len(other)}"),
+        ("named first", f"{n['first']} of {n['of']}"),
+        ("named or stated", f"{n['named']} of {n['of']}"),
+        ("place of what was named", f"{n['place']} of {n['named']}"),
+        ("unknown, with one of its observables", f"{n['unknown']} of {n['unknown_of']}"),
+        ("unknown, exactly its observables", f"{n['exact']} of {n['unknown_of']}"),
+        ("findings beyond the truth", str(n["alarms"])),
         ("targets worse than plain by over 5 %", f"{worse} of {len(rows)}"),
-        ("target error over plain, median of what holds something", f"{_median(other):.2f}"),
+        ("target error over plain, median of what holds something", f"{ratio:.2f}"),
     ]
     for low, high in BINS:
         inside = [right for p, right in stated if low <= p < high]
@@ -157,21 +125,15 @@ def totals(rows: Sequence[Row]) -> list[tuple[str, str]]:
     return lines
 
 
-def _median(rows: Sequence[Row]) -> float:
-    return float(np.median([r.after_um / r.before_um for r in rows]))
-
-
 def markdown(sets: dict[str, list[Row]]) -> str:
     """Both tables: what is counted, and each recording."""
-    counted = {name: totals(rows) for name, rows in sets.items()}
-    keys = list(dict.fromkeys(key for lines in counted.values() for key, _ in lines))
-    head = "| | " + " | ".join(sets) + " |\n|---" * 1 + "|---" * len(sets) + "|\n"
-    table = "".join(
-        f"| {key} | " + " | ".join(dict(lines).get(key, "–") for lines in counted.values()) + " |\n" for key in keys
-    )
-    rows = "| recording | truth | " + " | ".join(f"{n}: told, targets [um] before, after" for n in sets) + " |\n"
-    rows += "|---|---" + "|---" * len(sets) + "|\n"
+    counted = {name: dict(totals(rows)) for name, rows in sets.items()}
+    lines = ["| | " + " | ".join(sets) + " |", "|---" * (1 + len(sets)) + "|"]
+    keys = dict.fromkeys(key for column in counted.values() for key in column)
+    lines += [f"| {key} | " + " | ".join(column.get(key, "–") for column in counted.values()) + " |" for key in keys]
+    lines += ["", "| recording | truth | " + " | ".join(f"{n}: told, targets [um] before, after" for n in sets) + " |"]
+    lines.append("|---|---" + "|---" * len(sets) + "|")
     for one in zip(*sets.values(), strict=True):
-        cells = " | ".join(f"{r.told}, {r.before_um:.1f}, {r.after_um:.1f}" for r in one)
-        rows += f"| {one[0].name} | {one[0].truth} | {cells} |\n"
-    return f"{head}{table}\n{rows}"
+        cells = " | ".join(f"{r['told']}, {r['before_um']:.1f}, {r['after_um']:.1f}" for r in one)
+        lines.append(f"| {one[0]['name']} | {one[0]['truth']} | {cells} |")
+    return "\n".join(lines) + "\n"

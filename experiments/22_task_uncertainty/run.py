@@ -1,8 +1,5 @@
 """Is the uncertainty of a task what it is said to be? Predicted against the spread of simulated measurements."""
 
-from __future__ import annotations
-
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,7 +16,6 @@ from ltsim.tasks.measurands import Measurand, best_fit
 from ltsim.tasks.propagation import Propagated, expansion_of, propagate
 from ltsim.tasks.spec import Tasks, load_tasks
 
-HERE = Path(__file__).resolve().parent
 TRIALS, SEED = 10_000, 22
 LEFT_OUT = EffectEntry(name="mesh-expansion", draw=True)
 """Physics that happens and that no budget states: the hall warms while the work goes on."""
@@ -101,7 +97,7 @@ def table_of(case: str, errors: Floats, linear: Propagated, names: Names) -> lis
 
 def run(options: Options) -> Made:
     """All cases; the table is results.csv."""
-    tasks = load_tasks(HERE / "tasks.toml")
+    tasks = load_tasks(options.here / "tasks.toml")
     trials = options.trials or TRIALS
     rows: list[Any] = []
     for case, switches in CASES.items():

@@ -1,8 +1,5 @@
 """Whether 95 % intervals hold, for every construction, order of harmonics and number of instruments."""
 
-from __future__ import annotations
-
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,7 +10,6 @@ from ltsim.arrays import Floats
 from ltsim.campaigns.statistics import NORMAL_95, Checked
 from ltsim.pages.figures.campaign import Swept, by_factor
 
-HERE = Path(__file__).resolve().parent
 CONSTRUCTIONS = {
     "source in head": {"construction": "misalignment"},
     "steering mirror": {"construction": "steering-mirror"},
@@ -35,7 +31,7 @@ def run(given: Options) -> Made:
             tables: dict[str, Any] = {f"instruments__{n}": TRACKER | built for n in set(stations)}
             absent = {} if "B" in stations else {"instruments__B": "none"}
             folder = f"{title.replace(' ', '-')}-{trackers}"
-            results = campaign(HERE / "config.toml", given, folder, methods=[built], **tables, **absent, **places)
+            results = campaign("config.toml", given, folder, methods=[built], **tables, **absent, **places)
             z = results.to_dataframe("rows").filter(like="z:").to_numpy()
             rows.append({"instrument": title, "trackers": trackers} | row_of(z, results.checked()[0]))
     write_table(given.out / "intervals.csv", rows)

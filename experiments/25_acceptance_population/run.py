@@ -1,12 +1,9 @@
 """Whom do the acceptance tests let pass? A population of trackers, good and bad, against the errors of their points."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from experiments.common import Made, Options, tell, write_figure, write_table
 from ltsim.acceptance.prediction import Plan, harm_of
@@ -14,7 +11,7 @@ from ltsim.acceptance.tests import Standard, builtin, envelope
 from ltsim.arrays import Bools, Floats
 from ltsim.geometry.polar import to_polar
 from ltsim.model.construction import misalignment
-from ltsim.pages.style import CYCLE, INK, new_figure, styled
+from ltsim.pages.figures.campaign import Swept, by_factor
 from ltsim.randomness import stream
 from ltsim.recording.specification import sheet
 
@@ -51,23 +48,6 @@ def drawn(plans: dict[str, Plan], trials: int) -> tuple[Floats, dict[str, Bools]
     return np.concatenate(shares)[:trials], {name: np.concatenate(p)[:trials] for name, p in passed.items()}
 
 
-@styled
-def pass_curves(rows: list[dict[str, Any]], names: list[str]) -> Figure:
-    """Share that passes against the largest point error, with 95 % intervals."""
-    figure = new_figure(2.9)
-    ax = figure.subplots()
-    middle = np.arange(len(rows))
-    for i, name in enumerate(names):
-        share, error = (np.array([row[f"{name}{end}"] for row in rows]) for end in ("", "_uncertainty"))
-        ax.errorbar(middle, share, 1.96 * error, color=CYCLE[i], marker="os^"[i], ms=4, capsize=2, label=name)
-    ax.axvline(EDGES.index(1.0) - 0.5, color=INK, lw=0.8, ls="--")
-    ax.set_xticks(middle, [row["error_over_limit"] for row in rows])
-    ax.set_xlabel("largest point error over its limit (dashed: the limit)")
-    ax.set_ylabel("pass every test [%]")
-    figure.legend(*ax.get_legend_handles_labels(), loc="outside upper left", ncols=3)
-    return figure
-
-
 def run(options: Options) -> Made:
     """The table is population.csv, the picture population.svg."""
     limits = sheet(SHEET)
@@ -80,20 +60,22 @@ def run(options: Options) -> Made:
     share, passed = drawn(plans, trials)
     passed["both"] = np.logical_and.reduce(list(passed.values()))
     rows: list[dict[str, Any]] = []
+    curves = []
     for low, high in pairwise(EDGES):
         mine = (share >= low) & (share < high)
         count = int(mine.sum())
-        row: dict[str, Any] = {
-            "error_over_limit": f"{low:g} to {high:g}" if np.isfinite(high) else f"over {low:g}",
-            "instruments": count,
-        }
+        words = f"to {high:g}" if np.isfinite(high) else f"over {low:g}"
+        row: dict[str, Any] = {"error_over_limit": words, "instruments": count}
         for name, good in passed.items():
             rate = float(good[mine].mean()) if count else float("nan")
-            row[name] = round(100 * rate, 2)
-            row[f"{name}_uncertainty"] = round(100 * float(np.sqrt(max(rate * (1 - rate), 1 / count) / count)), 2)
+            error = float(np.sqrt(max(rate * (1 - rate), 1 / count) / count)) if count else float("nan")
+            row |= {name: 100 * rate, f"{name}_uncertainty": 100 * error}
+            ends = np.clip([rate, rate - 1.96 * error, rate + 1.96 * error], 0, 1) * 100
+            curves.append(Swept(words, name, "", *ends, ends[0], ends[0]))
         rows.append(row)
     write_table(options.out / "population.csv", rows)
-    write_figure(options.out / "population.svg", pass_curves(rows, list(passed)))
+    axis = "largest point error over its limit, in steps"
+    write_figure(options.out / "population.svg", by_factor(curves, label="pass every test [%]", axis=axis))
     bad = share > 1.0
     for name, good in passed.items():
         tell(

@@ -1,7 +1,5 @@
 """Ranges from many places, or everything from one: point errors at an equal number of pointings."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -140,6 +140,9 @@ def inject(
         raise ModelError(
             "nothing to inject: name an effect (ltsim effects lists them) or a law such as 'azimuth ~ time'"
         )
+    for cause in causes:
+        if isinstance(cause, (list, tuple)):
+            raise ModelError("causes are given one after another, not as a list: inject(recording, first, second)")
     seen = recording_of(recording)
     injector, told = Injector(seen, ResidualSpace.of(adjust(seen, stated_construction(seen)))), []
     for number, cause in enumerate(causes):

@@ -86,7 +86,7 @@ class Searcher:
             every = card_hypotheses(space.sightings, space.adjustment.recording.instruments)
             cards = Cards.of(space, [effect for effect in every if ordinary or type(effect) not in ORDINARY])
         self.cards = cards
-        self.panels: list[Panel] = panels(space)
+        self.panels: list[Panel] = panels(space, ordinary=ordinary)
         self.empty = Found((), (), (), space.residual)
         self._ranked: dict[frozenset[str], Ranking] = {}
         self._left: OrderedDict[str, tuple[Floats, Floats]] = OrderedDict()

@@ -36,11 +36,15 @@ ONLY = {"product": ("reading",), "room": ("target",)}
 Drivers = Mapping[str, Sequence[Driver]]
 
 
-def panels(space: ResidualSpace) -> list[Panel]:
-    """All panels of a recording; their priors sum to that of laws without a card."""
+def panels(space: ResidualSpace, *, ordinary: bool = True) -> list[Panel]:
+    """All panels of a recording; their priors sum to that of laws without a card.
+
+    Constants of the instruments are among them as long as they are `ordinary`: a history is compared with by itself.
+    """
     made = _Maker(space)
     for place, where, drivers in _places(space):
-        made.ask(place, where, drivers)
+        held = () if ordinary or place not in ("everywhere", "instrument") else ("instrument", "circle")
+        made.ask(place, where, drivers, held)
     return made.panels()
 
 
@@ -83,13 +87,13 @@ class _Maker:
             sized = at_noise(carrier, weights)
             self._known.setdefault((carrier.kind, len(carrier.ways)), []).append((sized, sized.size * weights))
 
-    def ask(self, place: str, places: tuple[Place, ...], offered: Drivers) -> None:
-        """Ask for panels at some places, of carriers and of the drivers that move them."""
+    def ask(self, place: str, places: tuple[Place, ...], offered: Drivers, held: tuple[str, ...]) -> None:
+        """Ask for panels at some places, of carriers and of the drivers that move them; some kinds are `held`."""
         kinds = AT_TARGETS if place in ("target", "group") else KINDS
         for (kind, ways), known in self._known.items():
             carriers = sum(len(some) for (other, _), some in self._known.items() if other == kind)
             for name, drivers in offered.items():
-                if kind not in kinds or kind not in ONLY.get(name, (kind,)):
+                if kind not in kinds or kind not in ONLY.get(name, (kind,)) or (name == "constant" and kind in held):
                     continue
                 moved = [d for d in drivers if moves(kind, d, self._s) and (name != "wave" or _swings(kind, d))]
                 weight = PLACES[place] * kinds[kind] * COST ** DEPTHS[name] / carriers

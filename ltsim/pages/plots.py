@@ -9,15 +9,27 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ltsim.calibration.calibration import Calibration
+from ltsim.calibration.files import history_file
+from ltsim.calibration.history import History
 from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.errors import ModelError
 from ltsim.evaluation.criteria import Criteria
 from ltsim.fieldcheck.check import Check
-from ltsim.pages.figures.parameters import Criterion, ParameterRow, criteria_figure, parameter_figure
+from ltsim.pages.figures.floor_plan import floor_plan
+from ltsim.pages.figures.parameters import (
+    Criterion,
+    ParameterRow,
+    criteria_figure,
+    history_figure,
+    parameter_figure,
+)
 from ltsim.pages.figures.points import check_figure, displacement_figure
 from ltsim.pages.figures.residuals import residuals_by_covariate
 from ltsim.pages.residuals import Residuals
 from ltsim.pages.sections.diagnosis import finding_figure
+from ltsim.pages.workshop import from_scenario
+from ltsim.planning.files import planned_scenario
+from ltsim.planning.planner import Plan
 from ltsim.results import Result
 from ltsim.tasks.comparison import Comparison
 
@@ -76,3 +88,18 @@ def _(result: Comparison) -> Figure:
     )
     moved = np.array(table.column("moved"), dtype=bool)
     return displacement_figure(places, shifts, axes, moved, table.column("target"))
+
+
+@figure_of.register
+def _(result: History) -> Figure:
+    content = history_file(result)
+    known = [course for course in content.parameters if course.constant.dof]
+    if not known:
+        raise ModelError("no parameter of these calibrations is known better than by its guarantee; there is no course")
+    return history_figure([c.label for c in content.calibrations], known)
+
+
+@figure_of.register
+def _(result: Plan) -> Figure:
+    """The floor with the chosen layout, as floor.png of a plan's folder."""
+    return floor_plan(from_scenario(planned_scenario(result)), coordinates=True, ground=result.file.floor)

@@ -241,9 +241,9 @@ def _search(plan: Plan) -> list[str]:
         return ["The search was stopped: this is the best layout that it had found by then."]
     if count < 2:
         return []
-    wide = 100 * (plan.spread[-1] / plan.spread[0] - 1)
     close = sum(value < 1.02 * plan.spread[0] for value in plan.spread)
     return [
-        f"{count} independent searches ended within {wide:.1f} % of the best, {close} of them within 2 %: "
+        f"Of {count} independent searches {close} ended within 2 % of the best, the last at "
+        f"{plan.spread[-1] / plan.spread[0]:.2f} times it: "
         + ("no much better layout is to be expected." if close > 1 else "more starts may find a better one.")
     ]

@@ -101,9 +101,16 @@ class Searcher:
         return self.site.placement(self.step, self.heights)
 
     def _nowhere(self) -> str:
-        """A sentence: which targets cannot be seen from everywhere."""
+        """A sentence: which targets cannot be seen from everywhere, or from anywhere."""
         share = self.placement.seen.mean(axis=0)
-        worst = self.site.survey.target_names[int(np.argmin(share))]
+        names = self.site.survey.target_names
+        if hidden := [name for name, part in zip(names, share, strict=True) if not part]:
+            low, high = (1e3 * height for height in self.site.heights)
+            return (
+                f"no place on the floor sees {some_of(hidden)}, from heads at {low:g} to {high:g} mm; "
+                "let them stand higher (floor.height_mm), widen the floor, or move what is hidden"
+            )
+        worst = names[int(np.argmin(share))]
         return (
             f"no place on the floor sees every reflector: {worst} is seen from {100 * share.min():.0f} % of the "
             "places; move it, widen the floor, or ask for fewer stations a reflector"

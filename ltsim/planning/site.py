@@ -84,7 +84,11 @@ class Site:
         good: Bools = (
             table.visible & (table.elevation - turn >= lowest) & (table.elevation + turn <= self.limits.elevation_max)
         )
-        return good & (table.range_ - self.play >= self.limits.range_min)
+        good &= table.range_ - self.play >= self.limits.range_min
+        if self.obstacles is not None and self.play:
+            s, t = np.nonzero(good)
+            good[s, t] = ~self.obstacles.blocked_near(position[s], goal[t], self.play)
+        return good
 
     def joined(self, position: Floats, seen: Bools) -> Bools:
         """(B,): layouts (B, S, 3) that keep stations apart, targets in sight and nests served; `seen` (B, S, T)."""

@@ -7,6 +7,7 @@ with z up. What a file was taken for is told, and a body of an unlikely size or 
 from __future__ import annotations
 
 import os
+import re
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -94,6 +95,11 @@ def _triangles(path: Path, _changed: int) -> Floats:
     suffix, content = path.suffix.lower(), path.read_bytes()
     if suffix in EXACT:
         content, suffix = _as_glb(path, content), ".glb"
+    if suffix == ".gltf" and (others := re.findall(rb'"uri"\s*:\s*"(?!data:)([^"]*)"', content)):
+        raise SetupError(
+            f"{path}: keeps its surfaces in other files ({others[0].decode(errors='replace')}); export it as .glb, or "
+            "as .gltf with everything in it"
+        )
     try:
         loaded: Any = trimesh.load(BytesIO(content), file_type=suffix[1:], force="mesh", skip_materials=True)
         triangles: Floats = np.array(loaded.triangles, dtype=np.float64)

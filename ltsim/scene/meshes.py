@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -71,6 +72,30 @@ class Obstacles:
         doubtful = np.flatnonzero(np.any(votes != votes[:, :1], axis=1))
         hit[doubtful] = native_hits(self.triangles, origins[doubtful], beam[doubtful], length[doubtful]) > 0
         return hit
+
+    def blocked_near(self, origins: Floats, ends: Floats, play: float) -> Bools:
+        """(n,): something hides `ends` (n, 3) [m] from an instrument up to `play` [m] off `origins` (n, 3) [m].
+
+        Rays start at the corners of a square round that circle, across the sight: an edge of a body is not missed.
+        """
+        sight = ends - origins
+        side, other = perpendicular(sight / np.linalg.norm(sight, axis=1, keepdims=True))
+        hit = np.zeros(len(origins), dtype=bool)
+        for across, up in product((-play, play), repeat=2):
+            left = np.flatnonzero(~hit)
+            start = origins[left] + across * side[left] + up * other[left]
+            hit[left] = self._met(start, ends[left])  # at such a distance single precision is enough
+        return hit
+
+    def _met(self, origins: Floats, ends: Floats) -> Bools:
+        """(n,): a triangle lies between, to the precision of the rays in use."""
+        if not len(self.triangles) or not len(origins):
+            return np.zeros(len(origins), dtype=bool)
+        length = np.linalg.norm(ends - origins, axis=1)
+        beam = (ends - origins) / length[:, None]
+        if self._rays is None:
+            return np.asarray(native_hits(self.triangles, origins, beam, length) > 0)
+        return self._cast(origins, beam, length)
 
     def _cast(self, origins: Floats, beam: Floats, length: Floats) -> Bools:
         """First hit of single-precision rays, before the end."""

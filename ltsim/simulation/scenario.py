@@ -11,6 +11,7 @@ import numpy as np
 from pydantic import Field
 
 from ltsim.arrays import Floats
+from ltsim.effects.effect import Effect
 from ltsim.errors import ModelError, SetupError, as_setup_error
 from ltsim.recording.files import check_name, shown
 from ltsim.recording.settings import above, checked, read_toml, to_toml
@@ -111,7 +112,7 @@ class Scenario(Section, Result):
         measured = f"{len(self.stations)} stations{trackers}, {len(self.target_names)} targets"
         return [f"Scenario: {title}{measured}, {faces}, {effects}"]
 
-    __repr__ = Result.__repr__
+    __repr__ = __str__ = Result.__repr__
 
 
 def load_scenario(name_or_path: str | Path) -> Scenario:
@@ -151,8 +152,19 @@ def changed(scenario: Scenario, changes: Mapping[str, Any], file: Path, where: s
     of_sheets = [key for key, value in changes.items() if key.endswith(".preset") and value in sheet_names()]
     brought += [key.removesuffix("preset") + "limits" for key in of_sheets]
     for key, value in [*((key, NONE) for key in brought), *changes.items()]:
-        _set(table, key, value, where or str(file))
+        _set(table, key, _as_table(value), where or str(file))
     return scenario_from(table, file)
+
+
+def _as_table(value: Any) -> Any:
+    """A new value as a file has it: effects (`lt.Effect`), alone or in a list, as their tables."""
+    if isinstance(value, Effect):
+        value = [value]
+    if not isinstance(value, (list, tuple)):
+        return value
+    return [
+        EffectEntry.of(v).model_dump(mode="json", exclude_defaults=True) if isinstance(v, Effect) else v for v in value
+    ]
 
 
 def _set(table: dict[str, Any], key: str, value: Any, where: str) -> None:

@@ -7,8 +7,10 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, StrictBool, model_validator
 
+from ltsim.effects.effect import Effect
 from ltsim.effects.noise import PAPER_ANGLE_ARCSEC, PAPER_DISTANCE_UM
 from ltsim.effects.smr_incidence import PAPER_TABLE, TABLE_ANGLES
+from ltsim.effects.verbs import shape_of
 from ltsim.recording.setup import (
     Finite,
     LengthUse,
@@ -364,3 +366,10 @@ class EffectEntry(Section):
     """Parameters by name, in display units."""
     shape: dict[str, Finite | str | tuple[Finite, ...]] = Field(default_factory=dict)
     """Constants by name, in display units where the effect declares one and in SI otherwise."""
+
+    @classmethod
+    def of(cls, effect: Effect) -> EffectEntry:
+        """An effect with its places and constants, its parameters to be drawn."""
+        return cls(
+            name=effect.name, stations=effect.stations, targets=effect.targets, draw=True, shape=shape_of(effect)
+        )

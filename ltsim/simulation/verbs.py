@@ -30,6 +30,7 @@ def scenario(source: ScenarioSource, changes: Mapping[str, Any] | None = None) -
     source : Scenario, str or Path
     changes : mapping of str to value, optional
         New values by dotted key, as in the file: ``{"instrument.noise_factor": 2.0}``; "none" takes a key out.
+        ``{"effects": [lt.Effect("index-drift", stations="S3")]}``: effects as objects, at sizes that the seed draws.
 
     Raises
     ------

@@ -230,7 +230,7 @@ def test_light_verbs_wait_for_nothing_heavy(workplace: Path, tmp_path: Path) -> 
 
 
 def test_one_effect_loads_no_file_format() -> None:
-    code = "import sys, ltsim.effects.misalignments; print(*sys.modules)"
+    code = "import sys, ltsim.effects.beam_tilt; print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     loaded = set(done.stdout.split())
     assert "ltsim.recording.exchange" not in loaded

@@ -34,7 +34,7 @@ def test_indices_of_a_case_with_known_answer() -> None:
     assert a.total == pytest.approx(2 / 6, abs=0.04)
     assert b.first == pytest.approx(4 / 6, abs=0.04)
     assert b.total == pytest.approx(5 / 6, abs=0.04)
-    assert a.first_interval[0] < 1 / 6 < a.first_interval[1]
+    assert a.first_low < 1 / 6 < a.first_high
 
 
 def test_what_is_left_after_calibration_is_noise_and_not_the_instrument() -> None:

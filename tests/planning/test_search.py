@@ -92,6 +92,22 @@ def test_an_obstacle_moves_the_plan_out_of_its_way(found) -> None:  # type: igno
     assert made.value > 0.97 * min(free.value, found.value)
 
 
+def test_sights_past_an_edge_hold_when_the_tripod_stands_off_its_place() -> None:
+    """From the height of a table's top a point on it is in sight, from 40 mm lower it is not."""
+    table = together([placed(box(np.array([1.0, 1.0, 1.0])), np.array([3.0, 3.0, 0.0]), 0.0)])
+    point = np.array([[3.0, 3.0, 1.0]])
+    heads = np.array([[1.0, 3.0, height] for height in (1.001, 1.04, 1.2)])
+    assert site(obstacles=table).seen(heads, point)[:, 0].tolist() == [True, True, True]
+    assert site(obstacles=table, play=0.05).seen(heads, point)[:, 0].tolist() == [False, False, True]
+
+
+def test_all_targets_that_no_place_sees_are_named() -> None:
+    with pytest.raises(
+        SetupError, match=r"no place on the floor sees \w+, .*, from heads at .* mm; let them stand higher"
+    ):
+        searcher(site(limits=SightLimits(range_max=2.0))).from_start(0, 1)
+
+
 def test_least_stations_a_target_lets_single_sights_go() -> None:
     where = site(4, least=2, limits=SightLimits(range_max=5.5))
     made = searcher(where).from_start(0, 1)

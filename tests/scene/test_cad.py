@@ -91,6 +91,13 @@ def test_a_damaged_file_is_one_sentence_and_nothing_else(suffix: str, tmp_path: 
     assert capfd.readouterr() == ("", "")
 
 
+def test_a_gltf_in_several_files_is_one_sentence(tmp_path: Path) -> None:
+    for name, content in trimesh.creation.box().export(file_type="gltf").items():
+        (tmp_path / name).write_bytes(content)
+    with pytest.raises(SetupError, match=r"model.gltf: keeps its surfaces in other files \(.*bin\); export it as .glb"):
+        read_mesh(tmp_path / "model.gltf")
+
+
 def test_without_the_library_the_sentence_says_what_to_install(tmp_path: Path, monkeypatch) -> None:
     monkeypatch.setitem(sys.modules, "cascadio", None)
     file = tmp_path / "machine.step"

@@ -136,3 +136,9 @@ def test_the_command_writes_a_recording_and_its_truth_apart(tmp_path: Path, reco
     assert run([*words]) == 2
     assert run(["inject", str(tmp_path / "rec"), "range-step:S9", "--out", str(tmp_path / "no")]) == 2
     assert not (tmp_path / "no").exists()
+
+
+def test_a_list_of_causes_is_one_sentence() -> None:
+    recording, _ = lt.simulate("paper-workshop", seed=7)
+    with pytest.raises(ModelError, match="one after another"):
+        lt.inject(recording, ["index-drift"])  # type: ignore[arg-type]

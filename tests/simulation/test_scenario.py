@@ -4,8 +4,10 @@ import re
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+import ltsim as lt
 from ltsim.errors import SetupError
 from ltsim.simulation.builtin import builtin_names, builtin_text
 from ltsim.simulation.fieldwork import fieldwork
@@ -163,3 +165,18 @@ def test_cad_files_are_found_beside_the_scenario(write: Write, tmp_path: Path) -
 def test_constants_that_mean_nothing_are_refused(write: Write, tables: str, says: str) -> None:
     with pytest.raises(SetupError, match=re.escape(says)):
         fieldwork(load_scenario(write(f"{MINIMAL}\n{tables}\n")), 1)
+
+
+def test_effects_as_objects_are_those_of_a_file() -> None:
+    drift = lt.Effect("index-drift", stations="S3", law="visit")
+    entry = {"name": "index-drift", "stations": ["S3"], "shape": {"law": "visit"}, "draw": True}
+    by_table = lt.simulate("paper-workshop", seed=7, changes={"effects": [entry]})
+    for given in ([drift], drift):
+        recording, truth = lt.simulate("paper-workshop", seed=7, changes={"effects": given})
+        assert np.array_equal(recording.readings, by_table.recording.readings)
+        assert truth.effects[0].effect == drift
+
+
+def test_a_printed_scenario_is_one_line() -> None:
+    assert str(lt.scenario("paper-workshop")).count("\n") == 0
+    assert str(lt.scenario("paper-workshop")) == repr(lt.scenario("paper-workshop"))

@@ -283,10 +283,12 @@ def _statistics(results: Results, spreads: Mapping[str, list[Spread]], ends: Seq
     means = [[_column_words(column), results.units.get(column, ""), _meaning(column)] for column in spreads]
     note = "Verified: trials that the full solver repeated; the difference is that of the estimates."
     failed = frozenset(i for i, e in enumerate(ends) if e.failed)
+    ended = results.table("ends")
+    ended = ended.only(" ".join(name for name in ended.header if name != "cell"))
     return [
         *table_block(f"Statistics ({count(len(shown.rows), 'row')})", shown),
         Table("What the statistics mean", ["statistic", "unit", "meaning"], means, text_columns=3),
-        *table_block("How the trials ended", results.table("ends"), note=note, marked=failed),
+        *table_block("How the trials ended", ended, note=note, marked=failed),
     ]
 
 
