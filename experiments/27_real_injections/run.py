@@ -31,7 +31,7 @@ from ltsim.recording import Hints, Recording
 
 HERE = Path(__file__).resolve().parent
 DATA = HERE.parents[2] / "shared" / "recordings"
-share = import_module("experiments.20_concealed_physics.clusters").share
+share = import_module("experiments.20_concealed_physics.report").share
 MEASURES = {"found": "found", "placed": "place right", "right": "told rightly"}
 SAME = 0.5
 """Share of several stations or targets in common from which they are the same place."""
