@@ -51,7 +51,7 @@ def test_a_full_disk_on_standard_output_is_a_sentence() -> None:
         (["campaign", "few.toml", "--jobs", "1000000"], "256"),
         (["recover", "paper-workshop", "--jobs", "1000000"], "--jobs"),
         (["plan", "fine.toml", "--json"], "a grid of 0.001 mm"),
-        (["plan", "wide.toml", "--json"], "no place on the floor sees every reflector"),
+        (["plan", "wide.toml", "--json"], "no place on the floor sees T01"),
     ],
 )
 def test_sizes_that_no_machine_holds_are_a_sentence(
