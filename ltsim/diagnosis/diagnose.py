@@ -247,6 +247,7 @@ def _told(
         *(explained.finding(i, ranking) for i, ranking in enumerate(rankings)),
         *(noise_finding(one, baseline.sightings, detection) for one in case.noise),
     ]
+    findings = [one for one in findings if one.evidence.probability >= LIKELY] or findings
     findings.sort(key=lambda finding: -finding.evidence.chi2_drop)
     before = after = Fit(chi2=baseline.chi2, dof=baseline.dof, held_out_rms=errors.before)
     if found.members or case.noise:

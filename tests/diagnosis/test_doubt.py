@@ -8,8 +8,12 @@ import pytest
 from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.diagnosis import diagnose
+from ltsim.diagnosis.case import Case
+from ltsim.diagnosis.findings import Explained
+from ltsim.diagnosis.noise import NoiseHypothesis
 from ltsim.diagnosis.outside import log_likeness
 from ltsim.diagnosis.stray import stray_readings
+from ltsim.effects import find_effect
 from ltsim.model.construction import misalignment
 from ltsim.randomness import stream
 from tests.diagnosis.test_diagnose import concealing, workshop
@@ -105,3 +109,24 @@ def test_a_known_length_that_is_wrong_is_told_as_that_and_not_as_physics():
     assert set(found.findings[0].where.targets) == {first.from_, first.to}
     (size,) = found.findings[0].parameters
     assert size.value == pytest.approx(0.3, abs=4 * size.sigma + 0.02)
+
+
+def test_nothing_unlikely_is_told_beside_anything_else(monkeypatch):
+    """Neither a shift nor a change of the noise; alone it is."""
+    recording, _ = concealing("range-cyclic", 3, [1e-6, 1e-6], wavelength=0.31)
+    (alone,) = diagnose(recording).findings
+    unlikely = alone.model_copy(update={"evidence": alone.evidence.model_copy(update={"probability": 0.4})})
+    noisy = NoiseHypothesis(
+        "noise-level", find_effect("noise-level")(), (0.1, 0.1, 0.1), (0.1, 0.1, 0.1), 9.0, 5.0, 0.4
+    )
+    search = Case.weigh
+
+    def with_noise(case, adjustment):
+        search(case, adjustment)
+        case.noise = [noisy]
+
+    monkeypatch.setattr(Case, "weigh", with_noise)
+    told = diagnose(recording).findings
+    assert [f.effect for f in told] == ["range-cyclic"]
+    monkeypatch.setattr(Explained, "finding", lambda *_: unlikely)
+    assert diagnose(recording).findings
