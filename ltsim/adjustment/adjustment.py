@@ -275,6 +275,11 @@ class Adjustment(Result):
         """Covariance (p, p) of one instrument's parameters [SI]."""
         return self.covariance_of(self.problem.unknowns.instrument[[instrument]])[0]
 
+    @cached_property
+    def constants_covariance(self) -> Floats:
+        """Covariance (I p, I p) of the parameters of all instruments [SI], instrument after instrument."""
+        return self.covariance_of(self.problem.unknowns.instrument.reshape(1, -1))[0]
+
     @property
     def extra_covariance(self) -> Floats:
         """Covariance (q, q) of the further effects' parameters [SI]."""

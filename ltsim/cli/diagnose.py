@@ -70,7 +70,7 @@ def diagnose(
 
 def show_diagnosis(terminal: Terminal, diagnosis: Diagnosis) -> None:
     """One sentence first, evidence below."""
-    from ltsim.diagnosis.words import percent, place
+    from ltsim.diagnosis.words import clear_constants, percent, place
 
     terminal.say("\n" + diagnosis.summary)
     for number, finding in enumerate(diagnosis.findings, start=1):
@@ -89,6 +89,9 @@ def show_diagnosis(terminal: Terminal, diagnosis: Diagnosis) -> None:
             terminal.say(f"not excluded: {other.effect} ({percent(other.probability)})")
         if finding.separate_by:
             terminal.say(f"to decide: {finding.separate_by}")
+    if constants := clear_constants(diagnosis.instruments):
+        terminal.say("\nConstants of the instruments, estimated with the findings, the clearest:")
+        terminal.say("\n".join(constants))
     blind = [u for u in diagnosis.undetectable if u.hides_um and u.hides_um >= 1.0]
     if blind:
         terminal.say("\nNot to be seen in this recording without a measurement of the cause itself, worst first:")

@@ -12,8 +12,10 @@ from ltsim.adjustment import Adjustment, adjust
 from ltsim.adjustment.refit import Refit, refit
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.arrays import Bools, Floats
+from ltsim.calibration.conflict import widened
 from ltsim.diagnosis.evidence import WIDE
 from ltsim.diagnosis.hypotheses import Found
+from ltsim.diagnosis.instruments import Contradiction
 from ltsim.diagnosis.noise import NoiseBank, NoiseHypothesis, most_likely, noise_hypotheses
 from ltsim.diagnosis.probe import TRIALS
 from ltsim.diagnosis.search import Searcher
@@ -77,8 +79,24 @@ class Case:
         """
         if not (effects or self.noise):
             return Refit(self.baseline, (), ())
-        adjusted = partial(adjust, self.recording, self.baseline.construction, sigma=sigma, use=self.use, held_to=WIDE)
-        return refit(adjusted, effects, start=self.baseline.state)
+        old = self.baseline
+        adjusted = partial(
+            adjust, self.recording, old.construction, sigma=sigma, use=self.use, held_to=WIDE, prior=old.problem.prior
+        )
+        return refit(adjusted, effects, start=old.state)
+
+    def free(self, constants: Sequence[Contradiction]) -> None:
+        """Let constants that contradict what is known of them be whatever the readings say."""
+        old = self.baseline
+        freed = np.zeros(old.state.instrument.shape, dtype=bool)
+        for one in constants:
+            owners = [self.recording.instruments.index(name) for name in one.instruments]
+            freed[owners, old.construction.names.index(one.parameter.name)] = True
+        prior = widened(old.problem.prior, freed)
+        self.baseline = adjust(
+            self.recording, old.construction, sigma=self.recording.sigma(), use=self.use, start=old.state, prior=prior
+        )
+        self.weigh(self.refit((), self.sigma).adjustment)
 
     def weigh(self, adjustment: Adjustment) -> None:
         """Look at what another adjustment leaves; what was scored before is let go."""

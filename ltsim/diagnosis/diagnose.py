@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from math import ceil
 
@@ -25,7 +25,7 @@ from ltsim.diagnosis.findings import Explained, among, gross_finding, instrument
 from ltsim.diagnosis.held_out import HeldOut, held_out as left_out
 from ltsim.diagnosis.history import History
 from ltsim.diagnosis.hypotheses import Found
-from ltsim.diagnosis.instruments import contradictions, instrument_entries
+from ltsim.diagnosis.instruments import Contradiction, contradictions, instrument_entries
 from ltsim.diagnosis.noise import NoiseHypothesis, most_likely
 from ltsim.diagnosis.prior import OUTSIDE, SAME_OBSERVABLE
 from ltsim.diagnosis.probe import TRIALS
@@ -33,7 +33,7 @@ from ltsim.diagnosis.schema import Finding, Fit
 from ltsim.diagnosis.search import MOST_MEMBERS
 from ltsim.diagnosis.stray import stray_readings
 from ltsim.diagnosis.words import LIKELY, summarise
-from ltsim.effects.signature import Tunable
+from ltsim.effects.signature import Tunable, constants_of
 from ltsim.errors import RecordError
 from ltsim.laws.carriers import VARIED, constants_in
 from ltsim.laws.law import Law
@@ -47,8 +47,8 @@ LEAST_LEVEL = 1e-3
 """Smallest false-alarm rate: it takes one over it simulated recordings to say that none is like the one at hand."""
 NEXT_LEVEL = 0.01
 """Chance that a further finding is added to a recording that holds no more than those found."""
-ABSORBED = 10.0
-"""Times that the misfit of an unknown law counts where constants are compared, for they absorb most of such a law."""
+LEFT_OF = 0.5
+"""Share of a constant's difference that it keeps beside what was found: a law that it had absorbed leaves less."""
 LEAST_GAIN = 2.0
 """Log evidence of a further finding: odds of 7 to 1 that there is one."""
 
@@ -97,12 +97,12 @@ def diagnose(
     sight, detection = sight_of(case.space, case.searcher.cards), detect(case.searcher, case.bank)
     mismatch = detection.p_value < level
     threshold = max(detection.threshold(NEXT_LEVEL), LEAST_GAIN)
-    found = _explain(case, threshold) if mismatch else case.empty
+    found = _explain(case, threshold, compared) if mismatch else case.empty
     found, fitted = _refitted(case, found)
     settled = fitted.adjustment if fitted.adjustment.solution.converged else baseline
     mistaken = [gross_finding(slip, baseline) for slip in gross]
     mistaken += [known_finding(test, baseline) for test in wrong]
-    apart = compared(settled, LEAST_GAIN + ABSORBED * found.misfit)
+    apart = _apart(case, found, settled, compared)
     odd = [instrument_finding(c) for c in apart if not _varies(c.parameter.name, found.effects)][:MOST_MEMBERS]
     explained = _likely(Explained(case, detection, found, fitted), bool(mistaken or odd or case.noise))
     repeated = not case.searcher.large if held_out is None else held_out
@@ -135,11 +135,25 @@ def _varies(constant: str, effects: Sequence[Tunable]) -> bool:
     return any(constant in varied for varied in (*laws, *drifts, *own))
 
 
-def _explain(case: Case, threshold: float) -> Found:
-    """Shifts of the readings and changes of the noise, each looked for beside the other until nothing gains.
+Compared = Callable[[Adjustment, float], list[Contradiction]]
+"""Constants of an adjustment that contradict what is known of them, with so much log evidence at least."""
+
+
+def _apart(case: Case, found: Found, settled: Adjustment, compared: Compared) -> list[Contradiction]:
+    """Constants that contradict what is known of them, with what was found and without it, by much the same."""
+    beside = compared(settled, LEAST_GAIN)
+    if not found.members:
+        return beside
+    alone = compared(case.refit((), case.sigma).adjustment, LEAST_GAIN)
+    size = {(one.instruments, one.parameter.name): abs(one.difference) for one in alone}
+    return [c for c in beside if abs(c.difference) > LEFT_OF * size.get((c.instruments, c.parameter.name), np.inf)]
+
+
+def _explain(case: Case, threshold: float, compared: Compared) -> Found:
+    """Constants that are not as stated, shifts of the readings and changes of the noise, until nothing gains.
 
     Whichever explains more alone comes first: a law that is sought while the stated noise is wrong explains noise, and
-    noise that is fitted before a law hides it.
+    noise that is fitted before a law hides it; so with constants.
     """
     found = case.searcher.search(threshold, something=True)
     if _noise_alone(case, threshold, found.score):
@@ -147,6 +161,10 @@ def _explain(case: Case, threshold: float) -> Found:
         if found.members:
             case.settle_with(found.effects)
             found = case.searcher.search(threshold, something=False)
+    apart = compared(case.refit((), case.sigma).adjustment, LEAST_GAIN)
+    if apart and sum(one.evidence for one in apart) > found.score:
+        case.free(apart)
+        found = case.searcher.search(threshold, something=False)
     return _in_turn(case, found, threshold)
 
 
@@ -217,10 +235,16 @@ def _refitted(case: Case, found: Found) -> tuple[Found, Refit]:
 
 
 def _likely(explained: Explained, besides: bool) -> Explained:
-    """Without findings whose name is unlikely, the least likely first, as long as something is told `besides`."""
+    """Without findings whose name is unlikely, the least likely first, as long as something is told `besides`.
+
+    Nor is one told that has more constants than readings that carry it.
+    """
     case, found, told = explained.case, explained.found, explained
     while len(found.members) + besides > 1:
-        chances = [told.probability(i, told.ranking(i)) for i in range(len(found.members))]
+        chances = [
+            told.probability(i, told.ranking(i)) if told.carried(i) >= constants_of(h.effect) else 0.0
+            for i, h in enumerate(found.members)
+        ]
         least = int(np.argmin(chances)) if chances else 0
         if not chances or chances[least] >= LIKELY:
             break
@@ -242,12 +266,9 @@ def _told(
     case, found, detection = explained.case, explained.found, explained.detection
     baseline, adjusted = case.baseline, explained.refit.adjustment
     rankings = [explained.ranking(i) for i in range(len(found.members))]
-    findings = [
-        *certain,
-        *(explained.finding(i, ranking) for i, ranking in enumerate(rankings)),
-        *(noise_finding(one, baseline.sightings, detection) for one in case.noise),
-    ]
-    findings = [one for one in findings if one.evidence.probability >= LIKELY] or findings
+    likely = [explained.finding(i, ranking) for i, ranking in enumerate(rankings)]
+    likely += [noise_finding(one, baseline.sightings, detection) for one in case.noise]
+    findings = [*certain, *(one for one in likely if one.evidence.probability >= LIKELY)] or likely
     findings.sort(key=lambda finding: -finding.evidence.chi2_drop)
     before = after = Fit(chi2=baseline.chi2, dof=baseline.dof, held_out_rms=errors.before)
     if found.members or case.noise:

@@ -41,6 +41,8 @@ from ltsim.units import FACTOR
 
 MOST_EQUIVALENTS = 3
 """Equivalents that are stated at most."""
+MOST_ESTIMATES = 12
+"""Sizes of one change of the noise that are told: of each of many targets or set-ups, the largest."""
 NOT_EXCLUDED = 0.01
 """Probability above which another effect is stated as an equivalent."""
 SURE = 2.0
@@ -80,6 +82,12 @@ class Explained:
         acts = set(hypothesis.effect.observables)
         same = ranking.share(lambda h: not h.known and set(h.effect.observables) == acts)
         return same + SAME_OBSERVABLE * ranking.unlisted
+
+    def carried(self, member: int) -> float:
+        """Number of readings that carry a member: of so many alike its gain would be the sum (participation ratio)."""
+        others = self.case.searcher.without(self.found, member)
+        gain = others.residual**2 - self.found.residual**2
+        return float(gain.sum() ** 2 / max(float(np.sum(gain**2)), 1e-300))
 
     def finding(self, member: int, ranking: Ranking) -> Finding:
         """The finding of a member, a mean shift, beside the others."""
@@ -188,10 +196,12 @@ def noise_finding(hypothesis: NoiseHypothesis, sightings: Sightings, detection: 
     effect, probability = hypothesis.effect, hypothesis.probability
     where = where_of(effect, _scattering(hypothesis, sightings))
     rows = [Estimate.of(*told) for told in zip(effect.parameters, hypothesis.values, hypothesis.sigma, strict=True)]
+    rows = sorted(rows, key=lambda e: -e.value)[:MOST_ESTIMATES] if len(rows) > MOST_ESTIMATES else rows
     more, sentence = {}, ""
     if isinstance(effect, NoisePattern):
         more = {"formula": effect.law, "carrier": effect.carrier, "driver": effect.driver}
-        sentence = outside_sentence(where, effect.law)
+        most = f", most at {' and '.join(e.name.partition(' at ')[2] for e in rows[:2])}" if effect.each else ""
+        sentence = outside_sentence(where, effect.law + most)
     return Finding(
         effect=effect.name,
         known=not isinstance(effect, NoisePattern),
@@ -279,26 +289,28 @@ def known_finding(test: KnownTest, adjustment: Adjustment) -> Finding:
 
 def instrument_finding(found: Contradiction) -> Finding:
     """The finding of a constant that contradicts what else is known of its instrument."""
-    p, chance = found.parameter, float(np.exp(-found.evidence))
-    estimate, probability = Estimate.of(p, found.difference, found.sigma), 1.0 / (1.0 + chance)
-    others = " or ".join(other.name.replace("-", " ") for other in found.alike)
+    p, off = found.parameter, 1.0 / (1.0 + float(np.exp(-found.evidence)))
+    chances: dict[str, float] = {}
+    for constant, share in found.rivals.items():
+        chances[_effect_of(constant)] = chances.get(_effect_of(constant), 0.0) + off * share
+    estimate, (probability, rivals) = Estimate.of(p, found.difference, found.sigma), among(chances, _effect_of(p))
+    others = " or ".join(other.name.replace("-", " ") for other in found.rivals if other != p)
+    owners = " and ".join(filter(None, found.instruments)) or "the instrument"
     apart = f" These readings tell it little apart from {others}." if others else ""
     sentence = (
-        f"The {p.name.replace('-', ' ')} of {found.instrument or 'the instrument'} differs by "
+        f"The {p.name.replace('-', ' ')} of {owners} differs by "
         f"({with_sigma(estimate.value, estimate.sigma)}) {p.unit} from {found.against}, "
-        f"probability {percent(probability)}.{apart}"
+        f"probability {percent(off)}.{apart}"
     )
-    name, *alike = dict.fromkeys(_effect_of(one) for one in (p, *found.alike))
-    share = probability / (1 + len(alike))
     drop = (found.difference / found.sigma) ** 2
     return Finding(
-        effect=name,
+        effect=_effect_of(p),
         known=True,
-        where=_place(instruments=(found.instrument,) if found.instrument else ()),
+        where=_place(instruments=tuple(filter(None, found.instruments))),
         parameters=(estimate,),
-        evidence=Evidence(chi2_drop=drop, parameters=1, p_value=found.p_value, probability=probability),
+        evidence=Evidence(chi2_drop=drop, parameters=1, p_value=found.p_value, probability=probability, shown=off),
         sentence=sentence,
-        equivalents=tuple(Equivalent(effect=other, probability=share) for other in alike[:MOST_EQUIVALENTS]),
+        equivalents=rivals,
     )
 
 

@@ -5,17 +5,20 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import linalg
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.prior import ParameterPrior, prior_sigmas
 from ltsim.arrays import Floats
 from ltsim.calibration.known import Known
-from ltsim.diagnosis.instruments import ANYTHING, Contradiction, Expected, compared
+from ltsim.diagnosis.instruments import Change, Contradiction, Expected, compared
 from ltsim.effects.effect import Parameter
 from ltsim.errors import RecordError
 from ltsim.model.construction import Construction
 from ltsim.recording.recording import Recording
 
+TOLD = 1e-3
+"""Information on a constant, in guarantees, that earlier calibrations have at least."""
 SCATTERS = np.geomspace(0.05, 1e4, 80)
 """True variance of a constant over that which a few calibrations show."""
 ALIKE = 4
@@ -46,18 +49,16 @@ class History:
 
     def contradictions(self, adjustment: Adjustment, least: float) -> list[Contradiction]:
         """Constants that have changed, each with more than `least` of log evidence, the most certain first."""
-        instruments = range(len(self.guarantee))
-        found = [c for i in instruments for c in self._of_instrument(adjustment, i, least)]
-        return sorted(found, key=lambda c: -c.evidence)
-
-    def _of_instrument(self, adjustment: Adjustment, i: int, least: float) -> list[Contradiction]:
-        parameters, unit = adjustment.construction.parameters, self.guarantee[i]
-        covariance = self.expected.covariance[i] / np.outer(unit, unit)
-        at = np.array([k for k, p in enumerate(parameters) if p.name in self.known.parameters])
+        parameters, unit = adjustment.construction.parameters, self.guarantee
+        at = [k for k, p in enumerate(parameters) if p.name in self.known.parameters]
         names = [parameters[k].name for k in at]
-        spreads = self._spreads(covariance[np.ix_(at, at)], unit[at], names)
-        words = tuple(self._words(p) if p.name in names else "" for p in parameters)
-        return compared(adjustment, i, Expected(self.expected.mean[i] / unit, covariance, at, *spreads, words), least)
+        covariance = [own / np.outer(u, u) for own, u in zip(self.expected.covariance, unit, strict=True)]
+        changes: list[Change] = []
+        for i, own in enumerate(covariance):
+            spreads = zip(*self._spreads(own[np.ix_(at, at)], unit[i, at], names), strict=True)
+            changes += [Change((i,), k, self._words(parameters[k]), *s) for k, s in zip(at, spreads, strict=True)]
+        mean = (self.expected.mean / unit).ravel()
+        return compared(adjustment, Expected(mean, linalg.block_diag(*covariance), tuple(changes)), least)
 
     def _spreads(self, variance: Floats, unit: Floats, names: list[str]) -> tuple[Floats, Floats]:
         """Variances (k, s) that constants may have beside the expected ones (k, k), and the logs of their weights.
@@ -72,7 +73,7 @@ class History:
             return np.zeros((len(unit), 1)), np.zeros((len(unit), 1))
         spread = self.known.spread[[self.known.parameters.index(name) for name in names]] ** 2 / unit**2
         told = np.diag(np.linalg.inv(variance - np.diag(spread))) - 1.0  # of the mean, without the maker's guarantee
-        scatter = count / np.maximum(told, 1.0 / ANYTHING)
+        scatter = count / np.maximum(told, TOLD)
         usual = scatter + np.median(spread) - spread
         wider = np.minimum(np.outer(scatter, SCATTERS - 1.0), np.maximum(1.0 - spread, 0.0)[:, None])
         shown = (count - 1 + ALIKE * usual / scatter)[:, None]

@@ -16,6 +16,7 @@ from itertools import product
 
 import numpy as np
 import scipy.sparse as sp
+from scipy.special import expit
 
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.arrays import Floats, Ints
@@ -27,7 +28,7 @@ from ltsim.effects.effect import NoiseEffect
 from ltsim.effects.signature import NoiseSignature
 from ltsim.laws.offered import further
 from ltsim.laws.places import Place, branches, trackers_of
-from ltsim.laws.scatter import EACH_FACE, REPEATS, NoisePattern
+from ltsim.laws.scatter import EACH_FACE, REPEATS, NoisePattern, owners_of
 from ltsim.recording.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 from ltsim.solve.projection import BasisProjection
@@ -39,14 +40,14 @@ MOST_TARGETS = 60
 """Targets up to whose number each is tried on its own, and those that belong together."""
 COMPARED, BEHIND = 6, 20.0
 """Families that are computed exactly, the likeliest among them, and how much log evidence they may be behind."""
+TINY = 1e-300
 LEAST_SHARE = 0.05
 """Redundancy that a mean of repeats has at least."""
-AMOUNTS = np.array([0.0, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0])
-AMOUNT_SHARES = np.array([0.5, *np.full(6, 0.5 / 6)])
-"""Added variances of one target among many that each have their own, over the stated, and their shares."""
-EACH_TARGET = "unknown:noise:each target"
-LEAST_TARGETS = 4
-"""Targets from which noise may differ from one to the next."""
+AMOUNTS = np.array([1.0, 3.0, 10.0, 30.0, 100.0, 300.0])
+LOUDER = np.array([0.05, 0.15, 0.5])
+"""Added variances of one among many that each have their own, over the stated; shares of all that have any."""
+LEAST_OWNERS = 4
+"""Targets, or stations, from which noise may differ from one to the next."""
 LARGEST = 400.0
 """Upper bound of a size in units of its plausible one."""
 GRID, REACH, ZOOMS = 7, 4.0, 9
@@ -110,6 +111,38 @@ def noise_hypotheses(
 
 
 @dataclass(frozen=True)
+class Each:
+    """Noise that differs from one target, or station, to the next; `members` (g, m): one where a row has an amount."""
+
+    pattern: NoisePattern
+    members: sp.csr_array
+
+    @classmethod
+    def all_of(cls, space: ResidualSpace) -> tuple[Each, ...]:
+        """By target and by station, all observables alike and each by itself."""
+        found, kinds = [], len(OBSERVABLES)
+        for each, apart in product(("target", "station"), (False, True)):
+            names, of = owners_of(space.sightings, each)
+            if len(names) < LEAST_OWNERS:
+                continue
+            key = of[:, None] * kinds + np.arange(kinds) if apart else np.repeat(of[:, None], kinds, axis=1)
+            rows = key[space.use]
+            shape = len(names) * (kinds if apart else 1), space.size
+            members = sp.csr_array((np.ones(len(rows)), (rows, np.arange(len(rows)))), shape)
+            found.append(cls(NoisePattern(each=each, owners=names, apart=apart), members))
+        return tuple(found)
+
+    def evidence(self, residual: Floats, redundancy: Floats) -> Floats:
+        """Log evidence (trials,) for residuals (m, trials), amounts and the share of those that have any averaged."""
+        squares, share = self.members @ residual**2, self.members @ redundancy
+        factor = 1.0 + AMOUNTS[:, None, None]
+        logs = log_average(0.5 * (squares * (1.0 - 1.0 / factor) - share[:, None] * np.log(factor)))
+        logs -= np.log(len(AMOUNTS))
+        whole = [np.logaddexp(np.log1p(-q), np.log(q) + logs).sum(axis=0) for q in LOUDER]
+        return log_average(np.stack(whole)) - np.log(len(LOUDER))
+
+
+@dataclass(frozen=True)
 class NoiseBank:
     """Noise hypotheses as linear forms of squares of residuals, and of squares of their means over repeats.
 
@@ -117,11 +150,12 @@ class NoiseBank:
     ----------
     gain, logs : (h, m + g) csr float32
         1 - 1/s and log s of each row; of each mean for what repeats.
+    family, amount, effect : (h,), (h,), (amounts,) int
+        Which family each belongs to; which amount it is, of one parameter of an effect, or of all that are alike; the
+        effect of each amount, that with all alike apart.
     means : (g, m) csr float
         What adds up repeats, in each face and then in both.
-    at_target : (T, m) csr float
-        One where a row is a reading of a target; none where there are few of them.
-    targets : tuple of str
+    each : tuple of Each
     basis : (m, u) float, or None
         Orthonormal, of what is estimated, where there is one.
     """
@@ -129,12 +163,13 @@ class NoiseBank:
     hypotheses: list[NoiseHypothesis]
     families: tuple[str, ...]
     family: Ints
+    amount: Ints
+    effect: Ints
     gain: sp.csr_array
     logs: sp.csr_array
     means: sp.csr_array
     basis: Floats | None
-    at_target: sp.csr_array
-    targets: tuple[str, ...]
+    each: tuple[Each, ...]
 
     @classmethod
     def of(cls, space: ResidualSpace, hypotheses: Sequence[NoiseHypothesis]) -> NoiseBank:
@@ -162,13 +197,14 @@ class NoiseBank:
         names = tuple(dict.fromkeys(h.family for h in hypotheses))
         index = {name: i for i, name in enumerate(names)}
         family = np.array([index[h.family] for h in hypotheses], dtype=np.int64)
+        single = [np.flatnonzero(h.values).tolist() for h in hypotheses]
+        whole = [(h.effect, len(some) > 1) for h, some in zip(hypotheses, single, strict=True)]
+        effects = {e: i for i, e in enumerate(dict.fromkeys(whole))}
+        varied = [(effects[one], some[0]) for one, some in zip(whole, single, strict=True)]
+        amounts = {one: i for i, one in enumerate(dict.fromkeys(varied))}
+        amount, effect = np.array([amounts[one] for one in varied]), np.array([e for e, _ in amounts])
         basis = space.projection.basis if isinstance(space.projection, BasisProjection) else None
-        targets = space.sightings.target_names if len(space.sightings.target_names) >= LEAST_TARGETS else ()
-        of = np.repeat(space.sightings.target[:, None], 3, axis=1)[space.use]
-        at_target = sp.csr_array(
-            (np.ones(len(of)), (of, np.arange(len(of)))), (len(space.sightings.target_names), space.size)
-        )
-        return cls(list(hypotheses), names, family, gain, logs, means, basis, at_target, targets)
+        return cls(list(hypotheses), names, family, amount, effect, gain, logs, means, basis, Each.all_of(space))
 
     def log_likelihood_ratio(self, residual: Floats, redundancy: Floats) -> Floats:
         """(h, trials) for whitened residuals (m, trials) of a redundancy (m,)."""
@@ -178,27 +214,27 @@ class NoiseBank:
         return ratio
 
     def family_evidence(self, residual: Floats, redundancy: Floats) -> Floats:
-        """Log evidence (families, trials) with priors, in its diagonal form; another noise at each target last."""
+        """Log evidence (families, trials) with priors, in its diagonal form; noise that differs from each last."""
         known = self._by_family(self.log_likelihood_ratio(residual, redundancy))
-        return np.vstack([known, self._each_target(residual, redundancy)]) if self.targets else known
-
-    def _each_target(self, residual: Floats, redundancy: Floats) -> Floats:
-        """Log evidence (trials,) with its prior of noise that differs from target to target, amounts averaged."""
-        squares, share = self.at_target @ residual**2, self.at_target @ redundancy
-        factor = 1.0 + AMOUNTS[:, None, None]
-        logs = 0.5 * (squares * (1.0 - 1.0 / factor) - share[:, None] * np.log(factor))
-        each: Floats = log_average(logs + np.log(AMOUNT_SHARES)[:, None, None]).sum(axis=0) + self._share_of_unknown
-        return each
+        each = [one.evidence(residual, redundancy) + self._share_of_unknown for one in self.each]
+        return np.vstack([known, *each])
 
     @property
     def _share_of_unknown(self) -> float:
         """Log prior of each family of noise that no card describes."""
-        return log_share("scatter", sum(f.startswith("unknown") for f in self.families) + bool(self.targets))
+        return log_share("scatter", sum(f.startswith("unknown") for f in self.families) + len(self.each))
 
     def _by_family(self, ratio: Floats) -> Floats:
+        """Log evidence (families, trials) with priors: sizes averaged, amounts of an effect there or not, or all alike."""
+        each = np.logaddexp(0.0, log_means(ratio, self.amount, len(self.effect)))
+        count = np.bincount(self.effect)
+        any_of = np.zeros((len(count), ratio.shape[1]))
+        np.add.at(any_of, self.effect, each)
+        any_of += np.log(-np.expm1(-np.maximum(any_of, TINY))) - np.log(2.0 ** count[:, None] - 1.0)  # not without all
+        family = self.family[np.unique(self.effect[self.amount], return_index=True)[1]]
         known = np.array([not f.startswith("unknown") for f in self.families])
-        each = np.where(known, log_share("noise", int(known.sum())), self._share_of_unknown)
-        return log_means(ratio, self.family, len(self.families)) + each[:, None]
+        share = np.where(known, log_share("noise", int(known.sum())), self._share_of_unknown)
+        return log_means(any_of, family, len(self.families)) + share[:, None]
 
     def exact(self, i: int, residual: Floats, extension: Floats) -> float:
         """Log restricted likelihood ratio of a hypothesis for residuals (m,) beside further columns (m, e)."""
@@ -225,10 +261,10 @@ class NoiseBank:
             if rank < COMPARED and value > evidence.max() - BEHIND and self.basis is not None:
                 value += self.exact(likeliest, residual, extension) - float(ratio[likeliest, 0])
             found.append((value, self.hypotheses[likeliest]))
-        if self.targets:
-            pattern = NoisePattern(targets=self.targets, each=True)
-            each = float(self._each_target(residual[:, None], redundancy)[0])
-            found.append((each, NoiseHypothesis(EACH_TARGET, pattern, (0.0,) * len(self.targets))))
+        for one in self.each:
+            value = float(one.evidence(residual[:, None], redundancy)[0]) + self._share_of_unknown
+            none = (0.0,) * len(one.pattern.parameters)
+            found.append((value, NoiseHypothesis(f"unknown:noise:each {one.pattern.each}", one.pattern, none)))
         return sorted(found, key=lambda one: -one[0])
 
 
@@ -282,7 +318,7 @@ def most_likely(space: ResidualSpace, stated: Floats, hypothesis: NoiseHypothesi
         factor = factors(values)
         with np.errstate(invalid="ignore", divide="ignore"):
             each = np.where(factor > 0.0, squares * (1 - 1 / factor) - share * np.log(factor), -np.inf)
-        return np.array([each[own == i].sum() for i in range(len(scale))])
+        return np.asarray(np.bincount(own, each, minlength=len(scale)), dtype=np.float64)
 
     least, most = np.full(len(scale), np.log1p(effect.least)), np.full(len(scale), np.log1p(LARGEST))
     low, high = least, most
@@ -296,5 +332,8 @@ def most_likely(space: ResidualSpace, stated: Floats, hypothesis: NoiseHypothesi
         low, high = np.maximum(least, mean - REACH * spread), np.minimum(most, mean + REACH * spread)
     values = np.sum(weight * sizes, axis=0)
     sigma = np.sqrt(np.sum(weight * (sizes - values) ** 2, axis=0))
-    drop = float(gains(values).sum() - gains(0.0 * scale).sum())
+    drops = gains(values) - gains(0.0 * scale)
+    if getattr(effect, "each", ""):  # most have none: an amount counts by the chance that there is one
+        values = values * expit(0.5 * drops + np.log(LOUDER.min() / (1.0 - LOUDER.min())))
+    drop = float(drops.sum())
     return replace(hypothesis, values=tuple(values.tolist()), drop=drop, sigma=tuple(sigma.tolist()))

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ltsim.diagnosis.schema import Estimate, Finding, Fit, Where
+from ltsim.diagnosis.schema import Estimate, Finding, Fit, InstrumentEntry, Where
 from ltsim.effects import card_of, find_effect
 from ltsim.notation import with_sigma
 
@@ -95,6 +95,32 @@ def _at(where: Where) -> str:
     """The place after a blank; empty for the whole recording."""
     confined = where.stations or where.targets or where.observables or where.instruments
     return f" {place(where)}" if confined else ""
+
+
+SURE, MOST_CONSTANTS = 5.0, 5
+"""Standard deviations from which a constant is named in the answer, and how many are."""
+
+
+def clear_constants(instruments: Sequence[InstrumentEntry]) -> list[str]:
+    """The constants that the readings determine best, in plain names, the clearest first.
+
+    What is known in combination alone goes by the first of its members: the vertical index, say, as large as it is at
+    the elevations that were used.
+    """
+    found: list[tuple[float, str]] = []
+    for entry in instruments:
+        joined = {name for one in entry.determined for name in one.combination}
+        told = [(p.name, "", p.value, p.sigma, p.unit) for p in entry.parameters if p.name not in joined]
+        for one in entry.determined:
+            name, weight = next(iter(one.combination.items()))
+            sigma = (one.sigma or 0.0) / abs(weight)
+            told.append((name, ", at the angles used,", one.value / weight, sigma, one.unit))
+        of = entry.name or "the instrument"
+        for name, used, value, sigma, unit in told:
+            plain = f"{name.replace('-', ' ')}{used} of {of}: {with_sigma(value, sigma)} {unit}"
+            found.append((abs(value) / max(sigma, 1e-300), plain))
+    found.sort(key=lambda one: -one[0])
+    return [words for times, words in found if times > SURE][:MOST_CONSTANTS]
 
 
 WITHOUT_CLOCK = {"s": ("rows", 1.0), "min": ("rows", 60.0), "h": ("rows", 3600.0)}

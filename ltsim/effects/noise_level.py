@@ -40,9 +40,8 @@ class NoiseLevel(NoiseEffect):
 
     def size_grid(self) -> list[tuple[float, ...]]:
         """Sizes that a diagnosis tries: larger noise, and smaller where `least` allows it."""
-        subsets = [*np.eye(3), np.array([0.0, 1.0, 1.0]), np.ones(3)]
         sizes = (*(size for size in QUIETER if size > self.least), 0.25, 0.6, 1.5, 4.0, 12.0)
-        return [tuple(float(size * v) for v in subset) for subset in subsets for size in sizes]
+        return [tuple(float(size * v) for v in some) for some in (*np.eye(3), np.ones(3)) for size in sizes]
 
     def variance(self, sightings: Sightings, sigma: Floats, values: Floats) -> Floats:
         """Variance (n, 3) of the readings."""

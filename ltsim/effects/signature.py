@@ -241,3 +241,15 @@ def by_displacement(sightings: Sightings, displacement: Floats) -> Floats:
     change = np.zeros(displacement.shape)
     change[acts] = sightings.by_target[acts] @ displacement[acts]
     return change
+
+
+def constants_of(effect: Tunable) -> int:
+    """How many numbers say what an effect does: its parameters, and those of its shape and place."""
+    return len(effect.parameters) + sum(np.size(v) for v in vars(effect).values() if _is_number(v))
+
+
+def _is_number(value: object) -> bool:
+    """Whether a value is a number, or several."""
+    return isinstance(value, float) or (
+        isinstance(value, tuple) and all(isinstance(v, float) for v in value) and value != ()
+    )

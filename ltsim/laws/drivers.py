@@ -69,7 +69,7 @@ class Driver:
     kind : str
         constant, smooth, wave (cosine and sine of `constant` times a covariate), cycle (a wave of any shape), simple,
         product, pieces (the sum of steps and ramps of one covariate), lagging (what follows a covariate by and by),
-        amounts (another one for each station, for each target, or for each that was measured before), field (the same
+        amounts (another one for each station, instrument, target, or one that was measured before), field (the same
         for all that is carried, growing across the room, and bent).
     covariates : tuple of str
     function : str
@@ -136,6 +136,8 @@ class Driver:
         """Which station or target (n,) each amount goes by, and those (k,) that have one."""
         if self.covariates == ("station",):
             return sightings.station, np.unique(sightings.station)
+        if self.covariates == ("instrument",):
+            return sightings.instrument, np.unique(sightings.instrument)
         every = np.arange(len(sightings.target_names))
         if self.covariates == ("last-target",):
             return np.where(sightings.previous >= 0, sightings.target[sightings.previous], -1), every
@@ -146,9 +148,14 @@ class Driver:
         found = np.ones((len(sightings), 1))
         for factor in self.factors:
             part = factor.columns(sightings, moving=moving)
-            part = np.hstack([np.ones((len(part), 1)), part]) if factor.kind == "smooth" else part
+            part = np.hstack([np.ones((len(part), 1)), part]) if factor.kind == "smooth" and not self.owned else part
             found = (found[:, :, None] * part[:, None, :]).reshape(len(sightings), -1)
         return found
+
+    @property
+    def owned(self) -> bool:
+        """Whether each instrument has a curve of its own, beyond its constants, which are estimated anyhow."""
+        return any(factor.covariates == ("instrument",) for factor in self.factors)
 
     @cached_property
     def spreads(self) -> tuple[Floats, ...]:
@@ -170,7 +177,7 @@ class Driver:
         spread = np.ones(1)
         for factor in self.factors:
             part = factor.spreads[0]
-            part = np.append(1.0, part) if factor.kind == "smooth" else part
+            part = np.append(1.0, part) if factor.kind == "smooth" and not self.owned else part
             spread = np.outer(spread, part / np.linalg.norm(part)).ravel()
         return (spread,)
 
@@ -215,7 +222,7 @@ def simple(name: str, function: str, constant: float = 1.0) -> Driver:
 
 
 def amounts(of: str, count: int, targets: tuple[str, ...] = ()) -> Driver:
-    """Another amount for each `station`, `target`, or `last-target`; of some targets only."""
+    """Another amount for each `station`, `instrument`, `target`, or `last-target`; of some targets only."""
     return Driver("amounts", (of,), constant=count, around=targets)
 
 

@@ -151,8 +151,12 @@ def lags(sightings: Sightings, names: Iterable[str]) -> list[Driver]:
 
 
 def products(sightings: Sightings) -> Iterator[Driver]:
-    """Products of two drivers: a sign or a move with a curve, and two curves in different quantities."""
+    """Products of two drivers: a sign or a move with a curve, two curves, another curve for each instrument."""
     names = _varying(sightings, (*OWN[:7], *further(sightings), *_CIRCLES, *_BALL))
+    trackers = len(np.unique(sightings.instrument))
+    if 1 < trackers <= MOST_VISITS:
+        own = amounts("instrument", trackers)
+        yield from (Driver("product", factors=(smooth(name, LOW), own)) for name in names)
     for sign in _varying(sightings, _SIGNS[:3]):
         yield from (Driver("product", factors=(simple(sign, "power"), smooth(name, LOW))) for name in names)
     weights = [simple("distance", "power"), simple("elevation", "power")]

@@ -11,7 +11,7 @@ import numpy as np
 from ltsim.errors import ModelError
 from ltsim.laws.carriers import CARRIERS
 from ltsim.laws.columns import LOW, MODES
-from ltsim.laws.drivers import CLOCKS, PLACE, Driver, pieces
+from ltsim.laws.drivers import CLOCKS, PLACE, Driver, amounts, pieces
 from ltsim.laws.law import Law
 from ltsim.laws.offered import FOLLOWED, OPERATORS
 from ltsim.recording.recording import Recording
@@ -20,7 +20,7 @@ ANGLES = ("azimuth", "bearing", "circle", "elevation", "nest-direction")
 SECONDS = (*CLOCKS, "lapse")
 METRES = ("distance", "height", "move-distance", "last-distance", "x", "y", "z")
 """Covariates that are told in degrees, in minutes or seconds, in metres."""
-PARITIES = {
+SAID = {
     "parity": "the parity of the order (every other pointing)",
     "seating-parity": "the parity of the seatings (every other target)",
     "station": "the station",
@@ -66,6 +66,8 @@ LEAST = {"min": 2.0, "m": 1.0}
 """Values from which a unit is used that has a smaller one beside it: 90 s, but 2 min; 400 mm, but 1 m."""
 IN_ITS_OWN_WAY = ", in its own way at each set-up"
 """Said after the driver of a law that has coefficients of its own for each set-up."""
+AT_EACH = ", another at each instrument"
+"""Said after the other factor of a product that each instrument has of its own."""
 BETWEEN = {"product": " times ", "pieces": ", "}
 
 
@@ -89,6 +91,8 @@ def _units(name: str, clock: bool) -> dict[str, float]:
 
 def describe(driver: Driver, *, clock: bool = True) -> str:
     """A driver in words."""
+    if driver.owned:
+        return describe(driver.factors[0], clock=clock) + AT_EACH
     if driver.kind in BETWEEN:
         return BETWEEN[driver.kind].join(describe(f, clock=clock) for f in driver.factors)
     name, k, how = "".join(driver.covariates[-1:]), driver.constant, driver.function
@@ -97,7 +101,7 @@ def describe(driver: Driver, *, clock: bool = True) -> str:
     phrase = PHRASES.get((driver.kind, how, k)) or PHRASES[driver.kind, how, None]
     unit = UNIT_OF.get(driver.kind, name)
     value = value_of(unit, 2 * np.pi / k if how == "period" else k, clock=clock)
-    return phrase.format(x=PARITIES.get(name, name), k=f"{k:.4g}", value=value)
+    return phrase.format(x=SAID.get(name, name), k=f"{k:.4g}", value=value)
 
 
 EXAMPLES = (
@@ -142,13 +146,16 @@ def read_law(
 def read_driver(words: str, recording: Recording, modes: int = MODES) -> Driver:
     """The driver that some words describe, `describe` backwards; a smooth one has so many modes; raises ModelError."""
     factors, steps = words.split(BETWEEN["product"]), _STEPS.split(words)
+    if words.endswith(AT_EACH):
+        own = amounts("instrument", len(recording.instruments))
+        return Driver("product", factors=(read_driver(words.removesuffix(AT_EACH), recording, LOW), own))
     if len(factors) > 1:
         return Driver("product", factors=tuple(read_driver(factor.strip(), recording, LOW) for factor in factors))
     if len(steps) > 1:
         return pieces([read_driver(step, recording) for step in steps])
     further = recording.circumstances
     known = (*FOLLOWED, *further, *(f"{how}-{name}" for how in OPERATORS for name in further))
-    names = {"": ""} | {PARITIES.get(name, name): name for name in (*known, *OWNERS)}
+    names = {"": ""} | {SAID.get(name, name): name for name in (*known, *OWNERS)}
     for (kind, how, constant), phrase in PHRASES.items():
         pattern = re.sub(r"\\{(\w+)\\}", lambda group: _GROUPS[group[1]], re.escape(phrase))
         if not (found := re.fullmatch(pattern, words)):

@@ -9,13 +9,13 @@ from ltsim.adjustment import adjust
 from ltsim.adjustment.prior import prior_sigmas
 from ltsim.calibration.evidence import evidence
 from ltsim.diagnosis.evidence import LOG_WEIGHTS, SIZES, log_average
-from ltsim.diagnosis.instruments import Expected, compared, contradictions
+from ltsim.diagnosis.instruments import Change, Expected, compared, contradictions
 from ltsim.diagnosis.prior import log_share
 from ltsim.model.construction import misalignment
 from ltsim.model.measurement import MeasurementModel, State
 from ltsim.randomness import stream
 from ltsim.recording.recording import Recording
-from ltsim.recording.setup import Instrument, Station
+from ltsim.recording.setup import Instrument, Station, Target
 from tests.networks import network
 
 
@@ -40,10 +40,13 @@ def trackers(count: int, name: str, off: float, faces: int) -> Recording:
 def test_the_evidence_of_a_constant_is_that_of_the_readings_without_the_prior_of_the_adjustment():
     """Against densities of what the readings tell, N x + noise of covariance N, with and without a change."""
     adjustment = adjust(trackers(2, "beam-offset-lateral", 60e-6, 1), misalignment())
-    unit = prior_sigmas(adjustment.recording, adjustment.construction)[1]
-    said = evidence(adjustment.state.instrument[1], adjustment.instrument_covariance_of(1), unit, unit)
-    found = compared(adjustment, 1, Expected.of(np.zeros(16), 0.04 * np.eye(16), "nothing"), 2.0)
-    k = adjustment.construction.names.index(found[0].parameter.name)
+    unit = prior_sigmas(adjustment.recording, adjustment.construction).ravel()
+    said = evidence(adjustment.state.instrument.ravel(), adjustment.constants_covariance, unit, unit)
+    expected = 0.04 * np.eye(32)
+    changes = tuple(Change((1,), k, "nothing") for k in range(16))
+    found = compared(adjustment, Expected(np.zeros(32), expected, changes), 2.0)
+    assert found[0].instruments == ("B",)
+    k = 16 + adjustment.construction.names.index(found[0].parameter.name)
     seen = np.linalg.eigh(said.information)
     turn = seen[1][:, seen[0] > 1e-9 * seen[0].max()]
 
@@ -52,13 +55,12 @@ def test_the_evidence_of_a_constant_is_that_of_the_readings_without_the_prior_of
         y = turn.T @ said.told
         return -0.5 * (y @ np.linalg.solve(inner, y) + np.linalg.slogdet(inner)[1])
 
-    expected = 0.04 * np.eye(16)
-    change = np.zeros((16, 16))
+    change = np.zeros((32, 32))
     logs = []
     for t, weight in zip(SIZES, LOG_WEIGHTS, strict=True):
         change[k, k] = t**2
         logs.append(weight + density(expected + change))
-    log = float(log_average(np.array(logs))) - density(expected) + log_share("constant", 32)
+    log = float(log_average(np.array(logs))) - density(expected) + log_share("constant", 16)
     assert found[0].evidence == pytest.approx(log, rel=1e-3)
 
 
@@ -67,13 +69,39 @@ def test_an_index_that_one_face_shows_only_with_the_circle_is_told_as_that():
     found = contradictions(adjust(trackers(3, "vertical-index", 10e-6, 1), misalignment()), 2.0)
     assert found
     first = found[0]
-    assert first.instrument == "B"
-    assert "vertical-index" in {p.name for p in (first.parameter, *first.alike)}
+    assert first.instruments == ("B",)
+    assert "vertical-index" in {p.name for p in first.rivals}
+    assert sum(first.rivals.values()) == pytest.approx(1.0, abs=0.05)
     assert abs(first.difference) / first.parameter.factor == pytest.approx(10.0, abs=5.0)
+
+
+def test_a_scale_against_known_points_is_told_of_both_trackers():
+    """Both are said to be corrected, both are off alike: neither could be without the other."""
+    recording, truth = network(faces=2, repeats=2)
+    setup = recording.setup.model_copy(
+        update={
+            "stations": {s: Station(instrument="AB"[i % 2]) for i, s in enumerate(recording.stations)},
+            "instruments": {n: Instrument(corrected=True) for n in "AB"},
+            "targets": {
+                name: Target(known_mm=(1e3 * xyz).tolist(), known_sigma_mm=0.005)
+                for name, xyz in list(zip(recording.targets, truth.state.points, strict=True))[:6]
+            },
+        }
+    )
+    recording, built = recording.replace(setup=setup), misalignment()
+    values = np.zeros((2, built.size))
+    values[:, built.names.index("range-scale")] = 20e-6
+    state = State(truth.state.position, truth.state.rotation, truth.state.points, values)
+    exact = MeasurementModel(recording, built).predict(state)
+    recording = recording.with_readings(exact + recording.sigma() * stream(8, "noise").standard_normal(exact.shape))
+    found = contradictions(adjust(recording, built), 2.0)
+    (both,) = found
+    assert (both.instruments, both.parameter.name) == (("A", "B"), "range-scale")
+    assert abs(both.difference - 20e-6) < 4 * both.sigma
 
 
 def test_trackers_alike_contradict_nothing_and_chances_are_bounded():
     assert contradictions(adjust(trackers(3, "vertical-index", 0.0, 1), misalignment()), 2.0) == []
     found = contradictions(adjust(trackers(3, "vertical-index", 40e-6, 2), misalignment()), 2.0)
-    assert [(c.instrument, c.parameter.name) for c in found] == [("B", "vertical-index")]
+    assert [(c.instruments, c.parameter.name) for c in found] == [(("B",), "vertical-index")]
     assert 0.0 <= found[0].p_value < 1e-6

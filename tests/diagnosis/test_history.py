@@ -71,9 +71,13 @@ def told(faces: int, count: int, seed: int, blow: float = 0.0, constant: int = I
 def against(known: Known, adjustment: Adjustment, values: Floats) -> list[Contradiction]:
     """Contradictions of an adjustment that had found other values (p,)."""
     state = SimpleNamespace(instrument=values[None])
-    covariance, recording = adjustment.instrument_covariance_of, adjustment.recording
+    covariance, recording = adjustment.constants_covariance, adjustment.recording
     other: Any = SimpleNamespace(
-        construction=BUILT, state=state, instrument_covariance_of=covariance, recording=recording
+        construction=BUILT,
+        state=state,
+        constants_covariance=covariance,
+        recording=recording,
+        problem=adjustment.problem,
     )
     return History.of(known, recording, BUILT).contradictions(other, LEAST_GAIN)
 

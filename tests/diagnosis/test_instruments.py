@@ -50,7 +50,7 @@ def test_trackers_alike_contradict_nothing():
 
 def test_a_corrected_tracker_is_held_to_its_word():
     found = contradictions(adjust(trackers(60e-6, corrected=True), misalignment()), 2.0)
-    assert [(c.instrument, c.parameter.name) for c in found] == [("B", "beam-offset-lateral")]
+    assert [(c.instruments, c.parameter.name) for c in found] == [(("B",), "beam-offset-lateral")]
     assert "correction" in found[0].against
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.diagnosis.noise import EACH_TARGET, NoiseBank, noise_hypotheses, repeat_means
+from ltsim.diagnosis.noise import NoiseBank, noise_hypotheses, repeat_means
 from ltsim.diagnosis.prior import PRIOR
 from ltsim.laws.scatter import BOTH_FACES, NoisePattern
 from ltsim.model.construction import misalignment
@@ -36,7 +36,7 @@ def scattered(space, pair, *, shared):
 
 def evidence_of(bank, residual, redundancy):
     """Log evidence of each family."""
-    names = (*bank.families, EACH_TARGET)
+    names = (*bank.families, *(f"each {one.pattern.each} {one.pattern.apart}" for one in bank.each))
     return dict(zip(names, bank.family_evidence(residual[:, None], redundancy)[:, 0], strict=True))
 
 
@@ -70,6 +70,24 @@ def test_what_looks_like_noise_may_still_be_a_law(repeated):
     space, pair, bank = repeated
     evidence = evidence_of(bank, scattered(space, pair, shared=False), space.redundancy)
     assert -6.0 < evidence["unknown:noise:scatter"] - evidence["noise-level"] < 0.0
+
+
+def test_the_evidence_of_a_noise_level_lets_each_observable_be_by_itself(repeated):
+    """All subsets of observables but none, or all alike; each with its sizes averaged."""
+    space, _, bank = repeated
+    residual = space.residual.copy()
+    kind = np.nonzero(space.use)[1]
+    for k, times in enumerate((1.3, 1.5, 0.8)):
+        residual[: len(kind)][kind == k] *= times
+    ratio = bank.log_likelihood_ratio(residual[:, None], space.redundancy)[:, 0]
+    level = bank.family == bank.families.index("noise-level")
+    which = np.array([np.flatnonzero(h.values)[0] + 3 * (np.count_nonzero(h.values) > 1) for h in bank.hypotheses])
+    one = [np.log(np.exp(ratio[level & (which == k)]).mean()) for k in range(4)]
+    subsets = [sum(one[k] for k in range(3) if bits >> k & 1) for bits in range(1, 8)]
+    expected = np.log(0.5 * np.exp(subsets).mean() + 0.5 * np.exp(one[3]))
+    known = sum(not family.startswith("unknown") for family in bank.families)
+    found = evidence_of(bank, residual, space.redundancy)["noise-level"]
+    assert found == pytest.approx(expected + np.log(PRIOR["noise"] / known), rel=1e-6)
 
 
 def test_quiet_residuals_are_no_law(repeated):

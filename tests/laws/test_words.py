@@ -12,7 +12,7 @@ from ltsim.errors import ModelError
 from ltsim.laws.columns import SIMPLE
 from ltsim.laws.drivers import CONSTANT, Driver, across_the_room, amounts, pieces, simple, smooth
 from ltsim.laws.offered import FOLLOWED, drivers_of
-from ltsim.laws.words import EXAMPLES, OWNERS, PARITIES, describe, read_driver, read_law
+from ltsim.laws.words import EXAMPLES, OWNERS, SAID, describe, read_driver, read_law
 from ltsim.recording import Recording
 from tests.networks import network
 
@@ -40,12 +40,13 @@ def every() -> list[Driver]:
     ]
     found += [Driver("wave", (name,), constant=2 * np.pi / 0.4) for name in ("x", "hall_temperature_c")]
     found += [smooth(name) for name in ("circle", "hall_temperature_c")] + [
-        simple(name, "power") for name in PARITIES if name not in OWNERS
+        simple(name, "power") for name in SAID if name not in OWNERS
     ]
     found += [simple("distance", "power", -1.0), pieces([simple("time", "step", 600.0), simple("time", "ramp", 900.0)])]
     found += [Driver("lagging", ("hall_temperature_c",), constant=1200.0), amounts("last-target", 28)]
     found += [simple("press_load_kn", "power").for_each(("T01", "T02", "T04"))]
     found += across_the_room([simple("press_load_kn", "power"), pieces(edges[:1] * 2)], 2)
+    found.append(Driver("product", factors=(smooth("distance", 4), amounts("instrument", 1))))
     return [*found, Driver("product", factors=(simple("face", "power"), smooth("distance", 4)))]
 
 
