@@ -27,13 +27,13 @@ from ltsim.diagnosis.history import History
 from ltsim.diagnosis.hypotheses import Found
 from ltsim.diagnosis.instruments import Contradiction, contradictions, instrument_entries
 from ltsim.diagnosis.noise import NoiseHypothesis, most_likely
-from ltsim.diagnosis.prior import OUTSIDE, SAME_OBSERVABLE
+from ltsim.diagnosis.prior import PLAIN
 from ltsim.diagnosis.probe import TRIALS
 from ltsim.diagnosis.schema import Finding, Fit
 from ltsim.diagnosis.search import MOST_MEMBERS
 from ltsim.diagnosis.stray import stray_readings
 from ltsim.diagnosis.words import LIKELY, summarise
-from ltsim.effects.signature import Tunable, constants_of
+from ltsim.effects.signature import Tunable
 from ltsim.errors import RecordError
 from ltsim.laws.carriers import VARIED, constants_in
 from ltsim.laws.law import Law
@@ -210,8 +210,7 @@ def _with_probability(ranked: Sequence[tuple[float, NoiseHypothesis]], rest: flo
         named[one.effect.name] = named.get(one.effect.name, 0.0) + weight
     value, best = ranked[0]
     probability, rivals = among(named, best.effect.name)
-    listed = 1.0 - OUTSIDE * SAME_OBSERVABLE  # what nobody listed may shift readings, and looks like noise
-    return replace(best, evidence=value, probability=listed * probability, equivalents=rivals)
+    return replace(best, evidence=value, probability=PLAIN * probability, equivalents=rivals)
 
 
 def _refitted(case: Case, found: Found) -> tuple[Found, Refit]:
@@ -235,16 +234,10 @@ def _refitted(case: Case, found: Found) -> tuple[Found, Refit]:
 
 
 def _likely(explained: Explained, besides: bool) -> Explained:
-    """Without findings whose name is unlikely, the least likely first, as long as something is told `besides`.
-
-    Nor is one told that has more constants than readings that carry it.
-    """
+    """Without findings whose name has little chance, the least likely first, as long as something is told `besides`."""
     case, found, told = explained.case, explained.found, explained
     while len(found.members) + besides > 1:
-        chances = [
-            told.probability(i, told.ranking(i)) if told.carried(i) >= constants_of(h.effect) else 0.0
-            for i, h in enumerate(found.members)
-        ]
+        chances = [told.chance(i) for i in range(len(found.members))]
         least = int(np.argmin(chances)) if chances else 0
         if not chances or chances[least] >= LIKELY:
             break
@@ -265,8 +258,7 @@ def _told(
     """The verdict, put together from what the search explains, and findings that are `certain` without it."""
     case, found, detection = explained.case, explained.found, explained.detection
     baseline, adjusted = case.baseline, explained.refit.adjustment
-    rankings = [explained.ranking(i) for i in range(len(found.members))]
-    likely = [explained.finding(i, ranking) for i, ranking in enumerate(rankings)]
+    likely = [explained.finding(i) for i in range(len(found.members))]
     likely += [noise_finding(one, baseline.sightings, detection) for one in case.noise]
     findings = [*certain, *(one for one in likely if one.evidence.probability >= LIKELY)] or likely
     findings.sort(key=lambda finding: -finding.evidence.chi2_drop)
@@ -289,7 +281,7 @@ def _told(
         undetectable=undetectable,
         detectable=detectable,
         instruments=instrument_entries(settled),
-        targets=averaged_targets(case.searcher, found, rankings, explained.refit),
+        targets=averaged_targets(case.searcher, found, explained.rankings, explained.refit),
         baseline=baseline,
         adjusted=adjusted,
     )

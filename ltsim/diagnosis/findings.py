@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -22,13 +23,13 @@ from ltsim.diagnosis.hypotheses import Found, Hypothesis, Ranking
 from ltsim.diagnosis.instruments import TINY, Contradiction
 from ltsim.diagnosis.noise import NoiseHypothesis
 from ltsim.diagnosis.outside import log_likeness
-from ltsim.diagnosis.prior import OUTSIDE, SAME_OBSERVABLE
+from ltsim.diagnosis.prior import PLAIN, SAME_OBSERVABLE
 from ltsim.diagnosis.schema import Equivalent, Estimate, Evidence, Finding, Where
 from ltsim.diagnosis.separate import separating_measurement
 from ltsim.diagnosis.words import card_sentence, law_sentence, outside_sentence, percent, without_clock
 from ltsim.effects import BASELINE
 from ltsim.effects.effect import Effect, NoiseEffect, SlotEffect
-from ltsim.effects.signature import Parameter, Tunable
+from ltsim.effects.signature import Parameter, Tunable, constants_of
 from ltsim.laws.drivers import words_of
 from ltsim.laws.law import Law
 from ltsim.laws.places import trackers_of
@@ -62,7 +63,7 @@ class Explained:
     found: Found
     refit: Refit
 
-    def ranking(self, member: int) -> Ranking:
+    def _ranking(self, member: int) -> Ranking:
         """All that could stand in a member's place: changes of the noise among it, and a cause that nobody listed."""
         searcher, found = self.case.searcher, self.found
         others = searcher.without(found, member)
@@ -74,28 +75,41 @@ class Explained:
         likeness = log_likeness(searcher.space, shift, found.residual, redundancy)
         return searcher.rank(others).beside(noises).doubted(likeness)
 
-    def probability(self, member: int, ranking: Ranking) -> float:
+    def probability(self, member: int) -> float:
         """Probability of a member's name; of what has none, that it acts on the same observables."""
-        hypothesis = self.found.members[member]
+        hypothesis, ranking = self.found.members[member], self.rankings[member]
         if hypothesis.known:
             return ranking.probabilities().get(hypothesis.name, 0.0)
         acts = set(hypothesis.effect.observables)
         same = ranking.share(lambda h: not h.known and set(h.effect.observables) == acts)
         return same + SAME_OBSERVABLE * ranking.unlisted
 
-    def carried(self, member: int) -> float:
-        """Number of readings that carry a member: of so many alike its gain would be the sum (participation ratio)."""
+    @cached_property
+    def rankings(self) -> list[Ranking]:
+        """All that could stand in the place of each member."""
+        return [self._ranking(i) for i in range(len(self.found.members))]
+
+    def chance(self, member: int) -> float:
+        """Probability of a member's name if it has a size, and no more constants than readings that carry it.
+
+        So many readings alike would carry its gain (participation ratio).
+        """
+        effect = self.refit.effects[member]
+        sized = [
+            abs(one.value) > SURE * one.sigma for one in self.refit.told[member] if one.parameter in effect.parameters
+        ]
         others = self.case.searcher.without(self.found, member)
         gain = others.residual**2 - self.found.residual**2
-        return float(gain.sum() ** 2 / max(float(np.sum(gain**2)), 1e-300))
+        carried = float(gain.sum() ** 2 / max(float(np.sum(gain**2)), TINY))
+        return self.probability(member) if any(sized) and carried >= constants_of(effect) else 0.0
 
-    def finding(self, member: int, ranking: Ranking) -> Finding:
+    def finding(self, member: int) -> Finding:
         """The finding of a member, a mean shift, beside the others."""
-        searcher, found = self.case.searcher, self.found
+        searcher, found, ranking = self.case.searcher, self.found, self.rankings[member]
         space, others = searcher.space, searcher.without(found, member)
         hypothesis = replace(found.members[member], effect=self.refit.effects[member])
         effect, name = hypothesis.effect, hypothesis.name
-        probability, rivals = self.probability(member, ranking), among(ranking.probabilities(), name)[1]
+        probability, rivals = self.probability(member), among(ranking.probabilities(), name)[1]
         shown = self._shown(found.members[member].effect, ranking)
         gain = others.residual**2 - found.residual**2
         where = self._where(effect, carried_by(space.use, gain[: int(space.use.sum())]))
@@ -120,7 +134,10 @@ class Explained:
             sentence = card_sentence(name, where, told, probability, shown=shown) + doubt
         moved = distortion(space, effect, posterior(*searcher.exact.moments([effect], others)[0], hypothesis.spread)[0])
         more["moves_targets_um"] = moved
-        sentence += f" Not modelled, it moves the targets by {number(moved, 2)} um rms."
+        touched = max(int(np.count_nonzero(space.signature(effect).any(axis=1))), 1)
+        left = number(np.sqrt(max(float(gain.sum()), 0.0) / touched), 2)
+        sentence += f" Not modelled, it leaves {left} sigma rms in the readings that it acts on"
+        sentence += f" and moves the targets by {number(moved, 2)} um rms."
         return Finding(
             effect=name,
             known=hypothesis.known,
@@ -231,7 +248,7 @@ def _scattering(hypothesis: NoiseHypothesis, sightings: Sightings) -> tuple[str,
 
 def gross_finding(gross: GrossFinding, adjustment: Adjustment) -> Finding:
     """The finding of a gross error, certain by its size; of less than that nobody knows that it has no other cause."""
-    probability = 1.0 if gross.size > CLOSE else 1.0 - OUTSIDE * SAME_OBSERVABLE
+    probability = 1.0 if gross.size > CLOSE else PLAIN
     floor = float(adjustment.recording.sigma()[:, 0].min())
     return Finding(
         effect=gross.effect,
@@ -278,9 +295,7 @@ def known_finding(test: KnownTest, adjustment: Adjustment) -> Finding:
             else (),
         ),
         parameters=tuple(rows),
-        evidence=Evidence(
-            chi2_drop=test.drop, parameters=test.rank, p_value=None, probability=1.0 - OUTSIDE * SAME_OBSERVABLE
-        ),
+        evidence=Evidence(chi2_drop=test.drop, parameters=test.rank, p_value=None, probability=PLAIN),
         sentence=sentence,
         formula=f"the {DATUM[test.kind]} of {test.name} is wrong",
         carrier=DATUM[test.kind],

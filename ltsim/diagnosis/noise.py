@@ -225,7 +225,7 @@ class NoiseBank:
         return log_share("scatter", sum(f.startswith("unknown") for f in self.families) + len(self.each))
 
     def _by_family(self, ratio: Floats) -> Floats:
-        """Log evidence (families, trials) with priors: sizes averaged, amounts of an effect there or not, or all alike."""
+        """Log evidence (families, trials) with priors: sizes averaged, amounts of an effect there or not, or alike."""
         each = np.logaddexp(0.0, log_means(ratio, self.amount, len(self.effect)))
         count = np.bincount(self.effect)
         any_of = np.zeros((len(count), ratio.shape[1]))

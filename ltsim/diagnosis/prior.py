@@ -27,6 +27,8 @@ OUTSIDE = 0.2
 """Share of causes that are in no list, and look like something that is: one in five."""
 SAME_OBSERVABLE = 0.5
 """Chance that such a cause acts on the observable of what it looks like."""
+PLAIN = 1.0 - OUTSIDE * SAME_OBSERVABLE
+"""Most that is stated of what is told without a likelihood of such a cause: it may shift readings, and look like it."""
 PLACES = {"everywhere": 0.5, "set-up": 0.2, "instrument": 0.1, "target": 0.1, "group": 0.1}
 """Where a law without a card acts."""
 KINDS = {

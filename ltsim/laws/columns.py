@@ -133,6 +133,13 @@ def lagging(sightings: Sightings, name: str, memory: float) -> Floats:
     return np.hstack([sized(slow[:, None]), sized((x - slow)[:, None])])
 
 
+def group_means(columns: Floats, groups: Ints) -> Floats:
+    """Means (n, k) of columns (n, k) over the pointings of the same group (n,)."""
+    at = one_each(groups, np.unique(groups)) > 0
+    means: Floats = at @ ((at.T @ columns) / at.sum(axis=0)[:, None])
+    return means
+
+
 def one_each(what: Ints, ids: Ints | Sequence[int]) -> Floats:
     """One where something (n,) has one of the ids (k,), (n, k)."""
     return (what[:, None] == np.asarray(ids)).astype(np.float64)

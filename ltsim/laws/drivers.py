@@ -18,6 +18,7 @@ from ltsim.laws.columns import (
     curve_spreads,
     field,
     function,
+    group_means,
     has_zero,
     lagging,
     one_each,
@@ -148,13 +149,16 @@ class Driver:
         found = np.ones((len(sightings), 1))
         for factor in self.factors:
             part = factor.columns(sightings, moving=moving)
-            part = np.hstack([np.ones((len(part), 1)), part]) if factor.kind == "smooth" and not self.owned else part
+            if factor.kind == "smooth" and self.owned:
+                part = part - group_means(part, sightings.instrument)
+            elif factor.kind == "smooth":
+                part = np.hstack([np.ones((len(part), 1)), part])
             found = (found[:, :, None] * part[:, None, :]).reshape(len(sightings), -1)
         return found
 
     @property
     def owned(self) -> bool:
-        """Whether each instrument has a curve of its own, beyond its constants, which are estimated anyhow."""
+        """Whether each instrument has a curve of its own, about its mean: constants are estimated anyhow."""
         return any(factor.covariates == ("instrument",) for factor in self.factors)
 
     @cached_property
