@@ -9,7 +9,9 @@ from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.diagnosis import diagnose
 from ltsim.diagnosis.case import Case
+from ltsim.diagnosis.detect import detect
 from ltsim.diagnosis.findings import Explained
+from ltsim.diagnosis.hypotheses import Hypothesis
 from ltsim.diagnosis.noise import NoiseHypothesis
 from ltsim.diagnosis.outside import log_likeness
 from ltsim.diagnosis.stray import stray_readings
@@ -17,6 +19,7 @@ from ltsim.effects import find_effect
 from ltsim.model.construction import misalignment
 from ltsim.randomness import stream
 from tests.diagnosis.test_diagnose import concealing, workshop
+from tests.networks import network
 
 
 def changed(recording, row, column, sigmas):
@@ -130,3 +133,32 @@ def test_nothing_unlikely_is_told_beside_anything_else(monkeypatch):
     assert [f.effect for f in told] == ["range-cyclic"]
     monkeypatch.setattr(Explained, "finding", lambda *_: unlikely)
     assert diagnose(recording).findings
+
+
+def test_noise_that_differs_from_set_up_to_set_up_is_one_finding():
+    """Three of five set-ups are restless, each in another observable: no single one explains the others."""
+    recording, _ = network(repeats=2, seed=9)
+    sigma = recording.sigma().copy()
+    louder = np.ones_like(sigma)
+    for station, column in ((1, 0), (2, 1), (4, 2)):
+        louder[recording.station == station, column] = 5.0
+    more = np.sqrt(louder**2 - 1.0) * sigma * stream(5, "set-ups").standard_normal(sigma.shape)
+    found = diagnose(recording.with_readings(recording.readings + more)).findings
+    (first,) = found
+    assert (first.carrier, first.driver) == ("noise", "station")
+    assert "from set-up to set-up, in each observable by itself" in first.sentence
+    names = {recording.stations[i] for i in (1, 2, 4)}
+    assert {e.name.partition(" at ")[2] for e in first.parameters[:3]} == names
+
+
+def test_nothing_without_a_size_is_told_beside_something_else():
+    """A plume that fits the way of one station by chance has no temperature: the wrong reading alone is told."""
+    recording = changed(workshop(2)[0], 40, 0, 15.0)
+    case = Case(adjust(recording, misalignment()), np.ones((len(recording), 3), dtype=bool), 0)
+    plume = find_effect("heat-plume")(("S2",), (), (0.0, 0.0, 0.4), 0.2)
+    members = [Hypothesis(plume, -9.0, 5.0, "heat-plume")]
+    found = case.searcher.with_members(members)
+    explained = Explained(case, detect(case.searcher, case.bank), found, case.refit(found.effects, case.sigma))
+    (told,) = (one for one in explained.refit.told[0] if one.parameter.name == "plume-temperature")
+    assert abs(told.value) < 2.0 * told.sigma
+    assert explained.chance(0) == 0.0

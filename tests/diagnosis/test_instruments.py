@@ -8,8 +8,10 @@ import pytest
 from ltsim.adjustment import adjust
 from ltsim.diagnosis import diagnose
 from ltsim.diagnosis.instruments import contradictions, instrument_entries
+from ltsim.diagnosis.words import clear_constants
 from ltsim.model.construction import misalignment
 from ltsim.model.measurement import MeasurementModel, State
+from ltsim.notation import with_sigma
 from ltsim.randomness import stream
 from ltsim.recording.recording import Recording
 from ltsim.recording.setup import Instrument, Station
@@ -81,3 +83,31 @@ def test_one_tracker_of_two_that_scatters_with_the_range_is_one_finding():
     assert (first.carrier, first.where.observables) == ("noise", ("distance",))
     assert first.where.instruments == ("B",)
     assert "of instrument B" in first.sentence
+
+
+def test_a_curve_that_each_tracker_has_of_its_own_is_one_finding():
+    """Two trackers aim off by another function of the distance each, beyond their constants."""
+    recording = trackers(0.0)
+    way = recording.readings[:, 0] / recording.readings[:, 0].max()
+    curve = np.where(recording.instrument == 0, np.sin(5.0 * way), -np.cos(7.0 * way))
+    readings = recording.readings.copy()
+    readings[:, 1] += 3.0 * recording.sigma()[:, 1] * curve
+    first = diagnose(recording.with_readings(readings)).findings[0]
+    assert first.carrier == "azimuth"
+    assert first.formula == "azimuth correction follows a smooth function of distance, another at each instrument"
+    assert set(first.where.covariates) == {"distance", "instrument"}
+
+
+def test_constants_that_are_clear_are_named_as_a_person_would():
+    """What one face shows of the index is as large as the index and the circle are together."""
+    built = misalignment()
+    values = drawn(built, 2)
+    values[built.names.index("vertical-index")] = 60e-6
+    entries = instrument_entries(adjust(network(values=values, seed=3)[0], built))
+    named = clear_constants(entries)
+    assert 0 < len(named) <= 5
+    (index,) = (words for words in named if words.startswith("vertical index"))
+    assert index.startswith("vertical index, at the angles used, of the instrument: ")
+    one = next(c for c in entries[0].determined if next(iter(c.combination)) == "vertical-index")
+    weight = one.combination["vertical-index"]
+    assert index.endswith(f"{with_sigma(one.value / weight, one.sigma / weight)} urad")
