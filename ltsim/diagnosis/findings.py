@@ -14,6 +14,7 @@ from ltsim.adjustment.gross import CLOSE, GrossFinding
 from ltsim.adjustment.known import KnownTest
 from ltsim.adjustment.prior import prior_sigmas
 from ltsim.adjustment.refit import Refit
+from ltsim.arrays import Floats
 from ltsim.diagnosis.blind import distortion
 from ltsim.diagnosis.case import Case
 from ltsim.diagnosis.curve import curve_of
@@ -46,6 +47,8 @@ MOST_ESTIMATES = 12
 """Sizes of one change of the noise that are told: of each of many targets or set-ups, the largest."""
 NOT_EXCLUDED = 0.01
 """Probability above which another effect is stated as an equivalent."""
+FEW_READINGS, MOSTLY = 4, 0.8
+"""Readings that are named where so few carry such a share of what a finding explains."""
 SURE = 2.0
 """Standard deviations from which a size is beyond doubt."""
 BASELINE_KINDS = tuple(type(effect) for effect in BASELINE)
@@ -137,7 +140,7 @@ class Explained:
         touched = max(int(np.count_nonzero(space.signature(effect).any(axis=1))), 1)
         left = number(np.sqrt(max(float(gain.sum()), 0.0) / touched), 2)
         sentence += f" Not modelled, it leaves {left} sigma rms in the readings that it acts on"
-        sentence += f" and moves the targets by {number(moved, 2)} um rms."
+        sentence += f" and moves the targets by {number(moved, 2)} um rms.{self._readings(gain)}"
         return Finding(
             effect=name,
             known=hypothesis.known,
@@ -154,6 +157,24 @@ class Explained:
             equivalents=rivals,
             **_told(more),
         )
+
+    def _readings(self, gain: Floats) -> str:
+        """A sentence on the readings that carry a gain (m,), where they are few."""
+        use, recording = self.case.searcher.space.use, self.case.recording
+        own = gain[: int(use.sum())]
+        worst = np.argsort(-own)
+        count = int(np.searchsorted(np.cumsum(own[worst]), MOSTLY * max(float(gain.sum()), TINY))) + 1
+        if count > FEW_READINGS:
+            return ""
+        at = [
+            (int(row), int(kind)) for row, kind in zip(*(part[worst[:count]] for part in np.nonzero(use)), strict=True)
+        ]
+        station, target = recording.stations, recording.targets
+        told = (
+            f"{OBSERVABLES[k]} from {station[recording.station[i]]} to {target[recording.target[i]]} (row {i + 1})"
+            for i, k in at
+        )
+        return f" Most of it lies in the {', the '.join(told)}."
 
     def _shown(self, effect: Tunable, ranking: Ranking) -> float:
         """Probability of all explanations that act on the same, at the same place, and follow the same."""

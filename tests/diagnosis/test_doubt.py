@@ -162,3 +162,10 @@ def test_nothing_without_a_size_is_told_beside_something_else():
     (told,) = (one for one in explained.refit.told[0] if one.parameter.name == "plume-temperature")
     assert abs(told.value) < 2.0 * told.sigma
     assert explained.chance(0) == 0.0
+
+
+def test_a_finding_that_few_readings_carry_names_them():
+    recording = changed(workshop(2)[0], 40, 0, 7.5)
+    (found,) = diagnose(recording).findings
+    station, target = recording.stations[recording.station[40]], recording.targets[recording.target[40]]
+    assert f"Most of it lies in the distance from {station} to {target} (row 41)." in found.sentence
