@@ -18,7 +18,7 @@ from ltsim.diagnosis.prior import AT_TARGETS, KINDS, PLACES, PRIOR
 from ltsim.laws.carriers import Carrier, carrier_designs
 from ltsim.laws.columns import LOW, MODES
 from ltsim.laws.drivers import Driver
-from ltsim.laws.offered import COST, DEPTHS, drivers_of, group_drivers, local_drivers, moves, waves
+from ltsim.laws.offered import COST, DEPTHS, drivers_of, group_drivers, moves, waves
 from ltsim.laws.places import Place, branches, corners_of, each, together, trackers_of
 
 MOST_PLACES = 400
@@ -64,7 +64,7 @@ def _places(space: ResidualSpace) -> list[tuple[str, tuple[Place, ...], Drivers]
         ("everywhere", everywhere, {kind: some for kind, some in general.items() if kind != "clock"}),
         ("set-up", stations, {kind: there[kind] for kind in AT_A_TIME} | {"wave": swings}),
         ("instrument", trackers_of(s, space.adjustment.recording.instruments), {k: general[k] for k in AT_A_TIME}),
-        ("target", targets, {"constant": general["constant"], "clock": local_drivers(s)}),
+        ("target", targets, {"constant": general["constant"], "clock": general["clock"]}),
         ("group", groups, group_drivers(s) if groups else {}),
     ]
 
