@@ -95,16 +95,16 @@ class Explained:
     def chance(self, member: int) -> float:
         """Probability of a member's name if it has a size, and no more constants than readings that carry it.
 
-        So many readings alike would carry its gain (participation ratio).
+        So many readings alike would carry its gain (participation ratio). Coefficients of a law may each be in doubt where
+        the law is not.
         """
         effect = self.refit.effects[member]
-        sized = [
-            abs(one.value) > SURE * one.sigma for one in self.refit.told[member] if one.parameter in effect.parameters
-        ]
+        sizes = (one for one in self.refit.told[member] if one.parameter in effect.parameters)
+        sized = isinstance(effect, Law) or any(abs(one.value) > SURE * one.sigma for one in sizes)
         others = self.case.searcher.without(self.found, member)
         gain = others.residual**2 - self.found.residual**2
         carried = float(gain.sum() ** 2 / max(float(np.sum(gain**2)), TINY))
-        return self.probability(member) if any(sized) and carried >= constants_of(effect) else 0.0
+        return self.probability(member) if sized and carried >= constants_of(effect) else 0.0
 
     def finding(self, member: int) -> Finding:
         """The finding of a member, a mean shift, beside the others."""
