@@ -95,8 +95,8 @@ class Explained:
     def chance(self, member: int) -> float:
         """Probability of a member's name if it has a size, and no more constants than readings that carry it.
 
-        So many readings alike would carry its gain (participation ratio). Coefficients of a law may each be in doubt where
-        the law is not.
+        So many readings alike would carry its gain (participation ratio). Coefficients of a law may each be in doubt
+        where the law is not.
         """
         effect = self.refit.effects[member]
         sizes = (one for one in self.refit.told[member] if one.parameter in effect.parameters)
