@@ -76,6 +76,10 @@ WARM_UP = ShapeParameter(
 )
 
 
+SLOWEST, OF_SPAN = 2.0, (0.1, 0.3, 1.0)
+"""Time constants over the span of the work: the slowest that is tried, and those where the usual ones are slower."""
+
+
 @dataclass(frozen=True)
 class Drift(Effect):
     """A correction of one slot that follows the clock."""
@@ -103,11 +107,17 @@ class Drift(Effect):
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
-        """Linear at all stations, at one alone, and warm-ups."""
+        """Linear at all stations, at one alone, and warm-ups that end while it is measured.
+
+        A slower one is a constant, or linear. Without a clock time goes by rows: constants are shares of all of it.
+        """
+        span = float(np.ptp(sightings.time))
+        times = [t for t in WARM_UP.grid().tolist() if t <= SLOWEST * span] or [share * span for share in OF_SPAN]
         names = sightings.station_names if len(sightings.station_names) > 1 else ()
         linear = [cls(law=law) for law in (cls.laws if names else cls.laws[:1])]
         alone = [cls((name,), law="visit") for name in names if cls.alone]
-        return [*linear, *alone, *(cls(law="exponential", time_constant=float(t)) for t in WARM_UP.grid())]
+        warming = [cls(law="exponential", time_constant=t) for t in times if t > 0.0]
+        return [*linear, *alone, *warming]
 
     def progress(self, sightings: Sightings) -> Floats:
         """(n,): the law at each pointing, [s] or dimensionless."""

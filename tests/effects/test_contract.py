@@ -174,3 +174,12 @@ def test_effects_are_found_by_name() -> None:
     assert find_effect("head-sag").name == "head-sag"
     with pytest.raises(ModelError, match=r"did you mean .*range-cyclic"):
         find_effect("range-cycle")
+
+
+def test_warm_ups_end_while_they_are_measured() -> None:
+    """A time constant of many spans is a constant; where rows stand for seconds constants are shares of all of them."""
+    kind = find_effect("range-drift")
+    for span in (12.0, 3600.0, 30_000.0):
+        times = np.linspace(0.0, span, len(SCENE))
+        tried = [e.time_constant for e in kind.candidates(replace(SCENE, time=times)) if e.law == "exponential"]
+        assert tried and 0.0 < min(tried) and max(tried) <= 2.0 * span

@@ -12,7 +12,7 @@ import pytest
 from ltsim.adjustment import adjust
 from ltsim.effects.motions import station_design
 from ltsim.laws.carriers import CARRIERS, carrier_designs
-from ltsim.laws.drivers import Driver, amounts, simple, smooth
+from ltsim.laws.drivers import CONSTANT, Driver, amounts, simple, smooth
 from ltsim.laws.law import Law
 from ltsim.laws.names import name_of
 from ltsim.laws.offered import FOLLOWED, drivers_of, group_drivers, moves
@@ -223,3 +223,21 @@ def test_each_target_of_a_small_group_may_move_by_an_amount_of_its_own(sightings
         assert column[sightings.time == sightings.time.min()].max(initial=0.0) == 0.0  # where it says at first
     assert "members" not in replace(law, targets=sightings.target_names[:2]).forms(sightings)
     assert "members" not in replace(law, carrier=CARRIERS["distance"][0]).forms(sightings)
+
+
+@pytest.mark.parametrize(
+    ("carrier", "driver", "stations", "name"),
+    [
+        ("distance", simple("time", "power"), (), "range-drift"),
+        ("distance", simple("station-time", "decay", 600.0), ("S2",), "range-drift"),
+        ("distance", simple("distance", "power"), (), "unknown"),
+        ("distance", CONSTANT, (), "range-offset"),
+        ("distance", CONSTANT, ("S2",), "range-step"),
+        ("azimuth", Driver("wave", ("azimuth",), constant=5.0), (), "azimuth-harmonic"),
+        ("elevation", Driver("wave", ("elevation",), constant=3.0), (), "elevation-harmonic"),
+        ("azimuth", Driver("wave", ("azimuth",), constant=1.0), (), "unknown"),
+        ("azimuth", Driver("wave", ("azimuth",), constant=90.0), (), "encoder-interpolation"),
+    ],
+)
+def test_a_law_that_a_card_describes_has_its_name(carrier, driver, stations, name):
+    assert name_of(Law(stations, (), CARRIERS[carrier][0], driver)) == name
