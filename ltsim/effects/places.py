@@ -76,7 +76,7 @@ WARM_UP = ShapeParameter(
 )
 
 
-SLOWEST, OF_SPAN = 2.0, (0.1, 0.3, 1.0)
+SLOWEST, OF_SPAN = 2.0, (0.3, 1.0)
 """Time constants over the span of the work: the slowest that is tried, and those where the usual ones are slower."""
 
 
