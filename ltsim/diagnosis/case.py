@@ -102,8 +102,8 @@ class Case:
         """Look at what another adjustment leaves; what was scored before is let go."""
         self.space, self._scored, self._searcher = ResidualSpace.of(adjustment), self._searcher or self._scored, None
         quieter = not any(getattr(one.effect, "repeating", "") for one in self.noise)
-        tried = noise_hypotheses(self.space.sightings, self.recording.instruments, quieter=quieter)
-        self.bank = NoiseBank.of(self.space, tried)
+        tried = noise_hypotheses(self.space.sightings, self.recording.instruments)
+        self.bank = NoiseBank.of(self.space, tried, quieter=quieter)
 
     def noises(self, found: Found) -> list[tuple[float, NoiseHypothesis]]:
         """Every change of the noise beside a set, the likeliest of each family first, with its evidence."""

@@ -18,10 +18,11 @@ from ltsim.calibration.known import Known
 from ltsim.diagnosis.averaging import averaged_targets
 from ltsim.diagnosis.blind import Sight, sight_of
 from ltsim.diagnosis.case import Case
+from ltsim.diagnosis.certain import gross_finding, instrument_finding, known_finding
 from ltsim.diagnosis.detect import detect
 from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.diagnosis.evidence import log_average
-from ltsim.diagnosis.findings import Explained, among, gross_finding, instrument_finding, known_finding, noise_finding
+from ltsim.diagnosis.findings import Explained, among, noise_finding
 from ltsim.diagnosis.held_out import HeldOut, held_out as left_out
 from ltsim.diagnosis.history import History
 from ltsim.diagnosis.hypotheses import Found
@@ -49,6 +50,8 @@ NEXT_LEVEL = 0.01
 """Chance that a further finding is added to a recording that holds no more than those found."""
 LEFT_OF = 0.5
 """Share of a constant's difference that it keeps beside what was found: a law that it had absorbed leaves less."""
+MOST_TOLD = 5
+"""Findings that are told at most, mistakes and constants first; smaller ones are modelled."""
 LEAST_GAIN = 2.0
 """Log evidence of a further finding: odds of 7 to 1 that there is one."""
 
@@ -260,8 +263,10 @@ def _told(
     baseline, adjusted = case.baseline, explained.refit.adjustment
     likely = [explained.finding(i) for i in range(len(found.members))]
     likely += [noise_finding(one, baseline.sightings, detection) for one in case.noise]
-    findings = [*certain, *(one for one in likely if one.evidence.probability >= LIKELY)] or likely
-    findings.sort(key=lambda finding: -finding.evidence.chi2_drop)
+    sure = [one for one in likely if one.evidence.probability >= LIKELY]
+    likely = sorted(sure if certain else sure or likely, key=lambda finding: -finding.evidence.chi2_drop)
+    room = max(MOST_TOLD - len(certain), 0)
+    findings = sorted([*certain, *likely[:room]], key=lambda finding: -finding.evidence.chi2_drop)
     before = after = Fit(chi2=baseline.chi2, dof=baseline.dof, held_out_rms=errors.before)
     if found.members or case.noise:
         dof = baseline.dof - found.extension.shape[1]
@@ -270,7 +275,7 @@ def _told(
     detectable, undetectable = sight
     return Diagnosis(
         verdict=verdict,
-        summary=summarise(verdict, findings, detection.p_value, before, after),
+        summary=summarise(verdict, findings, detection.p_value, before, after, untold=len(likely[room:])),
         statistic=baseline.chi2,
         dof=baseline.dof,
         p_value=detection.chi2_p_value,

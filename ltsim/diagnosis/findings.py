@@ -9,9 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from ltsim.adjustment.adjustment import Adjustment
-from ltsim.adjustment.gross import CLOSE, GrossFinding
-from ltsim.adjustment.known import KnownTest
 from ltsim.adjustment.prior import prior_sigmas
 from ltsim.adjustment.refit import Refit
 from ltsim.arrays import Floats
@@ -21,25 +18,24 @@ from ltsim.diagnosis.curve import curve_of
 from ltsim.diagnosis.detect import Detection
 from ltsim.diagnosis.evidence import carried_by, posterior
 from ltsim.diagnosis.hypotheses import Found, Hypothesis, Ranking
-from ltsim.diagnosis.instruments import TINY, Contradiction
+from ltsim.diagnosis.instruments import TINY
 from ltsim.diagnosis.noise import NoiseHypothesis
 from ltsim.diagnosis.outside import log_likeness
-from ltsim.diagnosis.prior import PLAIN, SAME_OBSERVABLE
+from ltsim.diagnosis.prior import SAME_OBSERVABLE
 from ltsim.diagnosis.schema import Equivalent, Estimate, Evidence, Finding, Where
 from ltsim.diagnosis.separate import separating_measurement
-from ltsim.diagnosis.words import card_sentence, law_sentence, outside_sentence, percent, without_clock
+from ltsim.diagnosis.words import card_sentence, law_sentence, outside_sentence, without_clock
 from ltsim.effects import BASELINE
 from ltsim.effects.effect import Effect, NoiseEffect, SlotEffect
-from ltsim.effects.signature import Parameter, Tunable, constants_of
+from ltsim.effects.signature import Tunable, constants_of
 from ltsim.laws.drivers import words_of
 from ltsim.laws.law import Law
 from ltsim.laws.places import trackers_of
 from ltsim.laws.scatter import NoisePattern
 from ltsim.laws.words import IN_ITS_OWN_WAY, describe
-from ltsim.notation import number, with_sigma
+from ltsim.notation import number
 from ltsim.recording.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
-from ltsim.units import FACTOR
 
 MOST_EQUIVALENTS = 3
 """Equivalents that are stated at most."""
@@ -267,94 +263,6 @@ def _scattering(hypothesis: NoiseHypothesis, sightings: Sightings) -> tuple[str,
     return tuple(name for name, act in zip(OBSERVABLES, acts, strict=True) if act)
 
 
-def gross_finding(gross: GrossFinding, adjustment: Adjustment) -> Finding:
-    """The finding of a gross error, certain by its size; of less than that nobody knows that it has no other cause."""
-    probability = 1.0 if gross.size > CLOSE else PLAIN
-    floor = float(adjustment.recording.sigma()[:, 0].min())
-    return Finding(
-        effect=gross.effect,
-        known=True,
-        where=_place(observables=gross.observables, stations=gross.stations, targets=gross.targets),
-        parameters=(Estimate(name="size", value=1e3 * gross.size, sigma=1e3 * floor, unit="mm"),),
-        evidence=Evidence(chi2_drop=(gross.size / floor) ** 2, parameters=3, p_value=None, probability=probability),
-        sentence=gross.sentence,
-        equivalents=(),
-    )
-
-
-DATUM = {
-    "point": "known coordinates",
-    "axes": "stated coordinates",
-    "length": "known length",
-    "level": "level",
-    "mark": "place of the stand",
-}
-"""What is called wrong of each kind of known value."""
-
-
-def known_finding(test: KnownTest, adjustment: Adjustment) -> Finding:
-    """The finding of a known value that contradicts the rest: what carries the error is the value itself."""
-    recording = adjustment.recording
-    ends = (test.name, *test.name.split("-")) if test.kind == "length" else (test.name,)
-    unit = "arcsec" if test.kind == "level" else "mm"
-    factor = FACTOR[unit]
-    rows = [
-        Estimate(
-            name=f"off along {axis}" if len(test.error) > 1 else "off", value=e / factor, sigma=s / factor, unit=unit
-        )
-        for axis, e, s in zip(test.axes or "xyz", test.error.tolist(), test.sigma_error.tolist(), strict=False)
-        if np.isfinite(s)
-    ]
-    sentence = test.sentence[0].upper() + test.sentence[1:] + "."
-    return Finding(
-        effect="unknown",
-        known=False,
-        where=_place(
-            stations=(test.name,) if test.name in recording.stations else (),
-            targets=tuple(t for t in recording.targets if t in ends)
-            if test.kind in ("point", "axes", "length")
-            else (),
-        ),
-        parameters=tuple(rows),
-        evidence=Evidence(chi2_drop=test.drop, parameters=test.rank, p_value=None, probability=PLAIN),
-        sentence=sentence,
-        formula=f"the {DATUM[test.kind]} of {test.name} is wrong",
-        carrier=DATUM[test.kind],
-    )
-
-
-def instrument_finding(found: Contradiction) -> Finding:
-    """The finding of a constant that contradicts what else is known of its instrument."""
-    p, off = found.parameter, 1.0 / (1.0 + float(np.exp(-found.evidence)))
-    chances: dict[str, float] = {}
-    for constant, share in found.rivals.items():
-        chances[_effect_of(constant)] = chances.get(_effect_of(constant), 0.0) + off * share
-    estimate, (probability, rivals) = Estimate.of(p, found.difference, found.sigma), among(chances, _effect_of(p))
-    others = " or ".join(other.name.replace("-", " ") for other in found.rivals if other != p)
-    owners = " and ".join(filter(None, found.instruments)) or "the instrument"
-    apart = f" These readings tell it little apart from {others}." if others else ""
-    sentence = (
-        f"The {p.name.replace('-', ' ')} of {owners} differs by "
-        f"({with_sigma(estimate.value, estimate.sigma)}) {p.unit} from {found.against}, "
-        f"probability {percent(off)}.{apart}"
-    )
-    drop = (found.difference / found.sigma) ** 2
-    return Finding(
-        effect=_effect_of(p),
-        known=True,
-        where=_place(instruments=tuple(filter(None, found.instruments))),
-        parameters=(estimate,),
-        evidence=Evidence(chi2_drop=drop, parameters=1, p_value=found.p_value, probability=probability, shown=off),
-        sentence=sentence,
-        equivalents=rivals,
-    )
-
-
-def _effect_of(constant: Parameter) -> str:
-    """The effect of the ordinary calibration that a constant belongs to."""
-    return next(e.name for e in BASELINE if constant.name in {q.name for q in e.parameters})
-
-
 def among(chances: Mapping[str, float], name: str) -> tuple[float, tuple[Equivalent, ...]]:
     """The probability of a name, and the likeliest others that are not excluded."""
     others = [Equivalent(effect=n, probability=p) for n, p in chances.items() if n != name and p > NOT_EXCLUDED]
@@ -370,7 +278,7 @@ def where_of(effect: Tunable, carried: tuple[str, ...] = ()) -> Where:
     if isinstance(effect, Law):
         stations = () if effect.each else stations
         observables = effect.carrier.observables or carried or observables
-    return _place(
+    return place_of(
         observables=() if set(observables) == set(OBSERVABLES) else observables,
         stations=() if instruments else stations,
         targets=effect.targets,
@@ -386,7 +294,7 @@ def law_words(law: Law, driver: str) -> str:
     return f"{what} differs{own}" if law.driver.kind == "constant" else f"{what} follows {driver}{own}"
 
 
-def _place(**confined: tuple[str, ...]) -> Where:
+def place_of(**confined: tuple[str, ...]) -> Where:
     """A place that says of each kind whether it is confined to some of it."""
     return Where(**dict.fromkeys(Where.model_fields, ()) | confined)
 

@@ -25,6 +25,7 @@ from ltsim.diagnosis.prior import log_share
 from ltsim.diagnosis.schema import Equivalent
 from ltsim.effects import CATALOGUE
 from ltsim.effects.effect import NoiseEffect
+from ltsim.effects.noise_level import NoiseLevel
 from ltsim.effects.signature import NoiseSignature
 from ltsim.laws.offered import further
 from ltsim.laws.places import Place, branches, trackers_of
@@ -43,9 +44,11 @@ COMPARED, BEHIND = 6, 20.0
 TINY = 1e-300
 LEAST_SHARE = 0.05
 """Redundancy that a mean of repeats has at least."""
-AMOUNTS = np.array([1.0, 3.0, 10.0, 30.0, 100.0, 300.0])
+FACTORS, COARSE = np.geomspace(0.05, 400.0, 96), np.geomspace(1.5, 400.0, 15)
+"""Factors on a variance over which amounts are averaged: a tenth apart, for the noise of a thousand readings is known
+to a twentieth; of one among many, those that are clearly more."""
 LOUDER = np.array([0.05, 0.15, 0.5])
-"""Added variances of one among many that each have their own, over the stated; shares of all that have any."""
+"""Shares of all targets, or set-ups, that have more noise than stated."""
 LEAST_OWNERS = 4
 """Targets, or stations, from which noise may differ from one to the next."""
 LARGEST = 400.0
@@ -94,28 +97,70 @@ def _patterns(sightings: Sightings, trackers: Sequence[Place]) -> Iterator[tuple
             yield "target", NoisePattern(acts, targets=tuple(names[t] for t in group)), AT_TARGETS
 
 
-def noise_hypotheses(
-    sightings: Sightings, instruments: Sequence[str] = (), *, quieter: bool = True
-) -> list[NoiseHypothesis]:
-    """Every change of the noise that is tried, with a grid of sizes; that of each of several `instruments` too.
-
-    Without `quieter` noise is never less than stated: beside amounts that repeat their differences are small anyhow.
-    """
-    kinds = [kind for kind in CATALOGUE if issubclass(kind, NoiseEffect)]
+def noise_hypotheses(sightings: Sightings, instruments: Sequence[str] = ()) -> list[NoiseHypothesis]:
+    """Every change of the noise with one pattern, by a grid of sizes; that of each of several `instruments` too."""
+    kinds = [kind for kind in CATALOGUE if issubclass(kind, NoiseEffect) and kind is not NoiseLevel]
     known = [(effect, effect.size_grid()) for kind in kinds for effect in kind.candidates(sightings)]
     found = [NoiseHypothesis(effect.name, effect, values) for effect, sizes in known for values in sizes]
-    found = [h for h in found if quieter or min(h.values) >= 0.0]
     for family, pattern, sizes in _patterns(sightings, trackers_of(sightings, instruments)):
         found += [NoiseHypothesis(f"unknown:noise:{family}", pattern, (size,)) for size in sizes]
     return found
 
 
-@dataclass(frozen=True)
-class Each:
-    """Noise that differs from one target, or station, to the next; `members` (g, m): one where a row has an amount."""
+def gains(squares: Floats, share: Floats, factors: Floats) -> Floats:
+    """Log restricted likelihood ratios (f, g, trials) of variances `factors` (f,) times as large.
 
-    pattern: NoisePattern
+    By sums of squares (g, trials) and of redundancies (g,) of the readings that have them.
+    """
+    factor = factors[:, None, None]
+    ratio: Floats = 0.5 * (squares * (1.0 - 1.0 / factor) - share[:, None] * np.log(factor))
+    return ratio
+
+
+@dataclass(frozen=True)
+class Amounts:
+    """A change of the noise that has an amount for each of many readings; `members` (g, m): one where a row has one."""
+
+    effect: NoiseSignature
     members: sp.csr_array
+    factors: Floats
+
+    @property
+    def name(self) -> str:
+        """The family."""
+        return self.effect.name
+
+    def averaged(self, residual: Floats, redundancy: Floats) -> Floats:
+        """Log evidence (g, trials) of each amount, sizes averaged."""
+        found = log_average(gains(self.members @ residual**2, self.members @ redundancy, self.factors))
+        return found - np.log(len(self.factors))
+
+    def evidence(self, residual: Floats, redundancy: Floats) -> Floats:
+        """Log evidence (trials,) for residuals (m, trials)."""
+        raise NotImplementedError
+
+
+class Level(Amounts):
+    """The noise of the whole recording: of all readings alike, or of each observable that has another than stated."""
+
+    @classmethod
+    def of(cls, space: ResidualSpace, *, quieter: bool) -> Level:
+        """With noise that is less than stated, if it may be `quieter`."""
+        level, kind = NoiseLevel(), np.nonzero(space.use)[1]
+        members = sp.csr_array((np.ones(len(kind)), (kind, np.arange(len(kind)))), (len(OBSERVABLES), space.size))
+        return cls(level, members, FACTORS if quieter else FACTORS[FACTORS > 1.0])
+
+    def evidence(self, residual: Floats, redundancy: Floats) -> Floats:
+        """Half of the chance for one amount, half for any set of observables but none."""
+        alike = replace(self, members=sp.csr_array(self.members.sum(axis=0)[None, :]))
+        together = alike.averaged(residual, redundancy)[0]
+        some = np.logaddexp(0.0, self.averaged(residual, redundancy)).sum(axis=0)
+        apart = some + np.log(-np.expm1(-np.maximum(some, TINY))) - np.log(2.0 ** len(OBSERVABLES) - 1.0)
+        return np.logaddexp(together, apart) - np.log(2.0)
+
+
+class Each(Amounts):
+    """Noise that differs from one target, or station, to the next: a share of them has more than stated."""
 
     @classmethod
     def all_of(cls, space: ResidualSpace) -> tuple[Each, ...]:
@@ -129,16 +174,18 @@ class Each:
             rows = key[space.use]
             shape = len(names) * (kinds if apart else 1), space.size
             members = sp.csr_array((np.ones(len(rows)), (rows, np.arange(len(rows)))), shape)
-            found.append(cls(NoisePattern(each=each, owners=names, apart=apart), members))
+            found.append(cls(NoisePattern(each=each, owners=names, apart=apart), members, COARSE))
         return tuple(found)
 
+    @property
+    def name(self) -> str:
+        """The family."""
+        return f"unknown:noise:each {getattr(self.effect, 'each', '')}"
+
     def evidence(self, residual: Floats, redundancy: Floats) -> Floats:
-        """Log evidence (trials,) for residuals (m, trials), amounts and the share of those that have any averaged."""
-        squares, share = self.members @ residual**2, self.members @ redundancy
-        factor = 1.0 + AMOUNTS[:, None, None]
-        logs = log_average(0.5 * (squares * (1.0 - 1.0 / factor) - share[:, None] * np.log(factor)))
-        logs -= np.log(len(AMOUNTS))
-        whole = [np.logaddexp(np.log1p(-q), np.log(q) + logs).sum(axis=0) for q in LOUDER]
+        """The share of those that have an amount averaged."""
+        each = self.averaged(residual, redundancy)
+        whole = [np.logaddexp(np.log1p(-q), np.log(q) + each).sum(axis=0) for q in LOUDER]
         return log_average(np.stack(whole)) - np.log(len(LOUDER))
 
 
@@ -150,12 +197,10 @@ class NoiseBank:
     ----------
     gain, logs : (h, m + g) csr float32
         1 - 1/s and log s of each row; of each mean for what repeats.
-    family, amount, effect : (h,), (h,), (amounts,) int
-        Which family each belongs to; which amount it is, of one parameter of an effect, or of all that are alike; the
-        effect of each amount, that with all alike apart.
     means : (g, m) csr float
         What adds up repeats, in each face and then in both.
-    each : tuple of Each
+    amounts : tuple of Amounts
+        The noise level first, then what differs from each to the next.
     basis : (m, u) float, or None
         Orthonormal, of what is estimated, where there is one.
     """
@@ -163,17 +208,18 @@ class NoiseBank:
     hypotheses: list[NoiseHypothesis]
     families: tuple[str, ...]
     family: Ints
-    amount: Ints
-    effect: Ints
     gain: sp.csr_array
     logs: sp.csr_array
     means: sp.csr_array
     basis: Floats | None
-    each: tuple[Each, ...]
+    amounts: tuple[Amounts, ...]
 
     @classmethod
-    def of(cls, space: ResidualSpace, hypotheses: Sequence[NoiseHypothesis]) -> NoiseBank:
-        """Build the bank on a residual space."""
+    def of(cls, space: ResidualSpace, hypotheses: Sequence[NoiseHypothesis], *, quieter: bool = True) -> NoiseBank:
+        """Build the bank on a residual space.
+
+        Without `quieter` noise is never less than stated: beside amounts that repeat their differences are small.
+        """
         repeated = [repeat_means(space, faces) for faces in REPEATS]
         means = sp.csr_array(sp.vstack(repeated))
         used, stated = space.use, space.sigma**2
@@ -197,14 +243,9 @@ class NoiseBank:
         names = tuple(dict.fromkeys(h.family for h in hypotheses))
         index = {name: i for i, name in enumerate(names)}
         family = np.array([index[h.family] for h in hypotheses], dtype=np.int64)
-        single = [np.flatnonzero(h.values).tolist() for h in hypotheses]
-        whole = [(h.effect, len(some) > 1) for h, some in zip(hypotheses, single, strict=True)]
-        effects = {e: i for i, e in enumerate(dict.fromkeys(whole))}
-        varied = [(effects[one], some[0]) for one, some in zip(whole, single, strict=True)]
-        amounts = {one: i for i, one in enumerate(dict.fromkeys(varied))}
-        amount, effect = np.array([amounts[one] for one in varied]), np.array([e for e, _ in amounts])
         basis = space.projection.basis if isinstance(space.projection, BasisProjection) else None
-        return cls(list(hypotheses), names, family, amount, effect, gain, logs, means, basis, Each.all_of(space))
+        amounts = (Level.of(space, quieter=quieter), *Each.all_of(space))
+        return cls(list(hypotheses), names, family, gain, logs, means, basis, amounts)
 
     def log_likelihood_ratio(self, residual: Floats, redundancy: Floats) -> Floats:
         """(h, trials) for whitened residuals (m, trials) of a redundancy (m,)."""
@@ -214,27 +255,25 @@ class NoiseBank:
         return ratio
 
     def family_evidence(self, residual: Floats, redundancy: Floats) -> Floats:
-        """Log evidence (families, trials) with priors, in its diagonal form; noise that differs from each last."""
+        """Log evidence (families, trials) with priors, in its diagonal form; what has amounts last."""
         known = self._by_family(self.log_likelihood_ratio(residual, redundancy))
-        each = [one.evidence(residual, redundancy) + self._share_of_unknown for one in self.each]
-        return np.vstack([known, *each])
+        return np.vstack([known, *(self._of_amounts(one, residual, redundancy) for one in self.amounts)])
 
-    @property
-    def _share_of_unknown(self) -> float:
-        """Log prior of each family of noise that no card describes."""
-        return log_share("scatter", sum(f.startswith("unknown") for f in self.families) + len(self.each))
+    def _of_amounts(self, one: Amounts, residual: Floats, redundancy: Floats) -> Floats:
+        return one.evidence(residual, redundancy) + self.share(one.name)
+
+    def share(self, family: str) -> float:
+        """Log prior of a family: of noise that the catalogue names, or that no card describes."""
+        unknown = [name.startswith("unknown") for name in (*self.families, *(one.name for one in self.amounts))]
+        return (
+            log_share("scatter", sum(unknown))
+            if family.startswith("unknown")
+            else log_share("noise", unknown.count(False))
+        )
 
     def _by_family(self, ratio: Floats) -> Floats:
-        """Log evidence (families, trials) with priors: sizes averaged, amounts of an effect there or not, or alike."""
-        each = np.logaddexp(0.0, log_means(ratio, self.amount, len(self.effect)))
-        count = np.bincount(self.effect)
-        any_of = np.zeros((len(count), ratio.shape[1]))
-        np.add.at(any_of, self.effect, each)
-        any_of += np.log(-np.expm1(-np.maximum(any_of, TINY))) - np.log(2.0 ** count[:, None] - 1.0)  # not without all
-        family = self.family[np.unique(self.effect[self.amount], return_index=True)[1]]
-        known = np.array([not f.startswith("unknown") for f in self.families])
-        share = np.where(known, log_share("noise", int(known.sum())), self._share_of_unknown)
-        return log_means(any_of, family, len(self.families)) + share[:, None]
+        share = np.array([self.share(family) for family in self.families])
+        return log_means(ratio, self.family, len(self.families)) + share[:, None]
 
     def exact(self, i: int, residual: Floats, extension: Floats) -> float:
         """Log restricted likelihood ratio of a hypothesis for residuals (m,) beside further columns (m, e)."""
@@ -261,10 +300,9 @@ class NoiseBank:
             if rank < COMPARED and value > evidence.max() - BEHIND and self.basis is not None:
                 value += self.exact(likeliest, residual, extension) - float(ratio[likeliest, 0])
             found.append((value, self.hypotheses[likeliest]))
-        for one in self.each:
-            value = float(one.evidence(residual[:, None], redundancy)[0]) + self._share_of_unknown
-            none = (0.0,) * len(one.pattern.parameters)
-            found.append((value, NoiseHypothesis(f"unknown:noise:each {one.pattern.each}", one.pattern, none)))
+        for one in self.amounts:
+            value = float(self._of_amounts(one, residual[:, None], redundancy)[0])
+            found.append((value, NoiseHypothesis(one.name, one.effect, (0.0,) * len(one.effect.parameters))))
         return sorted(found, key=lambda one: -one[0])
 
 
@@ -314,7 +352,7 @@ def most_likely(space: ResidualSpace, stated: Floats, hypothesis: NoiseHypothesi
     scale = np.array([p.prior_sigma for p in effect.parameters])
     own = np.argmax([factors(one) != factors(0.0 * scale) for one in np.diag(scale)], axis=0)
 
-    def gains(values: Floats) -> Floats:
+    def gained(values: Floats) -> Floats:
         factor = factors(values)
         with np.errstate(invalid="ignore", divide="ignore"):
             each = np.where(factor > 0.0, squares * (1 - 1 / factor) - share * np.log(factor), -np.inf)
@@ -325,14 +363,14 @@ def most_likely(space: ResidualSpace, stated: Floats, hypothesis: NoiseHypothesi
     for _ in range(ZOOMS):
         points = np.linspace(low, high, GRID)
         sizes = scale * np.expm1(points)
-        weight = shares(0.5 * np.array([gains(one) for one in sizes]))
+        weight = shares(0.5 * np.array([gained(one) for one in sizes]))
         mean = np.sum(weight * points, axis=0)
         spread = np.sqrt(np.sum(weight * (points - mean) ** 2, axis=0))
         spread = np.maximum(spread, 0.4 * (high - low) / (GRID - 1))
         low, high = np.maximum(least, mean - REACH * spread), np.minimum(most, mean + REACH * spread)
     values = np.sum(weight * sizes, axis=0)
     sigma = np.sqrt(np.sum(weight * (sizes - values) ** 2, axis=0))
-    drops = gains(values) - gains(0.0 * scale)
+    drops = gained(values) - gained(0.0 * scale)
     if getattr(effect, "each", ""):  # most have none: an amount counts by the chance that there is one
         values = values * expit(0.5 * drops + np.log(LOUDER.min() / (1.0 - LOUDER.min())))
     drop = float(drops.sum())

@@ -140,8 +140,10 @@ def without_clock(parameter: Estimate) -> Estimate:
     return Estimate(name=parameter.name, value=value, sigma=sigma, unit=unit)
 
 
-def summarise(verdict: str, findings: Sequence[Finding], p_value: float, before: Fit, after: Fit) -> str:
-    """The answer in a few sentences, with which a report begins."""
+def summarise(
+    verdict: str, findings: Sequence[Finding], p_value: float, before: Fit, after: Fit, *, untold: int = 0
+) -> str:
+    """The answer in a few sentences, with which a report begins; `untold` smaller findings are modelled alone."""
     if verdict == "consistent":
         return (
             f"The recording agrees with the model and the stated noise (chi-square {before.chi2:.0f} for "
@@ -157,7 +159,8 @@ def summarise(verdict: str, findings: Sequence[Finding], p_value: float, before:
     more = f" Also: {' '.join(f.sentence for f in findings[1:])}" if len(findings) > 1 else ""
     others = ["physics outside the catalogue" if e.effect == "unknown" else e.effect for e in first.equivalents]
     open_ = f" This recording cannot exclude {' or '.join(others)} instead." if others else ""
-    return first.sentence + open_ + more + _course(before.held_out_rms, after.held_out_rms)
+    rest = f" Smaller, modelled and not told: {untold}." if untold else ""
+    return first.sentence + open_ + more + rest + _course(before.held_out_rms, after.held_out_rms)
 
 
 def _course(before: float | None, after: float | None) -> str:

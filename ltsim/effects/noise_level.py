@@ -12,9 +12,6 @@ LEAST = 0.01
 """Smallest factor on a variance."""
 
 
-QUIETER = (-0.35, -0.6, -0.8)
-
-
 @dataclass(frozen=True)
 class NoiseLevel(NoiseEffect):
     """Noise level: all readings of a kind scatter more, or less, than the set-up states.
@@ -37,11 +34,6 @@ class NoiseLevel(NoiseEffect):
         Parameter("noise-azimuth", "", "variance added to the azimuths over the stated", 1.0),
         Parameter("noise-elevation", "", "variance added to the elevations over the stated", 1.0),
     )
-
-    def size_grid(self) -> list[tuple[float, ...]]:
-        """Sizes that a diagnosis tries: larger noise, and smaller where `least` allows it."""
-        sizes = (*(size for size in QUIETER if size > self.least), 0.25, 0.6, 1.5, 4.0, 12.0)
-        return [tuple(float(size * v) for v in some) for some in (*np.eye(3), np.ones(3)) for size in sizes]
 
     def variance(self, sightings: Sightings, sigma: Floats, values: Floats) -> Floats:
         """Variance (n, 3) of the readings."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from importlib import import_module
+
 import numpy as np
 import pytest
 
@@ -169,3 +171,18 @@ def test_a_finding_that_few_readings_carry_names_them():
     (found,) = diagnose(recording).findings
     station, target = recording.stations[recording.station[40]], recording.targets[recording.target[40]]
     assert f"Most of it lies in the distance from {station} to {target} (row 41)." in found.sentence
+
+
+def test_no_more_is_told_than_anybody_reads(monkeypatch):
+    """The largest findings are told, mistakes among them in any case; how many smaller ones are modelled is said."""
+    recording, _ = workshop(4)
+    more = 2.5 * recording.sigma() * stream(5, "louder").standard_normal((len(recording), 3))
+    recording = changed(recording.with_readings(recording.readings + more), 40, 0, 100.0)
+    every = diagnose(recording)
+    assert {f.effect for f in every.findings} == {"outlier", "noise-level"}
+    assert "not told" not in every.summary
+    monkeypatch.setattr(import_module("ltsim.diagnosis.diagnose"), "MOST_TOLD", 1)
+    one = diagnose(recording)
+    assert [f.effect for f in one.findings] == ["outlier"]
+    assert one.summary.endswith("Smaller, modelled and not told: 1.")
+    assert one.after == every.after

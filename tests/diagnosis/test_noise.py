@@ -7,7 +7,7 @@ import pytest
 
 from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.diagnosis.noise import NoiseBank, noise_hypotheses, repeat_means
+from ltsim.diagnosis.noise import FACTORS, NoiseBank, noise_hypotheses, repeat_means
 from ltsim.diagnosis.prior import PRIOR
 from ltsim.laws.scatter import BOTH_FACES, NoisePattern
 from ltsim.model.construction import misalignment
@@ -36,7 +36,7 @@ def scattered(space, pair, *, shared):
 
 def evidence_of(bank, residual, redundancy):
     """Log evidence of each family."""
-    names = (*bank.families, *(f"each {one.pattern.each} {one.pattern.apart}" for one in bank.each))
+    names = (*bank.families, *(f"{one.name} {i}" if i else one.name for i, one in enumerate(bank.amounts)))
     return dict(zip(names, bank.family_evidence(residual[:, None], redundancy)[:, 0], strict=True))
 
 
@@ -75,19 +75,27 @@ def test_what_looks_like_noise_may_still_be_a_law(repeated):
 def test_the_evidence_of_a_noise_level_lets_each_observable_be_by_itself(repeated):
     """All subsets of observables but none, or all alike; each with its sizes averaged."""
     space, _, bank = repeated
-    residual = space.residual.copy()
-    kind = np.nonzero(space.use)[1]
+    residual, kind = space.residual.copy(), np.nonzero(space.use)[1]
     for k, times in enumerate((1.3, 1.5, 0.8)):
         residual[: len(kind)][kind == k] *= times
-    ratio = bank.log_likelihood_ratio(residual[:, None], space.redundancy)[:, 0]
-    level = bank.family == bank.families.index("noise-level")
-    which = np.array([np.flatnonzero(h.values)[0] + 3 * (np.count_nonzero(h.values) > 1) for h in bank.hypotheses])
-    one = [np.log(np.exp(ratio[level & (which == k)]).mean()) for k in range(4)]
+
+    def averaged(rows):
+        square, share = np.sum(residual[: len(kind)][rows] ** 2), np.sum(space.redundancy[: len(kind)][rows])
+        return np.log(np.mean([np.exp(0.5 * (square * (1 - 1 / f) - share * np.log(f))) for f in FACTORS]))
+
+    one = [averaged(kind == k) for k in range(3)]
     subsets = [sum(one[k] for k in range(3) if bits >> k & 1) for bits in range(1, 8)]
-    expected = np.log(0.5 * np.exp(subsets).mean() + 0.5 * np.exp(one[3]))
-    known = sum(not family.startswith("unknown") for family in bank.families)
+    expected = np.log(0.5 * np.exp(subsets).mean() + 0.5 * np.exp(averaged(kind >= 0)))
     found = evidence_of(bank, residual, space.redundancy)["noise-level"]
-    assert found == pytest.approx(expected + np.log(PRIOR["noise"] / known), rel=1e-6)
+    assert found == pytest.approx(expected + np.log(PRIOR["noise"] / 3), rel=1e-6)
+
+
+@pytest.mark.parametrize("times", [0.3, 2.5, 7.0])
+def test_noise_that_is_larger_everywhere_is_no_turbulence(repeated, times):
+    """However the sizes that are tried lie beside the true one."""
+    space, _, bank = repeated
+    evidence = evidence_of(bank, times * space.residual, space.redundancy)
+    assert max(evidence, key=lambda family: evidence[family]) == "noise-level"
 
 
 def test_quiet_residuals_are_no_law(repeated):

@@ -67,7 +67,7 @@ def test_priors_sum_to_one_over_everything(space, made):
     families = cards.family_evidence(np.zeros(len(cards.effects))) + log_share("named", len(cards.families))
     noise = NoiseBank.of(space, noise_hypotheses(space.sightings))
     nothing = np.append(
-        noise._by_family(np.zeros((len(noise.hypotheses), 1))), [noise._share_of_unknown] * len(noise.each)
+        noise._by_family(np.zeros((len(noise.hypotheses), 1))), [noise.share(one.name) for one in noise.amounts]
     )
     assert laws == pytest.approx(PRIOR["law"])
     assert np.exp(families).sum() == pytest.approx(PRIOR["named"])
