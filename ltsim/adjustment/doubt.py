@@ -210,7 +210,7 @@ def _mistakes(adjustment: Adjustment) -> Iterator[str]:
 def _tripods(adjustment: Adjustment) -> Iterator[str]:
     moved = moved_tripods(adjustment)
     if moved is not None:
-        yield moved.sentence(adjustment)
+        yield moved.sentence
 
 
 def _thin_stations(adjustment: Adjustment) -> Iterator[str]:

@@ -50,7 +50,7 @@ def items_of_network(recording: Recording, family: Family) -> tuple[Item, ...]:
     moved = moved_tripods(plain)
     if moved is not None:
         marks = tuple(dict.fromkeys(one.mark for one in moved.found))
-        items.append(Item.of("", "mistake", False, moved.sentence(plain), targets=marks))
+        items.append(Item.of("", "mistake", False, moved.sentence, targets=marks))
     items += [Item.of("", "network", False, test.sentence, targets=(test.name,)) for test in found.wrong]
     if found.solution.converged and found.dof > 0:
         items += [*_of_targets(found, known, family), *_of_levels(found, family)]
