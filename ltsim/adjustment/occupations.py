@@ -13,7 +13,8 @@ import numpy as np
 from scipy import special
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.arrays import Bools, Floats
+from ltsim.adjustment.residual_space import ResidualSpace
+from ltsim.arrays import Floats
 from ltsim.notation import with_sigma
 from ltsim.recording.recording import Recording
 from ltsim.solve.gauss_newton import solve
@@ -26,8 +27,6 @@ LEVEL = 0.001
 DISAGREES = 0.05
 """Level of the global test: a network that agrees has no tripod that stood elsewhere."""
 MOST = 6
-SEEN = 1e-3
-"""Share of a shift that must show in the residuals."""
 
 
 @dataclass(frozen=True)
@@ -114,28 +113,27 @@ def moved_tripods(adjustment: Adjustment) -> Shifts | None:
     noisy = tuple(adjustment.recording.targets[t] for t in adjustment.restless[0])
     adjustment = _by_own_noise(adjustment)
     chi2, dof = adjustment.chi2, adjustment.dof
-    left = {i: _left(adjustment, one) for i, one in enumerate(some)}
-    rest = adjustment.projection.project(adjustment.solution.system.residual[:, None])[:, 0]
-    basis, chosen = np.zeros((len(rest), 0)), list[int]()
-    while left and len(chosen) < MOST:
-        drops = {i: _explained(columns, basis, rest) for i, columns in left.items()}
-        best = max(drops, key=lambda i: drops[i][0])
-        drop, added = drops[best]
-        rank = added.shape[1]
+    space = whole = ResidualSpace.of(adjustment)
+    moves = adjustment.problem.model.linearised(adjustment.state).by_target
+    shifts = {i: whole.whiten(moves * one.sign[:, None, None]) for i, one in enumerate(some)}
+    chosen: list[int] = []
+    while len(chosen) < min(MOST, len(some)):
+        seen = {i: space.visible(shifts[i]) for i in shifts if i not in chosen}
+        drops = {i: float(np.sum((columns.T @ space.residual) ** 2)) for i, columns in seen.items()}
+        best = max(drops, key=lambda i: drops[i])
+        drop, rank = drops[best], seen[best].shape[1]
         ratio = (drop / max(rank, 1)) / max((chi2 - drop) / max(dof - rank, 1), 1e-30)
         if rank < 3 or dof <= rank or not special.fdtrc(rank, dof - rank, ratio) * len(some) < LEVEL:
             break
-        basis, rest = np.hstack([basis, added]), rest - added @ (added.T @ rest)
-        chi2, dof = chi2 - drop, dof - rank
+        space, chi2, dof = space.extended(shifts[best]), chi2 - drop, dof - rank
         chosen.append(best)
-        del left[best]
     if not chosen:
         return None
-    columns = np.hstack([_left(adjustment, some[i]) for i in chosen])
-    whole = np.linalg.pinv(columns.T @ columns)
-    residual = adjustment.projection.project(adjustment.solution.system.residual[:, None])[:, 0]
-    values = (whole @ (columns.T @ residual)).reshape(-1, 3)
-    spread = np.stack([whole[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] for k in range(len(chosen))]) * chi2 / dof
+    columns = whole.project(np.hstack([shifts[i] for i in chosen]))
+    cofactor = np.linalg.pinv(columns.T @ columns)
+    values = (cofactor @ (columns.T @ whole.residual)).reshape(-1, 3)
+    own = range(len(chosen))
+    spread = cofactor.reshape(len(own), 3, len(own), 3)[own, :, own] * chi2 / dof
     return Shifts(adjustment, tuple(some[i] for i in chosen), values, spread, chi2, dof, noisy)
 
 
@@ -147,24 +145,3 @@ def _by_own_noise(adjustment: Adjustment) -> Adjustment:
     larger = np.where(np.isin(adjustment.recording.target, named), own / rest, 1.0)
     problem = replace(adjustment.problem, sigma=adjustment.problem.sigma * larger[:, None])
     return replace(adjustment, problem=problem, solution=solve(problem, adjustment.state))
-
-
-def _left(adjustment: Adjustment, one: Occupation) -> Floats:
-    """What the adjustment leaves (m, 3) of a shift of an occupation, whitened."""
-    problem = adjustment.problem
-    rows = np.zeros((len(adjustment.solution.system.residual), 3))
-    design = problem.model.linearised(adjustment.state).by_target * one.sign[:, None, None]
-    used: Bools = problem.use
-    rows[: int(used.sum())] = design[used] / problem.sigma[used][:, None]
-    left = adjustment.projection.project(rows)
-    share = np.linalg.norm(left, axis=0) > SEEN * np.linalg.norm(rows, axis=0)
-    return np.asarray(np.where(share, left, 0.0))
-
-
-def _explained(columns: Floats, basis: Floats, rest: Floats) -> tuple[float, Floats]:
-    """Fall of chi-square by some columns beside a basis, and what they add to it."""
-    own = columns - basis @ (basis.T @ columns)
-    left, size, _ = np.linalg.svd(own, full_matrices=False)
-    added = left[:, size > SEEN * max(float(np.linalg.norm(columns, axis=0).max()), 1e-30)]
-    amount = added.T @ rest
-    return float(amount @ amount), added

@@ -92,9 +92,13 @@ class ResidualSpace:
         """What the adjustment leaves of signatures (m, q), or of one vector (m,)."""
         return self.projection.project(rows if rows.ndim > 1 else rows[:, None]).reshape(rows.shape)
 
+    def visible(self, signature: Floats) -> Floats:
+        """Orthonormal columns (m, r) of what the adjustment leaves of signatures (m, q)."""
+        return orthonormal(self.project(signature), np.linalg.norm(signature, axis=0))
+
     def extended(self, signature: Floats) -> ResidualSpace:
         """The residual space when signatures (m, q) are estimated too."""
-        visible = orthonormal(self.project(signature), np.linalg.norm(signature, axis=0))
+        visible = self.visible(signature)
         residual = self.residual - visible @ (visible.T @ self.residual)
         return ResidualSpace(self.projection.extended(visible), residual, self.adjustment)
 
