@@ -118,10 +118,9 @@ def moved_tripods(adjustment: Adjustment) -> Shifts | None:
     shifts = {i: whole.whiten(moves * one.sign[:, None, None]) for i, one in enumerate(some)}
     chosen: list[int] = []
     while len(chosen) < min(MOST, len(some)):
-        seen = {i: space.visible(shifts[i]) for i in shifts if i not in chosen}
-        drops = {i: float(np.sum((columns.T @ space.residual) ** 2)) for i, columns in seen.items()}
-        best = max(drops, key=lambda i: drops[i])
-        drop, rank = drops[best], seen[best].shape[1]
+        fall = {i: space.explained(shift) for i, shift in shifts.items() if i not in chosen}
+        best = max(fall, key=lambda i: fall[i])
+        drop, rank = fall[best]
         ratio = (drop / max(rank, 1)) / max((chi2 - drop) / max(dof - rank, 1), 1e-30)
         if rank < 3 or dof <= rank or not special.fdtrc(rank, dof - rank, ratio) * len(some) < LEVEL:
             break
