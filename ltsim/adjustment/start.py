@@ -209,9 +209,6 @@ class Growth:
                 return point
         return fit_point(Sight(front, self._flat[rows], self._lift[rows]), position, rotation)
 
-    def _sight(self, rows: Ints) -> Sight:
-        return Sight(self._front[rows], self._flat[rows], self._lift[rows])
-
     def _join_by_fit(self) -> bool:
         """Join a station by a fit of whatever it read to known targets."""
         known, recording = self._known(), self._recording
@@ -222,7 +219,8 @@ class Growth:
             if not self._is_new(station, 2 * len(rows) + (stand is not None)):
                 continue
             level = self._upright and bool(self._frame.level[station])
-            pose = fit_pose(self._sight(rows), known[recording.target[rows]], level=level, position=stand)
+            sight = Sight(self._front[rows], self._flat[rows], self._lift[rows])
+            pose = fit_pose(sight, known[recording.target[rows]], level=level, position=stand)
             if pose is not None:
                 self._place(station, *pose)
                 return True

@@ -8,8 +8,6 @@ from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.datum import about
 from ltsim.adjustment.frame import Frame
 from ltsim.adjustment.known import KnownTest
-from ltsim.adjustment.snooping import screened
-from ltsim.adjustment.start import reached_network
 from ltsim.adjustment.verdict import Case, Verdict, verdict
 from ltsim.arrays import Bools, Floats
 from ltsim.calibration.calibration import SHOWN_UNITS
@@ -30,19 +28,6 @@ from ltsim.units import ARCSECOND, MICROMETRE, MILLIMETRE
 CONTRADICTS = 3.0
 """Standard deviations from where its target last was, beyond which a reading is named that its target is lost by."""
 UP = np.array([False, False, True])
-
-
-def gross_rows(recording: Recording) -> Bools:
-    """(n,) True for pointings that land elsewhere by more than any tracker error; raises NetworkError."""
-    tied, reached = tied_readings(recording)
-    return screened(tied, *reached)[1]
-
-
-def tied_readings(recording: Recording) -> tuple[Recording, tuple[Floats, Floats, Floats]]:
-    """The recording without the readings to targets that nothing ties to the rest, and its start network."""
-    reached, lost = reached_network(recording)
-    readings = np.where(lost[recording.target][:, None], np.nan, recording.readings)
-    return recording.with_readings(readings), reached
 
 
 def fit_of(adjustment: Adjustment) -> Fit:
