@@ -77,6 +77,13 @@ def aligned(header: Sequence[str], rows: Sequence[Sequence[str]], left: int = 1)
     )
 
 
+def listing(words: Sequence[str], most: int = 6) -> str:
+    """Words with commas, the last few counted."""
+    if len(words) <= most:
+        return ", ".join(words)
+    return ", ".join(words[:most]) + f" and {len(words) - most} more"
+
+
 def _fixed(value: float, places: int) -> str:
     text = f"{value:.{places}f}"
     return text.removeprefix("-") if not text.strip("-0.") else text

@@ -21,6 +21,7 @@ from ltsim.adjustment.reliability import (
     noncentrality,
     normalised,
     redundancy_of,
+    restless,
 )
 from ltsim.adjustment.snooping import poseless, without_loose
 from ltsim.arrays import Bools, Floats, Ints
@@ -202,6 +203,11 @@ class Adjustment(Result):
     def tau(self) -> Floats:
         """Residuals over their standard deviations by the estimated sigma0 (n, 3) (Pope 1976)."""
         return self.w / self.sigma0
+
+    @cached_property
+    def restless(self) -> tuple[Ints, float, float]:
+        """Targets with a noise of their own, the scatter of their readings and of the others over the stated one."""
+        return restless(self.w, self.redundancy, self.recording.target)
 
     @property
     def minimal_detectable_bias(self) -> Floats:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from ltsim.arrays import Bools, Floats
 from ltsim.errors import LtsimError, NetworkError
 from ltsim.geometry.alignment import align
 from ltsim.geometry.polar import wrap
+from ltsim.notation import listing
 from ltsim.recording.slips import GON, UNIT_SLIPS, Slip
 
 MOST_LEFT_OUT = 0.5
@@ -174,7 +175,7 @@ def _plan(adjustment: Adjustment) -> Iterator[str]:
     )
     if as_is < ROUGH_PLACE:
         return
-    names = _named(adjustment.recording.stations[s] for s in known)
+    names = listing([adjustment.recording.stations[s] for s in known])
     if mirrored < min(ROUGH_PLACE, CLEARLY * as_is):
         yield (
             f"the stated places of stations {names} fit the mirror image of this network (within {mirrored:.2g} m; "
@@ -196,7 +197,7 @@ def _undecided(adjustment: Adjustment) -> Iterator[str]:
     for stations, end in ends.items():
         names = [recording.targets[t] for t in np.flatnonzero(two & (kept.sum(axis=0) == stations))]
         if names:
-            yield f"{_named(names)}: two stations disagree about where it is and nobody can tell which is right; {end}"
+            yield f"{listing(names)}: two stations disagree about where it is and nobody can tell which is right; {end}"
 
 
 def _mistakes(adjustment: Adjustment) -> Iterator[str]:
@@ -210,7 +211,7 @@ def _mistakes(adjustment: Adjustment) -> Iterator[str]:
 def _tripods(adjustment: Adjustment) -> Iterator[str]:
     moved = moved_tripods(adjustment)
     if moved is not None:
-        yield moved.sentence(adjustment)
+        yield moved.sentence
 
 
 def _thin_stations(adjustment: Adjustment) -> Iterator[str]:
@@ -231,12 +232,13 @@ def _uncertain_figures(adjustment: Adjustment) -> Iterator[str]:
     if adjustment.lost_stations:
         yield (
             "nothing that is left of its readings determines all of the pose of station "
-            f"{_named(adjustment.lost_stations)}: it has no standard deviation there"
+            f"{listing(adjustment.lost_stations)}: it has no standard deviation there"
         )
     bend = np.nan_to_num(curvature(adjustment)) if adjustment.solution.converged else np.zeros(0)
-    if np.any(bend > BENT):
+    bent = [adjustment.recording.stations[s] for s in np.flatnonzero(bend > BENT)]
+    if bent:
         yield (
-            f"the targets of station {_named(adjustment.recording.stations[s] for s in np.flatnonzero(bend > BENT))} "
+            f"the targets of station {listing(bent)} "
             "hold its pose so weakly that its standard deviations, which are linear, are too small "
             f"(curvature {bend.max():.2g}, trustworthy below {BENT:g}): give it targets off one line and apart"
         )
@@ -250,12 +252,6 @@ def _uncertain_figures(adjustment: Adjustment) -> Iterator[str]:
 def _copies(adjustment: Adjustment) -> Iterator[str]:
     if adjustment.copies:
         yield f"{adjustment.copies} rows repeat others to the last digit: these copies count once"
-
-
-def _named(names: Iterable[str]) -> str:
-    every = list(names)
-    more = len(every) - MOST_NAMED
-    return ", ".join(every[:MOST_NAMED]) + (f" and {more} more" if more > 0 else "")
 
 
 def curvature(adjustment: Adjustment) -> Floats:

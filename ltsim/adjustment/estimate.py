@@ -17,7 +17,6 @@ from ltsim.adjustment.prior import ParameterPrior
 from ltsim.adjustment.problem import WEAK, NetworkProblem
 from ltsim.adjustment.rows import Marks
 from ltsim.adjustment.snooping import copied_rows, screened, snooped, without_loose
-from ltsim.adjustment.start import reached_network
 from ltsim.arrays import Bools, Floats
 from ltsim.effects.signature import Signature
 from ltsim.errors import ModelError, NetworkError
@@ -105,12 +104,9 @@ def adjust(
     gross, lost = np.zeros(len(recording), dtype=bool), np.zeros(len(recording.targets), dtype=bool)
     searched = start is None
     if start is None:
-        reached, lost = reached_network(recording)
-        tied = ~lost[recording.target]
-        usable = recording.with_readings(np.where(tied[:, None], recording.readings, np.nan))
-        (position, rotation, points), gross = screened(usable, *reached)
+        _, network, gross, lost = screened(recording)
         parameters = np.zeros((len(recording.instruments), built.size)) if prior is None else prior.mean
-        start = State(position, rotation, points, parameters, np.zeros(model.extra_size))
+        start = State(*network, parameters, np.zeros(model.extra_size))
     elif len(start.extra) != model.extra_size:
         start = replace(start, extra=np.zeros(model.extra_size))
     keep = np.broadcast_to(((~gross | robust) & ~lost[recording.target])[:, None], recording.readings.shape)

@@ -92,9 +92,10 @@ def fit_pose(
     """
     rows, sight = sight.few()
     points = points[rows] + sight.lift
-    range_, azimuth, elevation = (bool(np.isfinite(sight.readings[:, i]).any()) for i in range(3))
+    azimuth, elevation = (bool(np.isfinite(sight.readings[:, i]).any()) for i in (1, 2))
     tilted = not level and (azimuth or elevation)
-    high = position is None and (range_ or elevation or not level)
+    slope = bool(np.isfinite(sight.readings[~sight.horizontal, 0]).any())
+    high = position is None and (slope or elevation or not level)
     free = np.array([position is None] * 2 + [high] + [tilted] * 2 + [azimuth])
     if sight.count < free.sum():
         return None

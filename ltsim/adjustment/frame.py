@@ -17,6 +17,7 @@ from ltsim.geometry.alignment import align
 from ltsim.geometry.polar import from_polar
 from ltsim.geometry.rotations import about_z, smallest_turn
 from ltsim.recording.recording import Recording
+from ltsim.recording.setup import Target
 from ltsim.units import DEGREE, MILLIMETRE
 
 VERTICAL = np.array([0.0, 0.0, 1.0])
@@ -44,6 +45,8 @@ class Frame:
     """(S,) [rad]: where the zero of each circle points on that plan."""
     near: Floats
     """(T, 3) [m]: known or approximate places of the targets."""
+    in_plan: Floats
+    """(T, 3) [m]: targets that are known along x and y at least, with height 0."""
 
     @classmethod
     def of(cls, recording: Recording) -> Frame:
@@ -59,12 +62,13 @@ class Frame:
             _metres([s.position_mm or NOWHERE for s in setups]),
             np.array([np.nan if s.yaw_deg is None else s.yaw_deg * DEGREE for s in setups]),
             _metres([_stated(recording, name, chosen=False) for name in recording.targets]),
+            _metres([_in_plan(recording.target_setup(name)) for name in recording.targets]),
         )
 
     @property
     def is_stated(self) -> bool:
         """Whether any place is known."""
-        return bool(np.isfinite(self.points).any() or np.isfinite(self.stations).any())
+        return any(bool(np.isfinite(known).any()) for known in (self.points, self.stations, self.in_plan))
 
     def common(self, position: Floats, points: Floats) -> tuple[Floats, Floats]:
         """Places (k, 3) of a network that the frame states too, and where it states them."""
@@ -80,13 +84,17 @@ class Frame:
         here, there = self.common(position, points)
         if len(here) >= 3 and not on_a_line(there):
             return align(here, there)
+        height = float(np.mean(there[:, 2] - (here @ turn.T)[:, 2])) if len(here) else 0.0
+        if len(here) < 2:
+            both = np.isfinite(points).all(axis=1) & np.isfinite(self.in_plan).all(axis=1)
+            here, there = points[both], self.in_plan[both]
         if not self.level.any() or len(here) < 2:
             return None
         try:
             rotation, translation = upright_alignment(here @ turn.T, there)
         except NetworkError:
             return None
-        return rotation @ turn, translation
+        return rotation @ turn, np.array([*translation[:2], height])
 
     def plan_motion(self, position: Floats, rotation: Floats) -> tuple[Floats, Floats] | None:
         """Turn about the vertical and translation of a free network onto the floor plan; None where it has none.
@@ -162,6 +170,13 @@ def _stated(recording: Recording, name: str, *, chosen: bool = True) -> tuple[fl
     if target.known_mm is not None and target.known_axes == "xyz":
         return target.known_mm
     return (target.approximate_mm if target.datum or not chosen else None) or NOWHERE
+
+
+def _in_plan(target: Target) -> tuple[float, ...]:
+    """Known place [mm] of a target in plan, at height 0."""
+    if target.known_mm is None or not target.known_axes.startswith("xy"):
+        return NOWHERE
+    return *target.known_mm[:2], 0.0
 
 
 def _metres(places: list[tuple[float, ...]]) -> Floats:

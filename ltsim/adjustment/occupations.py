@@ -2,20 +2,22 @@
 
 All set-ups over a mark, and all targets on it, count as one point. An occupation is what stood there on one day as
 instrument, or as target; a shift of its own joins the adjustment where that explains far more than the noise found
-does, one after the other.
+does, one after the other. Readings of targets with a noise of their own count by that.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import special
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.arrays import Bools, Floats
+from ltsim.adjustment.residual_space import ResidualSpace
+from ltsim.arrays import Floats
 from ltsim.notation import with_sigma
 from ltsim.recording.recording import Recording
+from ltsim.solve.gauss_newton import solve
 from ltsim.units import MILLIMETRE
 
 DAY_COLUMN = "date"
@@ -25,8 +27,6 @@ LEVEL = 0.001
 DISAGREES = 0.05
 """Level of the global test: a network that agrees has no tripod that stood elsewhere."""
 MOST = 6
-SEEN = 1e-3
-"""Share of a shift that must show in the residuals."""
 
 
 @dataclass(frozen=True)
@@ -44,15 +44,22 @@ class Occupation:
 
 @dataclass(frozen=True)
 class Shifts:
-    """Occupations that stood elsewhere, by their shifts (k, 3) and covariance (k, 3, 3) [m], and the fit with them."""
+    """Occupations that stood elsewhere, by their shifts (k, 3) and covariance (k, 3, 3) [m], and the fit with them.
 
+    `without` is the adjustment that knows no such shifts.
+    """
+
+    without: Adjustment
     found: tuple[Occupation, ...]
     values: Floats
     covariance: Floats
     chi2: float
     dof: int
+    noisy: tuple[str, ...]
+    """Targets whose readings count by the noise they show."""
 
-    def sentence(self, adjustment: Adjustment) -> str:
+    @property
+    def sentence(self) -> str:
         """Who stood where, and what the network is like without them."""
         named = []
         for one, value, covariance in zip(self.found, self.values, self.covariance, strict=True):
@@ -61,10 +68,10 @@ class Shifts:
             parts = ", ".join(f"{axis} {v / MILLIMETRE:+.1f}" for axis, v in zip("xyz", value, strict=True))
             told = with_sigma(size / MILLIMETRE, sigma / MILLIMETRE, "mm")
             named.append(f"{one.mark} as {one.role} on {one.day} by {told} ({parts})")
-        before = f"{adjustment.chi2:.1f}/{adjustment.dof}"
+        counted = f" (readings to {', '.join(self.noisy)} by the noise they show)" if self.noisy else ""
         return (
             f"tripods that stood beside where they stood otherwise: {'; '.join(named)}; with places of their own "
-            f"chi2/dof falls from {before} to {self.chi2:.1f}/{self.dof}"
+            f"chi2/dof falls from {self.without.chi2:.1f}/{self.without.dof} to {self.chi2:.1f}/{self.dof}{counted}"
         )
 
 
@@ -98,51 +105,42 @@ def occupations(recording: Recording, marks: tuple[str, ...]) -> list[Occupation
 
 def moved_tripods(adjustment: Adjustment) -> Shifts | None:
     """The occupations that stood elsewhere; None where none did, or where the readings agree without."""
-    chi2, dof = adjustment.chi2, adjustment.dof
-    if not adjustment.solution.converged or dof < 1 or special.chdtrc(dof, chi2) > DISAGREES:
+    if not adjustment.solution.converged or adjustment.dof < 1 or adjustment.p_value > DISAGREES:
         return None
     some = occupations(adjustment.recording, adjustment.problem.marks.names)
-    left = {i: _left(adjustment, one) for i, one in enumerate(some)}
-    rest = adjustment.projection.project(adjustment.solution.system.residual[:, None])[:, 0]
-    basis, chosen = np.zeros((len(rest), 0)), list[int]()
-    while left and len(chosen) < MOST:
-        drops = {i: _explained(columns, basis, rest) for i, columns in left.items()}
-        best = max(drops, key=lambda i: drops[i][0])
-        drop, added = drops[best]
-        rank = added.shape[1]
+    if not some:
+        return None
+    noisy = tuple(adjustment.recording.targets[t] for t in adjustment.restless[0])
+    adjustment = _by_own_noise(adjustment)
+    chi2, dof = adjustment.chi2, adjustment.dof
+    space = whole = ResidualSpace.of(adjustment)
+    moves = adjustment.problem.model.linearised(adjustment.state).by_target
+    shifts = {i: whole.whiten(moves * one.sign[:, None, None]) for i, one in enumerate(some)}
+    chosen: list[int] = []
+    while len(chosen) < min(MOST, len(some)):
+        fall = {i: space.explained(shift) for i, shift in shifts.items() if i not in chosen}
+        best = max(fall, key=lambda i: fall[i])
+        drop, rank = fall[best]
         ratio = (drop / max(rank, 1)) / max((chi2 - drop) / max(dof - rank, 1), 1e-30)
         if rank < 3 or dof <= rank or not special.fdtrc(rank, dof - rank, ratio) * len(some) < LEVEL:
             break
-        basis, rest = np.hstack([basis, added]), rest - added @ (added.T @ rest)
-        chi2, dof = chi2 - drop, dof - rank
+        space, chi2, dof = space.extended(shifts[best]), chi2 - drop, dof - rank
         chosen.append(best)
-        del left[best]
     if not chosen:
         return None
-    columns = np.hstack([_left(adjustment, some[i]) for i in chosen])
-    whole = np.linalg.pinv(columns.T @ columns)
-    residual = adjustment.projection.project(adjustment.solution.system.residual[:, None])[:, 0]
-    values = (whole @ (columns.T @ residual)).reshape(-1, 3)
-    spread = np.stack([whole[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] for k in range(len(chosen))]) * chi2 / dof
-    return Shifts(tuple(some[i] for i in chosen), values, spread, chi2, dof)
+    columns = whole.project(np.hstack([shifts[i] for i in chosen]))
+    cofactor = np.linalg.pinv(columns.T @ columns)
+    values = (cofactor @ (columns.T @ whole.residual)).reshape(-1, 3)
+    own = range(len(chosen))
+    spread = cofactor.reshape(len(own), 3, len(own), 3)[own, :, own] * chi2 / dof
+    return Shifts(adjustment, tuple(some[i] for i in chosen), values, spread, chi2, dof, noisy)
 
 
-def _left(adjustment: Adjustment, one: Occupation) -> Floats:
-    """What the adjustment leaves (m, 3) of a shift of an occupation, whitened."""
-    problem = adjustment.problem
-    rows = np.zeros((len(adjustment.solution.system.residual), 3))
-    design = problem.model.linearised(adjustment.state).by_target * one.sign[:, None, None]
-    used: Bools = problem.use
-    rows[: int(used.sum())] = design[used] / problem.sigma[used][:, None]
-    left = adjustment.projection.project(rows)
-    share = np.linalg.norm(left, axis=0) > SEEN * np.linalg.norm(rows, axis=0)
-    return np.asarray(np.where(share, left, 0.0))
-
-
-def _explained(columns: Floats, basis: Floats, rest: Floats) -> tuple[float, Floats]:
-    """Fall of chi-square by some columns beside a basis, and what they add to it."""
-    own = columns - basis @ (basis.T @ columns)
-    left, size, _ = np.linalg.svd(own, full_matrices=False)
-    added = left[:, size > SEEN * max(float(np.linalg.norm(columns, axis=0).max()), 1e-30)]
-    amount = added.T @ rest
-    return float(amount @ amount), added
+def _by_own_noise(adjustment: Adjustment) -> Adjustment:
+    """The adjustment with readings of targets that have a noise of their own as uncertain as they show."""
+    named, own, rest = adjustment.restless
+    if not len(named):
+        return adjustment
+    larger = np.where(np.isin(adjustment.recording.target, named), own / rest, 1.0)
+    problem = replace(adjustment.problem, sigma=adjustment.problem.sigma * larger[:, None])
+    return replace(adjustment, problem=problem, solution=solve(problem, adjustment.state))

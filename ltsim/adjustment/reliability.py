@@ -8,7 +8,7 @@ import numpy as np
 from scipy import optimize, special
 
 from ltsim.adjustment.problem import NetworkProblem
-from ltsim.arrays import Floats, Ints
+from ltsim.arrays import Bools, Floats, Ints
 from ltsim.solve.blocks import Factor
 from ltsim.solve.design import median_deviation
 
@@ -22,6 +22,10 @@ BELIEVED = 1.25
 """Robust sigma0 up to which the stated noise is believed; beyond, residuals are judged by the noise they show."""
 CHECKED = 0.1
 """Redundancy from which a residual says something about the noise."""
+FEW = 15
+"""Degrees of freedom below which an estimated sigma0 is too uncertain to replace a stated one."""
+FAR_MORE = 2.0
+"""Ratio of the scatter of a target's readings to that of the others from which it has a noise of its own."""
 UNCHECKED = 1e-6
 """Redundancy below which no other reading checks a reading: its residual is rounding error."""
 
@@ -48,6 +52,27 @@ def scale_of(w: Floats, redundancy: Floats) -> float:
     """
     shown = median_deviation(w[np.nan_to_num(redundancy) > CHECKED])
     return shown if shown > BELIEVED else 1.0
+
+
+def restless(w: Floats, redundancy: Floats, target: Ints) -> tuple[Ints, float, float]:
+    """Targets whose own readings scatter far more than all others, and how many sigmas these and the others scatter.
+
+    `w` and `redundancy` (n, 3), `target` (n,).
+    """
+    told = np.where(np.nan_to_num(redundancy) > CHECKED, w, np.nan)
+
+    def noise(rows: Bools) -> float:
+        return median_deviation(told[rows][np.isfinite(told[rows])])
+
+    count = np.bincount(target, np.isfinite(told).sum(axis=1))
+    own = {t: noise(target == t) for t in np.flatnonzero(count >= FEW).tolist()}
+    named: list[int] = []
+    for t in sorted(own, key=lambda t: -own[t])[: len(own) - 1]:
+        if not own[t] > FAR_MORE * noise(~np.isin(target, [*named, t])):
+            break
+        named.append(t)
+    at = np.isin(target, named)
+    return np.array(named, dtype=np.int64), noise(at) if named else 1.0, noise(~at)
 
 
 def critical_w(count: int, level: float = FAMILY_LEVEL) -> float:

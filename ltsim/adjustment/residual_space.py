@@ -92,9 +92,17 @@ class ResidualSpace:
         """What the adjustment leaves of signatures (m, q), or of one vector (m,)."""
         return self.projection.project(rows if rows.ndim > 1 else rows[:, None]).reshape(rows.shape)
 
+    def explained(self, signature: Floats) -> tuple[float, int]:
+        """By how much chi-square falls when signatures (m, q) are estimated too, and how many of them show."""
+        told = self._visible(signature).T @ self.residual
+        return float(told @ told), len(told)
+
+    def _visible(self, signature: Floats) -> Floats:
+        return orthonormal(self.project(signature), np.linalg.norm(signature, axis=0))
+
     def extended(self, signature: Floats) -> ResidualSpace:
         """The residual space when signatures (m, q) are estimated too."""
-        visible = orthonormal(self.project(signature), np.linalg.norm(signature, axis=0))
+        visible = self._visible(signature)
         residual = self.residual - visible @ (visible.T @ self.residual)
         return ResidualSpace(self.projection.extended(visible), residual, self.adjustment)
 

@@ -6,11 +6,13 @@ Single readings that do not belong are left out, and taken back where they do be
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from ltsim.adjustment.problem import NetworkProblem
 from ltsim.adjustment.reliability import UNCHECKED, critical_w, normalised, redundancy_of, scale_of
+from ltsim.adjustment.start import reached_network
 from ltsim.arrays import Bools, Floats
 from ltsim.geometry.polar import wrap
 from ltsim.geometry.rigid import holds_pose
@@ -128,18 +130,30 @@ def poseless(problem: NetworkProblem, state: State) -> str:
 # --- before the adjustment ----------------------------------------------------------------------------------------
 
 
-def screened(
-    recording: Recording, position: Floats, rotation: Floats, points: Floats
-) -> tuple[tuple[Floats, Floats, Floats], Bools]:
-    """Positions, rotations and targets freed of the start's own errors, and the gross pointings (n,).
+class Screened(NamedTuple):
+    """A recording without the readings to targets that nothing ties to the rest, and where its network begins."""
+
+    recording: Recording
+    network: tuple[Floats, Floats, Floats]
+    """Positions (S, 3), rotations (S, 3, 3) and targets (T, 3), freed of the start's own errors."""
+    gross: Bools
+    """(n,): pointings that land elsewhere by more than any tracker error."""
+    lost: Bools
+    """(T,): targets that nothing ties to the rest."""
+
+
+def screened(recording: Recording) -> Screened:
+    """Begin a network and screen out gross pointings; raises NetworkError.
 
     These miss their target by far more than the rest of the recording does: a swapped or misnamed reflector, a wrong
     unit in one row. A long chain of stations that was joined one by one does not close; what looks gross there may only
     be that. So where anything looks gross the network is relaxed, with such pointings held loosely, until the verdict
     stands.
     """
+    reached, lost = reached_network(recording)
+    recording = recording.with_readings(np.where(lost[recording.target][:, None], np.nan, recording.readings))
     model = MeasurementModel(recording, ideal())
-    state = State(position, rotation, points, np.zeros((len(recording.instruments), 0)))
+    state = State(*reached, np.zeros((len(recording.instruments), 0)))
     excess = _excess(model, state)
     for _ in range(PASSES if np.any(excess > 1.0) else 0):
         problem = without_loose(NetworkProblem.of(model), state)
@@ -147,7 +161,7 @@ def screened(
         before, excess = excess, _excess(model, state)
         if not length or not np.any((excess > 1.0) & (excess < SETTLED * before)):
             break
-    return (state.position, state.rotation, state.points), excess > 1.0
+    return Screened(recording, (state.position, state.rotation, state.points), excess > 1.0, lost)
 
 
 def _excess(model: MeasurementModel, state: State) -> Floats:

@@ -48,7 +48,8 @@ def _flat_points(recording: Recording) -> Floats | None:
     if not flat.any():
         return None
     readings = recording.readings.copy()
-    readings[flat & np.isnan(readings[:, 2]), 2] = 0.0  # a network in plan has no elevations
+    if not np.isfinite(readings[:, 2]).any():
+        readings[flat, 2] = 0.0  # a network in plan has no elevations
     readings[flat, 0] /= np.abs(np.cos(readings[flat, 2]))
     return from_polar(readings)
 
@@ -196,8 +197,9 @@ class Growth:
     def _located_by(self, rows: Ints) -> Floats | None:
         station = self._recording.station[rows]
         position, rotation, front = self._position[station], self._rotation[station], self._front[rows]
-        if self._upright and self._frame.level[station].all() and np.isnan(front[:, [0, 2]]).all():
-            front = np.where([False, False, True], 0.0, front)  # where directions alone meet in plan
+        no_heights = np.isnan(front[:, 2]) & (np.isnan(front[:, 0]) | self._flat[rows])
+        if self._upright and self._frame.level[station].all() and no_heights.all():
+            front = np.where([False, False, True], 0.0, front)  # where directions and horizontal distances meet in plan
         beams = np.isfinite(front[:, 1:]).all(axis=1)
         if beams.sum() >= 2:
             rays = from_polar(np.column_stack([np.ones(beams.sum()), front[beams, 1:]]))
@@ -205,10 +207,7 @@ class Growth:
             point = meeting_point(origin, np.einsum("nij,nj->ni", rotation[beams], rays))
             if point is not None:
                 return point
-        return fit_point(self._sight(rows), position, rotation)
-
-    def _sight(self, rows: Ints) -> Sight:
-        return Sight(self._front[rows], self._flat[rows], self._lift[rows])
+        return fit_point(Sight(front, self._flat[rows], self._lift[rows]), position, rotation)
 
     def _join_by_fit(self) -> bool:
         """Join a station by a fit of whatever it read to known targets."""
@@ -220,7 +219,8 @@ class Growth:
             if not self._is_new(station, 2 * len(rows) + (stand is not None)):
                 continue
             level = self._upright and bool(self._frame.level[station])
-            pose = fit_pose(self._sight(rows), known[recording.target[rows]], level=level, position=stand)
+            sight = Sight(self._front[rows], self._flat[rows], self._lift[rows])
+            pose = fit_pose(sight, known[recording.target[rows]], level=level, position=stand)
             if pose is not None:
                 self._place(station, *pose)
                 return True

@@ -10,15 +10,9 @@ from scipy import special
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.doubt import doubts
-from ltsim.adjustment.reliability import CHECKED
-from ltsim.arrays import Floats
-from ltsim.solve.design import median_deviation
+from ltsim.adjustment.reliability import FEW
 
 LEVEL = 0.05
-FEW = 15
-"""Degrees of freedom below which an estimated sigma0 is too uncertain to replace a stated one."""
-FAR_MORE = 2.0
-"""Ratio of the scatter of a target's readings to that of the others from which it is named."""
 ONLY_A_FEW = 0.05
 """Share of readings up to which outliers are single errors and not the noise itself."""
 
@@ -100,25 +94,11 @@ def _by_tests(adjustment: Adjustment, level: float) -> Verdict:
 
 def _by_targets(adjustment: Adjustment) -> str:
     """The targets whose own readings scatter far more than all others, in words."""
-    recording = adjustment.recording
-    w = np.where(adjustment.redundancy > CHECKED, np.abs(adjustment.w), np.nan)
-    count = np.bincount(recording.target, np.isfinite(w).sum(axis=1), len(recording.targets))
-    noise = {t: median_deviation(_finite(w[recording.target == t])) for t in np.flatnonzero(count >= FEW).tolist()}
-    named: list[int] = []
-    for t in sorted(noise, key=lambda t: -noise[t])[: len(noise) - 1]:
-        rest = median_deviation(_finite(w[~np.isin(recording.target, [*named, t])]))
-        if not noise[t] > FAR_MORE * rest:
-            break
-        named.append(t)
-    if not named:
+    named, own, rest = adjustment.restless
+    if not len(named):
         return ""
-    at = np.isin(recording.target, named)
-    names, (own, rest) = [recording.targets[t] for t in named], (median_deviation(_finite(w[i])) for i in (at, ~at))
-    return f"; readings to {', '.join(names)} scatter {own:.2g} times as stated, the others {rest:.2g} times"
-
-
-def _finite(values: Floats) -> Floats:
-    return np.asarray(values[np.isfinite(values)])
+    names = ", ".join(adjustment.recording.targets[t] for t in named)
+    return f"; readings to {names} scatter {own:.2g} times as stated, the others {rest:.2g} times"
 
 
 def _readings(count: int) -> str:

@@ -15,7 +15,7 @@ import numpy as np
 from ltsim.adjustment import Adjustment
 from ltsim.adjustment.refit import Estimated, Refit, refit
 from ltsim.adjustment.reliability import surprise
-from ltsim.adjustment.residual_space import ResidualSpace, orthonormal
+from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.schema import FittedEffectEntry, FittedParameterEntry
 from ltsim.effects.effect import Effect, Mistake, NoiseEffect
 from ltsim.effects.signature import Parameter, ShapeParameter, Signature, Tunable
@@ -81,8 +81,8 @@ def estimated_beside(
     fit, stated = Refit(found, tuple(always), ()), [frozenset[str]()] * len(always)
     for wanted in beside:
         tries, space = wanted.tries(found), ResidualSpace.of(found)
-        best = max(tries, key=lambda effect: float(surprise(*_drop(space, effect))))
-        freedom, before = _drop(space, best)[1], found.chi2
+        best = max(tries, key=lambda effect: float(surprise(*space.explained(space.signature(effect)))))
+        freedom, before = space.explained(space.signature(best))[1], found.chi2
         if freedom:
             stated.append(wanted.stated)
             found, fit = _settled(adjusted, [*fit.effects, best], stated)
@@ -111,14 +111,6 @@ def _settled(
             break
         effects = fit.effects
     return found, fit
-
-
-def _drop(space: ResidualSpace, effect: Tunable) -> tuple[float, int]:
-    """By how much chi-square falls to first order, and the number of parameters that leave something."""
-    rows = space.signature(effect)
-    basis = orthonormal(space.project(rows), np.linalg.norm(rows, axis=0))
-    told = basis.T @ space.residual
-    return float(told @ told), basis.shape[1]
 
 
 def name_of(effect: Signature, adjustment: Adjustment) -> str:

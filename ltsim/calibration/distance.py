@@ -10,6 +10,7 @@ from scipy import special
 
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.adjustment.prior import prior_sigmas
+from ltsim.adjustment.snooping import screened
 from ltsim.arrays import Floats, Ints
 from ltsim.calibration import result
 from ltsim.calibration.calibration import Calibration, Combination, Fit
@@ -51,8 +52,8 @@ def calibrate_distance(
     known = (choice or Choice()).applied(recording, built)
     prior, held = known.sigma, known.held
     source = SourceEntry.of(recording)
-    recording, _ = result.tied_readings(recording)
-    usable = recording.with_readings(np.where(result.gross_rows(recording)[:, None], np.nan, recording.readings))
+    recording, _, gross, _ = screened(recording)
+    usable = recording.with_readings(np.where(gross[:, None], np.nan, recording.readings))
     start = np.where(held, known.mean / prior, 0.0).ravel()
     problem, norm, notes = DistanceProblem(usable, built, prior), METHODS[method], tuple[str, ...]()
     if method.startswith("equation-9"):

@@ -20,10 +20,10 @@ from ltsim.calibration.history_schema import (
     EventEntry,
     HistoryFile,
 )
-from ltsim.calibration.result import named
 from ltsim.calibration.schema import RESIDUALS, TARGETS, CalibrationFile, Fit, VerdictEntry
 from ltsim.errors import ModelError, RecordError, unknown_name
 from ltsim.model.construction import with_parameters
+from ltsim.notation import listing
 from ltsim.recording.files import read_text, shown
 from ltsim.recording.result_file import read_result, write_result
 from ltsim.units import FACTOR, MILLIMETRE
@@ -167,7 +167,7 @@ def _missing(names: list[str], file: Path) -> tuple[str, ...]:
     if not names:
         return ()
     which = "one parameter is" if len(names) == 1 else f"{len(names)} parameters are"
-    return (f"{file}: {which} not in the file and taken as zero: {named(names)}",)
+    return (f"{file}: {which} not in the file and taken as zero: {listing(names)}",)
 
 
 def history_file(history: History) -> HistoryFile:

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.datum import about
 from ltsim.adjustment.frame import Frame
 from ltsim.adjustment.known import KnownTest
-from ltsim.adjustment.snooping import screened
-from ltsim.adjustment.start import reached_network
 from ltsim.adjustment.verdict import Case, Verdict, verdict
 from ltsim.arrays import Bools, Floats
 from ltsim.calibration.calibration import SHOWN_UNITS
@@ -24,28 +20,14 @@ from ltsim.geometry.rigid import rigid_motion
 from ltsim.geometry.rotations import quaternion
 from ltsim.model.construction import Construction
 from ltsim.model.measurement import ball_lift
-from ltsim.notation import with_sigma
+from ltsim.notation import listing, with_sigma
 from ltsim.recording.recording import MODE_COLUMN, OBSERVABLES, Recording
 from ltsim.remedies.undetermined import Direction, determining, undetermined
 from ltsim.units import ARCSECOND, MICROMETRE, MILLIMETRE
 
 CONTRADICTS = 3.0
 """Standard deviations from where its target last was, beyond which a reading is named that its target is lost by."""
-MOST_NAMED = 6
 UP = np.array([False, False, True])
-
-
-def gross_rows(recording: Recording) -> Bools:
-    """(n,) True for pointings that land elsewhere by more than any tracker error; raises NetworkError."""
-    tied, reached = tied_readings(recording)
-    return screened(tied, *reached)[1]
-
-
-def tied_readings(recording: Recording) -> tuple[Recording, tuple[Floats, Floats, Floats]]:
-    """The recording without the readings to targets that nothing ties to the rest, and its start network."""
-    reached, lost = reached_network(recording)
-    readings = np.where(lost[recording.target][:, None], np.nan, recording.readings)
-    return recording.with_readings(readings), reached
 
 
 def fit_of(adjustment: Adjustment) -> Fit:
@@ -211,7 +193,7 @@ def _notes_on_axes(adjustment: Adjustment) -> tuple[str, ...]:
         f"coordinates in the axes of {source}: {len(kept)} targets fit it within {within:.3g} mm, which leaves "
         f"the axes uncertain by {place} mm (x y z, in the middle) and {turn} arcsec (1 sigma)"
     )
-    return (f"{said}; left out of the datum: {named(out)}" if out else said,)
+    return (f"{said}; left out of the datum: {listing(out)}" if out else said,)
 
 
 def frame_of(adjustment: Adjustment) -> str:
@@ -223,13 +205,13 @@ def frame_of(adjustment: Adjustment) -> str:
     control += [problem.marks.names[i] for i in problem.known_marks.target]
     levelled = [recording.stations[i] for i in problem.levels.station]
     if free == 0:
-        return f"the frame of the control points {named(control)}"
+        return f"the frame of the control points {listing(control)}"
     rest = f"is {_free_axes(adjustment, first)}" + _inner(adjustment)
     if free == 6:
         return rest.removeprefix("is ")
     if not control:
-        return f"z follows the levels of {named(levelled)}; the rest {rest}"
-    held = f"the control points {named(control)}" + (" and the levels" if levelled else "")
+        return f"z follows the levels of {listing(levelled)}; the rest {rest}"
+    held = f"the control points {listing(control)}" + (" and the levels" if levelled else "")
     return f"{held}; what these leave free {rest}"
 
 
@@ -248,7 +230,7 @@ def _inner(adjustment: Adjustment) -> str:
     """How inner constraints define the datum, if they do."""
     if adjustment.datum is None:
         return ""
-    return f", standard deviations by inner constraints over {named(adjustment.datum.names)}"
+    return f", standard deviations by inner constraints over {listing(adjustment.datum.names)}"
 
 
 def _stated(adjustment: Adjustment) -> bool:
@@ -256,12 +238,6 @@ def _stated(adjustment: Adjustment) -> bool:
     names = adjustment.datum.names if adjustment.datum is not None else ()
     setups = [adjustment.recording.target_setup(name) for name in names]
     return any(s.approximate_mm or s.known_mm for s in setups)
-
-
-def named(names: Sequence[str]) -> str:
-    """Names with commas; of many the first few."""
-    more = len(names) - MOST_NAMED
-    return ", ".join(names[:MOST_NAMED]) + (f" and {more} more" if more > 0 else "")
 
 
 def undetermined_of(
@@ -332,7 +308,7 @@ def _notes_on_plan(adjustment: Adjustment) -> tuple[str, ...]:
     names = [adjustment.recording.targets[t] for t in np.flatnonzero(adjustment.open_heights)]
     if not names:
         return ()
-    return (f"in plan alone, as no reading tells their height: {named(names)}",)
+    return (f"in plan alone, as no reading tells their height: {listing(names)}",)
 
 
 def notes_on_modes(adjustment: Adjustment) -> tuple[str, ...]:

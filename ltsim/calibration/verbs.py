@@ -7,6 +7,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
+from ltsim.adjustment.snooping import screened
 from ltsim.calibration import (
     Calibration,
     calibrate_distance,
@@ -18,7 +19,6 @@ from ltsim.calibration.distance import METHODS
 from ltsim.calibration.files import CalibrationSource, calibration_of
 from ltsim.calibration.history import History
 from ltsim.calibration.known import Choice, Known
-from ltsim.calibration.result import gross_rows
 from ltsim.effects.effect import Effect
 from ltsim.effects.verbs import effect_from, names
 from ltsim.errors import LtsimError, ModelError, RecordError, option, unknown_name
@@ -197,7 +197,7 @@ def evaluate(recording: RecordingSource, calibration: CalibrationSource | None =
     True
     """
     seen = recording_of(recording)
-    use = ~gross_rows(seen)
+    use = ~screened(seen).gross
     if calibration is None:
         return criteria_of(seen, use=use)
     found = calibration_of(calibration)

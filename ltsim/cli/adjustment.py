@@ -143,12 +143,12 @@ def evaluate(
 
     Example: ltsim evaluate my-recording --calibration my-calibration
     """
-    from ltsim.calibration.result import gross_rows
+    from ltsim.adjustment.snooping import screened
     from ltsim.evaluation.criteria import CriteriaFile
 
     claim(out, CriteriaFile, force=force)
     recording = reading.open(source, terminal)
-    gross = gross_rows(recording)
+    gross = screened(recording).gross
     if gross.any():
         rows = ", ".join(str(i + 1) for i in gross.nonzero()[0][:12])
         terminal.notes([f"{gross.sum()} pointings miss their target by far and are left out (rows {rows})"])

@@ -1,7 +1,8 @@
 """`check`: every set-up of a recording judged by what it measured twice, with the price of many looks paid.
 
-All tests of a recording share one chance of a false alarm, `level`: each of them gets an equal part of it (Bonferroni),
-and within a test so does each target, gap or pointing that was looked at.
+All tests of a recording share one chance of a false alarm, `level`. The tests of single set-ups have one half of it and
+those of the network the other, each an equal part (Bonferroni), and within a test so has each target, gap or pointing
+that was looked at.
 """
 
 from __future__ import annotations
@@ -135,9 +136,9 @@ def check(recording: RecordingSource, *, level: float = LEVEL, mpe: tuple[float,
     True
     """
     whole = recording_of(recording)
-    family = Family(level, TESTS * max(len(whole.stations), 1) + NETWORK_TESTS)
+    family = Family(level, 2 * TESTS * max(len(whole.stations), 1))
     setups = tuple(_set_up(whole, s, family, mpe) for s in range(len(whole.stations)))
-    found = Check(whole, setups, items_of_network(whole, family), level)
+    found = Check(whole, setups, items_of_network(whole, Family(level, 2 * NETWORK_TESTS)), level)
     if not found.items:
         message = "no station measured a target twice, so nothing can be checked yet; "
         raise NetworkError(message + "measure some targets on both faces, or the first ones again at the end")

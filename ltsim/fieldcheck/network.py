@@ -11,6 +11,7 @@ from ltsim.adjustment.estimate import adjust
 from ltsim.adjustment.gross import mistakes
 from ltsim.adjustment.known import Kind
 from ltsim.adjustment.occupations import moved_tripods
+from ltsim.adjustment.verdict import LEVEL as RARE
 from ltsim.arrays import Bools
 from ltsim.errors import ConvergenceError, NetworkError
 from ltsim.fieldcheck.items import Family, Item, two_sided
@@ -25,6 +26,8 @@ TESTED: tuple[Kind, ...] = ("point", "length")
 """Known values that may be left out; levels are tested one by one."""
 CHECKED = 0.05
 """Redundancy below which no other station checks a level."""
+EXPLAINED = 0.05
+"""Chance of what the instrument's errors explain, below which they are at work; otherwise the plain network counts."""
 
 
 def items_of_network(recording: Recording, family: Family) -> tuple[Item, ...]:
@@ -50,22 +53,37 @@ def items_of_network(recording: Recording, family: Family) -> tuple[Item, ...]:
     moved = moved_tripods(plain)
     if moved is not None:
         marks = tuple(dict.fromkeys(one.mark for one in moved.found))
-        items.append(Item.of("", "mistake", False, moved.sentence(plain), targets=marks))
+        items.append(Item.of("", "mistake", False, moved.sentence, targets=marks))
     items += [Item.of("", "network", False, test.sentence, targets=(test.name,)) for test in found.wrong]
     if found.solution.converged and found.dof > 0:
-        items += [*_of_targets(found, known, family), *_of_levels(found, family)]
+        use, some = found.problem.use, found.rejected.any()
+        without = adjust(recording, use=use, judging=TESTED) if some else plain
+        if _at_work(without, found):
+            without = found
+        elif some:
+            without = adjust(recording, robust=True, judging=TESTED)
+        items += [*_of_targets(without, known, family), *_of_levels(found, family)]
     return tuple(items)
+
+
+def _at_work(without: Adjustment, found: Adjustment) -> bool:
+    """Whether the instrument's errors explain more of the network `without` them than noise as large as found does."""
+    count = found.problem.unknowns.instrument.size
+    ratio = (without.chi2 - found.chi2) / count / max(found.chi2 / found.dof, 1e-30)
+    return bool(special.fdtrc(count, found.dof, max(ratio, 0.0)) < EXPLAINED)
 
 
 def _of_targets(found: Adjustment, known: Bools, family: Family) -> list[Item]:
     """Whether the stations agree, pointings whose mistake is `known` (n,) aside; the worst pointing is named first."""
     recording, out = found.recording, found.rejected.any(axis=1) & ~known
-    p, less = two_sided(found.chi2, found.dof)
-    p = family.adjusted(p)
+    alone, less = two_sided(found.chi2, found.dof)
+    p = family.adjusted(alone)
     scatter = f"sigma0 {found.sigma0:.2f} where the stated noise gives 1 ({found.dof} degrees of freedom)"
     if not out.any():
         passed = less or p >= family.level
         verb = "agree" if passed else "disagree"
+        if passed and not less and alone < RARE:
+            scatter += f", as noise brings it in one network of {1 / alone:.0f}"
         return [Item.of("", "network", passed, f"the stations {verb} on their common targets: {scatter}", p)]
     size = np.nan_to_num(np.abs(found.residuals / found.problem.sigma)).max(axis=1)
     rows = np.flatnonzero(out)

@@ -13,14 +13,25 @@ OUTLYING = 8.0
 
 
 def align(source: Floats, goal: Floats, weights: Floats | None = None) -> tuple[Floats, Floats]:
-    """Rotation (3, 3) and translation (3,) with ``goal ~ source @ rotation.T + translation``.
+    """Rotation (3, 3) and translation (3,) with ``goal ~ source @ rotation.T + translation``; see `best_fit`."""
+    return best_fit(source, goal, weights)[:2]
+
+
+def best_fit(
+    source: Floats, goal: Floats, weights: Floats | None = None, *, scaled: bool = False
+) -> tuple[Floats, Floats, Floats]:
+    """Rotation (..., 3, 3), shift (..., 3) and scale (...) with ``goal ~ scale * source @ rotation.T + shift``.
 
     Parameters
     ----------
-    source, goal : (n, 3) float, [m]
-        Corresponding points, n >= 3, not on one line.
+    source : (n, 3) float, [m]
+        n >= 3, not on one line.
+    goal : (..., n, 3) float, [m]
+        The corresponding points.
     weights : (n,) float, optional
         Non-negative weights.
+    scaled : bool
+        Estimate the scale too; 1 otherwise.
 
     Raises
     ------
@@ -29,20 +40,26 @@ def align(source: Floats, goal: Floats, weights: Floats | None = None) -> tuple[
 
     References
     ----------
-    Kabsch, Acta Cryst. A32 (1976) 922; proper rotation enforced by the sign of the determinant.
+    Kabsch, Acta Cryst. A32 (1976) 922; Umeyama, IEEE Trans. PAMI 13 (1991) 376. Proper rotation enforced by the sign of
+    the determinant.
     """
     weight = np.ones(len(source)) if weights is None else weights
     if np.count_nonzero(weight) < 3:
         raise NetworkError("an alignment needs at least three common points")
     weight = weight / weight.sum()
-    centre_s, centre_g = weight @ source, weight @ goal
-    covariance = (weight[:, None] * (goal - centre_g)).T @ (source - centre_s)
-    left, spread, right = np.linalg.svd(covariance)
-    if spread[1] <= 1e-9 * spread[0]:
+    centre, middle = weight @ source, weight @ goal
+    arms = source - centre
+    moment = np.swapaxes(weight[:, None] * (goal - middle[..., None, :]), -1, -2) @ arms
+    left, spread, right = np.linalg.svd(moment)
+    if np.any(spread[..., 1] <= 1e-9 * spread[..., 0]):
         raise NetworkError("an alignment needs three common points that are not on one line")
-    flip = np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
-    rotation = left @ flip @ right
-    return rotation, centre_g - rotation @ centre_s
+    flip = np.ones_like(spread)
+    flip[..., 2] = np.sign(np.linalg.det(left @ right))
+    rotation = (left * flip[..., None, :]) @ right
+    scale = np.ones(moment.shape[:-2])
+    if scaled:
+        scale = np.sum(spread * flip, axis=-1) / np.sum(weight[:, None] * arms**2)
+    return rotation, middle - scale[..., None] * (rotation @ centre), scale
 
 
 def robust_align(source: Floats, goal: Floats) -> tuple[Floats, Floats]:

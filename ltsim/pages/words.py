@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
 
 from ltsim.chances import AGREES, p_is, two_sided
+from ltsim.notation import listing as listing
 
 
 def duration(seconds: float) -> str:
@@ -28,13 +28,6 @@ def count(number: int, one: str, many: str = "") -> str:
 def natural(name: str) -> list[tuple[int, str]]:
     """Sort key by which T9 comes before T10."""
     return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"([0-9]+)", name) if part]
-
-
-def listing(words: Sequence[str], most: int = 6) -> str:
-    """Words with commas, the last few counted."""
-    if len(words) <= most:
-        return ", ".join(words)
-    return ", ".join(words[:most]) + f" and {len(words) - most} more"
 
 
 def sentence(words: str) -> str:

@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ltsim.arrays import Floats, Ints
-from ltsim.errors import ModelError, unknown_name
+from ltsim.errors import ModelError, NetworkError, unknown_name
+from ltsim.geometry.alignment import best_fit
 from ltsim.tasks.features import Feature, fit
 from ltsim.tasks.spec import Task
 from ltsim.units import DEGREE, MILLIMETRE, PPM
@@ -64,7 +65,7 @@ class Measurand:
             near = fit(task.kind, points[at]) if task.kind in _PARTS else None
             found = cls(task, at, near)
             found.values(points)
-        except ModelError as problem:
+        except (ModelError, NetworkError) as problem:
             raise ModelError(f"task {task.name}: {problem}") from None
         wrong = [name for name in task.tolerances if name not in {o.name for o in found.outputs}]
         if wrong:
@@ -151,39 +152,6 @@ class Measurand:
         turn = Rotation.from_matrix(rotation.reshape(-1, 3, 3)).as_rotvec().reshape(shift.shape)
         ratio = [scale[..., None] - 1.0] if task.scale else []
         return np.concatenate([shift, turn, *ratio], axis=-1)
-
-
-def best_fit(source: Floats, goal: Floats, *, scaled: bool = False) -> tuple[Floats, Floats, Floats]:
-    """Rotation (..., 3, 3), shift (..., 3) and scale (...) with ``goal ~ scale * source @ rotation.T + shift``.
-
-    Parameters
-    ----------
-    source : (n, 3) float, [m]
-    goal : (..., n, 3) float, [m]
-    scaled : bool
-        Estimate the scale too; 1 otherwise.
-
-    Raises
-    ------
-    ModelError
-        When the points lie on one line.
-
-    References
-    ----------
-    Umeyama, IEEE Trans. PAMI 13 (1991) 376.
-    """
-    centre, middle = source.mean(axis=0), goal.mean(axis=-2)
-    arms = source - centre
-    moment = np.einsum("...ni,nj->...ij", goal - middle[..., None, :], arms)
-    u, s, v = np.linalg.svd(moment)
-    if len(source) < 3 or not np.all(s[..., 1] > 1e-9 * s[..., 0]):
-        raise ModelError("a best fit needs at least three points that are not on one line")
-    sign = np.sign(np.linalg.det(u @ v))
-    flip = np.ones_like(s)
-    flip[..., 2] = sign
-    rotation = (u * flip[..., None, :]) @ v
-    scale = np.sum(s * flip, axis=-1) / np.sum(arms**2) if scaled else np.ones(moment.shape[:-2])
-    return rotation, middle - scale[..., None] * (rotation @ centre), scale
 
 
 def _angle(chosen: Floats) -> Floats:

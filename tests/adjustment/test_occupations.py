@@ -19,8 +19,11 @@ DAYS = ("2026-05-04", "2026-05-05")
 SPIRE = np.array([45.0, 130.0, 25.0])
 
 
-def local_tie(seed: int, shift: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Recording:
-    """Five pillars, each occupied on both days, all others sighted twice; P4's target stands off [mm] on the second."""
+def local_tie(seed: int, shift: tuple[float, float, float] = (0.0, 0.0, 0.0), spire: float = 1.0) -> Recording:
+    """Five pillars, each occupied on both days, all others sighted twice; P4's target stands off [mm] on the second.
+
+    Directions to the spire scatter `spire` times as stated.
+    """
     rng = stream(seed, "local-tie")
     rows = [
         (day, pillar, other, repeat)
@@ -54,18 +57,20 @@ def local_tie(seed: int, shift: tuple[float, float, float] = (0.0, 0.0, 0.0)) ->
         labels={"date": tuple(DAYS[d] for d in day)},
         has_clock=False,
     )
-    noisy = readings + recording.sigma() * rng.standard_normal(readings.shape)
+    noisy = readings + recording.sigma() * rng.standard_normal(readings.shape) * np.where(other == 5, spire, 1)[:, None]
     noisy[other == 5] *= np.array([np.nan, 1.0, np.nan])
     return recording.with_readings(noisy)
 
 
-def test_no_tripod_of_a_sound_network_is_named() -> None:
-    assert [moved_tripods(adjust(local_tie(seed))) for seed in range(12)] == [None] * 12
+@pytest.mark.parametrize("spire", [1.0, 10.0])
+def test_no_tripod_of_a_sound_network_is_named(spire: float) -> None:
+    assert [moved_tripods(adjust(local_tie(seed, spire=spire))) for seed in range(12)] == [None] * 12
 
 
+@pytest.mark.parametrize("spire", [1.0, 30.0])
 @pytest.mark.parametrize("seed", range(4))
-def test_a_tripod_beside_its_mark_on_the_second_day_is_named_with_its_size(seed: int) -> None:
-    found = adjust(local_tie(seed, (1.5, 1.0, 0.0)))
+def test_a_tripod_beside_its_mark_on_the_second_day_is_named_with_its_size(seed: int, spire: float) -> None:
+    found = adjust(local_tie(seed, (1.5, 1.0, 0.0), spire))
     moved = moved_tripods(found)
     assert moved is not None
     assert [(one.mark, one.role, one.day) for one in moved.found] == [("P4", "target", DAYS[1])]
@@ -76,6 +81,7 @@ def test_a_tripod_beside_its_mark_on_the_second_day_is_named_with_its_size(seed:
     spread = 1e3 * np.sqrt(np.diag(moved.covariance[0])[:2])
     assert np.all(np.abs(1e3 * moved.values[0, :2] - expected) < 4 * spread)
     assert moved.chi2 < 1.3 * moved.dof
+    assert moved.noisy == (("SPIRE",) if spire > 1.0 else ())
     assert f"P4 as target on {DAYS[1]} by 1." in found_sentence(found)
     assert any(item.kind == "mistake" and "P4" in item.targets for item in check(found.recording).items)
 

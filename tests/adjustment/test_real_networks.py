@@ -57,7 +57,9 @@ def test_a_local_tie_names_the_tripod_of_the_second_day_and_places_what_directio
     found = adjust(read(DATA / "field" / "wark_control.csv"))
     moved = moved_tripods(found)
     assert moved is not None
-    assert ("WAN3", "target", "2015-03-16") in {(one.mark, one.role, one.day) for one in moved.found}
+    at = [(one.mark, one.role, one.day) for one in moved.found].index(("WAN3", "target", "2015-03-16"))
+    assert np.linalg.norm(moved.values[at, :2]) == pytest.approx(np.hypot(1.5e-3, 1.0e-3), abs=2e-4)
+    assert moved.noisy == ("WARK",)
     assert not found.lost_targets
     assert np.flatnonzero(found.open_heights).tolist() == [found.recording.targets.index("WARK")]
     without = found.recording.select(found.recording.target != found.recording.targets.index("WARK"))

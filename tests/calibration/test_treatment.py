@@ -10,9 +10,9 @@ import pytest
 
 import ltsim as lt
 from ltsim.adjustment import adjust
+from ltsim.adjustment.snooping import screened
 from ltsim.calibration import calibrate_distance, calibrate_network, correct, write_calibration
 from ltsim.calibration.files import calibration_file
-from ltsim.calibration.result import gross_rows
 from ltsim.errors import ModelError, NetworkError
 from ltsim.recording import Hints, read
 from ltsim.recording.setup import Target
@@ -108,7 +108,7 @@ def test_a_target_without_a_place_is_named_and_has_no_coordinates(make, tmp_path
     assert all(c.cure for c in advised.undetermined)
     by_distance = calibrate_distance(recording.with_readings(readings))
     assert by_distance.lost_targets == ("T08",)
-    assert not gross_rows(recording.with_readings(readings)).any()
+    assert not screened(recording.with_readings(readings)).gross.any()
     with pytest.raises(NetworkError, match=r"lacks a range or an angle .* nothing ties target T08 to it"):
         correct(recording.with_readings(readings), found)
     write_calibration(found, tmp_path)

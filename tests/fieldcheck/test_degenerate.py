@@ -12,6 +12,8 @@ from ltsim.adjustment.doubt import doubts
 from ltsim.calibration import calibrate_network
 from ltsim.errors import LtsimError
 from ltsim.fieldcheck import check
+from ltsim.fieldcheck.check import LEVEL
+from ltsim.fieldcheck.network import RARE
 from ltsim.geometry.polar import to_polar
 from ltsim.randomness import stream
 from ltsim.recording.recording import Recording
@@ -107,6 +109,26 @@ def agreed(way: Break, seed: int) -> str:
 @pytest.mark.parametrize("way", WAYS)
 def test_all_verbs_say_the_same_of_a_degenerate_network(way: Break, seed: int) -> None:
     agreed(way, seed)
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("noise", [1.0, 1.2, 1.5])
+def test_check_gives_the_judgement_of_adjust_where_nothing_but_noise_is_larger(seed: int, noise: float) -> None:
+    """No error of the instrument is at work: the same sigma0, and no-go where it is rarer than the level allows."""
+    recording, state = workshop()
+    exact = recording.with_readings(seen(recording, state.points, seed).readings)
+    exact = exact.select((exact.station < 3) & (exact.target < 9))
+    extra = stream(seed, "larger").standard_normal(exact.readings.shape) * exact.sigma() * np.sqrt(noise**2 - 1.0)
+    noisy = exact.with_readings(exact.readings + extra)
+    adjusted, found = lt.adjust(noisy).adjustment, check(noisy)
+    (item,) = (item for item in found.items if item.kind == "network")
+    assert found.passed == item.passed
+    if lt.adjust(noisy, robust=True).adjustment.rejected.any():
+        assert "contradicts the other stations" in item.sentence
+        return
+    assert item.passed == (2.0 * min(adjusted.p_value, 1.0 - adjusted.p_value) >= LEVEL / 4)
+    assert f"sigma0 {adjusted.sigma0:.2f} " in item.sentence
+    assert ("as noise brings it in one network of" in item.sentence) == (item.passed and adjusted.p_value < RARE / 2)
 
 
 def test_a_pointing_to_the_zenith_is_named_by_all_verbs() -> None:
