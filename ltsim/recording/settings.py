@@ -71,13 +71,10 @@ def _with_sheet(table: Any, place: str, file: object) -> Any:
     return above({"model": figures(table["sheet"])["name"], **table}, below)
 
 
-def above(table: Mapping[str, Any], below: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-    """A table whose inner tables stand above those of `below`: what both state is the table's."""
-    filled = dict(table)
-    for section, values in below.items():
-        given = table.get(section, {})
-        filled[section] = {**values, **given} if isinstance(given, dict) else given
-    return filled
+def above(table: Mapping[str, Any], below: Mapping[str, Any]) -> dict[str, Any]:
+    """A table with what another says besides; tables in both are laid over each other in the same way."""
+    both = [key for key, value in below.items() if isinstance(value, dict) and isinstance(table.get(key), dict)]
+    return {**below, **table, **{key: above(table[key], below[key]) for key in both}}
 
 
 def checked(data: Mapping[str, Any], model: type[Settings], kind: str, file: object) -> Settings:

@@ -57,6 +57,8 @@ class Scenario(Section, Result):
     """Which format and version this file is in."""
     title: str = ""
     """Free text."""
+    base: str | None = None
+    """A built-in scenario whose tables hold below those of this file; "none" in place of a table takes it out."""
     workshop: Workshop = Workshop()
     """The room, its air, what stands in it."""
     placing: Placing = Placing()
@@ -130,7 +132,7 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
 def scenario_from(data: Mapping[str, Any], file: Path) -> Scenario:
     """Check the tables of a scenario; `file` is named in errors, its folder holds CAD files."""
     with as_setup_error():
-        scenario = checked(_with_presets(data, file), Scenario, "scenario", file)
+        scenario = checked(_with_presets(_with_base(data), file), Scenario, "scenario", file)
     _check(scenario, file)
     return _with_files_beside(_in_use(scenario, file), file)
 
@@ -184,6 +186,14 @@ def _set(table: dict[str, Any], key: str, value: Any, where: str) -> None:
         inner.pop(last, None)
     else:
         inner[last] = value
+
+
+def _with_base(data: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The tables above those of the scenario that they name as their base."""
+    if data.get("base") is None:
+        return data
+    below = _with_base(read_toml(builtin_path(str(data["base"])), "scenario"))
+    return {key: value for key, value in above(data, below).items() if key != "base" and value != NONE}
 
 
 def _with_presets(data: Mapping[str, Any], file: Path) -> Mapping[str, Any]:
