@@ -14,12 +14,8 @@ from ltsim.scene.sightings import Sightings
 from ltsim.units import ARCSECOND, MILLIMETRE, PPM
 
 PAPER_ANGLE_ARCSEC = 0.018
-
-
 PAPER_DISTANCE_UM = 0.1
 """Steps of the encoders and of the range (Sensors 2021, 21, 7479, section 2.1.1)."""
-
-
 LEAST_COSINE = 1e-6
 
 

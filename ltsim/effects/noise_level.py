@@ -10,8 +10,6 @@ from ltsim.scene.sightings import Sightings
 
 LEAST = 0.01
 """Smallest factor on a variance."""
-
-
 QUIETER = (-0.35, -0.6, -0.8)
 
 
