@@ -6,9 +6,10 @@ import difflib
 import json
 import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from functools import lru_cache
 from pathlib import Path
-from typing import Any, TypeVar, get_args
+from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
@@ -143,7 +144,9 @@ def sentence(error: ErrorDetails, root: type[BaseModel]) -> str:
     key = ".".join(str(p + 1) if isinstance(p, int) else p for p in place)
     found = shown(json.dumps(error["input"], default=str), 60)
     if error["type"] == "extra_forbidden":
-        known = _keys_at(tuple(place[:-1]), root)
+        known = [
+            key for _, nodes in schemas_at(root, place[:-1]) for node in nodes for key in node.get("properties", {})
+        ]
         near = ", ".join(_close(str(place[-1]), known))
         return f"unknown key {shown(key, 100)}; did you mean {near}?"
     if error["type"] == "missing":
@@ -162,26 +165,33 @@ def _expected(message: str) -> str:
     )
 
 
-def _keys_at(place: tuple[Any, ...], root: type[BaseModel]) -> list[str]:
-    """Keys that the table at `place` may hold."""
-    model = root
-    for part in place:
-        for name, field in model.model_fields.items():
-            if part in (name, field.alias):
-                model = _section(field.annotation) or model
-                break
-    return [field.alias or name for name, field in model.model_fields.items()]
+Schema = dict[str, Any]
 
 
-def _section(annotation: Any) -> type[BaseModel] | None:
-    """The table inside an annotation such as ``dict[str, Station]``."""
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return annotation
-    for inner in get_args(annotation):
-        found = _section(inner)
-        if found is not None:
-            return found
-    return None
+@lru_cache
+def _schema(root: type[BaseModel]) -> Schema:
+    return root.model_json_schema(by_alias=True)
+
+
+def schemas_at(root: type[BaseModel], path: Iterable[object]) -> list[tuple[Schema, list[Schema]]]:
+    """The JSON schemas of what may stand at a path of keys below a model, each with its alternatives."""
+
+    def choices(node: Schema) -> list[Schema]:
+        if "$ref" in node:
+            return choices(_schema(root)["$defs"][node["$ref"].rpartition("/")[2]])
+        return [choice for entry in node["anyOf"] for choice in choices(entry)] if "anyOf" in node else [node]
+
+    found = [_schema(root)]
+    for part in map(str, path):
+        found = [below for node in found for choice in choices(node) if (below := _below(choice, part)) is not None]
+    return [(node, choices(node)) for node in found]
+
+
+def _below(node: Schema, part: str) -> Schema | None:
+    """The schema below one part of a path: a named entry, any entry, or that of a list."""
+    below = node.get("properties", {}).get(part) or node.get("additionalProperties")
+    below = below or (node.get("items") if part.isdecimal() else None)
+    return below if isinstance(below, dict) else None
 
 
 def setup_to_toml(setup: Setup) -> str:
