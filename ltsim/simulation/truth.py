@@ -290,4 +290,5 @@ def nominal_csv(truth: Truth) -> str:
     """
     if truth.nominal is None:
         raise ModelError("the scenario measured no nominal points; set nominal = true in its table [cmm]")
-    return NOMINAL.text([name, *p] for name, p in zip(truth.targets, truth.nominal / MILLIMETRE, strict=True))
+    rows = ([name, *p] for name, p in zip(truth.targets, truth.nominal / MILLIMETRE, strict=True))
+    return NOMINAL.filled(rows).csv()
