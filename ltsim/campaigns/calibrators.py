@@ -23,11 +23,10 @@ from ltsim.campaigns.program import ChainProgram
 from ltsim.campaigns.spec import Method
 from ltsim.campaigns.truth import Block, Truth
 from ltsim.effects.effect import Effect
-from ltsim.errors import ModelError, NetworkError, SetupError
+from ltsim.errors import NetworkError, SetupError
 from ltsim.model.construction import Construction, construction, dh
 from ltsim.model.measurement import State
 from ltsim.simulation.draws import Normal
-from ltsim.simulation.physics import effect_from
 
 
 def fitted_construction(method: Method) -> Construction:
@@ -39,14 +38,7 @@ def fitted_construction(method: Method) -> Construction:
 
 def fitted_effects(method: Method) -> tuple[Effect, ...]:
     """The further effects that a method estimates; raises SetupError, naming its entry and what would be right."""
-    found = []
-    for number, entry in enumerate(method.effects):
-        places = {"stations": entry.stations, "targets": entry.targets}
-        try:
-            found.append(effect_from(entry.name, places, entry.shape))
-        except (ModelError, ValueError, TypeError, KeyError) as problem:
-            raise SetupError(f"methods.{method.title}.effects.{number + 1}: {problem}") from None
-    return tuple(found)
+    return tuple(e.effect(f"methods.{method.title}.effects.{i}") for i, e in enumerate(method.effects, 1))
 
 
 def calibrator_of(method: Method, truth: Truth) -> Calibrator:
