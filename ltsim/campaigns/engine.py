@@ -161,14 +161,10 @@ class Single(Calibrator):
         if self.method == "network":
             adjustment = adjust(recording, self.construction, effects=self.effects)
             adjustment.solution.require_success()
-            return adjustment, adjustment.state.instrument, network_sigma(adjustment)
+            variance = np.diag(adjustment.kept_covariance)[adjustment.problem.unknowns.instrument]
+            return adjustment, adjustment.state.instrument, np.sqrt(variance)
         calibration = calibrate_distance(recording, self.construction, method=self.method, advise=False)
         return calibration.adjustment, calibration.values, calibration.sigma
-
-
-def network_sigma(adjustment: Adjustment) -> Floats:
-    """Standard deviations (I, p) [SI] of the instruments' parameters."""
-    return np.sqrt(np.diag(adjustment.kept_covariance)[adjustment.problem.unknowns.instrument])
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from pydantic import Field
 from ltsim.arrays import Floats
 from ltsim.effects.effect import Effect
 from ltsim.errors import ModelError, SetupError, as_setup_error
-from ltsim.recording.files import check_name, shown
+from ltsim.recording.files import Where, shown
 from ltsim.recording.settings import above, checked, read_toml, to_toml
 from ltsim.recording.setup import Material, NonNegative, Reflector, Section
 from ltsim.recording.specification import sheet_names, stated_by
@@ -331,7 +331,7 @@ def _wrong_names(scenario: Scenario, file: Path) -> Iterator[str]:
     for kind, listed in (("station", scenario.stations), ("target", names), ("instrument", scenario.instruments)):
         for name in listed:
             with as_setup_error():
-                check_name(name, kind, file=file)
+                Where(file).name(name, kind)
 
 
 def _wrong_instruments(scenario: Scenario) -> Iterator[str]:
