@@ -6,7 +6,7 @@ import difflib
 import json
 import re
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeVar
@@ -44,20 +44,20 @@ def read_toml(path: Path, kind: str) -> dict[str, Any]:
 
 def setup_from(data: Mapping[str, Any], file: object) -> Setup:
     """Check a table of settings; `file` is named in the error."""
-    setup = checked(_with_sheets(data, file), Setup, "set-up", file)
+    whole = with_instruments(data, lambda table, place: _with_sheet(table, place, file))
+    setup = checked(whole, Setup, "set-up", file)
     _check_names(setup, file)
     return setup
 
 
-def _with_sheets(data: Mapping[str, Any], file: object) -> dict[str, Any]:
-    """The tables with the data sheet of each instrument filled in below what the file says."""
-    filled = dict(data)
-    named = data.get("instruments")
+def with_instruments(data: Mapping[str, Any], filled: Callable[[Any, str], Any]) -> dict[str, Any]:
+    """The tables of a file, each instrument's as `filled` makes it of table and place."""
+    made, named = dict(data), data.get("instruments")
     if isinstance(named, dict):
-        filled["instruments"] = {n: _with_sheet(table, f"instruments.{n}", file) for n, table in named.items()}
+        made["instruments"] = {name: filled(table, f"instruments.{name}") for name, table in named.items()}
     if "instrument" in data:
-        filled["instrument"] = _with_sheet(data["instrument"], "instrument", file)
-    return filled
+        made["instrument"] = filled(data["instrument"], "instrument")
+    return made
 
 
 def _with_sheet(table: Any, place: str, file: object) -> Any:
