@@ -61,10 +61,10 @@ def seconds(work: Callable[[], object], repeats: int) -> float:
 
 def difference(engine: Engine, block: Block, trial: int, values: Floats, points: Floats) -> float:
     """Largest difference [sigma] of parameters and of targets after a rigid fit from the single solver's."""
-    full = engine.full(block, trial)
+    full, own, _ = engine.single.solved(recording_of(engine.truth, block, trial))
     if full is None:
         return float("nan")
-    z = np.abs(values - full.state.instrument[0]) / engine.network.sigma_values[0]
+    z = np.abs(values - own[0]) / engine.network.sigma_values[0]
     gap = np.abs(on_points(points, full.state.points) - full.state.points) / engine.sigma_targets
     return float(max(z.max(), gap.max()))
 
@@ -175,7 +175,7 @@ def other_paths() -> None:
     worst = max(batch.difference(block, k, found) for k in range(3))
     each = seconds(lambda: batch.calibrate(block, every), 5) / BLOCK
     single = seconds(lambda: batch.single.calibrate(block, np.array([0])), 3)
-    absolute, some = BatchDistance(truth, misalignment(), "distance-l1"), np.arange(16)
+    absolute, some = BatchDistance(truth, misalignment(), method="distance-l1"), np.arange(16)
     settled = absolute.calibrate(block, some)
     apart = max(absolute.difference(block, k, settled) for k in range(8))
     programmed = seconds(lambda: absolute.calibrate(block, some), 3) / len(some)

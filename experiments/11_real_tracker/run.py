@@ -6,6 +6,7 @@ Reads ../shared/recordings beside the checkout; writes figures found.
 """
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -17,9 +18,9 @@ from ltsim.calibration.files import history_file
 from ltsim.calibration.history import History
 from ltsim.diagnosis import diagnose
 from ltsim.effects import BASELINE
-from ltsim.evaluation.two_face import TwoFace, TwoFaceComparison, compare_two_face, two_face
+from ltsim.evaluation.two_face import TwoFace, two_face
 from ltsim.geometry.polar import from_polar
-from ltsim.model.construction import misalignment
+from ltsim.model.construction import Construction, misalignment
 from ltsim.pages.figures.parameters import history_figure
 from ltsim.recording import Recording
 from ltsim.recording.setup import Noise
@@ -72,7 +73,29 @@ def noise(out: Path) -> None:
     show_table(out / "noise.csv", rows)
 
 
-def figures(kind: str, compared: TwoFaceComparison) -> dict[str, object]:
+@dataclass(frozen=True)
+class Compared:
+    """The same pairs with the readings as they are and with parameters applied."""
+
+    before: TwoFace
+    after: TwoFace
+
+    @property
+    def rms_removed(self) -> np.ndarray:
+        """(3,) one minus the ratio of the rms: 1 when nothing is left, negative when parameters do harm."""
+        return 1.0 - self.after.rms / self.before.rms
+
+    def only(self, pairs: np.ndarray) -> "Compared":
+        """The comparison over some of the pairs, (m,) bool."""
+        return Compared(self.before.only(pairs), self.after.only(pairs))
+
+    @classmethod
+    def of(cls, recording: Recording, construction: Construction, values: np.ndarray) -> "Compared":
+        """Half differences before and after parameters (p,) or (n, p) [SI] are applied."""
+        return cls(two_face(recording), two_face(recording, construction, values))
+
+
+def figures(kind: str, compared: Compared) -> dict[str, object]:
     """Rms of the half differences before and after in um and urad, and the share removed."""
     before, after = compared.before.rms * 1e6, compared.after.rms * 1e6
     row: dict[str, object] = {"pairs": f"{len(compared.before)} {kind}"}
@@ -125,14 +148,14 @@ def transfer(out: Path) -> None:
     for method, construction, snoop, informed in METHODS:
         own = {k: calibrate_network(snooped(r, construction)[0] if snoop else r, construction, advise=False)
                for k, r in raw.items()}  # fmt: skip
-        compared: dict[tuple[str, int], TwoFaceComparison] = {}
+        compared: dict[tuple[str, int], Compared] = {}
         for name in EPOCHS:
             others = [(f"{k[0]} {k[1]}", c) for k, c in own.items() if k[0] != name]
             history = History.of(others) if informed else None
             for s in (0, 1):
                 used = history.informed(own[name, s]) if history else own[name, s]
                 values = used.applied[0] if method == DEFAULT else used.values[0]
-                one = compare_two_face(raw[name, 1 - s], construction, values)
+                one = Compared.of(raw[name, 1 - s], construction, values)
                 compared[name, s] = one
                 row = figures("clean", one.only(good[name, 1 - s]))
                 every.append({"method": method, "epoch": name, "from": s, "to": 1 - s, **row})
@@ -147,21 +170,21 @@ def held_out(out: Path) -> None:
     show_table(out / "held_out_simulated.csv", simulated())
 
 
-def pooled(compared: list[TwoFaceComparison]) -> TwoFaceComparison:
+def pooled(compared: list[Compared]) -> Compared:
     def join(parts: list[TwoFace]) -> TwoFace:
         return TwoFace(*(np.concatenate([getattr(p, f) for p in parts]) for f in ("rows", "place", "half")))
 
-    return TwoFaceComparison(join([c.before for c in compared]), join([c.after for c in compared]))
+    return Compared(join([c.before for c in compared]), join([c.after for c in compared]))
 
 
-def medians(compared: list[TwoFaceComparison]) -> dict[str, object]:
+def medians(compared: list[Compared]) -> dict[str, object]:
     share = np.median([c.rms_removed for c in compared], axis=0)
     return {"median share across": share[1].round(3), "median share elevation": share[2].round(3)}
 
 
 def ceiling(raw: dict[tuple[str, int], Recording], good: dict[tuple[str, int], np.ndarray]) -> dict[str, object]:
     """What the model removes from the very pairs it was fitted to: nothing that transfers can do better."""
-    own = [compare_two_face(r, misalignment(), calibrate_network(snooped(r)[0], advise=False).values[0]).only(good[k])
+    own = [Compared.of(r, misalignment(), calibrate_network(snooped(r)[0], advise=False).values[0]).only(good[k])
            for k, r in raw.items()]  # fmt: skip
     return {"method": "ceiling: 16 parameters on the set-up they were fitted to",
             **figures("clean", pooled(own)), **medians(own)}  # fmt: skip

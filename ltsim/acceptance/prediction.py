@@ -14,9 +14,10 @@ from ltsim.geometry.polar import across_beam, from_polar, to_polar, unit_vectors
 from ltsim.geometry.rigid import less_rigid
 from ltsim.model.construction import Construction
 from ltsim.randomness import stream
+from ltsim.recording.recording import noise_sigma
 from ltsim.recording.setup import Noise
 from ltsim.recording.specification import Specification
-from ltsim.units import ARCSECOND, MICROMETRE, MILLIMETRE, PPM
+from ltsim.units import MICROMETRE
 
 UNSEEN = 1e-6
 """Share of a limit that a constant of usual size makes by rounding alone."""
@@ -91,10 +92,9 @@ class Plan:
         """Beam, left and up (k, 3, 3) and the standard deviations (k, 3) [m] along them."""
         polar = to_polar(points)
         axes = np.stack(unit_vectors(polar[:, 1], polar[:, 2]), axis=1)
-        noise, range_ = self.noise, polar[:, 0]
-        along = noise.distance_mm * MILLIMETRE + noise.distance_ppm * PPM * range_
-        sides = (range_ * angle * ARCSECOND for angle in (noise.azimuth_arcsec, noise.elevation_arcsec))
-        return axes, np.stack([along, *sides], axis=1)
+        flat = np.zeros(len(polar))
+        sigma = noise_sigma([self.noise], flat.astype(int), polar[:, 0], flat)
+        return axes, sigma * np.where([True, False, False], 1.0, polar[:, :1])
 
     def predict(self, mean: Floats, covariance: Floats, *, trials: int, seed: int) -> Prediction:
         """Errors of an instrument whose constants have a mean (p,) and a covariance (p, p) [SI].

@@ -14,8 +14,7 @@ from ltsim.chances import p_is
 from ltsim.evaluation.criteria import CriterionEntry
 from ltsim.notation import number, with_sigma
 from ltsim.recording.result_file import Entry, Finite, Known, ResultFile, Vector, known
-from ltsim.recording.result_table import ResultTable
-from ltsim.results import numbers, texts
+from ltsim.results import Table, numbers, texts
 from ltsim.units import ARCSECOND, MILLIMETRE
 
 NotNegative = Annotated[Finite, Field(ge=0)]
@@ -27,8 +26,8 @@ COORDINATES = (
     *numbers(".6f", x_mm="coordinate", y_mm="coordinate", z_mm="coordinate"),
     *numbers(".6f", sigma_x_mm="its standard deviation", sigma_y_mm="as sigma_x_mm", sigma_z_mm="as sigma_x_mm"),
 )
-TARGETS = ResultTable("targets.csv", "adjusted targets; what readings do not tell has no row or height", COORDINATES)
-RESIDUALS = ResultTable(
+TARGETS = Table("targets.csv", "adjusted targets; what readings do not tell has no row or height", COORDINATES)
+RESIDUALS = Table(
     "residuals.csv",
     "one row an observation that was used",
     (

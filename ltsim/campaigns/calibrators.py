@@ -23,11 +23,10 @@ from ltsim.campaigns.program import ChainProgram
 from ltsim.campaigns.spec import Method
 from ltsim.campaigns.truth import Block, Truth
 from ltsim.effects.effect import Effect
-from ltsim.errors import ModelError, NetworkError, SetupError
+from ltsim.errors import NetworkError, SetupError
 from ltsim.model.construction import Construction, construction, dh
 from ltsim.model.measurement import State
 from ltsim.simulation.draws import Normal
-from ltsim.simulation.physics import effect_from
 
 
 def fitted_construction(method: Method) -> Construction:
@@ -39,14 +38,7 @@ def fitted_construction(method: Method) -> Construction:
 
 def fitted_effects(method: Method) -> tuple[Effect, ...]:
     """The further effects that a method estimates; raises SetupError, naming its entry and what would be right."""
-    found = []
-    for number, entry in enumerate(method.effects):
-        places = {"stations": entry.stations, "targets": entry.targets}
-        try:
-            found.append(effect_from(entry.name, places, entry.shape))
-        except (ModelError, ValueError, TypeError, KeyError) as problem:
-            raise SetupError(f"methods.{method.title}.effects.{number + 1}: {problem}") from None
-    return tuple(found)
+    return tuple(e.effect(f"methods.{method.title}.effects.{i}") for i, e in enumerate(method.effects, 1))
 
 
 def calibrator_of(method: Method, truth: Truth) -> Calibrator:
@@ -57,7 +49,7 @@ def calibrator_of(method: Method, truth: Truth) -> Calibrator:
     if method.solver == "single":
         return Single(truth, built, effects, method.method, applied=method.applied)
     if method.method != "network":
-        return BatchDistance(truth, built, method.method)
+        return BatchDistance(truth, built, method=method.method)
     return Engine(truth, built, effects)
 
 
@@ -126,8 +118,8 @@ class Stack(Truth):
         readings_of(program, which, self.local, self.jacobian, values, deviation)
         return deviation
 
-    def draw_trials(self, seed: int, numbers: Ints) -> tuple[Block, tuple[Block, ...]]:
-        """The trials of these numbers together, and each by itself in the order of its own pointings."""
+    def draw_trials(self, seed: int, numbers: Ints) -> Block:
+        """The trials of these numbers."""
         each = Normal(seed, numbers).one_by_one()
         draws = [truth.population.draw(own) for truth, own in zip(self.truths, each, strict=True)]
         values = np.concatenate([draw.values for draw in draws], axis=2)
@@ -141,7 +133,7 @@ class Stack(Truth):
         )
         gauge_error = np.concatenate([block.gauge_error for block in alone], axis=1)
         deviation = self.gathered(block.deviation[:, :, 0] for block in alone)
-        return Block(numbers, values, amounts, deviation, gauge_error), alone
+        return Block(numbers, values, amounts, deviation, gauge_error, alone)
 
 
 def stacks(truths: dict[int, Truth]) -> Iterator[tuple[Stack, Ints]]:
@@ -165,40 +157,30 @@ def _keys(truth: Truth) -> Ints:
 
 
 @dataclass(frozen=True)
-class StackCalibrator:
+class StackCalibrator(Calibrator):
     """A method on a stack: the batch for all trials at once; trial by trial whatever else, and where that gives up."""
 
-    stack: Stack
-    blocks: tuple[Block, ...]
-    """Each trial by itself."""
-    method: Method
+    truth: Stack
+    asked: Method = field(default_factory=Method)
+
+    @classmethod
+    def of(cls, method: Method, stack: Stack) -> StackCalibrator:
+        """What a campaign file asks for."""
+        first = calibrator_of(method, stack.truths[0])
+        return cls(stack, first.construction, first.effects, method.method, method)
 
     def alone(self, trial: int) -> Calibrator:
         """The calibrator of a trial by itself."""
-        return calibrator_of(self.method, self.stack.truths[trial])
-
-    @cached_property
-    def _first(self) -> Calibrator:
-        return self.alone(0)
-
-    @property
-    def construction(self) -> Construction:
-        """Whose parameters are estimated."""
-        return self._first.construction
-
-    @property
-    def effects(self) -> tuple[Effect, ...]:
-        """Further effects that are estimated."""
-        return self._first.effects
+        return calibrator_of(self.asked, self.truth.truths[trial])
 
     def calibrate(self, block: Block, wanted: Ints) -> Calibrated:
         """Calibrate a block; a trial whose own geometry determines too little has failed."""
-        found = Calibrated.none(self.stack, self.construction, self.effects, len(self.blocks))
-        together = isinstance(self._first, Engine) and not self.effects
+        found = Calibrated.none(self.truth, self.construction, self.effects, len(block.alone))
+        together = self.method == "network" and self.asked.solver == "batch" and not self.effects
         left = self._together(block, found) if together else wanted
         for trial in left.tolist():
             try:
-                own = self.alone(trial).calibrate(self.blocks[trial], np.zeros(1, dtype=np.int64))
+                own = self.alone(trial).calibrate(block.alone[trial], np.zeros(1, dtype=np.int64))
             except (NetworkError, SetupError):
                 continue
             found.take(trial, own, 0)
@@ -206,7 +188,7 @@ class StackCalibrator:
 
     def _together(self, block: Block, found: Calibrated) -> Ints:
         """The batch; which trials it leaves."""
-        stack, built = self.stack, self.construction
+        stack, built = self.truth, self.construction
         program, by_value = stack.chain_of(built)
         parts: list[BatchNetwork] = []
         for k, truth in enumerate(stack.truths):
@@ -217,8 +199,8 @@ class StackCalibrator:
         try:
             fit = network.fit(block.deviation, block.gauge_error)
         except SetupError:
-            return np.arange(len(self.blocks))
-        status = np.zeros(len(self.blocks), dtype=np.int64)
+            return np.arange(len(parts))
+        status = np.zeros(len(parts), dtype=np.int64)
         together = Calibrated(fit.values, network.sigma_values, fit.points, fit.chi2, status)
         doubtful = ~fit.converged | suspects(block.deviation, stack.local)
         for trial in np.flatnonzero(~doubtful):
@@ -226,8 +208,8 @@ class StackCalibrator:
         return np.flatnonzero(doubtful)
 
     def difference(self, block: Block, trial: int, found: Calibrated) -> float:
-        """Largest difference [sigma] of a trial from the calibrator that users have."""
+        """As of `Calibrator`."""
         one = slice(trial, trial + 1)
         arrays = found.values[..., one], found.sigma[..., trial], found.points[..., one]
         own = Calibrated(*arrays, found.chi2[one], found.status[one])
-        return self.alone(trial).difference(self.blocks[trial], 0, own)
+        return self.alone(trial).difference(block.alone[trial], 0, own)

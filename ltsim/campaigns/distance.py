@@ -22,15 +22,12 @@ from ltsim.calibration.distance import METHODS
 from ltsim.calibration.distance_solver import Estimate, Rows, mean_rows, pair_rows, solve_distances, solve_equation_9
 from ltsim.calibration.objective import DistanceProblem, Distances
 from ltsim.campaigns.cloud_kernels import distance_forces, station_means
-from ltsim.campaigns.engine import FAILED, FULL, STATUSES, Calibrated, Engine, Single
+from ltsim.campaigns.engine import Batch, Calibrated
 from ltsim.campaigns.kernels import points_of, pull_points
 from ltsim.campaigns.network import BatchFit
 from ltsim.campaigns.program import ChainProgram
-from ltsim.campaigns.truth import Block, Truth
-from ltsim.effects.effect import Effect
-from ltsim.evaluation.clouds import on_points
+from ltsim.campaigns.truth import Block
 from ltsim.geometry.polar import wrap
-from ltsim.model.construction import Construction, ideal
 from ltsim.solve.absolute import least_absolute
 
 CAP, CAP_OF_WEAK = 10, 30
@@ -40,15 +37,10 @@ CLOSED = 3e-5
 
 
 @dataclass(frozen=True)
-class BatchDistance:
-    """Batched distance calibration."""
+class BatchDistance(Batch):
+    """Batched distance calibration: `distance` or `equation-9`, by least squares; with `-l1` by least absolute ones."""
 
-    truth: Truth
-    construction: Construction
     method: str = "distance"
-    """`distance` or `equation-9`, by least squares; with `-l1` by least absolute deviations."""
-    effects: tuple[Effect, ...] = ()
-    """None: the method estimates instrument parameters only."""
 
     @property
     def absolute(self) -> bool:
@@ -59,11 +51,6 @@ class BatchDistance:
     def as_printed(self) -> bool:
         """Every combination that the objective sees is estimated."""
         return self.method.startswith("equation-9")
-
-    @cached_property
-    def single(self) -> Single:
-        """The calibrator that users have."""
-        return Single(self.truth, self.construction, (), self.method)
 
     @cached_property
     def problem(self) -> DistanceProblem:
@@ -108,11 +95,6 @@ class BatchDistance:
         return self.truth.program_of(self.construction)
 
     @cached_property
-    def _network(self) -> Engine:
-        """The adjustment of corrected readings, which gives targets and chi2."""
-        return Engine(self.truth, ideal())
-
-    @cached_property
     def _membership(self) -> tuple[Ints, Bools, Floats, Ints]:
         """Set of each pointing, what each set saw, each pointing's share in its mean, pairs of the gauge."""
         recording, gauge = self.truth.recording, self.problem.gauge
@@ -125,22 +107,13 @@ class BatchDistance:
         share = np.where(whole, 1.0 / np.maximum(count, 1), 0.0)
         return sets, seen, share, np.stack([gauge.first, gauge.second], axis=1).reshape(-1, 2)
 
-    def calibrate(self, block: Block, wanted: Ints) -> Calibrated:
-        """Calibrate a block; trials with a suspect pointing, or that do not converge, go to the single calibrator."""
+    def together(self, block: Block, wanted: Ints) -> tuple[Calibrated, Bools]:
+        """The block by its parameters, and the network of the readings that these correct."""
         values, moved = self._squares(block) if self.method == "distance" else self._one_by_one(block, wanted)
         fit = self._adjusted(block, values)
         spread = np.sqrt(np.diag(self.estimate.covariance)).reshape(values.shape[:2]) * self.problem.prior_sigma
         status = np.zeros(len(moved), dtype=np.int64)
-        found = Calibrated(values, spread, fit.points, fit.chi2, status)
-        alone = ~(moved < CLOSED) | ~fit.converged | self._network.suspect(block.deviation)
-        places = np.flatnonzero(alone & np.isin(np.arange(len(moved)), wanted))
-        if len(places):
-            one_by_one = self.single.calibrate(block, places)
-            for trial in places.tolist():
-                found.take(trial, one_by_one, trial)
-            lost = one_by_one.status[places] != 0
-            status[places] = np.where(lost, STATUSES.index(FAILED), STATUSES.index(FULL))
-        return found
+        return Calibrated(values, spread, fit.points, fit.chi2, status), (moved < CLOSED) & fit.converged
 
     def _squares(self, block: Block) -> tuple[Floats, Floats]:
         """Parameters (I, p, B) [SI], and the largest last move (B,) in prior sigmas."""
@@ -220,15 +193,4 @@ class BatchDistance:
         )
         corrected = raw - self.truth.recording.readings[:, :, None]
         corrected[:, 1:] = wrap(corrected[:, 1:])
-        return self._network.network.fit(corrected, block.gauge_error)
-
-    def difference(self, block: Block, trial: int, found: Calibrated) -> float:
-        """Largest difference [sigma] of a trial from the single calibrator, over parameters and targets."""
-        other = self.single.calibrate(block, np.array([trial]))
-        if other.status[trial] != 0:
-            return float("nan")
-        values = np.abs(other.values[:, :, trial] - found.values[:, :, trial]) / found.sigma
-        truth = self.truth.state.points
-        batch = truth + found.points[:, :, trial]
-        gap = np.abs(on_points(truth + other.points[:, :, trial], batch) - batch) / self._network.sigma_targets
-        return float(max(values.max(), np.nanmax(gap)))
+        return self.network.fit(corrected, block.gauge_error)

@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 
@@ -22,7 +21,7 @@ from ltsim.effects.effect import Effect
 from ltsim.errors import LtsimError
 from ltsim.evaluation.clouds import on_points
 from ltsim.geometry.rigid import rigid_motion
-from ltsim.model.construction import Construction
+from ltsim.model.construction import Construction, ideal
 from ltsim.recording.lengths import KnownLengths
 from ltsim.recording.recording import Recording
 from ltsim.simulation.simulator import certified_by
@@ -64,41 +63,34 @@ class Calibrated:
         return cls(values, values.copy(), points, np.full(trials, np.nan), lost, extra, extra.copy())
 
     def take(self, trial: int, source: Calibrated, place: int) -> None:
-        """Take a trial over from others, of which it is one."""
-        own = "values points chi2 status" + (" sigma" if self.sigma.ndim == 3 else "")
-        for name in (own + (" extra extra_sigma" if len(self.extra) else "")).split():
+        """Take a trial over from others, of which it is one; its sigmas where each trial has its own."""
+        own = ("sigma", "extra_sigma") if self.sigma.ndim == 3 else ()
+        for name in ("chi2", "status", "values", "points", "extra", *own):
             mine, theirs = getattr(self, name), getattr(source, name)
-            shared = theirs.ndim < mine.ndim
-            mine[..., trial] = theirs if shared else theirs[..., min(place, theirs.shape[-1] - 1)]
-
-    def put(self, trial: int, adjustment: Adjustment, true: Floats, status: str) -> None:
-        """Write down targets, by a rigid fit to the true ones (T, 3), chi2 and further effects of an adjustment."""
-        self.points[:, :, trial] = placed_on(adjustment, true) - true
-        self.chi2[trial], self.status[trial] = adjustment.chi2, STATUSES.index(status)
-        if len(self.extra):
-            self.extra[:, trial] = adjustment.state.extra
+            if len(mine):
+                shared = theirs.ndim < mine.ndim
+                mine[..., trial] = theirs if shared else theirs[..., min(place, theirs.shape[-1] - 1)]
 
 
-class Calibrator(Protocol):
+@dataclass(frozen=True)
+class Calibrator:
     """What a campaign needs of a method."""
 
-    @property
-    def construction(self) -> Construction:
-        """Whose parameters are estimated."""
-        ...
-
-    @property
-    def effects(self) -> tuple[Effect, ...]:
-        """Further effects that are estimated."""
-        ...
+    truth: Truth
+    construction: Construction
+    """Whose parameters are estimated."""
+    effects: tuple[Effect, ...] = ()
+    """Further effects that are estimated."""
+    method: str = "network"
+    """As of `spec.Method`."""
 
     def calibrate(self, block: Block, wanted: Ints) -> Calibrated:
         """Calibrate a block; trials that are not wanted may be left out (NaN)."""
-        ...
+        raise NotImplementedError
 
     def difference(self, block: Block, trial: int, found: Calibrated) -> float:
         """Largest difference [sigma] of a trial from the calibrator that users have; NaN where that is itself."""
-        ...
+        return float("nan")
 
 
 def recording_of(truth: Truth, block: Block, trial: int) -> Recording:
@@ -136,13 +128,9 @@ def suspects(deviation: Floats, local: Floats) -> Bools:
 
 
 @dataclass(frozen=True)
-class Single:
+class Single(Calibrator):
     """One recording after the other, by the calibrator that users have."""
 
-    truth: Truth
-    construction: Construction
-    effects: tuple[Effect, ...]
-    method: str
     applied: bool = False
     """What is taken out of readings stands in place of the estimates, which keep their sigmas."""
 
@@ -151,18 +139,21 @@ class Single:
         found = Calibrated.none(self.truth, self.construction, self.effects, block.deviation.shape[2])
         for trial in wanted.tolist():
             try:
-                adjustment, values, sigma = self._one(recording_of(self.truth, block, trial))
+                adjustment, values, sigma = self.solved(recording_of(self.truth, block, trial))
             except LtsimError:
                 continue
             if adjustment is None or not np.all(np.isfinite(values)):
                 continue
             found.values[:, :, trial], found.sigma[:, :, trial] = values, sigma
             if self.effects:
+                found.extra[:, trial] = adjustment.state.extra
                 found.extra_sigma[:, trial] = np.sqrt(np.diag(adjustment.extra_covariance))
-            found.put(trial, adjustment, self.truth.state.points, CONVERGED)
+            true = self.truth.state.points
+            found.points[:, :, trial] = placed_on(adjustment, true) - true
+            found.chi2[trial], found.status[trial] = adjustment.chi2, STATUSES.index(CONVERGED)
         return found
 
-    def _one(self, recording: Recording) -> tuple[Adjustment | None, Floats, Floats]:
+    def solved(self, recording: Recording) -> tuple[Adjustment | None, Floats, Floats]:
         """The adjustment of a recording, its instruments' parameters and their standard deviations (I, p) [SI]."""
         if self.applied:
             calibration = calibrate_network(recording, self.construction, advise=False)
@@ -170,77 +161,56 @@ class Single:
         if self.method == "network":
             adjustment = adjust(recording, self.construction, effects=self.effects)
             adjustment.solution.require_success()
-            return adjustment, adjustment.state.instrument, network_sigma(adjustment)
+            variance = np.diag(adjustment.kept_covariance)[adjustment.problem.unknowns.instrument]
+            return adjustment, adjustment.state.instrument, np.sqrt(variance)
         calibration = calibrate_distance(recording, self.construction, method=self.method, advise=False)
         return calibration.adjustment, calibration.values, calibration.sigma
 
-    def difference(self, block: Block, trial: int, found: Calibrated) -> float:
-        """It is what others are compared with."""
-        return float("nan")
-
-
-def network_sigma(adjustment: Adjustment) -> Floats:
-    """Standard deviations (I, p) [SI] of the instruments' parameters."""
-    return np.sqrt(np.diag(adjustment.kept_covariance)[adjustment.problem.unknowns.instrument])
-
 
 @dataclass(frozen=True)
-class Engine:
-    """Network calibrations of trials that share a geometry."""
+class Batch(Calibrator):
+    """Calibrates a block whole; trials for which that is not enough go to the calibrator that users have."""
 
-    truth: Truth
-    construction: Construction
-    """Whose parameters are estimated."""
-    effects: tuple[Effect, ...] = ()
-    """Further effects that are estimated."""
+    @cached_property
+    def single(self) -> Single:
+        """The calibrator that users have."""
+        return Single(self.truth, self.construction, self.effects, self.method)
 
     @cached_property
     def network(self) -> BatchNetwork:
-        """The factorised network."""
-        truth = self.truth
-        program = truth.program_of(self.construction)
-        built, recorded = self.construction, truth.recorded
+        """The factorised network that gives the targets."""
+        truth, built = self.truth, self.construction if self.method == "network" else ideal()
+        program, recorded = truth.program_of(built), truth.recorded
         return BatchNetwork(truth.recording, truth.state, built, program, self.effects, recorded=recorded)
 
-    def suspect(self, deviation: Floats) -> Bools:
-        """(B,) trials with a pointing so far off that the full solver's screening must decide about it."""
-        return suspects(deviation, self.truth.sightings.local[:, :, None])
+    def together(self, block: Block, wanted: Ints) -> tuple[Calibrated, Bools]:
+        """The block by the batch, and which of its trials (B,) have converged."""
+        raise NotImplementedError
 
     def calibrate(self, block: Block, wanted: Ints | None = None) -> Calibrated:
-        """Calibrate a block whole; trials for which the batch is not enough go to the full solver."""
-        network, fit = self.network, self.network.fit(block.deviation, block.gauge_error)
-        status, sigma = np.zeros(len(fit.chi2), dtype=np.int64), network.sigma_values
-        found = Calibrated(fit.values, sigma, fit.points, fit.chi2, status, fit.extra, network.sigma_extra[:, None])
-        for trial in np.flatnonzero(~fit.converged | self.suspect(block.deviation)).tolist():
-            adjustment = self.full(block, trial)
-            if adjustment is None:
-                status[trial] = STATUSES.index(FAILED)
-                for array in (found.values, found.points, found.chi2, found.extra):
-                    array[..., trial] = np.nan
-            else:
-                found.values[:, :, trial] = adjustment.state.instrument
-                found.put(trial, adjustment, self.truth.state.points, FULL)
+        """Calibrate a block; the wanted trials, by default all, are those that the single calibrator is asked for."""
+        wanted = np.arange(len(block.trials)) if wanted is None else wanted
+        found, good = self.together(block, wanted)
+        enough = good & ~suspects(block.deviation, self.truth.sightings.local[:, :, None])
+        alone = wanted[~enough[wanted]]
+        one_by_one = self.single.calibrate(block, alone) if len(alone) else found
+        for trial in alone.tolist():
+            found.take(trial, one_by_one, trial)
+            found.status[trial] = STATUSES.index(FAILED if one_by_one.status[trial] else FULL)
         return found
 
-    def full(self, block: Block, trial: int) -> Adjustment | None:
-        """One trial by the full solver, from its readings alone; None where it does not converge."""
-        try:
-            found = adjust(recording_of(self.truth, block, trial), self.construction, effects=self.effects)
-        except LtsimError:
-            return None
-        return found if found.solution.converged else None
-
     def difference(self, block: Block, trial: int, found: Calibrated) -> float:
-        """Largest difference [sigma] of a calibrated trial from the full solver's, over parameters and targets.
+        """Largest difference [sigma] of a calibrated trial from the single calibrator's, over parameters and targets.
 
         Targets are compared after a rigid fit, by their standard deviations in that frame. NaN for a failed one.
         """
-        adjustment = self.full(block, trial)
-        if adjustment is None:
+        other = self.single.calibrate(block, np.array([trial]))
+        if other.status[trial] != 0:
             return float("nan")
-        values = np.abs(adjustment.state.instrument - found.values[:, :, trial]) / found.sigma
-        batch = self.truth.state.points + found.points[:, :, trial]
-        gap = np.abs(placed_on(adjustment, batch) - batch) / self.sigma_targets
+        values = np.abs(other.values[:, :, trial] - found.values[:, :, trial]) / found.sigma
+        truth = self.truth.state.points
+        batch = truth + found.points[:, :, trial]
+        gap = np.abs(on_points(truth + other.points[:, :, trial], batch) - batch) / self.sigma_targets
         return float(max(values.max(initial=0.0), np.nanmax(gap)))
 
     @cached_property
@@ -253,3 +223,15 @@ class Engine:
         datum = InnerDatum.tied_to(rigid_motion(points, points.mean(axis=0)), columns, covariance.__matmul__)
         blocks = datum.transformed(covariance[columns[:, :, None], columns[:, None, :]], columns)
         return np.sqrt(np.einsum("tii->ti", blocks))
+
+
+@dataclass(frozen=True)
+class Engine(Batch):
+    """Network calibrations of trials that share a geometry."""
+
+    def together(self, block: Block, wanted: Ints) -> tuple[Calibrated, Bools]:
+        """The block by one factorised network."""
+        network, fit = self.network, self.network.fit(block.deviation, block.gauge_error)
+        status, sigma = np.zeros(len(fit.chi2), dtype=np.int64), network.sigma_values
+        spread = network.sigma_extra[:, None]
+        return Calibrated(fit.values, sigma, fit.points, fit.chi2, status, fit.extra, spread), fit.converged

@@ -30,7 +30,6 @@ from ltsim.arrays import Floats
 from ltsim.calibration import Calibration, calibrate_distance, calibrate_network
 from ltsim.calibration.beside import Wanted
 from ltsim.calibration.verbs import wanted
-from ltsim.campaigns.foreign import Calibrator, Estimate, checked_command, estimates_by
 from ltsim.campaigns.recovery_checks import (
     COVERED,
     FALSE_ALARM,
@@ -41,7 +40,7 @@ from ltsim.campaigns.recovery_checks import (
     tolerance_check,
 )
 from ltsim.campaigns.schema import CHECKS, TRIALS, Errors
-from ltsim.campaigns.scoring import Trial, check_known, score, true_values
+from ltsim.campaigns.scoring import Calibrator, Trial, checked_command, estimates_by, score, score_estimates
 from ltsim.errors import ConvergenceError, LtsimError, SetupError, option, unknown_name
 from ltsim.model.construction import Construction, construction as construction_called
 from ltsim.recording import Recording
@@ -50,9 +49,8 @@ from ltsim.simulation.fieldwork import fieldwork
 from ltsim.simulation.physics import construction_of, instrument_law
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.simulator import measure, place_key
-from ltsim.simulation.truth import Truth
 from ltsim.simulation.verbs import ScenarioSource, scenario as scenario_of, simulate
-from ltsim.units import FACTOR, in_unit
+from ltsim.units import in_unit
 from ltsim.workers import parallel
 
 
@@ -328,25 +326,7 @@ def run_trial(scenario: Scenario, seed: int, index: int, how: How, errors: Error
     if how.calibrator is None:
         return own
     estimates = estimates_by(how.calibrator, recording, f"trial {index}")
-    return None if estimates is None else _foreign(estimates, truth, errors, own)
-
-
-def _foreign(estimates: Mapping[str, Estimate], truth: Truth, errors: Errors, own: Trial | None) -> Trial:
-    """The trial of a calibrator of one's own, with what ltsim found of the same parameters."""
-    true = true_values(truth)
-    check_known(tuple(estimates), true, truth)
-    units = tuple(entry.unit for entry in estimates.values())
-    factor = np.array([FACTOR[unit] for unit in units])
-    value = np.array([entry.value for entry in estimates.values()])
-    sigma = np.array([np.nan if entry.sigma is None else entry.sigma for entry in estimates.values()])
-    right = np.array([true[name] for name in estimates]) / factor
-    standard = (value - right) / sigma if errors == "drawn" else np.full(len(value), np.nan)
-    beside = None
-    if own is not None:
-        places = [own.names.index(name) if name in own.names else None for name in estimates]
-        si = [np.nan if k is None else own.estimate[k] * FACTOR[own.units[k]] for k in places]
-        beside = Trial(tuple(estimates), units, np.array(si) / factor, np.full(len(si), np.nan), right, standard)
-    return Trial(tuple(estimates), units, value, sigma, right, standard, other=beside)
+    return None if estimates is None else score_estimates(estimates, truth, errors, own)
 
 
 def calibrated(recording: Recording, how: How, construction: Construction) -> Calibration:

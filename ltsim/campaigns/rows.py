@@ -122,8 +122,7 @@ class Prepared:
             return
         for low in range(first, last, TOGETHER):
             for stack, numbers in stacks(self._own(range(low, min(low + TOGETHER, last)))):
-                block, alone = stack.draw_trials(seed, numbers)
-                yield Judge(stack), [StackCalibrator(stack, alone, m) for m in methods], block
+                yield Judge(stack), [StackCalibrator.of(m, stack) for m in methods], stack.draw_trials(seed, numbers)
 
     def _own(self, trials: range) -> dict[int, Truth]:
         """The geometry of each trial that has a possible one; they share the set-up with the common one."""

@@ -1,22 +1,110 @@
-"""What a calibration says of a known truth: its errors over its stated sigmas, and what is to be expected of them."""
+"""What calibrators find of a known truth: their errors over the stated sigmas, and what is to be expected of them.
+
+A calibrator of one's own is a program, or a function, that takes a recording and gives parameters. The program is
+called with the folder of a recording and the name of a file to write, which holds (`ltsim-estimates/1`; a
+`calibration.json` will do as well)
+
+    {"format": "ltsim-estimates/1",
+     "parameters": [{"name": "beam-tilt", "value": 5.9, "sigma": 2.5, "unit": "urad"},
+                    {"name": "head-sag:sag", "value": 3.1, "unit": "urad"}]}
+
+A parameter without a sigma can be held against a tolerance only.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import json
+import shlex
+import subprocess
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Annotated, NamedTuple
 
 import numpy as np
+from pydantic import Field, TypeAdapter, ValidationError
 from scipy.spatial.transform import Rotation
 
 from ltsim.arrays import Floats
 from ltsim.calibration import Calibration
-from ltsim.campaigns.foreign import Estimate
-from ltsim.errors import SetupError
+from ltsim.campaigns.schema import Errors
+from ltsim.errors import RecordError, SetupError
+from ltsim.recording import Recording, write as write_recording
+from ltsim.recording.files import shown
+from ltsim.recording.setup import Finite
 from ltsim.simulation.truth import Truth
 from ltsim.units import FACTOR
 
 NOISELESS = 1e-4
 """Share of a stated variance under which the error is the prior's, not the noise's."""
+RECORDING, OUT = "{recording}", "{out}"
+
+
+class Estimate(NamedTuple):
+    """A parameter as a calibrator gives it, in a unit that `ltsim effects` lists."""
+
+    value: Finite
+    sigma: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None
+    unit: str
+
+
+Calibrator = str | Callable[[Recording], Mapping[str, Estimate | tuple[float, float | None, str]]]
+"""A command with the words {recording} and {out}, or a function that gives value, sigma and unit by name."""
+_ESTIMATES = TypeAdapter(dict[str, Estimate])
+
+
+def checked_command(command: str) -> list[str]:
+    """The words of a command; raises SetupError where it lacks a place for the recording or its answer."""
+    for place in (RECORDING, OUT):
+        if place not in command:
+            raise SetupError(f"--calibrator '{shown(command)}' lacks {place}: expected 'CMD {RECORDING} {OUT}'")
+    try:
+        return shlex.split(command)
+    except ValueError as problem:
+        raise SetupError(f"--calibrator '{shown(command)}': {problem}") from None
+
+
+def estimates_by(calibrator: Calibrator, recording: Recording, where: str) -> dict[str, Estimate] | None:
+    """What a calibrator makes of a recording; None where it ends without a result (another status than 0, None).
+
+    Raises SetupError or RecordError, naming `where`, when it cannot be started or gives what is not as documented.
+    """
+    if not isinstance(calibrator, str):
+        given = calibrator(recording)
+        return None if given is None else _checked(given, f"the calibrator's result of {where}")
+    words = checked_command(calibrator)
+    with TemporaryDirectory() as place:
+        folder, out = Path(place) / "recording", Path(place) / "estimates.json"
+        write_recording(recording, folder)
+        filled = [word.replace(RECORDING, str(folder)).replace(OUT, str(out)) for word in words]
+        try:
+            done = subprocess.run(filled, capture_output=True, text=True, check=False)
+        except OSError as problem:
+            raise SetupError(f"--calibrator: {shown(words[0])} cannot be started ({problem.strerror})") from None
+        if done.returncode:
+            return None
+        try:
+            content = json.loads((out / "calibration.json" if out.is_dir() else out).read_text(encoding="utf-8"))
+            listed = {e["name"]: [e["value"], e.get("sigma"), e["unit"]] for e in content["parameters"]}
+        except (OSError, ValueError, KeyError, TypeError) as problem:
+            raise RecordError(f"no list of parameters with name, value and unit ({problem!r})", file=where) from None
+        return _checked(listed, where)
+
+
+def _checked(given: object, where: str) -> dict[str, Estimate]:
+    try:
+        found = _ESTIMATES.validate_python(given)
+    except ValidationError as problem:
+        first = problem.errors()[0]
+        place = " ".join(str(part) for part in first["loc"])
+        raise RecordError(f"{place}: {first['msg']}; expected value, sigma and unit by name", file=where) from None
+    lost = next((entry.unit for entry in found.values() if entry.unit not in FACTOR), None)
+    if lost is not None:
+        raise RecordError(f"'{shown(lost)}' is no unit, expected one of {', '.join(FACTOR)}", file=where)
+    if not found:
+        raise RecordError("holds no parameter, expected one or more", file=where)
+    return found
 
 
 @dataclass(frozen=True)
@@ -165,3 +253,21 @@ def _network_scores(found: Calibration, truth: Truth, mean: Floats, drawn: Float
         sigma = np.concatenate([station.sigma_position, station.sigma_rotation])
         squares.append(error**2 / (sigma**2 - less[at]))
     return targets, float(np.mean(squares)) if squares else float("nan")
+
+
+def score_estimates(estimates: Mapping[str, Estimate], truth: Truth, errors: Errors, own: Trial | None) -> Trial:
+    """The trial of a calibrator of one's own, with what ltsim found of the same parameters."""
+    true = true_values(truth)
+    check_known(tuple(estimates), true, truth)
+    units = tuple(entry.unit for entry in estimates.values())
+    factor = np.array([FACTOR[unit] for unit in units])
+    value = np.array([entry.value for entry in estimates.values()])
+    sigma = np.array([np.nan if entry.sigma is None else entry.sigma for entry in estimates.values()])
+    right = np.array([true[name] for name in estimates]) / factor
+    standard = (value - right) / sigma if errors == "drawn" else np.full(len(value), np.nan)
+    beside = None
+    if own is not None:
+        places = [own.names.index(name) if name in own.names else None for name in estimates]
+        si = [np.nan if k is None else own.estimate[k] * FACTOR[own.units[k]] for k in places]
+        beside = Trial(tuple(estimates), units, np.array(si) / factor, np.full(len(si), np.nan), right, standard)
+    return Trial(tuple(estimates), units, value, sigma, right, standard, other=beside)

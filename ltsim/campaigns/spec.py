@@ -17,28 +17,16 @@ from ltsim.campaigns.schema import Statistic, column_of
 from ltsim.errors import SetupError, as_setup_error
 from ltsim.evaluation.verification import read_nominal
 from ltsim.recording.settings import checked, load_settings
-from ltsim.recording.setup import Finite, Positive, Section
+from ltsim.recording.setup import Positive, Section
 from ltsim.simulation.keys import kind_of, quantity, unit_of
 from ltsim.simulation.scenario import NONE, Scenario, changed, load_scenario, scenario_to_toml
+from ltsim.simulation.sections import PlacedEffect
 from ltsim.units import MILLIMETRE
 
 FORMAT = "ltsim-campaign/1"
 MOST_CELLS, MOST_SHARDS = 4096, 500_000
 JUDGE = "judge"
 """Key of the draws in the place of `judge_in`."""
-
-
-class FittedEffect(Section):
-    """An effect that a method estimates besides the instrument's parameters; `shape` as in a scenario."""
-
-    name: str
-    """As `ltsim effects` lists it."""
-    stations: tuple[str, ...] = ()
-    """Where it acts; empty for all."""
-    targets: tuple[str, ...] = ()
-    """Where it acts; empty for all."""
-    shape: dict[str, Finite | str] = Field(default_factory=dict)
-    """Constants by name, as in a scenario."""
 
 
 class Method(Section):
@@ -59,7 +47,7 @@ class Method(Section):
     """Harmonics of each joint error of the `dh` chain."""
     degree: Annotated[int, Field(ge=0, le=4)] = 2
     """Degree of its polynomials in the range."""
-    effects: tuple[FittedEffect, ...] = ()
+    effects: tuple[PlacedEffect, ...] = ()
     """Further effects to estimate, tables `[[methods.effects]]`."""
     solver: Literal["batch", "single"] = "batch"
     """All trials of a geometry together, or one after the other."""

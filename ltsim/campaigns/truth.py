@@ -50,6 +50,8 @@ class Block:
     """(n, 3, B) [m, rad, rad]: readings less nominal readings."""
     gauge_error: Floats
     """(g, B) [m]: stated less true lengths."""
+    alone: tuple[Block, ...] = ()
+    """Each trial by itself, in the order of its own pointings, where each has a geometry of its own."""
 
 
 @dataclass(frozen=True)

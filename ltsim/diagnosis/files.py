@@ -46,4 +46,5 @@ def targets_csv(diagnosis: Diagnosis) -> str:
     sigma = np.sqrt(np.einsum("tii->ti", targets.covariance))
     change = targets.points - diagnosis.baseline.state.points
     rows = np.concatenate([targets.points, sigma, change], axis=1) / MILLIMETRE
-    return TARGETS.text([name, *row] for name, row in zip(diagnosis.adjusted.recording.targets, rows, strict=True))
+    named = zip(diagnosis.adjusted.recording.targets, rows, strict=True)
+    return TARGETS.filled([name, *row] for name, row in named).csv()

@@ -8,10 +8,10 @@ from typing import ClassVar, Literal, Self
 from ltsim.calibration.schema import COORDINATES, RESIDUALS, DeterminedEntry
 from ltsim.effects.signature import Parameter, ShapeParameter
 from ltsim.recording.result_file import Entry, Finite, Known, ResultFile
-from ltsim.recording.result_table import ResultTable, numbers
+from ltsim.results import Table, numbers
 from ltsim.units import FACTOR
 
-TARGETS = ResultTable(
+TARGETS = Table(
     "targets.csv",
     "targets adjusted with the findings modelled",
     (

@@ -1,18 +1,8 @@
-"""The catalogue: one physical effect, one small file. To add one, write its file and list its class in its group."""
+"""The catalogue: one physical effect, one small file. To add one, write its file and list its name in its group."""
 
-from ltsim.effects.air_gradient import AirGradient
-from ltsim.effects.air_layer import AirLayer
-from ltsim.effects.azimuth_drift import AzimuthDrift
-from ltsim.effects.azimuth_eccentricity import AzimuthEccentricity
-from ltsim.effects.azimuth_harmonic import AzimuthHarmonic
-from ltsim.effects.azimuth_second_order import AzimuthSecondOrder
-from ltsim.effects.backlash import Backlash
-from ltsim.effects.beam_offset import BeamOffset
-from ltsim.effects.beam_tilt import BeamTilt
-from ltsim.effects.bearing_wobble import BearingWobble
+from importlib import import_module
+
 from ltsim.effects.catalogue import Card as Card, Catalogue, Entry as Entry, card_of as card_of
-from ltsim.effects.dead_path import DeadPath
-from ltsim.effects.detector_offset import DetectorOffset
 from ltsim.effects.effect import (
     Effect as Effect,
     NoiseEffect as NoiseEffect,
@@ -21,100 +11,43 @@ from ltsim.effects.effect import (
     SlotEffect as SlotEffect,
     Stage as Stage,
 )
-from ltsim.effects.elevation_eccentricity import ElevationEccentricity
-from ltsim.effects.elevation_harmonic import ElevationHarmonic
-from ltsim.effects.elevation_second_order import ElevationSecondOrder
-from ltsim.effects.encoder_interpolation import EncoderInterpolation
-from ltsim.effects.face_confusion import FaceConfusion
-from ltsim.effects.gauge_scale import GaugeScale
-from ltsim.effects.gauge_shape import GaugeShape
-from ltsim.effects.head_sag import HeadSag
-from ltsim.effects.heat_plume import HeatPlume
-from ltsim.effects.index_drift import IndexDrift
-from ltsim.effects.mesh_expansion import MeshExpansion
-from ltsim.effects.nest_lift import NestLift
-from ltsim.effects.noise_level import NoiseLevel
-from ltsim.effects.outlier import Outlier
-from ltsim.effects.range_cyclic import RangeCyclic
-from ltsim.effects.range_drift import RangeDrift
-from ltsim.effects.range_mode import RangeMode
-from ltsim.effects.range_offset import RangeOffset
-from ltsim.effects.range_scale import RangeScale
-from ltsim.effects.range_step import RangeStep
-from ltsim.effects.refractivity_drift import RefractivityDrift
-from ltsim.effects.smr_centring import SmrCentring
-from ltsim.effects.smr_dihedral import SmrDihedral
-from ltsim.effects.smr_incidence import SmrIncidence
-from ltsim.effects.smr_offset import SmrOffset
-from ltsim.effects.station_bump import StationBump
-from ltsim.effects.station_levelling import StationLevelling
-from ltsim.effects.station_noise import StationNoise
-from ltsim.effects.station_settling import StationSettling
-from ltsim.effects.station_weather import StationWeather
-from ltsim.effects.target_moved import TargetMoved
-from ltsim.effects.target_swap import TargetSwap
-from ltsim.effects.timing_lag import TimingLag
-from ltsim.effects.transit_offset import TransitOffset
-from ltsim.effects.transit_tilt import TransitTilt
-from ltsim.effects.turbulence import Turbulence
-from ltsim.effects.vertical_index import VerticalIndex
-from ltsim.effects.window import Window
-from ltsim.effects.wrong_unit import WrongUnit
 
-BASELINE: tuple[SlotEffect, ...] = (
-    RangeOffset(),
-    RangeScale(),
-    TransitOffset(),
-    BeamOffset(),
-    BeamTilt(),
-    TransitTilt(),
-    VerticalIndex(),
-    AzimuthEccentricity(),
-    AzimuthSecondOrder(),
-    ElevationEccentricity(),
-    ElevationSecondOrder(),
-)
-"""The ordinary calibration: the 16 parameters of the geometric-misalignment model with range zero and scale."""
-
-GROUPS: dict[str, tuple[type[Effect], ...]] = {
+FILES = {
     "instrument geometry": (
-        BeamOffset,
-        TransitOffset,
-        BeamTilt,
-        TransitTilt,
-        VerticalIndex,
-        AzimuthEccentricity,
-        ElevationEccentricity,
-        AzimuthSecondOrder,
-        ElevationSecondOrder,
-        AzimuthHarmonic,
-        ElevationHarmonic,
-        EncoderInterpolation,
-        BearingWobble,
-        HeadSag,
-        Backlash,
-        DetectorOffset,
+        "beam-offset transit-offset beam-tilt transit-tilt vertical-index azimuth-eccentricity elevation-eccentricity "
+        "azimuth-second-order elevation-second-order azimuth-harmonic elevation-harmonic encoder-interpolation "
+        "bearing-wobble head-sag backlash detector-offset"
     ),
     "range": (
-        RangeOffset,
-        RangeMode,
-        RangeStep,
-        RangeScale,
-        StationWeather,
-        DeadPath,
-        RangeCyclic,
-        RefractivityDrift,
-        RangeDrift,
+        "range-offset range-mode range-step range-scale station-weather dead-path range-cyclic refractivity-drift "
+        "range-drift"
     ),
-    "air": (AirGradient, AirLayer, HeatPlume, Turbulence),
-    "reflector": (SmrCentring, SmrIncidence, SmrDihedral, Window, SmrOffset, NestLift, TargetMoved),
-    "time and heat": (IndexDrift, AzimuthDrift, StationSettling, MeshExpansion, GaugeScale, GaugeShape),
-    "system and gross": (StationLevelling, TimingLag, StationBump, TargetSwap, Outlier, WrongUnit, FaceConfusion),
-    "noise": (NoiseLevel, StationNoise),
+    "air": "air-gradient air-layer heat-plume turbulence",
+    "reflector": "smr-centring smr-incidence smr-dihedral window smr-offset nest-lift target-moved",
+    "time and heat": "index-drift azimuth-drift station-settling mesh-expansion gauge-scale gauge-shape",
+    "system and gross": "station-levelling timing-lag station-bump target-swap outlier wrong-unit face-confusion",
+    "noise": "noise-level station-noise",
 }
+"""What ships, by group: the effect `beam-tilt` is the class of this name in `beam_tilt.py`."""
+
+
+def _shipped(name: str) -> type[Effect]:
+    """The effect in the file that is called after it."""
+    held = vars(import_module(f"{__name__}.{name.replace('-', '_')}")).values()
+    return next(kind for kind in held if isinstance(kind, type) and vars(kind).get("name") == name)
+
+
+GROUPS = {group: tuple(map(_shipped, names.split())) for group, names in FILES.items()}
 """What ships, by group, in the order of the files."""
 
 CATALOGUE = Catalogue(GROUPS)
 """Every effect: what ships, then what installed packages add (see `effects.catalogue`)."""
 
 find_effect = CATALOGUE.find
+
+_ORDINARY = (
+    "range-offset range-scale transit-offset beam-offset beam-tilt transit-tilt vertical-index azimuth-eccentricity "
+    "azimuth-second-order elevation-eccentricity elevation-second-order"
+)
+BASELINE = tuple(effect for name in _ORDINARY.split() if isinstance(effect := find_effect(name)(), SlotEffect))
+"""The ordinary calibration: the 16 parameters of the geometric-misalignment model with range zero and scale."""

@@ -11,8 +11,6 @@ from ltsim.effects.rays import AirField, WarmAir
 from ltsim.scene.sightings import Sightings
 
 HEIGHTS = 7
-
-
 WIDTHS = (0.15, 0.5)
 
 

@@ -14,8 +14,6 @@ Motion = Literal["tilt", "radial", "transit"]
 
 
 SLOTS = {"tilt": ("standing-tilt-x", "standing-tilt-y"), "radial": ("standing-radial-x", "standing-radial-y")}
-
-
 TRIED: tuple[tuple[Motion, int], ...] = (
     ("tilt", -1),
     ("tilt", 2),

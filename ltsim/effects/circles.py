@@ -7,8 +7,6 @@ from ltsim.effects.effect import Lobe, Parameter, PriorKind, SlotEffect, Term
 from ltsim.scene.sightings import Sightings
 
 ORDERS = range(3, 9)
-
-
 COLUMN = {"azimuth": 1, "elevation": 2}
 
 

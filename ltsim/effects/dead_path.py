@@ -11,8 +11,6 @@ from ltsim.scene.sightings import Sightings
 from ltsim.units import MICROMETRE
 
 COLUMN = "air_temperature_c"
-
-
 STEADY = 0.05
 """[K] span of temperature below which nothing can be learnt."""
 

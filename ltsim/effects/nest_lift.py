@@ -13,8 +13,6 @@ from ltsim.scene.sightings import Sightings
 from ltsim.units import MICROMETRE
 
 SIZE = 50 * MICROMETRE
-
-
 MOST_PAIRS = 600
 """Pairs of station and target beyond which no network is searched for single seatings: the w-test finds them."""
 

@@ -14,8 +14,6 @@ Observable = Literal["distance", "azimuth", "elevation"]
 
 
 COLUMN: dict[Observable, int] = {"distance": 0, "azimuth": 1, "elevation": 2}
-
-
 MOST_ROWS = 1500
 
 

@@ -11,12 +11,8 @@ from ltsim.scene.sightings import Sightings
 from ltsim.units import MICROMETRE
 
 SHORTEST, LONGEST = 0.02, 2.0
-
-
 PHASE = 0.125
 """Share of a period by which the phase may be wrong at the ends of the span when it is right in the middle."""
-
-
 MOST = 1200
 
 

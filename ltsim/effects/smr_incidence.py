@@ -14,15 +14,9 @@ from ltsim.scene.sightings import Sightings
 from ltsim.units import DEGREE, MICROMETRE
 
 TABLE_ANGLES = np.arange(-30.0, 30.1, 7.5) * DEGREE
-
-
 EDGE = 30.0 * DEGREE
-
-
 PAPER_TABLE = tuple(x * MICROMETRE for x in (13.0, 8.6, 4.9, 3.4, 2.9, 3.1, 3.6, 5.8, 8.2))
 """Range error (reading - truth) [m] at `TABLE_ANGLES`: size and asymmetry of the paper's fig. 9."""
-
-
 _SIZE = 5 * MICROMETRE
 
 

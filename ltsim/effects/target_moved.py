@@ -13,8 +13,6 @@ from ltsim.scene.sightings import Sightings
 from ltsim.units import FACTOR, MICROMETRE
 
 MOST_STEPS = 8
-
-
 STEP, RATE = 60 * MICROMETRE, 40 * FACTOR["um/h"]
 
 

@@ -12,12 +12,8 @@ from ltsim.scene.sightings import Sightings
 from ltsim.units import MILLIMETRE
 
 INDEX = 1.5
-
-
 SHARES = (0.25, 0.12)
 """Lengths of the runs that are tried, as shares of a station's targets."""
-
-
 TURNS = (-0.15, -0.05, 0.05, 0.15)
 """[rad] by which a pane is turned in refinement."""
 

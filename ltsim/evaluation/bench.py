@@ -20,15 +20,15 @@ from pydantic import Field
 from ltsim.arrays import Floats
 from ltsim.errors import RecordError
 from ltsim.notation import with_sigma
+from ltsim.recording.files import read_text
 from ltsim.recording.result_file import Entry, Finite, ResultFile
-from ltsim.recording.result_table import ResultTable
 from ltsim.results import Result, Table, columns_of, numbers
 from ltsim.units import DEGREE, MICROMETRE
 
 FEWEST_LENGTHS, FEWEST_PROBED = 3, 4
 """A vertex has two coordinates beside the zero; an eccentricity too, and one reading more shows the scatter."""
 
-BENCH = ResultTable(
+BENCH = Table(
     "bench.csv",
     "a reflector on the roundness table, which `bench` evaluates; empty where a length or the probe was not read",
     numbers(
@@ -159,8 +159,7 @@ def read_bench(path: Path, *, probe_direction: float, length_sigma: float) -> Be
     The probe stands at `probe_direction` [rad] from the interferometer, against the way in which the table turns;
     `length_sigma` [m] is one standard deviation of the interferometer.
     """
-    columns = BENCH.read(path)[1]
-    angle, length, probe = (columns[name] for name in BENCH.header)
+    angle, length, probe = BENCH.parsed(read_text(path), path).numbers(*BENCH.header).T
     lost = np.flatnonzero(~np.isfinite(angle))
     if len(lost):
         raise RecordError("an angle is missing, expected one a row", file=path, row=int(lost[0]) + 1)

@@ -48,23 +48,6 @@ class TwoFace:
         return TwoFace(self.rows[pairs], self.place[pairs], self.half[pairs])
 
 
-@dataclass(frozen=True)
-class TwoFaceComparison:
-    """The same pairs with the readings as they are and with parameters applied."""
-
-    before: TwoFace
-    after: TwoFace
-
-    @property
-    def rms_removed(self) -> Floats:
-        """(3,) one minus the ratio of the rms: 1 when nothing is left, negative when parameters do harm."""
-        return 1.0 - self.after.rms / self.before.rms
-
-    def only(self, pairs: Bools) -> TwoFaceComparison:
-        """The comparison over some of the pairs, (m,) bool."""
-        return TwoFaceComparison(self.before.only(pairs), self.after.only(pairs))
-
-
 def face_pairs(recording: Recording) -> Ints:
     """Rows (m, 2) of complete pointings on face 1 and face 2 of the same station, target and repeat."""
     whole = np.all(recording.measured, axis=1)
@@ -97,8 +80,3 @@ def two_face(recording: Recording, construction: Construction | None = None, val
     half = 0.5 * gap
     half[:, 1] *= np.cos(place[:, 2])
     return TwoFace(pairs, place, half)
-
-
-def compare_two_face(recording: Recording, construction: Construction, values: Floats) -> TwoFaceComparison:
-    """Half differences before and after parameters (p,) or (n, p) [SI] are applied; raises as `two_face`."""
-    return TwoFaceComparison(two_face(recording), two_face(recording, construction, values))

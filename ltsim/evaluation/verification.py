@@ -17,13 +17,12 @@ from ltsim.errors import NetworkError, RecordError
 from ltsim.evaluation.clouds import measured_points, on_points, station_means
 from ltsim.evaluation.criteria import Comparison, Criteria, Differences, pair_distances
 from ltsim.model.construction import Construction
-from ltsim.recording.files import shown
+from ltsim.recording.files import read_text, shown
 from ltsim.recording.recording import Recording
-from ltsim.recording.result_table import ResultTable
-from ltsim.results import numbers, texts
+from ltsim.results import Table, numbers, texts
 from ltsim.units import MILLIMETRE
 
-NOMINAL = ResultTable(
+NOMINAL = Table(
     "nominal.csv",
     "points of a measuring machine, which `verify` compares with",
     (*texts(target="name"), *numbers(".4f", x_mm="coordinate", y_mm="coordinate", z_mm="coordinate")),
@@ -32,10 +31,10 @@ NOMINAL = ResultTable(
 
 def read_nominal(path: Path) -> dict[str, Floats]:
     """Nominal points (3,) [m] by target, from a table ``target,x_mm,y_mm,z_mm``; raises RecordError."""
-    names, columns = NOMINAL.read(path)
+    table = NOMINAL.parsed(read_text(path), path)
     points: dict[str, Floats] = {}
-    places = np.stack([columns[name] for name in NOMINAL.header[1:]], axis=1) * MILLIMETRE
-    for number, (name, place) in enumerate(zip(map(str.strip, names["target"]), places, strict=True), start=1):
+    places = table.numbers(*NOMINAL.header[1:]) * MILLIMETRE
+    for number, (name, place) in enumerate(zip(map(str.strip, table.column("target")), places, strict=True), start=1):
         if not name or name in points:
             found = f"target '{shown(name)}' stands here a second time" if name else "the target has no name"
             raise RecordError(f"{found}; expected one row a target", file=path, row=number, column="target")

@@ -9,10 +9,10 @@ from typing import ClassVar, Literal
 from ltsim.fieldcheck.check import Check
 from ltsim.fieldcheck.items import Item
 from ltsim.recording.result_file import Finite, ResultFile, SourceEntry, write_result
-from ltsim.recording.result_table import ResultTable, numbers, texts
+from ltsim.results import Table, numbers, texts
 from ltsim.units import ARCSECOND, MICROMETRE
 
-TWO_FACE = ResultTable(
+TWO_FACE = Table(
     "two_face.csv",
     "half two-face differences with their limits, a row a pair",
     (
@@ -68,7 +68,7 @@ def two_face_csv(check: Check) -> str:
             limit = [value / unit for value, unit in zip(faces.limit[k], units, strict=True)]
             passed = "no" if faces.over[k].any() else "yes"
             rows.append([setup.station, target, *at.tolist(), *half, *limit, passed])
-    return TWO_FACE.text(rows)
+    return TWO_FACE.filled(rows).csv()
 
 
 def write_check(check: Check, folder: Path, further: Mapping[str, str]) -> CheckFile:

@@ -14,7 +14,7 @@ from ltsim.arrays import Bools, Floats, Ints
 from ltsim.calibration.schema import RESIDUALS
 from ltsim.errors import RecordError
 from ltsim.pages.style import OBSERVABLE_UNIT
-from ltsim.recording.files import shown
+from ltsim.recording.files import read_text, shown
 from ltsim.recording.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 from ltsim.units import DEGREE, FACTOR
@@ -84,7 +84,9 @@ class Residuals:
     @classmethod
     def read(cls, file: Path) -> Residuals:
         """Residuals from a `residuals.csv`; raises RecordError when a column is missing or a field is no number."""
-        names, values = RESIDUALS.read(file)
+        found = RESIDUALS.parsed(read_text(file), file)
+        names = {name: found.column(name) for name in ("station", "target", "observable", "unit")}
+        row, residual, redundancy, w = found.numbers("row", "residual", "redundancy", "w").T
         for column, known in (("observable", OBSERVABLES), ("unit", FACTOR)):
             wrong = next((i for i, name in enumerate(names[column]) if name not in known), None)
             if wrong is not None:
@@ -94,14 +96,14 @@ class Residuals:
             FACTOR[u] / FACTOR[OBSERVABLE_UNIT[o]] for o, u in zip(names["observable"], names["unit"], strict=True)
         ]
         return cls(
-            row=values["row"].astype(np.int64),
+            row=row.astype(np.int64),
             station=np.array(names["station"], dtype=np.str_),
             target=np.array(names["target"], dtype=np.str_),
             observable=np.array([OBSERVABLES.index(name) for name in names["observable"]], dtype=np.int64),
-            residual=values["residual"] * np.array(scale),
-            w=values["w"],
-            redundancy=values["redundancy"],
-            covariates={"row": values["row"]},
+            residual=residual * np.array(scale),
+            w=w,
+            redundancy=redundancy,
+            covariates={"row": row},
         )
 
     def with_covariates(self, other: Residuals | None) -> Residuals:

@@ -155,11 +155,6 @@ class Where:
         return text
 
 
-def check_name(name: str, kind: str, *, file: object = None) -> str:
-    """`Where.name` of a file as a whole."""
-    return Where(file).name(name, kind)
-
-
 def comma_number(text: str, *, file: object, row: int | None = None, column: str | None = None) -> float:
     """`Where.number` with a decimal point or comma."""
     return Where(file, row, column).number(text, comma=True)

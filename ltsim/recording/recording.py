@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ltsim.arrays import Bools, Floats, Ints
-from ltsim.recording.setup import Gauge, Instrument, Setup, Station, Target
+from ltsim.recording.setup import Gauge, Instrument, Noise, Setup, Station, Target
 from ltsim.results import Columns, Result
 from ltsim.units import ARCSECOND, DEGREE, MILLIMETRE, PPM
 
@@ -29,6 +29,19 @@ MODE_COLUMN = "distance_mode"
 REFLECTOR_COLUMN = "reflector"
 """Label: name of the SMR of each pointing; an empty cell leaves the target's."""
 _PLAIN_STATION, _PLAIN_TARGET = Station(), Target()
+LEAST_COSINE = 1e-6
+
+
+def noise_sigma(noise: Sequence[Noise], instrument: Ints, range_: Floats, elevation: Floats) -> Floats:
+    """Standard deviation (n, 3) [m, rad, rad] of readings by the stated noise of each one's instrument (n,).
+
+    That of a range is constant + ppm * range [m]; the azimuth's is that across the beam, divided by cos(elevation).
+    """
+    rows = [[m.distance_mm, m.distance_ppm, m.azimuth_arcsec, m.elevation_arcsec] for m in noise]
+    units = np.array([MILLIMETRE, PPM, ARCSECOND, ARCSECOND])
+    constant, per_metre, azimuth, level = (np.array(rows) * units)[instrument].T
+    across = np.maximum(np.abs(np.cos(elevation)), LEAST_COSINE)
+    return np.stack([constant + per_metre * range_, azimuth / across, level], axis=1)
 
 
 @dataclass(frozen=True, repr=False)
@@ -142,17 +155,12 @@ class Recording(Result):
     def sigma(self) -> Floats:
         """Standard deviation (n, 3) [m, rad, rad] of each reading by the stated noise.
 
-        The azimuth's is that across the beam, divided by cos(elevation). The columns `SIGMA_COLUMNS`, where
-        present, state that of single readings instead, the azimuth's being that of the reading itself.
+        The columns `SIGMA_COLUMNS`, where present, state that of single readings instead, the azimuth's being that of
+        the reading itself.
         """
         noise = [self.instrument_of(name).noise for name in self.stations]
-        rows = [[m.distance_mm, m.distance_ppm, m.azimuth_arcsec, m.elevation_arcsec] for m in noise]
-        units = [MILLIMETRE, PPM, ARCSECOND, ARCSECOND]
-        constant, per_metre, azimuth, elevation = (np.array(rows) * units)[self.station].T
-        level = np.where(np.isfinite(self.readings[:, 2]), self.readings[:, 2], 0.0)
-        range_ = np.where(np.isfinite(self.readings[:, 0]), self.readings[:, 0], 0.0)
-        across = np.maximum(np.abs(np.cos(level)), 1e-6)
-        sigma = np.stack([constant + per_metre * range_, azimuth / across, elevation], axis=1)
+        range_, _, level = np.nan_to_num(self.readings).T
+        sigma = noise_sigma(noise, self.station, range_, level)
         for column, (name, unit) in enumerate(zip(SIGMA_COLUMNS, (MILLIMETRE, ARCSECOND, ARCSECOND), strict=True)):
             if name in self.covariates:
                 stated = self.covariates[name] * unit

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
@@ -21,71 +21,73 @@ def smrs_of(recording: Recording) -> tuple[str, ...]:
     return tuple(name or usual[target] for name, target in zip(own, recording.target, strict=True))
 
 
-def reference_radius(names: Sequence[str], reflectors: Mapping[str, Reflector], stated: float | None) -> float:
-    """[mm] Radius of the SMR whose centre is meant by the coordinates of a target.
+def excess_of(
+    names: Sequence[str],
+    targets: Sequence[str],
+    bare: Collection[str],
+    reflectors: Mapping[str, Reflector],
+    stated: float | None,
+    file: object = None,
+) -> Floats:
+    """How much farther (n,) [m] than the reference each pointing's SMR's centre stands from the seat of its nest.
 
     Parameters
     ----------
-    names : sequence of str
-        The SMRs in use.
+    names, targets : sequence of str
+        SMR and target of each pointing; one that names no SMR, such as one that is only thought of, has the reference.
+    bare : collection of str
+        Targets whose nests have no normal.
     reflectors : mapping
-        Them by name.
+        SMRs by name.
     stated : float, optional
         `reference_radius_mm`; default the radius of all, where they have one.
+    file : object
+        Named in errors.
 
     Raises
     ------
     RecordError
-        When an SMR has no table, or they differ and nothing is stated.
+        When an SMR has no table, they differ and nothing is stated, or one of another radius sat in a nest without a
+        normal.
     """
-    for name in names:
+    used = [name for name in dict.fromkeys(names) if name]
+    for name in used:
         if name not in reflectors:
-            raise RecordError(f"there is no table [reflectors.{shown(name)}]; reflectors: {', '.join(reflectors)}")
-    radii = {reflectors[name].radius_mm: name for name in reversed(names)}
-    if stated is not None:
-        return stated
-    if len(radii) > 1:
+            known = ", ".join(reflectors)
+            raise RecordError(f"there is no table [reflectors.{shown(name)}]; reflectors: {known}", file=file)
+    radii = {reflectors[name].radius_mm: name for name in reversed(used)}
+    if stated is None and len(radii) > 1:
         found = " and ".join(f"{shown(name)} of {radius:g}" for radius, name in sorted(radii.items()))
         raise RecordError(
             f"the SMRs have different radii ({found} mm): state reference_radius_mm at the head of the file, the "
-            "radius of the SMR whose centre a target's coordinates mean, or 0 for the seat of its nest"
+            "radius of the SMR whose centre a target's coordinates mean, or 0 for the seat of its nest",
+            file=file,
         )
-    return next(iter(radii), 0.0)
+    reference = next(iter(radii), 0.0) if stated is None else stated
+    off = {name: reflectors[name].radius_mm - reference for name in used} | {"": 0.0}
+    for name, target in zip(names, targets, strict=True):
+        if off[name] and target in bare:
+            raise RecordError(
+                f"targets.{target}.nest_normal is missing: its SMR {shown(name)} has a radius of "
+                f"{reflectors[name].radius_mm:g} mm, the reference {reference:g} mm, and the difference lies along the "
+                "nest's normal",
+                file=file,
+            )
+    return np.array([off[name] for name in names]) * MILLIMETRE
 
 
 def excess_radii(recording: Recording, file: object = "setup.toml") -> Floats | None:
     """How much farther (n,) [m] than the reference each SMR's centre stood from its seat; None where none did.
 
-    A pointing that names no SMR, such as one that is only thought of, has the reference.
-
-    Raises RecordError when an SMR has no table, one of another radius sat in a nest without a normal, or the reference
-    is not stated. `file` is named.
+    Raises RecordError as `excess_of`.
     """
-    reflectors = recording.setup.reflectors
-    if not reflectors:
+    setup = recording.setup
+    if not setup.reflectors:
         return None
-    names = smrs_of(recording)
-    used = tuple(name for name in dict.fromkeys(names) if name)
-    try:
-        reference = reference_radius(used, reflectors, recording.setup.reference_radius_mm)
-    except RecordError as problem:
-        raise RecordError(str(problem), file=file) from None
-    off = {name: (reflectors[name].radius_mm - reference) * MILLIMETRE for name in used} | {"": 0.0}
-    excess = np.array([off[name] for name in names])
-    for row in np.flatnonzero(excess):
-        target = recording.targets[recording.target[row]]
-        if recording.target_setup(target).nest_normal is None:
-            sentence = without_normal(target, names[row], reflectors[names[row]].radius_mm, reference)
-            raise RecordError(sentence, file=file)
+    targets = [recording.targets[t] for t in recording.target]
+    bare = [name for name in recording.targets if recording.target_setup(name).nest_normal is None]
+    excess = excess_of(smrs_of(recording), targets, bare, setup.reflectors, setup.reference_radius_mm, file)
     return excess if np.any(excess) else None
-
-
-def without_normal(target: str, smr: str, radius: float, reference: float) -> str:
-    """The sentence for an SMR of another radius [mm] at a target whose nest has no normal."""
-    return (
-        f"targets.{target}.nest_normal is missing: its SMR {shown(smr)} has a radius of {radius:g} mm, the reference "
-        f"{reference:g} mm, and the difference lies along the nest's normal"
-    )
 
 
 def require_one_radius(recording: Recording, what: str) -> None:

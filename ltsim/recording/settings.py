@@ -6,9 +6,10 @@ import difflib
 import json
 import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
+from functools import lru_cache
 from pathlib import Path
-from typing import Any, TypeVar, get_args
+from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
@@ -43,20 +44,20 @@ def read_toml(path: Path, kind: str) -> dict[str, Any]:
 
 def setup_from(data: Mapping[str, Any], file: object) -> Setup:
     """Check a table of settings; `file` is named in the error."""
-    setup = checked(_with_sheets(data, file), Setup, "set-up", file)
+    whole = with_instruments(data, lambda table, place: _with_sheet(table, place, file))
+    setup = checked(whole, Setup, "set-up", file)
     _check_names(setup, file)
     return setup
 
 
-def _with_sheets(data: Mapping[str, Any], file: object) -> dict[str, Any]:
-    """The tables with the data sheet of each instrument filled in below what the file says."""
-    filled = dict(data)
-    named = data.get("instruments")
+def with_instruments(data: Mapping[str, Any], filled: Callable[[Any, str], Any]) -> dict[str, Any]:
+    """The tables of a file, each instrument's as `filled` makes it of table and place."""
+    made, named = dict(data), data.get("instruments")
     if isinstance(named, dict):
-        filled["instruments"] = {n: _with_sheet(table, f"instruments.{n}", file) for n, table in named.items()}
+        made["instruments"] = {name: filled(table, f"instruments.{name}") for name, table in named.items()}
     if "instrument" in data:
-        filled["instrument"] = _with_sheet(data["instrument"], "instrument", file)
-    return filled
+        made["instrument"] = filled(data["instrument"], "instrument")
+    return made
 
 
 def _with_sheet(table: Any, place: str, file: object) -> Any:
@@ -71,13 +72,10 @@ def _with_sheet(table: Any, place: str, file: object) -> Any:
     return above({"model": figures(table["sheet"])["name"], **table}, below)
 
 
-def above(table: Mapping[str, Any], below: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-    """A table whose inner tables stand above those of `below`: what both state is the table's."""
-    filled = dict(table)
-    for section, values in below.items():
-        given = table.get(section, {})
-        filled[section] = {**values, **given} if isinstance(given, dict) else given
-    return filled
+def above(table: Mapping[str, Any], below: Mapping[str, Any]) -> dict[str, Any]:
+    """A table with what another says besides; tables in both are laid over each other in the same way."""
+    both = [key for key, value in below.items() if isinstance(value, dict) and isinstance(table.get(key), dict)]
+    return {**below, **table, **{key: above(table[key], below[key]) for key in both}}
 
 
 def checked(data: Mapping[str, Any], model: type[Settings], kind: str, file: object) -> Settings:
@@ -146,7 +144,9 @@ def sentence(error: ErrorDetails, root: type[BaseModel]) -> str:
     key = ".".join(str(p + 1) if isinstance(p, int) else p for p in place)
     found = shown(json.dumps(error["input"], default=str), 60)
     if error["type"] == "extra_forbidden":
-        known = _keys_at(tuple(place[:-1]), root)
+        known = [
+            key for _, nodes in schemas_at(root, place[:-1]) for node in nodes for key in node.get("properties", {})
+        ]
         near = ", ".join(_close(str(place[-1]), known))
         return f"unknown key {shown(key, 100)}; did you mean {near}?"
     if error["type"] == "missing":
@@ -165,26 +165,33 @@ def _expected(message: str) -> str:
     )
 
 
-def _keys_at(place: tuple[Any, ...], root: type[BaseModel]) -> list[str]:
-    """Keys that the table at `place` may hold."""
-    model = root
-    for part in place:
-        for name, field in model.model_fields.items():
-            if part in (name, field.alias):
-                model = _section(field.annotation) or model
-                break
-    return [field.alias or name for name, field in model.model_fields.items()]
+Schema = dict[str, Any]
 
 
-def _section(annotation: Any) -> type[BaseModel] | None:
-    """The table inside an annotation such as ``dict[str, Station]``."""
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return annotation
-    for inner in get_args(annotation):
-        found = _section(inner)
-        if found is not None:
-            return found
-    return None
+@lru_cache
+def _schema(root: type[BaseModel]) -> Schema:
+    return root.model_json_schema(by_alias=True)
+
+
+def schemas_at(root: type[BaseModel], path: Iterable[object]) -> list[tuple[Schema, list[Schema]]]:
+    """The JSON schemas of what may stand at a path of keys below a model, each with its alternatives."""
+
+    def choices(node: Schema) -> list[Schema]:
+        if "$ref" in node:
+            return choices(_schema(root)["$defs"][node["$ref"].rpartition("/")[2]])
+        return [choice for entry in node["anyOf"] for choice in choices(entry)] if "anyOf" in node else [node]
+
+    found = [_schema(root)]
+    for part in map(str, path):
+        found = [below for node in found for choice in choices(node) if (below := _below(choice, part)) is not None]
+    return [(node, choices(node)) for node in found]
+
+
+def _below(node: Schema, part: str) -> Schema | None:
+    """The schema below one part of a path: a named entry, any entry, or that of a list."""
+    below = node.get("properties", {}).get(part) or node.get("additionalProperties")
+    below = below or (node.get("items") if part.isdecimal() else None)
+    return below if isinstance(below, dict) else None
 
 
 def setup_to_toml(setup: Setup) -> str:

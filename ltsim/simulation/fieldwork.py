@@ -10,12 +10,12 @@ import numpy as np
 
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.effects.effect import Effect
-from ltsim.errors import RecordError, SetupError
+from ltsim.errors import SetupError, as_setup_error
 from ltsim.geometry.polar import to_polar
 from ltsim.geometry.rotations import about_z, from_rotation_vector
 from ltsim.model.construction import Construction
 from ltsim.randomness import stream
-from ltsim.recording.reflectors import reference_radius, without_normal
+from ltsim.recording.reflectors import excess_of
 from ltsim.scene.sightings import Sightings
 from ltsim.scene.visibility import Visibility
 from ltsim.simulation.physics import construction_of, effects_of
@@ -214,19 +214,12 @@ def true_lift(scenario: Scenario, sightings: Sightings, seed: int, *key: str | i
             f"targets.{target}.reflector is missing: with tables [reflectors.NAME] every target, every station or "
             "[smr] names one of them"
         )
-    used = tuple(dict.fromkeys(names))
-    try:
-        reference = reference_radius(used, reflectors, scenario.reference_radius_mm)
-    except RecordError as problem:
-        raise SetupError(str(problem)) from None
-    known = np.isfinite(sightings.nest_normal[sightings.target, 0])
-    lengths = np.zeros(len(names))
-    for name in used:
-        ball, mine = reflectors[name], np.array(names) == name
-        error = (ball.sigma_radius_mm or 0.0) * float(stream(seed, *key, "reflector", name).standard_normal())
-        lengths[mine] = (ball.radius_mm + error - reference) * MILLIMETRE
-        lost = np.flatnonzero(mine & ~known)
-        if len(lost) and ball.radius_mm != reference:
-            target = sightings.target_names[sightings.target[lost[0]]]
-            raise SetupError(without_normal(target, name, ball.radius_mm, reference))
+    known = np.isfinite(sightings.nest_normal[:, 0])
+    targets = [sightings.target_names[t] for t in sightings.target]
+    bare = [name for name, has_normal in zip(sightings.target_names, known, strict=True) if not has_normal]
+    with as_setup_error():
+        lengths = excess_of(names, targets, bare, reflectors, scenario.reference_radius_mm)
+    for name in dict.fromkeys(names):
+        error = (reflectors[name].sigma_radius_mm or 0.0) * stream(seed, *key, "reflector", name).standard_normal()
+        lengths[np.array(names) == name] += error * MILLIMETRE
     return lengths[:, None] * np.nan_to_num(sightings.nest_normal)[sightings.target]

@@ -16,12 +16,12 @@ from ltsim.adjustment.residual_space import VISIBLE, ResidualSpace
 from ltsim.arrays import Floats
 from ltsim.effects.effect import Effect, Mistake, NoiseEffect
 from ltsim.effects.signature import Tunable
+from ltsim.effects.verbs import shape_of
 from ltsim.errors import ModelError
 from ltsim.geometry.polar import wrap
 from ltsim.model.measurement import State
 from ltsim.recording.recording import Recording
 from ltsim.results import Columns, Result
-from ltsim.simulation.physics import shape_of
 from ltsim.simulation.simulator import certified_by
 from ltsim.units import MICROMETRE, MICRORADIAN
 

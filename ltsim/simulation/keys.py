@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
 from typing import Any, Literal
 
 from ltsim.effects import find_effect
 from ltsim.errors import LtsimError, SetupError
 from ltsim.recording.files import shown
+from ltsim.recording.settings import schemas_at
 from ltsim.simulation.physics import construction_of
 from ltsim.simulation.scenario import Scenario
 from ltsim.units import in_unit, unit_of_key
@@ -16,43 +16,16 @@ Kind = Literal["number", "integer", "boolean", "string", "table"]
 KINDS: tuple[Kind, ...] = ("number", "integer", "boolean", "string")
 
 
-@lru_cache(maxsize=1)
-def _schema() -> dict[str, Any]:
-    return Scenario.model_json_schema(by_alias=True)
-
-
 def kind_of(key: str) -> Kind:
     """The kind of value at a dotted key; `table` for lists and tables, and for what no scenario has."""
-    found = {_type(choice) for node in _at(key) for choice in _choices(node)}
+    found = {_type(choice) for _, choices in schemas_at(Scenario, key.split(".")) for choice in choices}
     return next((kind for kind in KINDS if kind in found), "table")
 
 
 def meaning_of(key: str) -> str:
     """What the reference says of a dotted key; empty for a name that a person gave, such as a parameter's."""
-    return next((node["description"].replace("\n", " ") for node in _at(key) if "description" in node), "")
-
-
-def _at(key: str) -> list[dict[str, Any]]:
-    """The schemas of what may stand at a dotted key."""
-    found = [_schema()]
-    for part in key.split("."):
-        around = (choice for node in found for choice in _choices(node))
-        found = [inside for node in around if (inside := _inside(node, part)) is not None]
-    return found
-
-
-def _choices(node: dict[str, Any]) -> list[dict[str, Any]]:
-    """The alternatives of a schema, references followed."""
-    if "$ref" in node:
-        return _choices(_schema()["$defs"][node["$ref"].rpartition("/")[2]])
-    return [choice for entry in node["anyOf"] for choice in _choices(entry)] if "anyOf" in node else [node]
-
-
-def _inside(node: dict[str, Any], part: str) -> dict[str, Any] | None:
-    """The schema below one part of a key: a named entry, any entry, or that of a list."""
-    below = node.get("properties", {}).get(part) or node.get("additionalProperties")
-    below = below or (node.get("items") if part.isdecimal() else None)
-    return below if isinstance(below, dict) else None
+    nodes = (node for node, _ in schemas_at(Scenario, key.split(".")))
+    return next((node["description"].replace("\n", " ") for node in nodes if "description" in node), "")
 
 
 def _type(node: dict[str, Any]) -> str:

@@ -9,7 +9,6 @@ from ltsim.effects import BASELINE
 from ltsim.effects.effect import Effect
 from ltsim.effects.noise import white_noise_sigma
 from ltsim.effects.smr_incidence import SmrIncidence
-from ltsim.effects.verbs import effect_from as effect_from, shape_of as shape_of
 from ltsim.errors import ModelError, SetupError
 from ltsim.model.construction import Construction, construction, dh, misalignment
 from ltsim.scene.sightings import Sightings
@@ -100,10 +99,7 @@ def effects_of(scenario: Scenario) -> tuple[Effect, ...]:
 
 
 def _effect_of(entry: EffectEntry, number: int) -> Effect:
-    try:
-        effect = effect_from(entry.name, {"stations": entry.stations, "targets": entry.targets}, entry.shape)
-    except (ModelError, ValueError, TypeError, KeyError) as problem:
-        raise SetupError(f"effects.{number}: {problem}") from None
+    effect = entry.effect(f"effects.{number}")
     names = [p.name for p in effect.parameters]
     for name in entry.values:
         if name not in names:

@@ -13,8 +13,8 @@ from pydantic import Field
 from ltsim.arrays import Floats
 from ltsim.effects.effect import Effect
 from ltsim.errors import ModelError, SetupError, as_setup_error
-from ltsim.recording.files import check_name, shown
-from ltsim.recording.settings import above, checked, read_toml, to_toml
+from ltsim.recording.files import Where, shown
+from ltsim.recording.settings import above, checked, read_toml, to_toml, with_instruments
 from ltsim.recording.setup import Material, NonNegative, Reflector, Section
 from ltsim.recording.specification import sheet_names, stated_by
 from ltsim.results import Result
@@ -57,6 +57,8 @@ class Scenario(Section, Result):
     """Which format and version this file is in."""
     title: str = ""
     """Free text."""
+    base: str | None = None
+    """A built-in scenario whose tables hold below those of this file; "none" in place of a table takes it out."""
     workshop: Workshop = Workshop()
     """The room, its air, what stands in it."""
     placing: Placing = Placing()
@@ -130,7 +132,8 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
 def scenario_from(data: Mapping[str, Any], file: Path) -> Scenario:
     """Check the tables of a scenario; `file` is named in errors, its folder holds CAD files."""
     with as_setup_error():
-        scenario = checked(_with_presets(data, file), Scenario, "scenario", file)
+        whole = with_instruments(_with_base(data), lambda table, _: _with_preset(table, file))
+        scenario = checked(whole, Scenario, "scenario", file)
     _check(scenario, file)
     return _with_files_beside(_in_use(scenario, file), file)
 
@@ -186,16 +189,16 @@ def _set(table: dict[str, Any], key: str, value: Any, where: str) -> None:
         inner[last] = value
 
 
-def _with_presets(data: Mapping[str, Any], file: Path) -> Mapping[str, Any]:
-    """The tables with the preset of each instrument filled in below what the file says."""
-    filled = {**data, "instrument": _with_preset(data.get("instrument", {}), file)}
-    named = data.get("instruments")
-    if isinstance(named, dict):
-        filled["instruments"] = {name: _with_preset(table, file) for name, table in named.items()}
-    return filled
+def _with_base(data: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The tables above those of the scenario that they name as their base."""
+    if data.get("base") is None:
+        return data
+    below = _with_base(read_toml(builtin_path(str(data["base"])), "scenario"))
+    return {key: value for key, value in above(data, below).items() if key != "base" and value != NONE}
 
 
 def _with_preset(instrument: Any, file: Path) -> Any:
+    """An instrument with its preset below what the file says of it."""
     if not isinstance(instrument, dict):
         return instrument
     name = instrument.get("preset")
@@ -321,7 +324,7 @@ def _wrong_names(scenario: Scenario, file: Path) -> Iterator[str]:
     for kind, listed in (("station", scenario.stations), ("target", names), ("instrument", scenario.instruments)):
         for name in listed:
             with as_setup_error():
-                check_name(name, kind, file=file)
+                Where(file).name(name, kind)
 
 
 def _wrong_instruments(scenario: Scenario) -> Iterator[str]:

@@ -10,7 +10,8 @@ from pydantic import AfterValidator, Field, StrictBool, model_validator
 from ltsim.effects.effect import Effect
 from ltsim.effects.noise import PAPER_ANGLE_ARCSEC, PAPER_DISTANCE_UM
 from ltsim.effects.smr_incidence import PAPER_TABLE, TABLE_ANGLES
-from ltsim.effects.verbs import shape_of
+from ltsim.effects.verbs import effect_from, shape_of
+from ltsim.errors import ModelError, SetupError
 from ltsim.recording.setup import (
     Finite,
     LengthUse,
@@ -351,8 +352,8 @@ class Target(Section):
     """Name of the ball."""
 
 
-class EffectEntry(Section):
-    """Physics beyond the instrument's errors: an effect of the catalogue, its place, constants and values."""
+class PlacedEffect(Section):
+    """An effect of the catalogue: its place and constants."""
 
     name: str
     """As `ltsim effects` lists it."""
@@ -360,12 +361,24 @@ class EffectEntry(Section):
     """Where it acts; empty for all."""
     targets: tuple[str, ...] = ()
     """Where it acts; empty for all."""
+    shape: dict[str, Finite | str | tuple[Finite, ...]] = Field(default_factory=dict)
+    """Constants by name, in display units where the effect declares one and in SI otherwise."""
+
+    def effect(self, where: str) -> Effect:
+        """The effect itself; raises SetupError, naming `where` it is asked for and what would be right."""
+        try:
+            return effect_from(self.name, {"stations": self.stations, "targets": self.targets}, self.shape)
+        except (ModelError, ValueError, TypeError, KeyError) as problem:
+            raise SetupError(f"{where}: {problem}") from None
+
+
+class EffectEntry(PlacedEffect):
+    """Physics beyond the instrument's errors: an effect of the catalogue, its place, constants and values."""
+
     draw: bool = False
     """Draw what `values` does not give, at its plausible size; 0 otherwise."""
     values: dict[str, Finite] = Field(default_factory=dict)
     """Parameters by name, in display units."""
-    shape: dict[str, Finite | str | tuple[Finite, ...]] = Field(default_factory=dict)
-    """Constants by name, in display units where the effect declares one and in SI otherwise."""
 
     @classmethod
     def of(cls, effect: Effect) -> EffectEntry:

@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from ltsim.arrays import Floats
 from ltsim.effects.effect import Effect
+from ltsim.effects.verbs import effect_from, shape_of
 from ltsim.errors import ModelError, RecordError
 from ltsim.evaluation.verification import NOMINAL
 from ltsim.geometry.rotations import quaternion
@@ -21,7 +22,6 @@ from ltsim.recording.files import read_text, write_text
 from ltsim.recording.settings import sentence
 from ltsim.recording.setup import Finite, Section, Vector
 from ltsim.results import Columns, Result
-from ltsim.simulation.physics import effect_from, shape_of
 from ltsim.units import FACTOR, MILLIMETRE
 
 Format = Literal["ltsim-truth/1"]
@@ -290,4 +290,5 @@ def nominal_csv(truth: Truth) -> str:
     """
     if truth.nominal is None:
         raise ModelError("the scenario measured no nominal points; set nominal = true in its table [cmm]")
-    return NOMINAL.text([name, *p] for name, p in zip(truth.targets, truth.nominal / MILLIMETRE, strict=True))
+    rows = ([name, *p] for name, p in zip(truth.targets, truth.nominal / MILLIMETRE, strict=True))
+    return NOMINAL.filled(rows).csv()

@@ -65,7 +65,7 @@ def test_gross_error_goes_to_the_single_calibrator(make_truth: Callable[..., Tru
 @pytest.mark.parametrize("faces", [1, 2])
 def test_least_absolute_deviations_equal_single_calibrator(faces: int, make_truth: Callable[..., Truth]) -> None:
     """Also where some readings are wrong by more than noise, but by less than what is screened out."""
-    batch = BatchDistance(make_truth(faces=faces), misalignment(), "distance-l1")
+    batch = BatchDistance(make_truth(faces=faces), misalignment(), method="distance-l1")
     block = batch.truth.draw(24, 0)
     block.deviation[11::60, 0, 3] += 3e-4
     found = batch.calibrate(block, np.array([2, 3, 200]))

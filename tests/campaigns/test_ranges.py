@@ -92,9 +92,8 @@ def test_a_distance_calibrator_and_a_mixture_of_trackers_are_refused(truth: Trut
 def test_each_trial_may_have_its_own_places(truth: Truth) -> None:
     own = {k: truth_of(SCENE, 4, "campaign", k, like=truth) for k in range(6)}
     ((stack, numbers),) = stacks(own)
-    block, alone = stack.draw_trials(4, numbers)
-    method = Method(method="network")
-    calibrator = StackCalibrator(stack, alone, method)
+    block = stack.draw_trials(4, numbers)
+    calibrator = StackCalibrator.of(Method(method="network"), stack)
     assert isinstance(calibrator.alone(0), Engine)
     found = calibrator.calibrate(block, np.arange(6))
     assert (found.status == 0).all()

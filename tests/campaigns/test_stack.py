@@ -29,15 +29,15 @@ def drawn(name: str) -> dict[int, Truth]:
 def test_side_by_side_is_as_alone(name: str) -> None:
     truths = drawn(name)
     ((stack, numbers),) = stacks(truths)
-    block, alone = stack.draw_trials(8, numbers)
-    calibrator = StackCalibrator(stack, alone, Method())
+    block = stack.draw_trials(8, numbers)
+    calibrator = StackCalibrator.of(Method(), stack)
     found, together = calibrator.calibrate(block, np.arange(TRIALS)), Judge(stack)
     columns = together.after(block, found, misalignment())
     assert np.all(found.status == 0)
     assert len(np.unique(stack.rows, axis=1).T) == TRIALS
     for k, truth in truths.items():
         own, engine, judge = truth.draw(8, k, 1), Engine(truth, misalignment()), Judge(truth)
-        assert np.abs(own.deviation - alone[k].deviation).max() < 1e-12
+        assert np.abs(own.deviation - block.alone[k].deviation).max() < 1e-12
         theirs = engine.calibrate(own)
         assert found.sigma[:, :, k] == pytest.approx(theirs.sigma, rel=1e-9)
         assert np.abs(found.values[:, :, k] - theirs.values[:, :, 0]).max() < 1e-4 * theirs.sigma.min()
@@ -51,10 +51,10 @@ def test_trial_that_the_batch_gives_up_is_done_alone() -> None:
     """A pointing that is centimetres off is the full solver's business: it leaves it out."""
     truths = drawn("paper-workshop")
     ((stack, numbers),) = stacks(truths)
-    block, alone = stack.draw_trials(8, numbers)
-    alone[3].deviation[11, 0] += 0.02
+    block = stack.draw_trials(8, numbers)
+    block.alone[3].deviation[11, 0] += 0.02
     block.deviation[stack.rows[:, 3] == 11, 0, 3] += 0.02
-    calibrator = StackCalibrator(stack, alone, Method())
+    calibrator = StackCalibrator.of(Method(), stack)
     found: Calibrated = calibrator.calibrate(block, np.arange(TRIALS))
     assert found.status.tolist() == [0, 0, 0, 1, 0]
     assert np.abs(found.values[:, :, 3] / found.sigma[:, :, 3]).max() < 1e3

@@ -25,7 +25,7 @@ def written(path: Path, bench: BenchTest, seed: int) -> Path:
     record = measure_bench(bench, seed)
     lengths = dict(zip(np.round(record.angles / DEGREE, 3), record.lengths / MICROMETRE + 250.0, strict=True))
     rows = zip(np.round(record.probe_angles / DEGREE, 3), record.displacements / MICROMETRE, strict=True)
-    path.write_text(BENCH.text([a, lengths.get(a, np.nan), p] for a, p in rows))
+    path.write_text(BENCH.filled([a, lengths.get(a, np.nan), p] for a, p in rows).csv())
     return path
 
 

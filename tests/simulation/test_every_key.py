@@ -57,6 +57,7 @@ OTHER: dict[str, Any] = {
 """Values for keys whose own value does not suggest another."""
 ELSEWHERE = {
     "format": "says what the file is",
+    "base": "tables of another scenario stand in its place when the file is read",
     "workshop.size_mm": "bounds places, and is drawn",
     "workshop.shadow_cone_deg": "for plans and pictures",
     "cmm.nominal": "asks for another file",

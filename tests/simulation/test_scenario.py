@@ -55,6 +55,16 @@ def test_the_named_ones_are_there() -> None:
     assert {"paper-workshop", "paper-workshop-two-face", "paper-laboratory"} <= set(builtin_names())
 
 
+def test_a_file_may_say_only_what_differs_from_a_built_in_one(write: Write) -> None:
+    text = 'format = "ltsim-scenario/1"\nbase = "paper-workshop"\ngauge = "none"\n'
+    changed = load_scenario(write(text + "[work]\nrepeats = 3\n[targets]\nT03 = { position_mm = [50, 3901, 5900] }\n"))
+    base = load_scenario("paper-workshop")
+    assert changed.gauge is None and changed.work == base.work.model_copy(update={"repeats": 3})
+    assert [*changed.targets] == [*base.targets] and changed.targets["T03"].position_mm == (50, 3901, 5900)
+    with pytest.raises(SetupError, match="did you mean paper-workshop"):
+        load_scenario(write(text.replace("workshop", "workshp")))
+
+
 def test_a_short_file_has_defaults(write: Write) -> None:
     scenario = load_scenario(write(MINIMAL))
     assert scenario.instrument.prior == PAPER_PRIOR

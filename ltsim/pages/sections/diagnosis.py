@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from ltsim.calibration.schema import RESIDUALS
 from ltsim.chances import p_text, two_sided
 from ltsim.diagnosis.schema import BEFORE, TARGETS, DiagnosisFile, Finding, Fit, Where
+from ltsim.effects.verbs import effect_from
 from ltsim.errors import LtsimError
 from ltsim.notation import number, with_sigma
 from ltsim.pages.document import Block, Detail, Fact, Note, Section, Table, mood, picture, table_of
@@ -38,7 +39,6 @@ from ltsim.pages.workshop import from_adjustment
 from ltsim.recording import Recording
 from ltsim.recording.recording import OBSERVABLES
 from ltsim.recording.result_file import check_source, companion, read_result
-from ltsim.simulation.physics import effect_from
 from ltsim.simulation.truth import AppliedEffect, Truth, read_truth
 from ltsim.units import FACTOR
 
