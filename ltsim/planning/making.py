@@ -11,7 +11,7 @@ from ltsim.errors import NetworkError, SetupError
 from ltsim.model.construction import Construction
 from ltsim.planning.floor import grid_step
 from ltsim.planning.planner import Option, Plan, Tried, judge, measure
-from ltsim.planning.search import Searcher, some_of
+from ltsim.planning.search import Searcher
 from ltsim.planning.site import Site
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.starts import Layouts, Problem, Task, expected_seconds, gathered, search_one
@@ -33,6 +33,10 @@ FEWEST = 2
 """Stations of a network."""
 LITTLE = 0.95
 """Factor on the largest error over its tolerance that a further station should bring."""
+OPEN = (
+    "no layout that was found determines all poses and points; let stations share more points "
+    "(stations.seen_from = 2), or give more stations or search.starts"
+)
 STOPPED = "the search was stopped before it had found a layout"
 
 
@@ -65,6 +69,8 @@ def make_plan(
     heard.progress("searching layouts", 0.0)
     search = _Search(Problem(file, scenario, built), jobs, heard)
     best = search.fewest() if file.searches_count else search.at_count()
+    if not np.isfinite(best.value):
+        raise SetupError(OPEN)
     heard.progress("judging tolerances and changes", SEARCHING)
     made = judge(search.file, scenario, best.survey, built)
     heard.progress("judging tolerances and changes", 1.0)
@@ -307,10 +313,5 @@ def check_in_sight(site: Site, file: PlanFile) -> None:
     placement = site.placement(grid_step(site.areas, file.search.grid_mm), file.search.heights)
     if not len(placement.position):
         raise SetupError("no place on the floor sees three points; widen the floor, or move obstacles")
-    hidden = [site.survey.target_names[t] for t in np.flatnonzero(~placement.seen.any(axis=0))]
-    if hidden:
-        raise SetupError(
-            f"{some_of(hidden)} {'is' if len(hidden) == 1 else 'are'} in sight from none of "
-            f"{len(placement.position)} places on the floor; widen it, move them, or look whether they lie inside an "
-            "obstacle"
-        )
+    if not placement.seen.any(axis=0).all():
+        raise SetupError(site.out_of_sight(np.flatnonzero(~placement.seen.any(axis=0))))

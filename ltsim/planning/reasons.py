@@ -8,9 +8,10 @@ from ltsim.errors import NetworkError
 from ltsim.planning.information import LayoutInformation
 from ltsim.planning.objective import DIAGNOSIS, INSTRUMENT, TARGETS, Objective
 from ltsim.planning.planner import Evaluated, Option, Plan, Tried, measure
+from ltsim.planning.site import some_of
 from ltsim.planning.tolerances import sentences, verdict
 from ltsim.planning.workshop import objective_of
-from ltsim.units import MICROMETRE
+from ltsim.units import MICROMETRE, MILLIMETRE
 
 CRITERION_WORDS = {
     "D": "in the geometric mean of all combinations (D)",
@@ -171,6 +172,13 @@ def _limits(plan: Plan) -> list[str]:
     if site.least < len(names):
         least = survey.seen.sum(axis=0).min()
         found.append(f"Every reflector is seen from at least {least} station{'s' if least > 1 else ''}.")
+    if site.obstacles is not None:
+        depth = np.linalg.norm(site.obstacles.over_skin(survey.points) - survey.points, axis=1)
+        if under := [name for name, d in zip(survey.target_names, depth, strict=True) if d]:
+            found.append(
+                f"Up to {depth.max() / MILLIMETRE:.2g} mm under the triangles of a curved body, within what they leave "
+                f"open, and taken to be on it: {some_of(under)}."
+            )
     lost = plan.chosen.table.lost(names, survey.target_names)
     if lost:
         more = "; and more" if len(lost) > 3 else ""
