@@ -203,7 +203,7 @@ def test_results_are_drawn_with_what_their_axes_mean(name: str, kept):
     figure = kept[name].plot()
     assert isinstance(figure, Figure)
     for ax in figure.axes:
-        assert ax.lines or ax.collections or ax.patches
+        assert ax.lines or ax.collections or ax.patches or ax.texts, "no panel is empty without a word"
     labels = [words for ax in figure.axes for words in (ax.get_xlabel(), ax.get_ylabel(), ax.get_title("left"))]
     assert any(labels)
 
