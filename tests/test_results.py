@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from matplotlib.figure import Figure
 
 import ltsim as lt
 from ltsim.errors import ModelError, RecordError
@@ -197,9 +198,14 @@ def test_every_result_can_be_copied_pickled_saved_and_compared(name: str, kept, 
     assert all(other is result or other != result for other in kept.values())
 
 
-@pytest.mark.parametrize("name", ["calibration", "criteria", "check", "comparison", "history"])
-def test_results_are_drawn(name: str, kept):
-    assert kept[name].plot().axes
+@pytest.mark.parametrize("name", ["calibration", "dh", "criteria", "check", "comparison", "history", "diagnosis"])
+def test_results_are_drawn_with_what_their_axes_mean(name: str, kept):
+    figure = kept[name].plot()
+    assert isinstance(figure, Figure)
+    for ax in figure.axes:
+        assert ax.lines or ax.collections or ax.patches or ax.texts, "no panel is empty without a word"
+    labels = [words for ax in figure.axes for words in (ax.get_xlabel(), ax.get_ylabel(), ax.get_title("left"))]
+    assert any(labels)
 
 
 def test_what_has_no_picture_says_so(kept):

@@ -76,7 +76,7 @@ def one(scenario_name: str, case: dict[str, Any], seed: int, number: int) -> Row
     between, beside = open_question(first)
     if not between:
         return row | {"between": "", "proposal": ""}
-    proposals = next_measurement(recording, between=between, beside=beside)
+    proposals = next_measurement(recording, between=between, with_effects=beside)
     best = proposals.proposals[0]
     second = diagnose(measured(best.remedy, recording, truth, seed + number), seed=seed)
     row |= {

@@ -20,7 +20,7 @@ from ltsim.calibration.files import CalibrationSource, calibration_of
 from ltsim.calibration.history import History
 from ltsim.calibration.known import Choice, Known
 from ltsim.effects.effect import Effect
-from ltsim.effects.verbs import effect_from, names
+from ltsim.effects.verbs import Sized, each_of, effect_from, names
 from ltsim.errors import LtsimError, ModelError, RecordError, option, unknown_name
 from ltsim.evaluation import Criteria, evaluate as criteria_of, read_nominal, verify as verified
 from ltsim.laws.words import read_law
@@ -118,7 +118,7 @@ def calibrate(
     choice = Choice(chosen, names(without), dict(hold or {}), known, free)
     held = None if datum is None else names(datum)
     options: dict[str, Any] = {"robust": robust, "noise_from_data": noise_from_data, "datum": held}
-    effects = (with_effects,) if isinstance(with_effects, str | Effect) else tuple(with_effects)
+    effects = each_of(with_effects)
     if box is not None and not method.startswith("equation-9"):
         raise ModelError(f"{option('box')} goes with the methods equation-9 and equation-9-l1, not {method}")
     seen = recording_of(recording)
@@ -131,8 +131,10 @@ def calibrate(
     return calibrate_distance(seen, built, method=method, advise=advise, choice=choice, box=box)
 
 
-def wanted(asked: str | Effect, recording: Recording) -> Wanted:
-    """An effect, what it has by default being left to the readings, or one in words."""
+def wanted(asked: str | Effect | Sized, recording: Recording) -> Wanted:
+    """An effect, what it has by default being left to the readings, or one in words; ModelError for one with sizes."""
+    if isinstance(asked, Sized):
+        raise ModelError(f"{asked.effect.name} has a size; that is for simulate and inject, here the readings give it")
     if isinstance(asked, str):
         return _in_words(asked, recording)
     stated = {f.name for f in fields(asked) if getattr(asked, f.name) != f.default}

@@ -19,6 +19,7 @@ from ltsim.diagnosis.verbs import diagnose
 from ltsim.effects import find_effect
 from ltsim.effects.effect import Effect, Mistake, NoiseEffect
 from ltsim.effects.signature import Tunable
+from ltsim.effects.verbs import Sized
 from ltsim.errors import ModelError
 from ltsim.laws.law import Law
 from ltsim.model.construction import stated_construction
@@ -99,7 +100,7 @@ class InjectionCurve(Result):
 
 
 def inject(
-    recording: RecordingSource, *causes: str | Tunable, noncentrality: float | None = None, seed: int = 0
+    recording: RecordingSource, *causes: str | Tunable | Sized, noncentrality: float | None = None, seed: int = 0
 ) -> Injection:
     """Put causes into the readings of a recording through the exact model; nothing else is changed.
 
@@ -107,7 +108,7 @@ def inject(
     ----------
     recording : Recording, str or Path
         Measured or simulated.
-    *causes : str
+    *causes : str or Effect
         ``EFFECT`` or ``EFFECT:WHERE,...``: an effect of the catalogue, or a law in words as of `calibrate`
         (``CARRIER ~ DRIVER``); stations, targets, constants and parameters (``range-step:S3,range-step=30``) in their
         units, of a law ``size=VALUE`` (rms, um or urad). What is not said is drawn: place, constants, plausible size.
@@ -148,7 +149,7 @@ def inject(
     for number, cause in enumerate(causes):
         rng = stream(seed, "inject", number)
         drawn, values = _sized(injector, cause, noncentrality, rng)
-        seen, one = injector.put(drawn, values, cause if isinstance(cause, str) else cause.name, rng)
+        seen, one = injector.put(drawn, values, _called(cause), rng)
         injector = injector.after(seen)
         told.append(one)
     return Injection(seen, InjectionTruth(seed, tuple(told)))
@@ -156,7 +157,7 @@ def inject(
 
 def injection_curve(
     recording: RecordingSource,
-    cause: str | Tunable,
+    cause: str | Tunable | Sized,
     *,
     strengths: Sequence[float] = STRENGTHS,
     injections: int = 5,
@@ -195,7 +196,12 @@ def injection_curve(
         judged = [judge(diagnose(made), truth.causes[0], background) for made, truth in draws]
         rows.append(_row(strength, [truth.causes[0] for _, truth in draws], judged))
     told = tuple(sorted({f.effect for f in background.findings}))
-    return InjectionCurve(cause if isinstance(cause, str) else cause.name, told, tuple(rows))
+    return InjectionCurve(_called(cause), told, tuple(rows))
+
+
+def _called(cause: str | Tunable | Sized) -> str:
+    """What a person called a cause."""
+    return cause if isinstance(cause, str) else cause.effect.name if isinstance(cause, Sized) else cause.name
 
 
 def judge(found: Diagnosis, cause: Injected, background: Diagnosis) -> dict[str, bool]:
@@ -241,7 +247,7 @@ def _row(strength: float, causes: Sequence[Injected], judged: Sequence[Mapping[s
 
 
 def _sized(
-    injector: Injector, cause: str | Tunable, noncentrality: float | None, rng: np.random.Generator
+    injector: Injector, cause: str | Tunable | Sized, noncentrality: float | None, rng: np.random.Generator
 ) -> tuple[Tunable, Floats]:
     """A cause and its values [SI]; where the network hides what was drawn, another place and constants are drawn."""
     for attempt in range(TRIES):
@@ -256,13 +262,14 @@ def _sized(
     return drawn, values
 
 
-def _drawn(injector: Injector, cause: str | Tunable, rng: np.random.Generator) -> tuple[Tunable, Floats]:
+def _drawn(injector: Injector, cause: str | Tunable | Sized, rng: np.random.Generator) -> tuple[Tunable, Floats]:
     """A cause with its place and constants, and values (q,) [SI] of its parameters; what is not said is drawn."""
     if isinstance(cause, str):
         text, stated = _split(cause)
         asked = wanted(text, injector.recording)
     else:
-        asked, stated = Wanted(cause, frozenset(("stations", "targets"))), {}
+        given, stated = (cause.effect, dict(cause.sizes)) if isinstance(cause, Sized) else (cause, {})
+        asked = wanted(given, injector.recording) if isinstance(given, Effect) else Wanted(given)
     effect, sightings = asked.effect, injector.space.sightings
     tries: Sequence[Tunable] = [effect]
     if isinstance(effect, Mistake) and not effect.place:

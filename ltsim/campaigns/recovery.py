@@ -41,6 +41,8 @@ from ltsim.campaigns.recovery_checks import (
 )
 from ltsim.campaigns.schema import CHECKS, TRIALS, Errors
 from ltsim.campaigns.scoring import Calibrator, Trial, checked_command, estimates_by, score, score_estimates
+from ltsim.effects.effect import Effect
+from ltsim.effects.verbs import each_of
 from ltsim.errors import ConvergenceError, LtsimError, SetupError, option, unknown_name
 from ltsim.model.construction import Construction, construction as construction_called
 from ltsim.recording import Recording
@@ -200,7 +202,7 @@ def recover(
     trials: int = 200,
     method: str = "network",
     construction: str | None = None,
-    with_effects: Sequence[str] = (),
+    with_effects: str | Effect | Sequence[str | Effect] = (),
     calibrator: Calibrator | None = None,
     tolerance: Mapping[str, str] | None = None,
     errors: Errors | None = None,
@@ -256,7 +258,7 @@ def recover(
         checked_command(calibrator)
     elif calibrator is not None:
         jobs = 1
-    named = [with_effects] if isinstance(with_effects, str) else with_effects
+    named = each_of(with_effects)
     seen = simulate(scenario, seed=seed).recording if named else None
     beside = tuple(wanted(text, seen) for text in named if seen is not None)
     how = How(method, own if construction is None else construction_called(construction), beside, calibrator)

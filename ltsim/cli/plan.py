@@ -259,7 +259,7 @@ def _after(terminal: Terminal, recording: Recording, between: tuple[str, ...], o
         made = lt.next_measurement(
             recording,
             between=between,
-            beside=beside,
+            with_effects=beside,
             progress=lambda what, share: tell.setdefault(what, _percent(advance))(what, share),
         )
     content = next_file(made, summary, SourceEntry.of(recording))

@@ -5,10 +5,10 @@ from __future__ import annotations
 import dataclasses
 import inspect
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Literal, get_args, get_origin, get_type_hints
+from typing import Any, Literal, TypeVar, cast, get_args, get_origin, get_type_hints
 
 from ltsim.effects import CATALOGUE, find_effect
-from ltsim.effects.effect import Effect as AnyEffect
+from ltsim.effects.effect import Effect as AnyEffect, Signature
 from ltsim.errors import ModelError
 from ltsim.results import Columns, Result
 from ltsim.units import FACTOR
@@ -16,6 +16,18 @@ from ltsim.units import FACTOR
 PLACES = ("stations", "targets")
 WIDER = 100.0
 """Times beyond the bounds of a search that a length or a time constant may be simulated."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Sized:
+    """An effect with sizes, as it is simulated and injected."""
+
+    effect: AnyEffect
+    sizes: Mapping[str, float]
+    """Of its parameters, in display units."""
+
+
+S = TypeVar("S", bound=Signature | Sized)
 
 
 class Effect:
@@ -28,7 +40,8 @@ class Effect:
     stations, targets : str or sequence of str
         Where it acts; all where neither is given.
     **constants
-        In the units that the catalogue shows, such as ``law="visit"``.
+        In the units that the catalogue shows, such as ``law="visit"``; parameters too where the effect is simulated or
+        injected, such as ``index_drift=60``. What is not given, the readings or the draws choose.
 
     Raises
     ------
@@ -44,15 +57,25 @@ class Effect:
 
     def __new__(  # type: ignore[misc]  # the object is one of the effect's own class
         cls, name: str, *, stations: str | Sequence[str] = (), targets: str | Sequence[str] = (), **constants: Any
-    ) -> AnyEffect:
-        """The effect itself."""
+    ) -> AnyEffect | Sized:
+        """The effect itself, with the sizes that are given."""
         places = dict(zip(PLACES, (names(stations), names(targets)), strict=True))
-        return effect_from(name, places, constants)
+        given = {key.replace("_", "-"): key for key in constants}
+        sized = {p.name: given[key] for p in find_effect(name).parameters if (key := p.name.replace("_", "-")) in given}
+        sizes = {parameter: float(constants.pop(key)) for parameter, key in sized.items()}
+        effect = effect_from(name, places, constants)
+        return Sized(effect, sizes) if sizes else effect
 
 
 def names(given: str | Sequence[str]) -> tuple[str, ...]:
     """Names where one alone may stand for a list of one: a text is a name, not its letters."""
     return (given,) if isinstance(given, str) else tuple(given)
+
+
+def each_of(given: str | S | Sequence[str | S]) -> tuple[str | S, ...]:
+    """Effects by name or as objects, where one alone may stand for a list of one."""
+    alone = isinstance(given, str) or not isinstance(given, Sequence)
+    return (cast("str | S", given),) if alone else tuple(cast("Sequence[str | S]", given))
 
 
 def effect_from(name: str, places: Mapping[str, tuple[str, ...]], shape: Mapping[str, Any]) -> AnyEffect:

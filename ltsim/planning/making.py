@@ -11,8 +11,8 @@ from ltsim.errors import NetworkError, SetupError
 from ltsim.model.construction import Construction
 from ltsim.planning.floor import grid_step
 from ltsim.planning.planner import Option, Plan, Tried, judge, measure
-from ltsim.planning.search import Searcher, some_of
-from ltsim.planning.site import Site
+from ltsim.planning.search import Searcher
+from ltsim.planning.site import Placement, Site
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.starts import Layouts, Problem, Task, expected_seconds, gathered, search_one
 from ltsim.planning.survey import Survey
@@ -33,6 +33,10 @@ FEWEST = 2
 """Stations of a network."""
 LITTLE = 0.95
 """Factor on the largest error over its tolerance that a further station should bring."""
+OPEN = (
+    "no layout that was found determines all poses and points; let stations share more points "
+    "(stations.seen_from = 2), or give more stations or search.starts"
+)
 STOPPED = "the search was stopped before it had found a layout"
 
 
@@ -65,6 +69,8 @@ def make_plan(
     heard.progress("searching layouts", 0.0)
     search = _Search(Problem(file, scenario, built), jobs, heard)
     best = search.fewest() if file.searches_count else search.at_count()
+    if not np.isfinite(best.value):
+        raise SetupError(OPEN)
     heard.progress("judging tolerances and changes", SEARCHING)
     made = judge(search.file, scenario, best.survey, built)
     heard.progress("judging tolerances and changes", 1.0)
@@ -158,13 +164,18 @@ class _Search:
             least = (1 if scenario.instrument.observables == OBSERVABLES else SIGHTS) + (not alone)
             self.problem = replace(self.problem, file=_seen_from(self.file, least))
         file, faces = self.file, self.ways[0]
-        first = max(FEWEST, len(file.stations.fixed), 2 if alone else 3)
+        seen_from = file.stations.seen_from
+        first = max(FEWEST if alone else 3, len(file.stations.fixed), 1 if seen_from == "all" else seen_from)
         counts = range(first, max(first, file.stations.most) + 1)
-        check_in_sight(site_of(file, scenario, stations=counts[-1], faces=faces[-1]), file)
+        placement = check_in_sight(site_of(file, scenario, stations=counts[-1], faces=faces[-1]), file)
         judgements: list[tuple[float, Option]] = []
-        for k, n in enumerate(counts):
+        k = 0
+        for n in counts:
+            if n < counts[-1] and not _serves(self.problem.site(Task(n, faces[-1], 0)), placement):
+                self.tried.append(Tried(n, None, False))
+                continue
             tasks = [Task(n, f, start) for f in faces for start in range(file.search.starts)]
-            if k == 0:
+            if not k:
                 self._estimate(tasks, f" for {n} stations, as long again and more for each further number")
             # Few stations are likely enough: each further number counts half of what is left.
             made = self._gather(tasks, lambda share, k=k: 1.0 - 0.5 ** (k + share))  # type: ignore[misc]
@@ -174,6 +185,7 @@ class _Search:
             judgements += [(ratio, option) for _, ratio, option in results]
             self.tried.append(Tried(n, min((ratio for _, ratio, _ in results), default=None), bool(options)))
             good = [option for kept, _, option in results if kept]
+            k += 1
             if good:
                 return min(good, key=lambda o: o.hours)
             if self.stopped or self._levels_off():
@@ -230,6 +242,14 @@ class _Search:
         best = np.minimum.accumulate([option.value for option in made])
         earlier = np.r_[np.inf, best[:-1]]
         return tuple(replace(o, efficient=bool(o.value < before)) for o, before in zip(made, earlier, strict=True))
+
+
+def _serves(site: Site, placement: Placement) -> bool:
+    """Some layout has every point in sight: the site's own, or one on the grid."""
+    own = site.survey.position
+    if site.joined(own[None], site.seen(own)[None])[0]:
+        return True
+    return not placement.missing(placement.stations(len(own) - len(site.fixed), site.least), site.least)
 
 
 def _seen_from(file: PlanFile, least: int) -> PlanFile:
@@ -302,15 +322,11 @@ def with_reachable_sights(file: PlanFile, site: Site) -> PlanFile:
     )
 
 
-def check_in_sight(site: Site, file: PlanFile) -> None:
-    """Raise SetupError, with their names, where points are in sight from no place on the floor, or from too few."""
+def check_in_sight(site: Site, file: PlanFile) -> Placement:
+    """Where stations may stand; SetupError, with their names, where points are in sight from nowhere."""
     placement = site.placement(grid_step(site.areas, file.search.grid_mm), file.search.heights)
     if not len(placement.position):
         raise SetupError("no place on the floor sees three points; widen the floor, or move obstacles")
-    hidden = [site.survey.target_names[t] for t in np.flatnonzero(~placement.seen.any(axis=0))]
-    if hidden:
-        raise SetupError(
-            f"{some_of(hidden)} {'is' if len(hidden) == 1 else 'are'} in sight from none of "
-            f"{len(placement.position)} places on the floor; widen it, move them, or look whether they lie inside an "
-            "obstacle"
-        )
+    if not placement.seen.any(axis=0).all():
+        raise SetupError(site.out_of_sight(np.flatnonzero(~placement.seen.any(axis=0))))
+    return placement

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from itertools import groupby
+
 import numpy as np
 
 from ltsim.errors import NetworkError
 from ltsim.planning.information import LayoutInformation
 from ltsim.planning.objective import DIAGNOSIS, INSTRUMENT, TARGETS, Objective
 from ltsim.planning.planner import Evaluated, Option, Plan, Tried, measure
+from ltsim.planning.site import some_of
 from ltsim.planning.tolerances import sentences, verdict
 from ltsim.planning.workshop import objective_of
-from ltsim.units import MICROMETRE
+from ltsim.units import MICROMETRE, MILLIMETRE
 
 CRITERION_WORDS = {
     "D": "in the geometric mean of all combinations (D)",
@@ -55,7 +59,7 @@ def _numbers(plan: Plan) -> list[str]:
     if not plan.tried:
         return []
     *fewer, last = plan.tried
-    found = [f"{one.stations} stations: {_came_of(one)}" for one in fewer]
+    found = _came_of(fewer, plan.site.least)
     good = last.ratio is not None and last.ratio <= 1.0
     count = len(plan.chosen.survey.position)
     said = [f"{last.stations} stations are the fewest that were found to keep the goal."] if good else []
@@ -65,15 +69,22 @@ def _numbers(plan: Plan) -> list[str]:
             end = f"; more were not searched, since each further one brought little{end}"
         said = [f"None of {plan.tried[0].stations} to {last.stations} stations was found to keep the goal, "
                 f"the nearest are {count}{end}."]  # fmt: skip
-        found.append(f"{last.stations} stations: {_came_of(last)}")
+        found = _came_of(plan.tried, plan.site.least)
     said += [f"Searched: {'; '.join(found)}."] if found else []
     return [*said, f"Fewer than {plan.tried[0].stations} stations were not searched."]
 
 
-def _came_of(one: Tried) -> str:
-    if one.ratio is not None and np.isfinite(one.ratio):
-        return f"the best found has an error of {one.ratio:.2f} times its tolerance"
-    return "the best found leaves a point open" if one.found else "no layout was found with every point in sight"
+def _came_of(tried: Sequence[Tried], least: int) -> list[str]:
+    """What came of numbers of stations, those with the same outcome together."""
+
+    def words(one: Tried) -> str:
+        if one.ratio is not None and np.isfinite(one.ratio):
+            return f"the best found has an error of {one.ratio:.2f} times its tolerance"
+        in_sight = f"in sight{f' of {least}' if least > 1 else ''}"
+        return "the best found leaves a point open" if one.found else f"no layout was found with every point {in_sight}"
+
+    runs = [(said, [one.stations for one in same]) for said, same in groupby(tried, key=words)]
+    return [f"{n[0]}{f' to {n[-1]}' if len(n) > 1 else ''} stations: {said}" for said, n in runs]
 
 
 def _air(plan: Plan) -> list[str]:
@@ -171,6 +182,13 @@ def _limits(plan: Plan) -> list[str]:
     if site.least < len(names):
         least = survey.seen.sum(axis=0).min()
         found.append(f"Every reflector is seen from at least {least} station{'s' if least > 1 else ''}.")
+    if site.obstacles is not None:
+        depth = np.linalg.norm(site.obstacles.over_skin(survey.points) - survey.points, axis=1)
+        if under := [name for name, d in zip(survey.target_names, depth, strict=True) if d]:
+            found.append(
+                f"Up to {depth.max() / MILLIMETRE:.2g} mm under the triangles of a curved body, within what they leave "
+                f"open, and taken to be on it: {some_of(under)}."
+            )
     lost = plan.chosen.table.lost(names, survey.target_names)
     if lost:
         more = "; and more" if len(lost) > 3 else ""

@@ -20,6 +20,7 @@ def rounded(place: Floats, decimals: int) -> Vector:
     return x, y, z
 
 
+PLACE = numbers(".10g", x_mm="place in the workshop, to 0.001 mm", y_mm="as x_mm", z_mm="as x_mm")
 STATIONS = Table(
     "stations.csv",
     "where the tripod goes",
@@ -34,7 +35,8 @@ REFLECTORS = Table(
     "reflectors and how well they become known",
     (
         *texts(target="name"),
-        *numbers(x_mm="place in the workshop", y_mm="as x_mm", z_mm="as x_mm", sigma_um="expected, of the point"),
+        *PLACE,
+        *numbers(sigma_um="expected, of the point"),
         *numbers(U_x_um="expanded uncertainty, k = 2", U_y_um="as U_x_um", U_z_um="as U_x_um"),
         *numbers(within_mm="distance that its error keeps at the goal's level", tolerance_mm="what that may be"),
         *texts(seen_from="stations that see it"),
@@ -60,7 +62,7 @@ VISIBILITY = Table(
 NOMINALS = Table(
     "nominals.csv",
     "every point in the hall's axes, for the tracker's software",
-    (*texts(name="of the point"), *numbers(x_mm="place", y_mm="as x_mm", z_mm="as x_mm")),
+    (*texts(name="of the point"), *PLACE),
 )
 WORK = Table(
     "work-order.csv",

@@ -18,14 +18,13 @@ from ltsim.errors import SetupError
 from ltsim.model.construction import Construction, misalignment
 from ltsim.planning.fast import Reducer, StationBlocks
 from ltsim.planning.objective import LEAST_IMPROVEMENT, Objective
-from ltsim.planning.site import Placement, Site
+from ltsim.planning.site import Placement, Site, some_of
 from ltsim.randomness import stream
 from ltsim.remedies.next_measurement import quiet
 
 CHUNK = 64
 SWEEPS = 12
 TRIES = 12
-MOST_NAMED = 8
 PACE = 0.985
 """What a step leaves of the way to the end, for somebody who watches: how many steps it takes is not known before."""
 FINEST = 0.004
@@ -103,14 +102,9 @@ class Searcher:
     def _nowhere(self) -> str:
         """A sentence: which targets cannot be seen from everywhere, or from anywhere."""
         share = self.placement.seen.mean(axis=0)
-        names = self.site.survey.target_names
-        if hidden := [name for name, part in zip(names, share, strict=True) if not part]:
-            low, high = (1e3 * height for height in self.site.heights)
-            return (
-                f"no place on the floor sees {some_of(hidden)}, from heads at {low:g} to {high:g} mm; "
-                "let them stand higher (floor.height_mm), widen the floor, or move what is hidden"
-            )
-        worst = names[int(np.argmin(share))]
+        if not share.all():
+            return self.site.out_of_sight(np.flatnonzero(share == 0))
+        worst = self.site.survey.target_names[int(np.argmin(share))]
         return (
             f"no place on the floor sees every reflector: {worst} is seen from {100 * share.min():.0f} % of the "
             "places; move it, widen the floor, or ask for fewer stations a reflector"
@@ -214,11 +208,13 @@ class Searcher:
     def random_layout(self, rng: np.random.Generator) -> StationBlocks:
         """An allowed layout: stations placed one by one with some chance, fixed ones kept.
 
-        Raises SetupError where none is found, with the targets that lack sights.
+        It determines all poses and targets where a few draws give such a one. Raises SetupError where none is allowed,
+        with the targets that lack sights.
         """
         survey, free, places = self.site.survey, self._free, self.placement
         tables = {slot: self.table(slot) for slot in free}
         lacking: Sequence[int] = ()
+        loose: StationBlocks | None = None
         for _ in range(TRIES):
             chosen = places.stations(len(free), self.site.least, rng)
             if len(chosen) < len(free) or places.missing(chosen, self.site.least):
@@ -230,7 +226,11 @@ class Searcher:
                 if len(at):
                     made = made.with_station(slot, tables[slot].take(rng.choice(at, size=1)))
             if self.site.joined(made.position[None], made.seen[None])[0]:
-                return made
+                if np.isfinite(self._value(made)):
+                    return made
+                loose = made
+        if loose is not None:
+            return loose
         raise SetupError(
             f"no layout of {self.stations} stations was found among {len(places.position)} places that keeps "
             f"them {self.site.spacing:g} m apart and every reflector in sight of {self.site.least}"
@@ -256,8 +256,3 @@ class Searcher:
         layout, value = self.exchange(layout, value)
         layout, value = self.refine(layout, value, rng)
         return Layout(layout.position, np.mod(layout.yaw, 2 * np.pi), value)
-
-
-def some_of(names: Sequence[str]) -> str:
-    """The first names of a list, and how many more there are."""
-    return ", ".join(names[:MOST_NAMED]) + (f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else "")

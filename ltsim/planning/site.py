@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -20,6 +21,7 @@ FEWEST = 3
 NEST_STEPS = 60
 NEST_MARGIN = 0.004
 """Steps of the iteration that aims fixed nests, and what is kept free for it [rad]."""
+MOST_NAMED = 8
 DRAWS = 24
 """Places that are looked at for a station of a random placement."""
 NODES = 3000
@@ -87,7 +89,7 @@ class Site:
         good &= table.range_ - self.play >= self.limits.range_min
         if self.obstacles is not None and self.play:
             s, t = np.nonzero(good)
-            good[s, t] = ~self.obstacles.blocked_near(position[s], goal[t], self.play)
+            good[s, t] = ~self.obstacles.blocked_near(position[s], self.obstacles.over_skin(goal)[t], self.play)
         return good
 
     def joined(self, position: Floats, seen: Bools) -> Bools:
@@ -108,6 +110,18 @@ class Site:
         cosine = np.einsum("btsk,btk->bts", back / range_, narrowest_cone(back / range_, NEST_STEPS))
         incidence = np.arccos(np.clip(cosine, -1.0, 1.0)) + self.play / range_[..., 0]
         return np.asarray(incidence.max(axis=(1, 2)) < self.limits.acceptance - NEST_MARGIN)
+
+    def out_of_sight(self, hidden: Ints) -> str:
+        """A sentence on targets that no place on the floor sees, and what helps."""
+        held = hidden[self.obstacles.holds(self.survey.points[hidden])] if self.obstacles else hidden[:0]
+        names, within = ([self.survey.target_names[t] for t in some] for some in (hidden, held))
+        low, high = (1e3 * height for height in self.heights)
+        cure = "let them stand higher (floor.height_mm), widen the floor, or move what is hidden"
+        if within:
+            cure = (
+                f"{some_of(within)} {'lies' if len(within) == 1 else 'lie'} inside an obstacle: move points or bodies"
+            )
+        return f"no place on the floor sees {some_of(names)}, from heads at {low:g} to {high:g} mm; {cure}"
 
     def places(self, step: float, heights: int) -> Floats:
         """Places (N, 3) of a grid where a tripod may stand."""
@@ -191,3 +205,8 @@ class Placement:
             options={"node_limit": NODES},
         )
         return [] if found.x is None else np.flatnonzero(found.x[:places] > 0.5).tolist()
+
+
+def some_of(names: Sequence[str]) -> str:
+    """The first names of a list, and how many more there are."""
+    return ", ".join(names[:MOST_NAMED]) + (f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else "")

@@ -19,6 +19,7 @@ from ltsim.arrays import Floats
 from ltsim.effects import find_effect
 from ltsim.effects.effect import Effect, NoiseEffect
 from ltsim.effects.signature import Signature
+from ltsim.effects.verbs import each_of
 from ltsim.errors import ModelError
 from ltsim.model.construction import stated_construction
 from ltsim.recording.exchange import RecordingSource, recording_of
@@ -223,7 +224,7 @@ def next_measurement(
     recording: RecordingSource,
     *,
     between: Sequence[str] = (),
-    beside: Sequence[Signature] = (),
+    with_effects: str | Signature | Sequence[str | Signature] = (),
     minutes_per_move: float = 20.0,
     progress: Progress = quiet,
 ) -> NextMeasurement:
@@ -236,8 +237,8 @@ def next_measurement(
         Names of two or more effects: rank by how many are told from the first, of these what asks least of a person
         and is done first, then by the evidence between them; none: rank what can be pointed at from here or from a
         further station by what it tells about the instrument's parameters.
-    beside : sequence of Signature
-        What has been found already beside the question.
+    with_effects : str, Effect or sequence of them
+        What has been found already beside the question; of a name, where it fits the residuals best.
     minutes_per_move : float
         What it costs to move the tripod.
     progress : callable
@@ -260,6 +261,8 @@ def next_measurement(
     adjustment = adjust(seen, stated_construction(seen))
     adjustment.solution.require_success()
     if len(between) > 1:
+        plain = space_of(adjustment)
+        beside = [explanation(plain, e).effect if isinstance(e, str) else e for e in each_of(with_effects)]
         space = space_of(adjustment, beside)
         asked = [explanation(space, name) for name in between]
         return deciding(adjustment, asked, beside, seconds_per_move=60.0 * minutes_per_move, progress=progress)

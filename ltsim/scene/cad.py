@@ -35,6 +35,8 @@ SMALL = 0.1
 """[m]: nothing shorter is worth its place in a hall without a word."""
 BEYOND = 0.05
 """[m] that a body may reach beyond the room or below its floor."""
+PER_METRE = 1e5
+"""Corners lie on a grid of 10 um: single precision, as STL and glTF have it, keeps no more over 40 m."""
 UPRIGHT = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 """Turns y up to z up: x stays, y becomes z, z becomes -y."""
 
@@ -75,22 +77,32 @@ def read_mesh(path: Path, unit: str | None = None, up: str | None = None) -> Cad
         raise SetupError(f"{path}: the suffix is '{path.suffix}', expected one of {', '.join(SUFFIXES)}")
     if suffix in EXACT and unit is not None:
         raise SetupError(f"{path}: {suffix[1:].upper()} states its own unit; leave out unit")
+    turned = up or ("y" if suffix in GLTF else "z")
+    own = "" if suffix in EXACT else unit or ("m" if suffix in GLTF else "mm")
     try:
         found = path.stat()
         if found.st_size > MAX_BYTES:
             raise SetupError(f"{path}: is larger than {MAX_BYTES >> 20} MiB, the most that is read")
-        triangles = _triangles(path, found.st_mtime_ns)
+        triangles = _triangles(path, found.st_mtime_ns, FACTOR[own or "m"], turned)
     except OSError as problem:
         raise SetupError(f"{path}: cannot be read ({problem.strerror or 'not a usable file'})") from None
-    turned = up or ("y" if suffix in GLTF else "z")
-    own = "" if suffix in EXACT else unit or ("m" if suffix in GLTF else "mm")
-    triangles = triangles * FACTOR[own or "m"]
-    sure = suffix in EXACT or unit is not None
-    return Cad(path, triangles @ UPRIGHT.T if turned == "y" else triangles, own, turned, sure)
+    return Cad(path, triangles, own, turned, suffix in EXACT or unit is not None)
 
 
 @lru_cache(maxsize=8)
-def _triangles(path: Path, _changed: int) -> Floats:
+def _triangles(path: Path, _changed: int, factor: float, up: str) -> Floats:
+    """Triangles (m, 3, 3) [m], z up, of a file whose numbers are `factor` metres, whatever its format and order."""
+    triangles = factor * _as_written(path)
+    corners = np.round(PER_METRE * (triangles @ UPRIGHT.T if up == "y" else triangles)).astype(np.int64)
+    first = np.lexsort(np.moveaxis(corners, 2, 0)[::-1], axis=1)[:, :1]
+    corners = np.take_along_axis(corners, ((first + np.arange(3)) % 3)[..., None], axis=1)
+    whole = (corners != np.roll(corners, 1, axis=1)).any(axis=2).all(axis=1)
+    settled: Floats = np.unique(corners[whole].reshape(-1, 9), axis=0).reshape(-1, 3, 3) / PER_METRE
+    settled.flags.writeable = False
+    return settled
+
+
+def _as_written(path: Path) -> Floats:
     """Triangles (m, 3, 3) in the numbers and axes of a file, of an exact one [m]."""
     suffix, content = path.suffix.lower(), path.read_bytes()
     if suffix in EXACT:
@@ -107,7 +119,6 @@ def _triangles(path: Path, _changed: int) -> Floats:
         raise SetupError(f"{path}: is not a whole {path.suffix[1:]} file ({type(problem).__name__})") from None
     if not len(triangles) or not np.all(np.isfinite(triangles)):
         raise SetupError(f"{path}: holds no surface of triangles with finite coordinates")
-    triangles.flags.writeable = False
     return triangles
 
 

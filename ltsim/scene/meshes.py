@@ -23,6 +23,10 @@ GRAZE = 1e-4
 """Width [m] of the bundle around a ray whose members must agree; single precision errs by 1e-6 at 10 m."""
 END = 1e-6
 CHUNK = 2_000_000
+SKY = np.array([0.01234567, 0.02345678, 1.0]) / np.linalg.norm([0.01234567, 0.02345678, 1.0])
+"""Slightly off the vertical, so that edges of upright boxes are not met all along."""
+SMOOTH = np.radians(35.0)
+"""Angle under which two triangles are taken for parts of one curved surface."""
 SIDES = 64
 """Of a cylinder: 0.1 % more than its diameter at the corners."""
 FOOT = 0.025
@@ -107,10 +111,56 @@ class Obstacles:
 
     def holds(self, points: Floats) -> Bools:
         """(n,): points (n, 3) [m] inside a closed body: a ray to the sky leaves through an odd number of surfaces."""
-        # Slightly off the vertical, so that edges of upright boxes are not met all along.
-        sky = np.array([0.01234567, 0.02345678, 1.0])
-        sky = np.broadcast_to(sky / np.linalg.norm(sky), points.shape)
-        return native_hits(self.triangles, points, sky, np.full(len(points), np.inf)) % 2 == 1
+        (left, back), (right, front) = self._above
+        flat = _from_sky(points)
+        count = np.zeros(len(points), dtype=np.int64)
+        step = max(1, CHUNK // max(len(self.triangles), 1))
+        for start in range(0, len(points), step):
+            x, y = flat[start : start + step].T[..., None]
+            i, t = np.nonzero((left <= x) & (x <= right) & (back <= y) & (y <= front))
+            met = _meets(self.triangles[t], points[start + i], SKY, np.inf)
+            count[start : start + step] = np.bincount(i[met], minlength=len(x))
+        return count % 2 == 1
+
+    @cached_property
+    def _above(self) -> tuple[Floats, Floats]:
+        """Corners (2, m) of the rectangles round the triangles as the sky sees them."""
+        flat = _from_sky(self.triangles)
+        return flat.min(axis=1).T - END, flat.max(axis=1).T + END
+
+    @cached_property
+    def _open(self) -> Floats:
+        """(m,) [m]: how far from a triangle the curved surface may lie that it stands for; none at sharp edges.
+
+        A third of its height over an edge times the angle there: the depth at the middle of regular triangles on a
+        sphere, and more than that of strips on a cylinder.
+        """
+        mesh = trimesh.Trimesh(self.triangles.reshape(-1, 3), np.arange(3 * len(self.triangles)).reshape(-1, 3))
+        pairs, angle = mesh.face_adjacency, mesh.face_adjacency_angles
+        edge = np.linalg.norm(np.diff(mesh.vertices[mesh.face_adjacency_edges], axis=1)[:, 0], axis=1)
+        depth = np.zeros(len(self.triangles))
+        for side in pairs[angle < SMOOTH].T:
+            np.maximum.at(depth, side, (2.0 * mesh.area_faces[side] * (angle / edge)[angle < SMOOTH]) / 3.0)
+        return depth
+
+    @cached_property
+    def _put(self) -> dict[bytes, Floats]:
+        """What `over_skin` found; sights of the same points are looked for many times."""
+        return {}
+
+    def over_skin(self, points: Floats) -> Floats:
+        """Points (n, 3) [m], those inside a body by no more than its triangles leave open put just over it."""
+        if (key := points.tobytes()) not in self._put:
+            found = points.copy()
+            for i in np.flatnonzero(self.holds(points)):
+                everywhere = np.repeat(points[[i]], len(self.triangles), axis=0)
+                nearest: Floats = trimesh.triangles.closest_point(self.triangles, everywhere)  # type: ignore[no-untyped-call]
+                gap = np.linalg.norm(nearest - everywhere, axis=1)
+                best = int(gap.argmin())
+                if END < gap[best] < self._open[best] + GRAZE:
+                    found[i] = nearest[best] + GRAZE * (nearest[best] - points[i]) / gap[best]
+            self._put[key] = found
+        return self._put[key]
 
     def encloses(self, points: Floats) -> Bools:
         """(n,): head inside a closed body, or the tripod under it through something (points (n, 3), [m])."""
@@ -127,25 +177,38 @@ def native_hits(triangles: Floats, origins: Floats, beam: Floats, length: Floats
     Moeller and Trumbore, Journal of Graphics Tools 2 (1997) 21-28. Edges belong to the triangle; a ray in its
     plane does not meet it.
     """
-    first, along, across = triangles[:, 0], triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
-    size = np.linalg.norm(along, axis=1) * np.linalg.norm(across, axis=1)
     count = np.zeros(len(origins), dtype=np.int64)
     step = max(1, CHUNK // max(len(triangles), 1))
     for start in range(0, len(origins), step):
         rows = slice(start, start + step)
-        cross = np.cross(beam[rows, None, :], across)
-        determinant = np.einsum("nmk,mk->nm", cross, along)
-        flat = np.abs(determinant) < 1e-12 * np.maximum(size, 1e-300)
-        inverse = 1.0 / np.where(flat, 1.0, determinant)
-        gap = origins[rows, None, :] - first
-        u = np.einsum("nmk,nmk->nm", gap, cross) * inverse
-        turned = np.cross(gap, along)
-        v = np.einsum("nk,nmk->nm", beam[rows], turned) * inverse
-        way = np.einsum("nmk,mk->nm", turned, across) * inverse
-        inside = (u >= -1e-12) & (v >= -1e-12) & (u + v <= 1.0 + 1e-12)
-        met = ~flat & inside & (way > END) & (way < length[rows, None] - END)
+        met = _meets(triangles, origins[rows, None], beam[rows, None], length[rows, None])
         count[rows] = met.sum(axis=1)
     return count
+
+
+def _meets(triangles: Floats, origins: Floats, beam: Floats, length: Floats | float) -> Bools:
+    """(...): a triangle (..., 3, 3) is met by its ray before `length`."""
+    first, second, third = np.moveaxis(triangles, -2, 0)
+    along, across = second - first, third - first
+    size = np.linalg.norm(along, axis=-1) * np.linalg.norm(across, axis=-1)
+    cross = np.cross(beam, across)
+    determinant = _dot(cross, along)
+    flat = np.abs(determinant) < 1e-12 * np.maximum(size, 1e-300)
+    inverse = 1.0 / np.where(flat, 1.0, determinant)
+    gap = origins - first
+    turned = np.cross(gap, along)
+    u, v, way = _dot(gap, cross) * inverse, _dot(beam, turned) * inverse, _dot(turned, across) * inverse
+    inside = (u >= -1e-12) & (v >= -1e-12) & (u + v <= 1.0 + 1e-12)
+    return np.asarray(~flat & inside & (way > END) & (way < length - END))
+
+
+def _from_sky(points: Floats) -> Floats:
+    """Where points (..., 3) are seen (..., 2) along `SKY`."""
+    return points[..., :2] - points[..., 2:] * SKY[:2] / SKY[2]
+
+
+def _dot(a: Floats, b: Floats) -> Floats:
+    return np.asarray(np.einsum("...k,...k->...", a, b))
 
 
 def placed(triangles: Floats, position: Floats, yaw: float) -> Floats:

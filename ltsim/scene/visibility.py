@@ -183,7 +183,7 @@ def _add_obstacles(reason: NDArray[np.int8], position: Floats, points: Floats, o
     """Enter pairs that something hides; rays are cast only for pairs that nothing else separates."""
     inside = obstacles.encloses(position)
     pairs = np.argwhere((reason == Reason.VISIBLE) & ~inside[:, None])
-    hidden = pairs[obstacles.blocked(position[pairs[:, 0]], points[pairs[:, 1]])]
+    hidden = pairs[obstacles.blocked(position[pairs[:, 0]], obstacles.over_skin(points)[pairs[:, 1]])]
     reason[hidden[:, 0], hidden[:, 1]] = Reason.OBSTACLE
     reason[inside] = Reason.STATION_INSIDE
 

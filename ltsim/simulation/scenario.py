@@ -12,6 +12,7 @@ from pydantic import Field
 
 from ltsim.arrays import Floats
 from ltsim.effects.effect import Effect
+from ltsim.effects.verbs import Sized
 from ltsim.errors import ModelError, SetupError, as_setup_error
 from ltsim.recording.files import Where, shown
 from ltsim.recording.settings import above, checked, read_toml, to_toml, with_instruments
@@ -161,12 +162,13 @@ def changed(scenario: Scenario, changes: Mapping[str, Any], file: Path, where: s
 
 def _as_table(value: Any) -> Any:
     """A new value as a file has it: effects (`lt.Effect`), alone or in a list, as their tables."""
-    if isinstance(value, Effect):
+    if isinstance(value, Effect | Sized):
         value = [value]
     if not isinstance(value, (list, tuple)):
         return value
     return [
-        EffectEntry.of(v).model_dump(mode="json", exclude_defaults=True) if isinstance(v, Effect) else v for v in value
+        EffectEntry.of(v).model_dump(mode="json", exclude_defaults=True) if isinstance(v, Effect | Sized) else v
+        for v in value
     ]
 
 

@@ -10,7 +10,7 @@ from pydantic import AfterValidator, Field, StrictBool, model_validator
 from ltsim.effects.effect import Effect
 from ltsim.effects.noise import PAPER_ANGLE_ARCSEC, PAPER_DISTANCE_UM
 from ltsim.effects.smr_incidence import PAPER_TABLE, TABLE_ANGLES
-from ltsim.effects.verbs import effect_from, shape_of
+from ltsim.effects.verbs import Sized, effect_from, shape_of
 from ltsim.errors import ModelError, SetupError
 from ltsim.recording.setup import (
     Finite,
@@ -381,8 +381,8 @@ class EffectEntry(PlacedEffect):
     """Parameters by name, in display units."""
 
     @classmethod
-    def of(cls, effect: Effect) -> EffectEntry:
-        """An effect with its places and constants, its parameters to be drawn."""
-        return cls(
-            name=effect.name, stations=effect.stations, targets=effect.targets, draw=True, shape=shape_of(effect)
-        )
+    def of(cls, given: Effect | Sized) -> EffectEntry:
+        """An effect with its places and constants, and the sizes of its parameters; drawn where none is given."""
+        effect, sizes = (given.effect, dict(given.sizes)) if isinstance(given, Sized) else (given, {})
+        places = {"stations": effect.stations, "targets": effect.targets}
+        return cls(name=effect.name, **places, draw=not sizes, values=sizes, shape=shape_of(effect))

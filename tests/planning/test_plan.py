@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from ltsim.cli.main import run
 from ltsim.errors import SetupError
@@ -43,6 +44,17 @@ def table(path: Path) -> list[dict[str, str]]:
 def plan(tmp_path_factory: pytest.TempPathFactory) -> Plan:
     text = "[stations]\ncount = 4\ntries = [3]\n[budget]\nfaces = [1]\nrepeats = [1, 2]\nhours = 24\n"
     return make_plan(*load_plan(small(text, tmp_path_factory.mktemp("plan"), 2)))
+
+
+def test_a_plan_is_drawn_with_its_tripods_and_points(plan: Plan) -> None:
+    survey, figure = plan.chosen.survey, plan.plot()
+    assert isinstance(figure, Figure)
+    floor = figure.axes[0]
+    assert (floor.get_xlabel(), floor.get_ylabel()) == ("x [m]", "y [m]")
+    marks = np.concatenate([np.asarray(points.get_offsets()) for points in floor.collections])
+    for place in (*survey.position[:, :2], *survey.points[:, :2]):
+        assert np.abs(marks - place).max(axis=1).min() < 1e-4
+    assert {text.get_text() for text in floor.texts} >= set(survey.station_names)
 
 
 def test_a_scenario_as_a_survey_is_its_recording() -> None:

@@ -172,7 +172,7 @@ def test_diagnosis_and_plan_give_the_same_advice() -> None:
     between, beside = open_question(found)
     assert between
     asked = next(f for f in found.findings if f.effect == between[0])
-    planned = next_measurement(recording, between=between, beside=beside)
+    planned = next_measurement(recording, between=between, with_effects=beside)
     assert asked.separate_by == planned.advice
     assert planned.proposals[0].remedy.words in planned.advice or "nothing that was tried" in planned.advice
 

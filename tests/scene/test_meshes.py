@@ -8,7 +8,7 @@ import trimesh
 
 from ltsim.errors import SetupError
 from ltsim.scene.cad import read_mesh
-from ltsim.scene.meshes import Obstacles, box, native_hits, placed, together
+from ltsim.scene.meshes import SKY, Obstacles, box, native_hits, placed, together
 
 CUBE = together([placed(box(np.ones(3)), np.array([2.0, 0.0, 0.0]), 0.0)])
 
@@ -48,6 +48,23 @@ def test_embree_and_double_precision_agree_on_a_curved_body() -> None:
     native = native_hits(body.triangles, start, (end - start) / length[:, None], length) > 0
     assert 100 < native.sum() < 2900
     np.testing.assert_array_equal(body.blocked(start, end), native)
+    places, up = start / 2.0, np.broadcast_to(SKY, start.shape)
+    slowly = native_hits(body.triangles, places, up, np.full(len(places), np.inf)) % 2 == 1
+    assert 100 < slowly.sum() < 2900
+    np.testing.assert_array_equal(body.holds(places), slowly)
+
+
+def test_a_point_of_a_hollow_cylinder_is_on_its_triangles_that_lie_off_it() -> None:
+    """Inside of a tube of 24 flat sides, the true bore lies up to 13 mm behind them."""
+    tube = Obstacles(np.array(trimesh.creation.annulus(r_min=1.5, r_max=2.0, height=10.0, sections=24).triangles))
+    turn = np.linspace(0, 2 * np.pi, 48, endpoint=False)
+    bore = np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=1)
+    middle, on, deep = np.zeros_like(bore), tube.over_skin(1.5 * bore), tube.over_skin(1.6 * bore)
+    assert not tube.blocked(middle, on).any()
+    assert tube.blocked(3.0 * bore, on).all()
+    np.testing.assert_allclose(on, 1.5 * bore, atol=0.0131)
+    np.testing.assert_array_equal(deep, 1.6 * bore)
+    assert tube.blocked(middle, deep).all()
 
 
 def test_no_station_stands_inside_or_with_its_tripod_through_something() -> None:

@@ -101,6 +101,9 @@ class Wall:
         assert len(origins) == len(ends)
         return np.asarray((origins[:, 0] < 1) & (ends[:, 0] > 1))
 
+    def over_skin(self, points):
+        return points
+
     def encloses(self, points: np.ndarray) -> np.ndarray:
         return np.asarray(points[:, 0] < -1)
 

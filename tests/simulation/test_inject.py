@@ -138,6 +138,14 @@ def test_the_command_writes_a_recording_and_its_truth_apart(tmp_path: Path, reco
     assert not (tmp_path / "no").exists()
 
 
+def test_an_effect_with_its_size_is_injected_as_in_words(recording: Recording) -> None:
+    words = lt.inject(recording, "range-step:S3,range-step=30", seed=1)
+    made = lt.inject(recording, lt.Effect("range-step", stations="S3", range_step=30), seed=1)
+    np.testing.assert_array_equal(made.recording.readings, words.recording.readings)
+    with pytest.raises(ModelError, match="range-step has a size; that is for simulate and inject"):
+        lt.calibrate(recording, with_effects=lt.Effect("range-step", range_step=30))
+
+
 def test_a_list_of_causes_is_one_sentence() -> None:
     recording, _ = lt.simulate("paper-workshop", seed=7)
     with pytest.raises(ModelError, match="one after another"):

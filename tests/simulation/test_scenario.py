@@ -186,6 +186,11 @@ def test_effects_as_objects_are_those_of_a_file() -> None:
         assert np.array_equal(recording.readings, by_table.recording.readings)
         assert truth.effects[0].effect == drift
 
+    sized = lt.Effect("index-drift", stations="S3", index_drift=60.0)
+    entry = {"name": "index-drift", "stations": ["S3"], "values": {"index-drift": 60.0}}
+    by_table, given = (lt.simulate("paper-workshop", seed=7, changes={"effects": [e]}) for e in (entry, sized))
+    assert np.array_equal(given.recording.readings, by_table.recording.readings)
+
 
 def test_a_printed_scenario_is_one_line() -> None:
     assert str(lt.scenario("paper-workshop")).count("\n") == 0

@@ -162,5 +162,7 @@ def _course(ax: Axes, check: Check) -> None:
     ax.set_xlabel(unit)
     ax.set_ylabel("rms [sigma]")
     ax.set_ylim(0, 1.3 * ax.get_ylim()[1])
+    if not ax.lines:
+        ax.text(0.5, 0.5, "no target was measured twice from one set-up", transform=ax.transAxes, ha="center")
     if ax.get_legend_handles_labels()[0]:
         ax.legend(loc="upper right", ncols=5)
