@@ -3,21 +3,55 @@
 python -m experiments 20 [PLAN] [ENTRANT ...]    a plan of `plans/`, quick by default; ltsim by default
 """
 
-from experiments.common import ROOT, Made, Options
+import json
+from pathlib import Path
+
+from experiments.common import ROOT, Made, Options, commit, write_figure
+from ltsim.pages.figures.campaign import Swept, by_factor
 
 from . import entrants, make
 from .__main__ import plan_file, score
+from .report import QUESTIONS, Answer
 
 WORK = ROOT / "build" / "concealed"
 """Recordings, truth and answers; a run that was broken off goes on from them."""
 
 
 def run(given: Options) -> Made:
-    """Make the recordings of a plan, let the entrants answer, score them."""
+    """Make the recordings of a plan, let the entrants answer, score them beside those that are in the table already."""
     name, *names = given.words or ("quick",)
-    cases, work = make.read_plan(plan_file(name)), WORK / name
+    cases, work, folder = make.read_plan(plan_file(name)), WORK / name, given.out / name
     seal = make.make(cases, work, given.jobs)
-    for entrant in names or ["ltsim"]:
-        entrants.answer(work, entrant, jobs=given.jobs)
-    score(work, list(names) or ["ltsim"], given.out / name, name)
-    return Made(seed=cases[0].seed, folder=given.out / name, more={"truth_sha256": seal})
+    able = [entrant for entrant in names or ["ltsim"] if entrants.answer(work, entrant, jobs=given.jobs)]
+    score(work, able, folder, name)
+    draw(folder)
+    file = folder / "manifest.json"
+    earlier = json.loads(file.read_text(encoding="utf-8"))["answered_at"] if file.is_file() else {}
+    answered = earlier | dict.fromkeys(able, commit())
+    return Made(seed=cases[0].seed, folder=folder, more={"truth_sha256": seal, "answered_at": answered})
+
+
+def draw(folder: Path) -> None:
+    """Laws in small halls over strength: what the first entrant told of them, and the targets of all entrants."""
+    summaries = json.loads((folder / "scores.json").read_text(encoding="utf-8"))["entrants"]
+    first, asked = next(iter(summaries)), ("found", "place", "observable", "covariates_or_outside")
+    told = [p for key in asked for p in points(summaries[first], QUESTIONS[key], QUESTIONS[key].lstrip(". "), first)]
+    errors = [p for level in ("median", "95 %") for who, answers in summaries.items()
+              for p in points(answers, f"error of targets over told, {level}", who, level)]  # fmt: skip
+    axis = "strength: noncentrality left by least squares"
+    if told:
+        write_figure(folder / "told.svg", by_factor(told, label="share of recordings [%]", axis=axis))
+        label = "error of targets over somebody told the truth"
+        write_figure(folder / "targets.svg", by_factor(errors, label=label, axis=axis))
+
+
+def points(answers: dict[str, Answer], question: str, line: str, panel: str) -> list[Swept]:
+    """A question by strength; shares in percent."""
+    found = []
+    for asked, a in answers.items():
+        place, _, words = asked.partition(": ")
+        if place.startswith("unknown hall") and words == question and a["of"]:
+            mean, low, high = (a[k] for k in ("value", "low", "high")) if "value" in a else (
+                100 * a[k] for k in ("share", "low", "high"))  # fmt: skip
+            found.append(Swept(float(place.split()[2]), line, panel, mean, low, high, mean, mean))
+    return found

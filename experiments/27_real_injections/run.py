@@ -12,27 +12,26 @@ import sys
 import time
 import tomllib
 from functools import cache
-from importlib import import_module
 from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 import ltsim as lt
 from experiments.common import Made, Options, Row, spread_out, tell, write_figure, write_table
+from experiments.intervals import share
 from ltsim.diagnosis.schema import Finding
 from ltsim.effects.signature import Tunable
 from ltsim.errors import LtsimError, ModelError
 from ltsim.laws.law import Law
-from ltsim.pages.style import MARKERS, new_figure, styled
+from ltsim.pages.figures.campaign import Swept, by_factor
 from ltsim.recording import Hints, Recording
 
 HERE = Path(__file__).resolve().parent
 DATA = HERE.parents[2] / "shared" / "recordings"
-share = import_module("experiments.20_concealed_physics.report").share
 MEASURES = {"found": "found", "placed": "place right", "right": "told rightly"}
+DRAWN = (*MEASURES.values(), "reliability")
 SAME = 0.5
 """Share of several stations or targets in common from which they are the same place."""
 
@@ -122,23 +121,6 @@ def rates(rows: list[Row], strength: float | str, network: str) -> list[Row]:
     return [{"network": network, "strength": strength, **row} for row in rounded]
 
 
-def curves(table: list[Row]) -> Figure:
-    """Shares over strength, all networks together."""
-    figure = new_figure(3.4)
-    panel = figure.subplots()
-    for label, marker in zip((*MEASURES.values(), "reliability"), MARKERS, strict=False):
-        rows = [r for r in table if (r["network"], r["measure"]) == ("all", label) and r["strength"] != "all"]
-        low, middle, high = (np.array([100 * r[k] for r in rows]) for k in ("low", "share", "high"))
-        shift = 1.0 + 0.03 * MARKERS.index(marker)
-        strengths = [shift * r["strength"] for r in rows]
-        panel.errorbar(strengths, middle, [middle - low, high - middle], marker=marker, capsize=2, label=label)
-    panel.set(xscale="log", xlabel="noncentrality after the adjustment", ylabel="share [%], 95 % intervals")
-    panel.set(ylim=(0, 103), xticks=(ticks := sorted({r["strength"] for r in table} - {"all"})), xticklabels=ticks)
-    panel.minorticks_off()
-    panel.legend(loc="lower right")
-    return figure
-
-
 def table_of(rows: list[Row], strengths: list[float]) -> list[Row]:
     """All networks by strength, then each network and each kind at all strengths."""
     seen, found = [r for r in rows if not r["hidden"]], []
@@ -174,5 +156,8 @@ def run(given: Options) -> Made:
     write_table(given.out / "rows.csv", rows)
     table = table_of(rows, sorted(settings["strengths"]))
     write_table(given.out / "table.csv", table)
-    write_figure(given.out / "curves.svg", styled(curves)(table))
+    curves = [Swept(r["strength"], r["measure"], "", *(100 * r[k] for k in ("share", "low", "high", "share", "share")))
+              for r in table if r["network"] == "all" and r["strength"] != "all" and r["measure"] in DRAWN]  # fmt: skip
+    axis = "noncentrality after the adjustment"
+    write_figure(given.out / "curves.svg", by_factor(curves, label="share of causes, of findings [%]", axis=axis))
     return Made(settings["seed"], given.trials)

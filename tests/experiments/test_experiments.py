@@ -148,10 +148,10 @@ def test_more_noise_more_error(run: Run) -> None:
 
 def test_an_instrument_that_changed_is_calibrated_less_well(run: Run) -> None:
     out = run("09_temperature", 4)
-    right = {"gauge-scale": "0", "method": "network"}
+    right = {"gauge_scale_ppm": "0", "method": "network"}
     shares = [mean(out / f"drift-{k}", "new_point_share_removed", **right) for k in ("0", "0.5", "1")]
     assert shares == sorted(shares, reverse=True)
-    printed = mean(out / "drift-0", ERROR, method="eq. 9", **{"gauge-scale": "162.4"})
+    printed = mean(out / "drift-0", ERROR, method="eq. 9", gauge_scale_ppm="162.4")
     assert printed > 200
     assert ">eq. 9" in (out / "new_points.svg").read_text()
 

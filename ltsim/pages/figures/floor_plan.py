@@ -66,7 +66,7 @@ def place_labels(figure: Figure, ax: Axes, labels: Sequence[Label], markers: Flo
         half = 0.5 * label.size * np.array([LETTER[0] * len(label.text), LETTER[1]])
         for turn in label.away + TURNS:
             way = np.array([np.cos(turn), np.sin(turn)])
-            offset = way * (GAP + half * np.abs(way))
+            offset = way * (GAP + half / np.abs(way).max())
             middle = ax.transData.transform(label.place) / point + offset
             box = np.concatenate([middle - half, middle + half])
             if not ((box[:2] < taken[:, 2:]) & (box[2:] > taken[:, :2])).all(axis=1).any():
