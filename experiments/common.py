@@ -26,6 +26,8 @@ from ltsim.pages.style import svg
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "results"
+RECORDINGS = ROOT.parent / "shared" / "recordings"
+"""Of others: no part of the project."""
 USED = ("ltsim", "numpy", "scipy", "numba")
 Row = dict[str, Any]
 NEW_POINTS = "rms error of new points [µm]"
@@ -211,6 +213,12 @@ def _git(*words: str) -> str | None:
     """What git says of this checkout; None where it is none."""
     done = subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=False)
     return done.stdout.strip() or None if done.returncode == 0 else None
+
+
+def recordings_or_leave() -> None:
+    """Leave with a word where the recordings of others are absent."""
+    if not RECORDINGS.is_dir():
+        sys.exit("skipped: the recordings, which are no part of the project, are not beside it (../shared/recordings)")
 
 
 def run_steps(given: Options, steps: Mapping[str, Callable[[Path], None]]) -> None:

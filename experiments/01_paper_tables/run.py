@@ -143,6 +143,7 @@ def run(given: Options) -> Made:
         for cell, own in zip(cells, found, strict=True):
             if {key: cell.levels[key] for key in DRAWN[table]} == DRAWN[table]:
                 figure = distributions(figure_rows(own[table, "eq. 9"], table))
-                figure.suptitle(f"{table}, {cell.levels['title']}, calibrated by eq. 9", fontsize=8.5)
+                figure.legends[0].set_title(f"{table}, {cell.levels['title']}, calibrated by eq. 9")
+                figure.legends[0].set_alignment("left")
                 write_figure(given.out / f"{name}.svg", figure)
     return Made(campaign.seed, campaign.trials)

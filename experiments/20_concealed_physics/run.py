@@ -53,5 +53,5 @@ def points(answers: dict[str, Answer], question: str, line: str, panel: str) -> 
         if place.startswith("unknown hall") and words == question and a["of"]:
             mean, low, high = (a[k] for k in ("value", "low", "high")) if "value" in a else (
                 100 * a[k] for k in ("share", "low", "high"))  # fmt: skip
-            found.append(Swept(float(place.split()[2]), line, panel, mean, low, high, mean, mean))
+            found.append(Swept(place.split()[2], line, panel, mean, low, high, mean, mean))
     return found

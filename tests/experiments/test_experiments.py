@@ -34,9 +34,12 @@ def run(tmp_path: Path) -> Run:
 
 def test_the_driver_lists_every_experiment(root: Path, capsys: pytest.CaptureFixture[str]) -> None:
     main([])
-    listed = capsys.readouterr().out.splitlines()
-    assert [line[:2] for line in listed] == sorted(f.name[:2] for f in (root / "experiments").glob("[0-9]*"))
-    assert all(len(line) > 20 for line in listed)
+    listed = {line[:2]: line for line in capsys.readouterr().out.splitlines()}
+    assert list(listed) == sorted(f.name[:2] for f in (root / "experiments").glob("[0-9]*"))
+    assert all(len(line) > 20 for line in listed.values())
+    for file in (root / "experiments").glob("[0-9]*/**/*.toml"):
+        folder = next(part for part in file.parents if part.parent.name == "experiments")
+        assert file.relative_to(root / "experiments").as_posix() in listed[folder.name[:2]]
 
 
 @pytest.mark.parametrize("words", [["99"], ["04", "nothing"], ["20", "nothing"]])
