@@ -47,7 +47,7 @@ def summarise(rows: Sequence[Row]) -> dict[str, Answer]:
         r["found_at_equal_alarms"] = None if own is None else r["p_value"] <= own
         r["worse"] = None if error is None else error > WORSE * r["plain_um"]
         r["told_worse"] = None if error is None else r["told_um"] > WORSE * r["plain_um"]
-    found: dict[str, Answer] = {"not answered": {"value": len(rows) - len(answered)}}
+    found: dict[str, Answer] = {"answered": share([r["answered"] for r in rows], [_cluster(r) for r in rows])}
     places = sorted({(r["kind"], r["hall"], r["strength"]) for r in answered}, key=lambda p: (p[0] != "clean", p))
     for kind, hall, strength in places:
         of = [r for r in answered if (r["kind"], r["hall"], r["strength"]) == (kind, hall, strength)]
@@ -135,5 +135,5 @@ def _said(a: Answer) -> str:
         bin_ = f"; {a['stated']:.3f}{'' if a['holds'] else ' **no**'}" if "stated" in a else ""
         return f"{a['right']} of {a['of']} ({100 * a['low']:.0f} to {100 * a['high']:.0f} %){bin_}"
     if "value" in a:
-        return f"{a['value']:.3g}" + (f" ({a['low']:.3g} to {a['high']:.3g})" if "low" in a else "")
+        return f"{a['value']:.2f}" + (f" ({a['low']:.2f} to {a['high']:.2f})" if "low" in a else "")
     return "–"

@@ -27,8 +27,8 @@ def run(given: Options) -> Made:
     draw(folder)
     file = folder / "manifest.json"
     earlier = json.loads(file.read_text(encoding="utf-8"))["answered_at"] if file.is_file() else {}
-    answered = earlier | dict.fromkeys(able, commit())
-    return Made(seed=cases[0].seed, folder=folder, more={"truth_sha256": seal, "answered_at": answered})
+    answered = earlier | dict.fromkeys(able, {"commit": commit(), "truth_sha256": seal})
+    return Made(seed=cases[0].seed, folder=folder, more={"answered_at": answered})
 
 
 def draw(folder: Path) -> None:
@@ -51,7 +51,7 @@ def points(answers: dict[str, Answer], question: str, line: str, panel: str) -> 
     for asked, a in answers.items():
         place, _, words = asked.partition(": ")
         if place.startswith("unknown hall") and words == question and a["of"]:
-            mean, low, high = (a[k] for k in ("value", "low", "high")) if "value" in a else (
-                100 * a[k] for k in ("share", "low", "high"))  # fmt: skip
-            found.append(Swept(place.split()[2], line, panel, mean, low, high, mean, mean))
+            middle, unit = ("value", 1.0) if "value" in a else ("share", 100.0)
+            ends = (unit * a[key] for key in (middle, "low", "high", middle, middle))
+            found.append(Swept(place.split()[2], line, panel, *ends))
     return found

@@ -72,9 +72,8 @@ def target_error(true_mm: dict[str, list[float]], file: Path) -> float | None:
     names = [name for name in true_mm if name in told]
     if len(names) < 4:
         return None
-    a, b = (
-        np.array([source[n] for n in names]) - np.mean([source[n] for n in names], axis=0) for source in (told, true_mm)
-    )
+    points, truth = (np.array([source[n] for n in names]) for source in (told, true_mm))
+    a, b = points - points.mean(axis=0), truth - truth.mean(axis=0)
     gap = Rotation.align_vectors(b, a)[0].apply(a) - b
     return float(1e3 * np.sqrt((gap**2).sum(axis=1).mean()))
 
