@@ -27,7 +27,7 @@ def run(given: Options) -> Made:
     draw(folder)
     file = folder / "manifest.json"
     earlier = json.loads(file.read_text(encoding="utf-8"))["answered_at"] if file.is_file() else {}
-    answered = earlier | dict.fromkeys(able, {"commit": commit(), "truth_sha256": seal})
+    answered = earlier | {entrant: {"commit": commit(), "truth_sha256": seal} for entrant in able}
     return Made(seed=cases[0].seed, folder=folder, more={"answered_at": answered})
 
 
