@@ -56,7 +56,7 @@ def huber(recording: Path, out: Path) -> None:
 
 
 def gama(recording: Path, out: Path) -> None:
-    """GNU Gama's `gama-local`. It knows levelled instruments alone: constants and tilts are the calibration's."""
+    """GNU Gama's `gama-local`, by Cholesky: its default loses points. Constants and tilts are the calibration's."""
     import numpy as np
     from defusedxml import ElementTree
     from scipy.stats import chi2
@@ -75,7 +75,6 @@ def gama(recording: Path, out: Path) -> None:
     stations = {name: s.model_copy(update={"levelled": True}) for name, s in read.setup.stations.items()}
     setup = read.setup.model_copy(update={"stations": stations})
     lt.write(read.replace(setup=setup, readings=level), out / "network.gkf", format="gama-local")
-    # Its default algorithm loses points of one free network in eight.
     words = [str(out / "network.gkf"), "--algorithm", "cholesky", "--xml", str(out / "adjusted.xml"), "--cov-band", "0"]
     subprocess.run([NEEDED["gama"], *words], check=True, timeout=LIMIT_S, capture_output=True)
     adjusted = ElementTree.parse(out / "adjusted.xml").getroot()

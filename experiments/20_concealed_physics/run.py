@@ -13,8 +13,8 @@ from . import entrants, make
 from .__main__ import plan_file, score
 from .report import QUESTIONS, Answer
 
-WORK = ROOT / "build" / "concealed"
-"""Recordings, truth and answers; a run that was broken off goes on from them."""
+WORK = ROOT / "build" / "concealed"  # recordings, truth and answers; a run that was broken off goes on from them
+DRAWN = {"found": "found", "place": "place right", "observable": "observable", "covariates_or_outside": "covariates"}
 
 
 def run(given: Options) -> Made:
@@ -34,15 +34,16 @@ def run(given: Options) -> Made:
 def draw(folder: Path) -> None:
     """Laws in small halls over strength: what the first entrant told of them, and the targets of all entrants."""
     summaries = json.loads((folder / "scores.json").read_text(encoding="utf-8"))["entrants"]
-    first, asked = next(iter(summaries)), ("found", "place", "observable", "covariates_or_outside")
-    told = [p for key in asked for p in points(summaries[first], QUESTIONS[key], QUESTIONS[key].lstrip(". "), first)]
+    first = next(iter(summaries))
+    told = [p for key, words in DRAWN.items() for p in points(summaries[first], QUESTIONS[key], words, first)]
     errors = [p for level in ("median", "95 %") for who, answers in summaries.items()
               for p in points(answers, f"error of targets over told, {level}", who, level)]  # fmt: skip
     axis = "strength: noncentrality left by least squares"
     if told:
         write_figure(folder / "told.svg", by_factor(told, label="share of recordings [%]", axis=axis))
-        label = "error of targets over somebody told the truth"
-        write_figure(folder / "targets.svg", by_factor(errors, label=label, axis=axis))
+        figure = by_factor(errors, label="targets' error over told", axis=axis)
+        figure.axes[0].set(yscale="log", yticks=(ticks := (1, 2, 5, 10, 20, 50)), yticklabels=ticks)
+        write_figure(folder / "targets.svg", figure)
 
 
 def points(answers: dict[str, Answer], question: str, line: str, panel: str) -> list[Swept]:
