@@ -26,10 +26,13 @@ from ltsim.pages.style import svg
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "results"
+RECORDINGS = ROOT.parent / "shared" / "recordings"
+"""Of others: no part of the project."""
 USED = ("ltsim", "numpy", "scipy", "numba")
 Row = dict[str, Any]
 NEW_POINTS = "rms error of new points [µm]"
 ERROR = "new_point_error_calibrated_um"
+FLOOR = "noise floor"
 
 
 @dataclass(frozen=True)
@@ -116,15 +119,17 @@ def swept(
         here = results.levels[s.cell] | {"method": s.method}
         if any(here[name] != own for name, own in wanted.items()):
             continue
-        line = "noise floor" if s.column == floor else s.method
+        line = FLOOR if s.column == floor else s.method
         where = _words(panel, here[panel]) if panel else ""
         rows.append(Swept(here[along], line, where, s.mean, s.low, s.high, s.quantiles[1], s.quantiles[5]))
     return rows
 
 
 def _words(name: str, level: Any) -> str:
-    """A level in words, with its factor where it is no text of its own."""
-    return level if isinstance(level, str) else f"{name.replace('_', ' ')} {level:g}"
+    """A level in words, with its factor where it is no text of its own; a factor's name may end with its unit."""
+    words, _, unit = name.rpartition("_")
+    words, unit = (words, f" {unit}") if unit in ("ppm", "urad", "um") else (name, "")
+    return level if isinstance(level, str) else f"{words.replace('_', ' ')} {level:g}{unit}"
 
 
 def beside(results: Results, column: str, *settings: str) -> list[Swept]:
@@ -208,6 +213,12 @@ def _git(*words: str) -> str | None:
     """What git says of this checkout; None where it is none."""
     done = subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=False)
     return done.stdout.strip() or None if done.returncode == 0 else None
+
+
+def recordings_or_leave() -> None:
+    """Leave with a word where the recordings of others are absent."""
+    if not RECORDINGS.is_dir():
+        sys.exit("skipped: the recordings, which are no part of the project, are not beside it (../shared/recordings)")
 
 
 def run_steps(given: Options, steps: Mapping[str, Callable[[Path], None]]) -> None:

@@ -142,5 +142,8 @@ def run(given: Options) -> Made:
         write_table(given.out / f"{name}.csv", rows)
         for cell, own in zip(cells, found, strict=True):
             if {key: cell.levels[key] for key in DRAWN[table]} == DRAWN[table]:
-                write_figure(given.out / f"{name}.svg", distributions(figure_rows(own[table, "eq. 9"], table)))
+                figure = distributions(figure_rows(own[table, "eq. 9"], table))
+                figure.legends[0].set_title(f"{table}, {cell.levels['title']}, calibrated by eq. 9")
+                figure.legends[0].set_alignment("left")
+                write_figure(given.out / f"{name}.svg", figure)
     return Made(campaign.seed, campaign.trials)

@@ -7,6 +7,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 from defusedxml.ElementTree import parse
 
+from experiments.common import RECORDINGS as DATA
 from ltsim.adjustment import Adjustment
 from ltsim.arrays import Floats
 from ltsim.geometry.polar import to_polar
@@ -15,10 +16,7 @@ from ltsim.recording.recording import SIGMA_COLUMNS
 from ltsim.recording.setup import Instrument, Prior, Setup, Target
 from ltsim.units import ARCSECOND
 
-ROOT = Path(__file__).resolve().parents[2]
-DATA = ROOT.parent / "shared" / "recordings"
 GAMA = ("local_3d", "2020-barta-phase_0-1TK", "2019-prager")
-_SPACE = "{http://www.gnu.org/software/gama/gama-local-adjustment}"
 
 
 @dataclass(frozen=True)
@@ -43,27 +41,19 @@ def gama_result(name: str, folder: str = "gama-3d-networks") -> GamaResult:
     root: Element = parse(DATA / folder / f"{name}.xml").getroot()
 
     def number(tag: str) -> float:
-        found = root.find(f".//{_SPACE}{tag}")
-        return float((found.text if found is not None else None) or "nan")
+        return float(root.findtext(f".//{{*}}{tag}") or "nan")
 
-    coordinates = root.find(f".//{_SPACE}coordinates")
-    assert coordinates is not None
-    names, axis, value = [], [], []
-    for point in coordinates.find(f"{_SPACE}adjusted") or []:
-        for child in point:
-            tag = child.tag.removeprefix(_SPACE).lower()
-            if tag in ("x", "y", "z"):
-                names.append(str(point.findtext(f"{_SPACE}id")))
-                axis.append("xyz".index(tag))
-                value.append(float(child.text or "nan") * (-1 if tag == "y" else 1))
-    band = coordinates.find(f"{_SPACE}cov-mat")
-    assert band is not None
-    size, width = int(band.findtext(f"{_SPACE}dim") or 0), int(band.findtext(f"{_SPACE}band") or 0)
-    entries = [float(entry.text or "nan") for entry in band.findall(f"{_SPACE}flt")]
+    names, axis, value = zip(*(
+        (str(point.findtext("{*}id")), "xyz".index(child.tag[-1].lower()), float(child.text or "nan"))
+        for point in root.iterfind(".//{*}coordinates/{*}adjusted/{*}point")
+        for child in point if child.tag[-1] in "xyzXYZ"
+    ), strict=True)  # fmt: skip
+    size, width = int(number("cov-mat/{*}dim")), int(number("cov-mat/{*}band"))
+    entries = [float(entry.text or "nan") for entry in root.iterfind(".//{*}cov-mat/{*}flt")]
     at = np.cumsum([0, *(min(width, size - 1 - i) + 1 for i in range(size - 1))])
-    sigma = 1e-3 * np.sqrt(np.array(entries)[at])[: len(value)]
     return GamaResult(
-        tuple(names), np.array(axis), np.array(value), sigma, number("sum-of-squares"),
+        names, np.array(axis), np.where(np.array(axis) == 1, -1, 1) * value,
+        1e-3 * np.sqrt(np.array(entries)[at])[: len(value)], number("sum-of-squares"),
         int(number("degrees-of-freedom")), number("apriori"), number("aposteriori"),
     )  # fmt: skip
 

@@ -6,7 +6,6 @@ Reads ../shared/recordings beside the checkout; writes only figures found: rows 
 the file.
 """
 
-import sys
 import time
 from pathlib import Path
 
@@ -14,7 +13,7 @@ import numpy as np
 from scipy import stats
 from scipy.optimize import least_squares
 
-from experiments.common import Made, Options, run_steps, show_table
+from experiments.common import Made, Options, recordings_or_leave, run_steps, show_table
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.adjustment.verdict import verdict
 from ltsim.calibration import calibrate_network
@@ -301,7 +300,6 @@ STEPS = {"gama": gama, "cern": cern, "geoeasy": geoeasy, "scanner": scanner_trut
 
 def run(given: Options) -> Made:
     """Run the named steps, or all."""
-    if not DATA.is_dir():
-        sys.exit(f"{DATA} is not there: these recordings are no part of the project")
+    recordings_or_leave()
     run_steps(given, STEPS)
     return Made(seed=4)

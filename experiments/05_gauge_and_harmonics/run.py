@@ -1,6 +1,8 @@
 """Gauges of 0 to 6 reflectors; harmonics up to order 2, 3 and 4 fitted to truths that go beyond the second."""
 
-from experiments.common import ERROR, NEW_POINTS, Made, Options, beside, campaign, swept, write_figure
+from dataclasses import replace
+
+from experiments.common import ERROR, FLOOR, NEW_POINTS, Made, Options, beside, campaign, swept, write_figure
 from ltsim.pages.figures.campaign import by_factor, by_setting
 
 
@@ -10,6 +12,9 @@ def run(given: Options) -> Made:
         given.out / "gauge.svg", by_setting(beside(gauges, ERROR, "title", "range_scale_ppm"), label=NEW_POINTS)
     )
     rows = swept(orders, ERROR, "beyond_second_urad")
+    # True parameters leave what lies beyond the second order: the noise alone shows where there is nothing beyond it.
+    floor = next(row for row in rows if row.line == FLOOR and not row.x)
+    rows = [replace(floor, x=row.x) if row.line == FLOOR else row for row in rows]
     axis = "each coefficient of orders 3 and 4 in the truth [µrad]"
     write_figure(given.out / "harmonics.svg", by_factor(rows, label=NEW_POINTS, axis=axis))
     pairs = orders.paired(ERROR, method=("order 2", "order 4")).to_dataframe()

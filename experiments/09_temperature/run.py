@@ -14,14 +14,12 @@ def run(given: Options) -> Made:
     rows: list[Swept] = []
     for drift in DRIFTS:
         results = campaign("config.toml", given, f"drift-{drift:g}", judge_drift=drift)
-        rows += [replace(s, x=drift) for s in swept(results, ERROR, "gauge-scale", panel="gauge-scale")]
-        as_read = swept(results, AS_READ, "gauge-scale", panel="gauge-scale", only={"method": "network"})
+        rows += [replace(s, x=drift) for s in swept(results, ERROR, "gauge_scale_ppm", panel="gauge_scale_ppm")]
+        as_read = swept(results, AS_READ, "gauge_scale_ppm", panel="gauge_scale_ppm", only={"method": "network"})
         rows += [replace(s, x=drift, line="not calibrated") for s in as_read]
     figure = by_factor(rows, label=NEW_POINTS, axis="change until it is used, over the prior")
     for ax in figure.axes:
         ax.set_yscale("log")
-        ax.yaxis.set_major_formatter(
-            "{x:g}"
-        )  # a wrong gauge makes eq. 9 many times worse than nothing: all of it is shown
+        ax.yaxis.set_major_formatter("{x:g}")  # a wrong gauge makes eq. 9 many times worse than nothing: it is shown
     write_figure(given.out / "new_points.svg", figure)
     return Made(results.manifest.seed, results.manifest.trials)

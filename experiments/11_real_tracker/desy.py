@@ -1,12 +1,11 @@
 """The epochs of the DESY girder tests as recordings: reading, noise found from them, pairs that do not belong."""
 
-import sys
 from dataclasses import dataclass
 from itertools import combinations
-from pathlib import Path
 
 import numpy as np
 
+from experiments.common import RECORDINGS
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.arrays import Bools, Floats
 from ltsim.evaluation.two_face import TwoFace
@@ -16,20 +15,12 @@ from ltsim.recording import Hints, Recording, read
 from ltsim.recording.setup import Noise
 from ltsim.units import GON, MILLIMETRE
 
-ROOT = Path(__file__).resolve().parents[2]
-DATA = ROOT.parent / "shared" / "recordings" / "desy-girder-at960"
+DATA = RECORDINGS / "desy-girder-at960"
 EPOCHS = ("20Sep21", "22Sep21", "21Feb22", "22Feb22", "24Feb22", "1Mar22", "7Mar22", "25Mar22", "21Apr22")
 AUTHORS = Noise(distance_mm=0.010, distance_ppm=0.0, azimuth_arcsec=0.486, elevation_arcsec=0.486)
 """0.15 mgon in both angles, 0.010 mm: what the authors of the data state."""
 START = Noise(distance_mm=0.0015, distance_ppm=0.3, azimuth_arcsec=0.4, elevation_arcsec=0.55)
 Name = tuple[str, str]
-
-
-def data_or_leave(folder: Path = DATA) -> Path:
-    """The folder of the recordings; leaves with a word where it is absent."""
-    if not folder.is_dir():
-        sys.exit("skipped: the recordings are not beside the checkout (../shared/recordings/desy-girder-at960)")
-    return folder
 
 
 def epoch(name: str, noise: Noise | None = None) -> Recording:

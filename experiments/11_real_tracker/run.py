@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.common import Made, Options, run_steps, show_table, write_figure
+from experiments.common import Made, Options, recordings_or_leave, run_steps, show_table, write_figure
 from ltsim.adjustment import adjust
 from ltsim.calibration import calibrate_network
 from ltsim.calibration.files import history_file
@@ -27,10 +27,8 @@ from ltsim.recording.setup import Noise
 
 from .desy import (
     AUTHORS,
-    DATA,
     EPOCHS,
     clean,
-    data_or_leave,
     epoch,
     interferometer,
     noise_found,
@@ -317,6 +315,6 @@ STEPS = {"noise": noise, "course": course, "transfer": transfer, "held-out": hel
 
 def run(given: Options) -> Made:
     """Run the named steps, or all."""
-    data_or_leave(DATA)
+    recordings_or_leave()
     run_steps(given, STEPS)
     return Made()

@@ -1,6 +1,6 @@
 """A machine on the floor: what it does to sight, information and plan."""
 
-from experiments.common import Made, Options, Row, tell, write_figure, write_table
+from experiments.common import Made, Options, Row, show_table, write_figure, write_table
 from ltsim.errors import NetworkError
 from ltsim.pages.figures.floor_plan import floor_plan
 from ltsim.pages.workshop import from_scenario
@@ -56,9 +56,7 @@ def run(given: Options) -> Made:
         ("plan for the machine, with the machine", full, survey_of(planned_scenario(plans["machine"]))),
     )
     rows = [row(name, scenario, survey) for name, scenario, survey in layouts]
-    for line in rows:
-        tell(str(line))
-    write_table(given.out / "layouts.csv", rows)
+    show_table(given.out / "layouts.csv", rows)
     lost = visibility_of(full).lost(tuple(full.stations), full.target_names)
     write_table(given.out / "lost.csv", [{"sight": sentence} for sentence in lost])
     for name, scenario in (("paper_machine", full), ("plan_machine", planned_scenario(plans["machine"]))):

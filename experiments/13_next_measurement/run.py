@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from experiments.common import Made, Options, Row, spread_out, tell, write_table
+from experiments.common import Made, Options, Row, show_table, spread_out
 from ltsim.diagnosis import Diagnosis, diagnose
 from ltsim.diagnosis.separate import open_question
 from ltsim.geometry.rotations import about_z
@@ -96,7 +96,5 @@ def run(given: Options) -> Made:
     count = given.trials or config["recordings"]
     tasks = [(config["scenario"], case, config["seed"], number) for case in config["cases"] for number in range(count)]
     rows = spread_out(one, tasks, given.jobs)
-    for row in rows:
-        tell(str(row))
-    write_table(given.out / "cases.csv", rows)
+    show_table(given.out / "cases.csv", rows)
     return Made(config["seed"], count)

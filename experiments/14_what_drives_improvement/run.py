@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from experiments.common import Made, Options, Row, tell, write_table
+from experiments.common import Made, Options, Row, show_table, write_table
 from experiments.sobol import sensitivity
 from ltsim.effects import find_effect
 from ltsim.effects.effect import Effect
@@ -45,14 +45,12 @@ def run(given: Options) -> Made:
             gain = getattr(expected, f"{kind}_improvement")
             after = getattr(expected, f"{kind}_after") / MICROMETRE
             five, middle, most = np.percentile(gain, [5, 50, 95])
-            line: Row = {
+            spread.append({
                 "scenario": name, "criterion": kind, "improvement_p5": five, "improvement_median": middle,
                 "improvement_p95": most, "after_median_um": np.median(after),
-            }  # fmt: skip
-            spread.append(line)
-            tell(str(line))
+            })  # fmt: skip
         found = sensitivity(predictor, ranges, samples=samples, seed=config["seed"])
         indices += [{"scenario": name} | index._asdict() for index in found]
     write_table(given.out / "indices.csv", indices)
-    write_table(given.out / "improvement.csv", spread)
+    show_table(given.out / "improvement.csv", spread)
     return Made(config["seed"], samples)

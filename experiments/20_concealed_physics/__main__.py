@@ -15,7 +15,9 @@ from collections import Counter
 from pathlib import Path
 
 from . import entrants, make
-from .law import laws_of
+from .law import carriers, laws_of
+from .report import write_report
+from .score import score_one
 
 PLANS = Path(__file__).resolve().parent / "plans"
 
@@ -34,32 +36,31 @@ def try_laws(groups: tuple[str, ...]) -> None:
         excluded: Counter[str] = Counter()
         case = make.Case(1, "unknown", "hall", name, 100, 0, (law.group,))
         try:
-            hall, _, _, change = make.drawn(case, excluded)
+            _, _, cause, change = make.drawn(case, excluded)
         except RuntimeError as problem:
             print(f"{law.group}  {name}: {problem}; excluded {dict(excluded)}")
             continue
         size = ", ".join(f"{k} up to {float(abs(v).max()):.3g}" for k, v in change.parts.items())
-        words = f"turns {', '.join(make.carriers(change))}; follows {law.follows}; at {make.place(hall, change)}"
+        places = {key: cause.words[key] for key in ("stations", "targets", "instruments")}
+        words = f"turns {', '.join(carriers(change))}; follows {law.follows}; at {places}"
         print(f"{law.group}  {name}: {size}; {words}; excluded {dict(excluded)}")
 
 
 def score(work: Path, names: list[str], out: Path, plan: str) -> None:
-    """Check the seal, score every entrant, write scores.json, table.md, recordings.jsonl and scores.svg."""
-    from .report import write_report
-    from .score import score_one
-
+    """Check the seal, score the entrants; those that were scored into the same folder before stay beside them."""
     text = (work / make.TRUTH).read_bytes()
     seal = (work / make.SEAL).read_text(encoding="utf-8").split()[0]
     if hashlib.sha256(text).hexdigest() != seal:
         sys.exit(f"{work / make.TRUTH} is not what was sealed ({seal})")
-    truth = json.loads(text)
+    truth = json.loads(text).values()
     rows = {}
     for name in names:
-        done = [t for t in truth.values() if (work / "answers" / name / t["name"] / entrants.STATUS).is_file()]
+        done = [t for t in truth if (work / "answers" / name / t["name"] / entrants.STATUS).is_file()]
         if not done:
             sys.exit(f"'{name}' has answered nothing in {work}")
         rows[name] = [score_one(t, work / "answers" / name / t["name"]) for t in done]
-    write_report(rows, out, {"plan": plan, "sha256": seal})
+    excluded = sum(sum(t["excluded"].values()) for t in truth)
+    write_report(rows, out, {"plan": plan, "sha256": seal, "recordings": len(truth), "draws_excluded": excluded})
     print((out / "table.md").read_text(encoding="utf-8"))
 
 

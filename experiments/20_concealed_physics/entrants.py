@@ -4,9 +4,10 @@ import contextlib
 import io
 import json
 import shlex
+import shutil
 import subprocess
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from pathlib import Path
@@ -42,7 +43,6 @@ def snooping(recording: Path, out: Path) -> None:
 def huber(recording: Path, out: Path) -> None:
     """The same by a robust estimator: Huber's function at 1.5 sigma (1964), by iterated weights of single readings."""
     import numpy as np
-    import pandas as pd
 
     from ltsim.adjustment import adjust
     from ltsim.model.construction import misalignment
@@ -52,8 +52,36 @@ def huber(recording: Path, out: Path) -> None:
     for _ in range(HUBER_ROUNDS - 1):
         size = np.abs(np.nan_to_num(found.residuals / read.sigma())) / HUBER
         found = adjust(read, misalignment(), sigma=read.sigma() * np.sqrt(np.maximum(size, 1.0)))
-    targets = pd.DataFrame(1e3 * found.state.points, index=list(read.targets), columns=["x_mm", "y_mm", "z_mm"])
-    targets.to_csv(out / "targets.csv", index_label="target", float_format="%.6f")
+    _targets(out, read.targets, 1e3 * found.state.points)
+
+
+def gama(recording: Path, out: Path) -> None:
+    """GNU Gama's `gama-local`, by Cholesky: its default loses points. Constants and tilts are the calibration's."""
+    import numpy as np
+    from defusedxml import ElementTree
+    from scipy.stats import chi2
+
+    import ltsim as lt
+    from ltsim.calibration.correct import corrected_readings
+    from ltsim.geometry.polar import from_polar, to_face, to_polar
+    from ltsim.geometry.rotations import about_z
+
+    read = lt.read(str(recording))
+    found = lt.calibrate(read, advise=False)
+    ideal = corrected_readings(read, found.construction, found.values[read.instrument])
+    upright = np.stack([about_z(-np.arctan2(r[1, 0], r[0, 0])) @ r for r in found.adjustment.state.rotation])
+    local = from_polar(to_face(ideal, read.face))
+    level = to_face(to_polar(np.einsum("nij,nj->ni", upright[read.station], local)), read.face)
+    stations = {name: s.model_copy(update={"levelled": True}) for name, s in read.setup.stations.items()}
+    setup = read.setup.model_copy(update={"stations": stations})
+    lt.write(read.replace(setup=setup, readings=level), out / "network.gkf", format="gama-local")
+    words = [str(out / "network.gkf"), "--algorithm", "cholesky", "--xml", str(out / "adjusted.xml"), "--cov-band", "0"]
+    subprocess.run([NEEDED["gama"], *words], check=True, timeout=LIMIT_S, capture_output=True)
+    adjusted = ElementTree.parse(out / "adjusted.xml").getroot()
+    points = {p[0].text: [1e3 * float(c.text) for c in p[1:]] for p in adjusted.iterfind(".//{*}adjusted/{*}point")}
+    _targets(out, read.targets, [points[name] for name in read.targets])
+    squares, dof = (float(adjusted.findtext(f".//{{*}}{tag}")) for tag in ("sum-of-squares", "degrees-of-freedom"))
+    _verdict(out, float(chi2.sf(squares, dof)))
 
 
 def _calibrated(recording: Path, out: Path, *, robust: bool) -> Any:
@@ -63,21 +91,35 @@ def _calibrated(recording: Path, out: Path, *, robust: bool) -> Any:
     read = lt.read(str(recording))
     found = lt.calibrate(read, advise=False, robust=robust)
     found.to_dataframe("targets").to_csv(out / "targets.csv", index=False)
-    p = float((lt.calibrate(read, advise=False) if robust else found).fit.p_value)
-    verdict = {"verdict": "mismatch" if p < LEVEL else "consistent", "global_test": {"p_value": p}, "findings": []}
-    (out / "diagnosis.json").write_text(json.dumps({"format": "ltsim-diagnosis/1"} | verdict) + "\n", encoding="utf-8")
+    _verdict(out, float((lt.calibrate(read, advise=False) if robust else found).fit.p_value))
     return read
 
 
-ENTRANTS: dict[str, Callable[[Path, Path], None]] = {f.__name__: f for f in (ltsim, plain, snooping, huber)}
+def _verdict(out: Path, p: float) -> None:
+    verdict = {"verdict": "mismatch" if p < LEVEL else "consistent", "global_test": {"p_value": p}, "findings": []}
+    (out / "diagnosis.json").write_text(json.dumps({"format": "ltsim-diagnosis/1"} | verdict) + "\n", encoding="utf-8")
 
 
-def answer(work: Path, name: str, command: str = "", jobs: int = 1) -> None:
-    """Let an entrant answer all recordings of a folder that it has not answered yet, into `answers/NAME`."""
+def _targets(out: Path, names: Sequence[str], places_mm: Any) -> None:
+    rows = [f"{name},{x:.6f},{y:.6f},{z:.6f}" for name, (x, y, z) in zip(names, places_mm, strict=True)]
+    (out / "targets.csv").write_text("\n".join(["target,x_mm,y_mm,z_mm", *rows]) + "\n", encoding="utf-8")
+
+
+ENTRANTS: dict[str, Callable[[Path, Path], None]] = {f.__name__: f for f in (ltsim, plain, snooping, huber, gama)}
+NEEDED = {"gama": "gama-local"}  # programs that have to be on the PATH
+
+
+def answer(work: Path, name: str, command: str = "", jobs: int = 1) -> bool:
+    """Let an entrant answer all recordings that it has not answered yet, into `answers/NAME`; whether it could."""
+    program = NEEDED.get(name, "") if not command else ""
+    if program and shutil.which(program) is None:
+        print(f"{name}: skipped, {program} is not on the PATH")
+        return False
     folders = sorted(f for f in (work / RECORDINGS).iterdir() if f.is_dir())
     left = [f for f in folders if not (work / "answers" / name / f.name / STATUS).is_file()]
     with ProcessPoolExecutor(jobs) as pool:
         list(pool.map(partial(_one, answers=work / "answers" / name, name=name, command=command), left))
+    return True
 
 
 def _one(recording: Path, answers: Path, name: str, command: str) -> None:

@@ -1,27 +1,51 @@
 """How a law is written: what it turns, moves or scatters, by how much at every pointing. RULES.md has an example."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from .hall import Draw, Hall
-from .tracker import CONSTANTS, Array, Change
+from .tracker import CONSTANTS, NOTHING, Array, Change
 
 OBSERVABLES = ("distance", "azimuth", "elevation")
 MICRO = 1e-6
 UP, OUT = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
 """Upwards, and away from the wall."""
-NOTHING = 1e-9
+UNTOUCHED = 1e-9
 """Share of the largest amount below which a pointing is not touched."""
 LAWS = Path(__file__).resolve().parent / "laws"
-FRESH = "fresh_"
+FRESH, CATALOGUE = "fresh_", "catalogue"
 __all__ = [
     "OUT", "UP", "Change", "Draw", "Hall", "gauge", "law", "leans", "level", "moves", "np", "reads", "scatters",
     "shifts", "varies",
 ]  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Cause:
+    """What is hidden in a hall: changes at one unit each, how many units of each, and the truth in words."""
+
+    parts: tuple[Change, ...] = ()
+    values: Array = field(default_factory=lambda: np.zeros(0))
+    words: dict[str, Any] = field(default_factory=dict)
+    names: tuple[str, ...] = ()
+    """Parameters of an effect of the catalogue, and their units."""
+    units: tuple[str, ...] = ()
+
+    @property
+    def change(self) -> Change:
+        """All parts together."""
+        return sum((part.scaled(v) for v, part in zip(self.values.tolist(), self.parts, strict=True)), NOTHING)
+
+    @property
+    def truth(self) -> dict[str, Any]:
+        """What is sealed of it, but for its strength."""
+        listed = zip(self.names, self.values.tolist(), self.units, strict=False)
+        return self.words | {"parameters": [{"name": n, "value": v, "unit": u} for n, v, u in listed]}
 
 
 @dataclass(frozen=True)
@@ -34,6 +58,12 @@ class Law:
     follows: tuple[tuple[str, ...], ...]
     optional: tuple[str, ...]
     group: str
+
+    def __call__(self, h: Hall, rng: Draw) -> Cause:
+        """The law with its constants drawn."""
+        change = self.draw(h, rng)
+        words = {"text": self.text, "follows": self.follows, "may": self.optional, "group": self.group}
+        return Cause((change,), np.ones(1), words | place(h, change))
 
 
 _FOUND: dict[str, Law] = {}
@@ -58,7 +88,7 @@ def law(*follows: str, may: str = "") -> Callable[[Callable[[Hall, Draw], Change
 
 def laws_of(groups: tuple[str, ...]) -> dict[str, Law]:
     """Laws of the files that are named, `used` for all that are not fresh, `fresh` for all that are."""
-    files = sorted(f.stem for f in LAWS.glob("[a-z]*.py"))
+    files = sorted(f.stem for f in LAWS.glob("[a-z]*.py") if f.stem != CATALOGUE)
     of = {"used": [f for f in files if not f.startswith(FRESH)], "fresh": [f for f in files if f.startswith(FRESH)]}
     chosen = [f for g in groups for f in of.get(g, [g])]
     unknown = [g for g in chosen if g not in files]
@@ -135,7 +165,7 @@ def place(h: Hall, change: Change) -> dict[str, list[str]]:
     parts = {name: np.abs(part).max(axis=1) for name, part in change.parts.items() if name != "lengths"}
     p, hit = h.pointings, np.zeros(h.n, dtype=bool)
     for amount in parts.values():
-        hit |= amount > NOTHING * amount.max()
+        hit |= amount > UNTOUCHED * amount.max()
     stations, trackers, targets = (np.unique(index[hit]) for index in (p.station, p.tracker, p.target))
     if len(stations) == 1:
         found["stations"] = [h.stations[stations[0]]]

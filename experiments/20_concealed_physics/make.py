@@ -5,7 +5,7 @@ import json
 import tomllib
 import zlib
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,8 +15,8 @@ import numpy as np
 from scipy.optimize import brentq
 
 from .hall import LENGTH_SIGMA, Draw, Hall, draw_hall
-from .known import KNOWN, Known
-from .law import Law, carriers, laws_of, place
+from .law import Cause, carriers, laws_of
+from .laws.catalogue import KNOWN
 from .network import Network
 from .recording import write_recording
 from .tracker import Change
@@ -90,16 +90,19 @@ def make_one(case: Case, folder: Path) -> dict[str, Any]:
     """Write one recording; its truth."""
     excluded: Counter[str] = Counter()
     hall, network, cause, change = drawn(case, excluded)
-    noise = network.noise(case.stream("noise"))
+    rng = case.stream("noise")
+    noise = rng.standard_normal((hall.n, 3)), rng.standard_normal(len(hall.bars))
     spread = hall.sigma if change.variance is None else hall.sigma * np.sqrt(1.0 + change.variance)
     wrong = 0.0 if change.lengths is None else change.lengths
     readings = hall.pointings.readings(change) + spread * noise[0]
     write_recording(hall, readings, hall.lengths + LENGTH_SIGMA * noise[1] + wrong, folder / case.name)
-    told = cause.parts if isinstance(cause, Known) else (change,) if cause else ()
+    largest = {name: float(np.abs(part).max()) for name, part in change.parts.items()}
+    strength = {"strengths": network.strengths(change).tolist(), "largest": largest, "carriers": carriers(change)}
+    told = {"clean": (), "catalogued": cause.parts, "unknown": (change,)}[case.kind]
     return {
         "name": case.name,
         **{key: getattr(case, key) for key in ("kind", "hall", "law", "strength", "number")},
-        "hidden": None if cause is None else _entry(hall, cause, change, network),
+        "hidden": strength | cause.truth if cause.parts else None,
         "stations": len(hall.stations),
         "unknowns": network.design.shape[1],
         "pointings": hall.n,
@@ -110,30 +113,23 @@ def make_one(case: Case, folder: Path) -> dict[str, Any]:
     }
 
 
-def drawn(case: Case, excluded: Counter[str]) -> tuple[Hall, Network, Known | Law | None, Change]:
-    """A hall and a law of the wanted strength that acts in it; draws that cannot be seen are counted."""
-    law: Law | Callable[[Hall, Draw], Known]
+def drawn(case: Case, excluded: Counter[str]) -> tuple[Hall, Network, Cause, Change]:
+    """A hall and a cause of the wanted strength that acts in it; draws that cannot be seen are counted."""
     rng = case.stream("hall")
     for _ in range(TRIES):
         hall = draw_hall(rng, case.hall)
         if case.kind == "clean":
-            return hall, Network.of(hall), None, Change()
-        law = KNOWN[case.law] if case.kind == "catalogued" else laws_of(case.laws)[case.law]
+            return hall, Network.of(hall), Cause(), Change()
         try:
-            cause = law.draw(hall, rng) if isinstance(law, Law) else law(hall, rng)
+            cause = (KNOWN if case.kind == "catalogued" else laws_of(case.laws))[case.law](hall, rng)
         except LookupError:
             excluded["the hall lacks what the law needs"] += 1
             continue
-        network, whole = Network.of(hall), cause.change() if isinstance(cause, Known) else cause
+        network, whole = Network.of(hall), cause.change
         size = _size(network, whole, case.strength)
         change = whole.scaled(size)
         if size and all(np.abs(part).max() < ABSURD[k] for k, part in change.parts.items()):
-            return (
-                hall,
-                network,
-                replace(cause, values=size * cause.values) if isinstance(cause, Known) else law,
-                change,
-            )
+            return hall, network, replace(cause, values=size * cause.values), change
         excluded["absurdly large" if size else "the network hides it"] += 1
     raise RuntimeError(f"no hall was found where '{case.law}' has a strength of {case.strength} at a sensible size")
 
@@ -147,19 +143,3 @@ def _size(network: Network, change: Change, wanted: float) -> float:
     if miss(LARGEST) <= 0.0:
         return 0.0
     return float(10 ** brentq(miss, SMALLEST, LARGEST, xtol=1e-4))
-
-
-def _entry(hall: Hall, cause: Known | Law, change: Change, network: Network) -> dict[str, Any]:
-    """What was hidden, in the words of the examination."""
-    strengths = network.strengths(change).tolist()
-    largest = {name: float(np.abs(part).max()) for name, part in change.parts.items()}
-    entry: dict[str, Any] = {"strengths": strengths, "largest": largest, "carriers": carriers(change)}
-    if isinstance(cause, Law):
-        words = {"text": cause.text, "follows": cause.follows, "may": cause.optional, "group": cause.group}
-        return entry | words | place(hall, change)
-    units = cause.unit.split() if " " in cause.unit else [cause.unit] * len(cause.names)
-    listed = zip(cause.names, cause.values.tolist(), units, strict=True)
-    where = {"stations": list(cause.stations), "targets": list(cause.targets), "observables": list(cause.observables)}
-    return (
-        entry | where | {"parameters": [{"name": n, "value": v, "unit": u} for n, v, u in listed], "shape": cause.shape}
-    )

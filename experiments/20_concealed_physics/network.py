@@ -60,12 +60,11 @@ class Network:
             each = whole * (whole - self.basis @ (self.basis.T @ whole))
         return np.append(each[:readings].reshape(-1, 3).sum(axis=0), each[readings:].sum())
 
-    def noise(self, rng: np.random.Generator) -> tuple[Array, Array]:
-        """Standard noise of the readings (n, 3), and that of the lengths (g,)."""
-        return rng.standard_normal(self.base.shape), rng.standard_normal(len(self.hall.bars))
-
     def target_error(self, noise: tuple[Array, Array], change: Change, told: Sequence[Change] = ()) -> float:
-        """Error [um, rms] of the targets after the best rigid fit; `told`: whose sizes are estimated too."""
+        """Error [um, rms] of the targets after the best rigid fit; `told`: whose sizes are estimated too.
+
+        `noise`: standard noise of the readings (n, 3) and of the lengths (g,).
+        """
         points, constants = self.hall.pointings.points, self.hall.pointings.constants
         spread = np.ones(self.base.shape) if change.variance is None else np.sqrt(1.0 + change.variance)
         right = self.signature(change) + self._rows(spread * noise[0])

@@ -24,26 +24,20 @@ def write_recording(hall: Hall, readings: Array, lengths: Array, folder: Path) -
 
 
 def _setup(hall: Hall, lengths: Array) -> list[str]:
+    p, several, angle = hall.pointings, len(hall.trackers) > 1, f"{hall.noise[2] / ARCSECOND:.6g}"
+    noise = [f"distance_mm = {1e3 * hall.noise[0]:.6g}", f"distance_ppm = {1e6 * hall.noise[1]:g}",
+             f"azimuth_arcsec = {angle}", f"elevation_arcsec = {angle}"]  # fmt: skip
     lines = ['format = "ltsim-recording/1"', 'title = ""']
-    several = len(hall.trackers) > 1
     for name in (f"instruments.{t}" for t in hall.trackers) if several else ("instrument",):
         lines += ["", f"[{name}]", 'construction = "source-in-head"', *(["corrected = true"] if several else [])]
-        angle = f"{hall.noise[2] / ARCSECOND:.6g}"
-        lines += [
-            f"[{name}.noise]",
-            f"distance_mm = {1e3 * hall.noise[0]:.6g}",
-            f"distance_ppm = {1e6 * hall.noise[1]:g}",
-        ]
-        lines += [f"azimuth_arcsec = {angle}", f"elevation_arcsec = {angle}"]
+        lines += [f"[{name}.noise]", *noise]
     for (a, b), length in zip(hall.bars.tolist(), lengths.tolist(), strict=True):
         lines += ["", "[[gauge.distance]]", f'from = "{hall.targets[a]}"', f'to = "{hall.targets[b]}"']
         lines += [f"length_mm = {1e3 * length:.5f}", f"sigma_mm = {1e3 * LENGTH_SIGMA:g}"]
-    p = hall.pointings
     for s, name in enumerate(hall.stations):
         place = np.round(1e3 * p.position[s], -1).tolist()
         lines += ["", f"[stations.{name}]", f"position_mm = {place}", f"yaw_deg = {np.degrees(hall.yaw[s]):.0f}.0"]
-        if several:
-            lines.append(f'instrument = "{hall.trackers[p.tracker[p.station == s][0]]}"')
+        lines += [f'instrument = "{hall.trackers[p.tracker[p.station == s][0]]}"'] if several else []
     for t, name in enumerate(hall.targets):
         lines += ["", f"[targets.{name}]", f"nest_normal = {hall.normals[t].tolist()}"]
     return lines

@@ -10,7 +10,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from .law import OBSERVABLES
-from .tracker import Array
 
 Row = dict[str, Any]
 LIMIT = 1.959964
@@ -30,15 +29,14 @@ WORDS = {
     "gauge": ("gauge", "length"),
     "noise": ("noise",),
 }
+"""What a carrier may be called, besides the names of the tracker's constants."""
 
 
 def score_one(truth: dict[str, Any], folder: Path) -> Row:
     """Everything that is counted of one recording."""
-    row: Row = {k: truth[k] for k in ("name", "kind", "hall", "law", "strength", "stations", "unknowns", "pointings")}
+    row: Row = {k: truth[k] for k in ("name", "kind", "hall", "law", "strength", "told_um", "plain_um")}
     status = json.loads((folder / "status.json").read_text(encoding="utf-8"))
-    row |= {"seconds": status["seconds"], "answered": (folder / "diagnosis.json").is_file(), "cluster": truth["law"]}
-    row |= {"told_um": truth["told_um"], "plain_um": truth["plain_um"], "excluded": sum(truth["excluded"].values())}
-    row["cluster"] = truth["law"] or truth["name"]
+    row |= {"seconds": status["seconds"], "answered": (folder / "diagnosis.json").is_file()}
     if not row["answered"]:
         return row
     answer = json.loads((folder / "diagnosis.json").read_text(encoding="utf-8"))
@@ -46,17 +44,14 @@ def score_one(truth: dict[str, Any], folder: Path) -> Row:
     row |= {"found": answer["verdict"] == "mismatch", "p_value": test.get("search_p_value", test["p_value"])}
     row |= {"answer": " + ".join(f["effect"] for f in findings), "one_finding": len(findings) == 1}
     row["error_um"] = target_error(truth["targets_mm"], folder / "targets.csv")
-    row["stated"] = [(f["evidence"]["probability"], right(truth, f)) for f in findings if _probable(f)]
+    stated = [(f.get("evidence", {}).get("probability"), f) for f in findings]
+    row["stated"] = [(p, right(truth, f)) for p, f in stated if p is not None]
     first = findings[0] if findings else None
     if truth["kind"] == "catalogued":
         row |= _named(truth, first)
     if truth["kind"] == "unknown":
         row |= _recognised(hidden, first)
     return row
-
-
-def _probable(finding: dict[str, Any]) -> bool:
-    return finding.get("evidence", {}).get("probability") is not None
 
 
 def right(truth: dict[str, Any], finding: dict[str, Any]) -> bool:
@@ -75,18 +70,12 @@ def target_error(true_mm: dict[str, list[float]], file: Path) -> float | None:
     with file.open(encoding="utf-8") as lines:
         told = {r["target"]: [float(r[f"{a}_mm"]) for a in "xyz"] for r in csv.DictReader(lines)}
     names = [name for name in true_mm if name in told]
+    if len(names) < 4:
+        return None
     points, truth = (np.array([source[n] for n in names]) for source in (told, true_mm))
-    return rigid_error(points, truth) * 1e3 if len(names) > 3 else None
-
-
-def rigid_error(points: Array, truth: Array) -> float:
-    """Root mean square distance of points (T, 3) from the truth after the best rotation and shift."""
     a, b = points - points.mean(axis=0), truth - truth.mean(axis=0)
     gap = Rotation.align_vectors(b, a)[0].apply(a) - b
-    return float(np.sqrt((gap**2).sum(axis=1).mean()))
-
-
-# catalogued effects
+    return float(1e3 * np.sqrt((gap**2).sum(axis=1).mean()))
 
 
 def _named(truth: dict[str, Any], finding: dict[str, Any] | None) -> Row:
@@ -119,9 +108,6 @@ def _alike(true: set[str], told: set[str]) -> bool:
     return true == told if len(true) < 2 else len(true & told) >= OVERLAP * len(true | told)
 
 
-# laws of no catalogue
-
-
 def _recognised(hidden: dict[str, Any], finding: dict[str, Any] | None) -> Row:
     """Whether a law is told as unknown, with its observable, its place and what it follows."""
     asked = ("unknown", "observable", "all_covariates", "outside", "covariates_or_outside", "place", "wrong_name")
@@ -136,9 +122,8 @@ def _recognised(hidden: dict[str, Any], finding: dict[str, Any] | None) -> Row:
     place = unknown and all(_alike(set(hidden[key]), t) or (len(hidden[key]) > 1 and not t)
                             for key, t in zip(("stations", "instruments"), told, strict=True))  # fmt: skip
     values = (unknown, observable, covariates, outside and not covariates, covariates or outside, place, wrong)
-    return {"told_carrier": finding.get("carrier", ""), "told_driver": finding.get("driver", "")} | dict(
-        zip(asked, values, strict=True)
-    )
+    told_as = {f"told_{key}": finding.get(key, "") for key in ("carrier", "driver")}
+    return told_as | dict(zip(asked, values, strict=True))
 
 
 def is_unknown(hidden: dict[str, Any], finding: dict[str, Any]) -> bool:

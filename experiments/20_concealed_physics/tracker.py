@@ -147,14 +147,9 @@ class Pointings:
     def __len__(self) -> int:
         return len(self.station)
 
-    @property
-    def arm(self) -> Array:
-        """(n, 3) [m] from the station to the target, network frame."""
-        return np.asarray(self.points[self.target] - self.position[self.station])
-
     def local(self, change: Change = NOTHING) -> Array:
         """(n, 3) [m] The targets as the trackers have them."""
-        arm = self.arm
+        arm = self.points[self.target] - self.position[self.station]
         arm = arm if change.target is None else arm + change.target
         arm = arm if change.station is None else arm - change.station
         arm = arm if change.turn is None else turned(arm, -change.turn)

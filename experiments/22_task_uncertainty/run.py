@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from experiments.common import Made, Options, batches, spread_out, tell, write_table
+from experiments.common import Made, Options, batches, show_table, spread_out
 from ltsim.arrays import Floats
 from ltsim.campaigns.engine import Engine
 from ltsim.campaigns.truth import BLOCK, Truth, truth_of
@@ -106,13 +106,5 @@ def run(options: Options) -> Made:
         work = [(truth, tasks, placed, number) for number, _ in batches(trials, BLOCK)]
         errors = np.concatenate(spread_out(errors_of, work, options.jobs))[:trials]
         rows += table_of(case, errors, linear, names)
-    write_table(options.out / "results.csv", rows)
-    for case in CASES:
-        mine = [row for row in rows if row["case"] == case]
-        ratio = [row["observed_over_predicted"] for row in mine]
-        share = [row["inside_95_percent"] for row in mine]
-        tell(
-            f"{case}: observed over predicted {min(ratio):.3f} to {max(ratio):.3f}, "
-            f"95 % intervals hold {min(share):.1f} to {max(share):.1f} %"
-        )
+    show_table(options.out / "results.csv", rows)
     return Made(seed=SEED, trials=trials, more={"left_out": LEFT_OUT.name})

@@ -20,6 +20,7 @@ CONSTRUCTIONS = {
 AXIS = "construction, true and fitted"
 TRACKERS = {1: "AAAA", 2: "ABAB", 3: "ABCA"}
 """Which stands at each station."""
+LINES = {1: "one tracker", 2: "two trackers", 3: "three trackers"}
 TRACKER = {"preset": "modern", "errors": {"draw": True}}
 
 
@@ -36,9 +37,7 @@ def run(given: Options) -> Made:
             rows.append({"instrument": title, "trackers": trackers} | row_of(z, results.checked()[0]))
     write_table(given.out / "intervals.csv", rows)
     swept = [
-        Swept(
-            row["instrument"], f"trackers: {row['trackers']}", AXIS, *(row[k] for k in ("inside", "low", "high")), 0, 0
-        )
+        Swept(row["instrument"], LINES[row["trackers"]], AXIS, *(row[k] for k in ("inside", "low", "high")), 0, 0)
         for row in rows
     ]
     figure = by_factor(swept, label="inside 95 % intervals [%]", axis="", joined=False)

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from experiments.common import Made, Options, spread_out, tell, write_table
+from experiments.common import Made, Options, batches, show_table, spread_out
 from ltsim.adjustment import adjust
 from ltsim.arrays import Floats
 from ltsim.simulation.scenario import Scenario, changed, load_scenario
@@ -65,13 +65,11 @@ def run(options: Options) -> Made:
     for case, errors in ERRORS.items():
         for name, way in WAYS.items():
             scenario = scenario_of(errors, way)
-            work = [(scenario, start, min(BLOCK, trials - start)) for start in range(0, trials, BLOCK)]
+            work = [(scenario, BLOCK * number, width) for number, width in batches(trials, BLOCK)]
             sizes = np.concatenate(spread_out(errors_of, work, options.jobs))
             mean = float(np.sqrt(np.mean(sizes**2)))
             sigma = float(np.std(sizes**2, ddof=1) / np.sqrt(trials) / (2 * mean))
-            rows.append(
-                {"case": case, "way": name, "rms_um": round(1e6 * mean, 2), "uncertainty_um": round(1e6 * sigma, 2)}
-            )
-            tell(f"{case}; {name}: {1e6 * mean:.1f} um")
-    write_table(options.out / "multilateration.csv", rows)
+            found = {"rms_um": round(1e6 * mean, 2), "uncertainty_um": round(1e6 * sigma, 2)}
+            rows.append({"case": case, "way": name} | found)
+    show_table(options.out / "multilateration.csv", rows)
     return Made(seed=SEED, trials=trials)

@@ -1,6 +1,7 @@
 """Causes put into real recordings of others: what share is found, placed and told rightly, and what is told falsely.
 
-    python -m experiments 27 [tables]    # goes on where it was broken off; tables: of what is done, nothing is begun
+    python -m experiments 27           # goes on where it was broken off
+    python -m experiments 27 tables    # table and curves of rows.csv
 
 Reads ../shared/recordings beside the checkout; writes figures found.
 """
@@ -8,31 +9,36 @@ Reads ../shared/recordings beside the checkout; writes figures found.
 from __future__ import annotations
 
 import json
-import sys
 import time
-import tomllib
 from functools import cache
-from importlib import import_module
 from itertools import product
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
+import pandas as pd
 
 import ltsim as lt
-from experiments.common import Made, Options, Row, spread_out, tell, write_figure, write_table
+from experiments.common import (
+    RECORDINGS as DATA,
+    Made,
+    Options,
+    Row,
+    recordings_or_leave,
+    spread_out,
+    tell,
+    write_figure,
+    write_table,
+)
+from experiments.intervals import share
 from ltsim.diagnosis.schema import Finding
 from ltsim.effects.signature import Tunable
 from ltsim.errors import LtsimError, ModelError
 from ltsim.laws.law import Law
-from ltsim.pages.style import MARKERS, new_figure, styled
+from ltsim.pages.figures.campaign import Swept, by_factor
 from ltsim.recording import Hints, Recording
 
-HERE = Path(__file__).resolve().parent
-DATA = HERE.parents[2] / "shared" / "recordings"
-share = import_module("experiments.20_concealed_physics.report").share
 MEASURES = {"found": "found", "placed": "place right", "right": "told rightly"}
+DRAWN = (*MEASURES.values(), "reliability")
 SAME = 0.5
 """Share of several stations or targets in common from which they are the same place."""
 
@@ -122,23 +128,6 @@ def rates(rows: list[Row], strength: float | str, network: str) -> list[Row]:
     return [{"network": network, "strength": strength, **row} for row in rounded]
 
 
-def curves(table: list[Row]) -> Figure:
-    """Shares over strength, all networks together."""
-    figure = new_figure(3.4)
-    panel = figure.subplots()
-    for label, marker in zip((*MEASURES.values(), "reliability"), MARKERS, strict=False):
-        rows = [r for r in table if (r["network"], r["measure"]) == ("all", label) and r["strength"] != "all"]
-        low, middle, high = (np.array([100 * r[k] for r in rows]) for k in ("low", "share", "high"))
-        shift = 1.0 + 0.03 * MARKERS.index(marker)
-        strengths = [shift * r["strength"] for r in rows]
-        panel.errorbar(strengths, middle, [middle - low, high - middle], marker=marker, capsize=2, label=label)
-    panel.set(xscale="log", xlabel="noncentrality after the adjustment", ylabel="share [%], 95 % intervals")
-    panel.set(ylim=(0, 103), xticks=(ticks := sorted({r["strength"] for r in table} - {"all"})), xticklabels=ticks)
-    panel.minorticks_off()
-    panel.legend(loc="lower right")
-    return figure
-
-
 def table_of(rows: list[Row], strengths: list[float]) -> list[Row]:
     """All networks by strength, then each network and each kind at all strengths."""
     seen, found = [r for r in rows if not r["hidden"]], []
@@ -152,16 +141,16 @@ def table_of(rows: list[Row], strengths: list[float]) -> list[Row]:
     return found
 
 
-def run(given: Options) -> Made:
-    if not DATA.is_dir():
-        sys.exit("skipped: the recordings are not beside the checkout (../shared/recordings)")
-    settings, rows, start = tomllib.loads((HERE / "config.toml").read_text(encoding="utf-8")), [], time.perf_counter()
+def injected(given: Options, settings: Row) -> list[Row]:
+    """Rows of all injections, a batch a file; a run that was broken off goes on from them."""
+    recordings_or_leave()
+    rows, start = [], time.perf_counter()
     (given.out / "rows").mkdir(parents=True, exist_ok=True)
     batches = product(range(given.trials or settings["trials"]), settings["strengths"], settings["network"])
     for trial, strength, network in batches:
         said = f"{network['site']}-{strength}-{trial}"
         kept = given.out / "rows" / f"{said}.json"
-        late = "tables" in given.words or time.perf_counter() - start > 60 * settings["minutes"]
+        late = time.perf_counter() - start > 60 * settings["minutes"]
         if not (DATA / network["file"]).exists() or (late and not kept.is_file()):
             tell(f"{said}: left out, {'the time is over' if late else network['file'] + ' is not there'}")
             continue
@@ -171,8 +160,18 @@ def run(given: Options) -> Made:
         rows += (own := json.loads(kept.read_text(encoding="utf-8")))
         minutes = (time.perf_counter() - start) / 60
         tell(f"{said}: {sum(not row['hidden'] for row in own)} injections, {minutes:.1f} min")
-    write_table(given.out / "rows.csv", rows)
-    table = table_of(rows, sorted(settings["strengths"]))
+    return rows
+
+
+def run(given: Options) -> Made:
+    settings, file = given.config, given.out / "rows.csv"
+    if "tables" not in given.words:
+        write_table(file, injected(given, settings))
+    table = table_of(pd.read_csv(file).convert_dtypes().to_dict("records"), sorted(settings["strengths"]))
     write_table(given.out / "table.csv", table)
-    write_figure(given.out / "curves.svg", styled(curves)(table))
+    ends = ("share", "low", "high", "share", "share")
+    curves = [Swept(str(r["strength"]), r["measure"], "", *(100 * r[k] for k in ends))
+              for r in table if r["network"] == "all" and r["strength"] != "all" and r["measure"] in DRAWN]  # fmt: skip
+    axis = "noncentrality after the adjustment"
+    write_figure(given.out / "curves.svg", by_factor(curves, label="share of causes, of findings [%]", axis=axis))
     return Made(settings["seed"], given.trials)

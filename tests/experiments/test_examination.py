@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 import ltsim as lt
+from experiments.intervals import share
 from ltsim.effects import CATALOGUE
 from ltsim.effects.effect import Effect, NoiseEffect
 from ltsim.effects.nest_lift import NestLift
@@ -23,14 +24,34 @@ from ltsim.model.construction import misalignment
 from ltsim.model.measurement import MeasurementModel, State, sightings_of
 
 PLACE = "experiments.20_concealed_physics."
-hall_of, known, law, made, tracker, score, report = (
-    import_module(PLACE + name) for name in ("hall", "known", "law", "make", "tracker", "score", "report")
+hall_of, known, law, made, tracker, score, report, entrants = (
+    import_module(PLACE + name)
+    for name in ("hall", "laws.catalogue", "law", "make", "tracker", "score", "report", "entrants")
 )
 PLAN = """seed = 5
 laws = ["boxes"]
 clean = 1
 catalogued = { 200 = 1 }
 """
+
+
+def test_who_was_scored_before_stays_beside_the_new_one(tmp_path: Path) -> None:
+    row = {"name": "R1", "kind": "clean", "hall": "hall", "law": "", "strength": 0, "told_um": 1.0, "plain_um": 1.0,
+           "seconds": 1.0, "answered": True, "p_value": 0.5, "stated": []}  # fmt: skip
+    head = {"plan": "plan", "sha256": "0", "recordings": 1, "draws_excluded": 0}
+    report.write_report({"one": [row | {"found": True}]}, tmp_path, head)
+    report.write_report({"two": [row | {"found": False}]}, tmp_path, head)
+    answers = json.loads((tmp_path / "scores.json").read_text())["entrants"]
+    assert [answers[who]["false alarms, hall"]["right"] for who in ("one", "two")] == [1, 0]
+    assert [r["found"] for own in report.read_rows(tmp_path / report.ROWS).values() for r in own] == [True, False]
+
+
+def test_a_program_that_is_not_there_is_left_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert not entrants.answer(tmp_path, "gama")
+    assert "gama-local is not on the PATH" in capsys.readouterr().out
 
 
 def halls(number: int) -> list[Any]:
@@ -74,12 +95,9 @@ def test_a_third_party_makes_answers_and_scores_without_ltsim(root: Path, tmp_pa
         assert done.returncode == 0, done.stderr
     scores = json.loads((tmp_path / "scores" / "scores.json").read_text())
     mine = scores["entrants"]["mine"]
-    assert mine["false_alarms"]["hall"]["right"] == 0
-    assert mine["catalogued"]["hall 200"]["found"] == pytest.approx(
-        {"right": 0, "of": 12} | mine["catalogued"]["hall 200"]["found"]
-    )
-    assert mine["catalogued"]["hall 200"]["found"]["of"] == 12
-    assert (tmp_path / "scores" / "scores.svg").read_text().rstrip().endswith("</svg>")
+    assert mine["false alarms, hall"]["right"] == 0
+    assert (mine["catalogued hall 200: found"]["right"], mine["catalogued hall 200: found"]["of"]) == (0, 12)
+    assert "| catalogued hall 200: found | 0 of 12 " in (tmp_path / "scores" / "table.md").read_text()
 
 
 def test_a_truth_that_was_changed_is_not_scored(tmp_path: Path) -> None:
@@ -105,18 +123,19 @@ def test_both_simulators_read_the_same(number: int, tmp_path: Path) -> None:
 def effect_of(name: str, cause: Any, order: int) -> Effect:
     """The catalogue's effect at the place and shape of a cause."""
     kind = next(k for k in CATALOGUE if k.name == name)
-    constants: dict[str, Any] = {"stations": cause.stations, "targets": cause.targets}
-    if "time" in cause.shape:
-        constants["time"] = cause.shape["time"]
-    if "time_constant" in cause.shape:
-        constants |= {"law": "exponential", "time_constant": 60.0 * cause.shape["time_constant"]}
-    if "wavelength" in cause.shape:
-        constants["wavelength"] = 1e-3 * cause.shape["wavelength"]
+    stations, targets, shape = tuple(cause.words["stations"]), tuple(cause.words["targets"]), cause.words["shape"]
+    constants: dict[str, Any] = {"stations": stations, "targets": targets}
+    if "time" in shape:
+        constants["time"] = shape["time"]
+    if "time_constant" in shape:
+        constants |= {"law": "exponential", "time_constant": 60.0 * shape["time_constant"]}
+    if "wavelength" in shape:
+        constants["wavelength"] = 1e-3 * shape["wavelength"]
     if name in ("index-drift", "azimuth-drift"):
         constants["law"] = "visit" if name == "azimuth-drift" else "linear"
     if name == "azimuth-harmonic":
         constants["order"] = order
-    return NestLift(cause.stations, cause.targets, "normal") if name == "nest-lift" else kind(**constants)
+    return NestLift(stations, targets, "normal") if name == "nest-lift" else kind(**constants)
 
 
 @pytest.mark.parametrize("name", list(known.KNOWN))
@@ -125,11 +144,10 @@ def test_a_catalogued_cause_does_what_the_catalogue_says(name: str, tmp_path: Pa
     hall = next(h for h in halls(20) if h.pointings.face.max() == faces)
     cause = known.KNOWN[name](hall, np.random.default_rng(32))
     factors = {"um": 1e-6, "urad": 1e-6, "ppm": 1e-6, "um/h": 1e-6 / 3600, "urad/h": 1e-6 / 3600, "": 1.0}
-    units = cause.unit.split() or [""]
-    values = cause.values * [factors[u] for u in (units if len(units) > 1 else units * len(cause.names))]
+    values = cause.values * [factors[unit] for unit in cause.units]
     recording = read(hall, hall.pointings.readings(), tmp_path)
     sightings = sightings_of(recording, state_of(hall, recording))
-    change, fits = cause.change(), []
+    change, fits = cause.change, []
     for order in range(3, 7) if name == "azimuth-harmonic" else (3,):
         effect = effect_of(name, cause, order)
         assert tuple(p.name for p in effect.parameters) == cause.names
@@ -161,9 +179,9 @@ def test_strength_is_what_the_adjustment_is_left_with(name: str, strength: int, 
     hall, _, _, change = made.drawn(case, made.Counter())
     wrong = 0.0 if change.lengths is None else change.lengths
     left = []
-    for share in (-1.0, 0.0, 1.0):  # either way: what the prior of the constants leaves has no part in the mean
-        folder = tmp_path / str(share)
-        write(hall, hall.pointings.readings(change.scaled(share)), hall.lengths + share * wrong, folder)
+    for part in (-1.0, 0.0, 1.0):  # either way: what the prior of the constants leaves has no part in the mean
+        folder = tmp_path / str(part)
+        write(hall, hall.pointings.readings(change.scaled(part)), hall.lengths + part * wrong, folder)
         left.append(lt.calibrate(folder, advise=False).adjustment.chi2)
     assert 0.5 * (left[0] + left[2]) - left[1] == pytest.approx(strength, rel=0.1)
 
@@ -238,10 +256,10 @@ def test_a_motion_is_right_as_itself_or_by_its_observables() -> None:
 
 def test_intervals_are_wider_where_recordings_of_a_law_are_alike() -> None:
     hits, alone = [True] * 15 + [False] * 15, [str(k) for k in range(30)]
-    independent, alike = report.share(hits, alone), report.share(hits, [str(k // 5) for k in range(30)])
+    independent, alike = share(hits, alone), share(hits, [str(k // 5) for k in range(30)])
     assert alike["design_effect"] == pytest.approx(5.0) and independent["design_effect"] == 1.0
     assert alike["high"] - alike["low"] > 1.8 * (independent["high"] - independent["low"])
-    assert report.share([True] * 30, alone)["low"] > report.share([True] * 30, ["a", "b", "c"] * 10)["low"]
+    assert share([True] * 30, alone)["low"] > share([True] * 30, ["a", "b", "c"] * 10)["low"]
 
 
 def test_intervals_hold_what_they_say() -> None:
@@ -249,6 +267,6 @@ def test_intervals_hold_what_they_say() -> None:
     rng, held = np.random.default_rng(4), 0
     for _ in range(400):
         own = np.repeat(rng.beta(2.0, 1.0, 40), 4)
-        part = report.share((rng.random(160) < own).tolist(), [str(k // 4) for k in range(160)])
+        part = share((rng.random(160) < own).tolist(), [str(k // 4) for k in range(160)])
         held += part["low"] <= 2 / 3 <= part["high"]
     assert 0.92 <= held / 400 <= 0.985

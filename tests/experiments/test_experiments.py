@@ -34,9 +34,12 @@ def run(tmp_path: Path) -> Run:
 
 def test_the_driver_lists_every_experiment(root: Path, capsys: pytest.CaptureFixture[str]) -> None:
     main([])
-    listed = capsys.readouterr().out.splitlines()
-    assert [line[:2] for line in listed] == sorted(f.name[:2] for f in (root / "experiments").glob("[0-9]*"))
-    assert all(len(line) > 20 for line in listed)
+    listed = {line[:2]: line for line in capsys.readouterr().out.splitlines()}
+    assert list(listed) == sorted(f.name[:2] for f in (root / "experiments").glob("[0-9]*"))
+    assert all(len(line) > 20 for line in listed.values())
+    for file in (root / "experiments").glob("[0-9]*/**/*.toml"):
+        folder = next(part for part in file.parents if part.parent.name == "experiments")
+        assert file.relative_to(root / "experiments").as_posix() in listed[folder.name[:2]]
 
 
 @pytest.mark.parametrize("words", [["99"], ["04", "nothing"], ["20", "nothing"]])
@@ -148,10 +151,10 @@ def test_more_noise_more_error(run: Run) -> None:
 
 def test_an_instrument_that_changed_is_calibrated_less_well(run: Run) -> None:
     out = run("09_temperature", 4)
-    right = {"gauge-scale": "0", "method": "network"}
+    right = {"gauge_scale_ppm": "0", "method": "network"}
     shares = [mean(out / f"drift-{k}", "new_point_share_removed", **right) for k in ("0", "0.5", "1")]
     assert shares == sorted(shares, reverse=True)
-    printed = mean(out / "drift-0", ERROR, method="eq. 9", **{"gauge-scale": "162.4"})
+    printed = mean(out / "drift-0", ERROR, method="eq. 9", gauge_scale_ppm="162.4")
     assert printed > 200
     assert ">eq. 9" in (out / "new_points.svg").read_text()
 

@@ -361,6 +361,25 @@ def test_factors_with_words_and_designs_have_axes_that_read() -> None:
     assert ax.get_xlabel() == "noise"
 
 
+def test_panels_above_nothing_have_ticks_and_nothing_is_shaded_where_nothing_spreads() -> None:
+    rows = [sweeps.Swept(x, "network", panel, 1.0, 0.9, 1.1, 1.0, 1.0) for x in (1.0, 2.0) for panel in "abc"]
+    figure = sweeps.by_factor(rows, label="error [µm]", axis="noise")
+    figure.draw_without_rendering()
+    seen = [any(t.get_visible() and t.get_text() for t in ax.get_xticklabels()) for ax in figure.axes[:3]]
+    assert seen == [False, True, True]
+    assert sweeps.NINETY not in [t.get_text() for t in figure.legends[0].get_texts()]
+
+
+@pytest.mark.parametrize("turn", [0.0, np.pi / 4, 1.0, 5.0])
+def test_a_place_with_room_around_it_has_its_name_whichever_way_it_is_turned(turn: float) -> None:
+    figure = style.new_figure(3.0)
+    ax = figure.subplots()
+    ax.set(xlim=(-1, 1), ylim=(-1, 1))
+    place = np.zeros(2)
+    floors.place_labels(figure, ax, [floors.Label("S1", place, 9.0, away=turn)], place[None])
+    assert [text.get_text() for text in ax.texts] == ["S1"]
+
+
 def lightness_and_hue(colour: str, sight: np.ndarray) -> np.ndarray:
     """CIE Lab of a colour as an eye with a deficiency sees it."""
     rgb = np.array(mpl.colors.to_rgb(colour))

@@ -93,6 +93,8 @@ def by_factor(
         quiet_axis(ax)
     for ax in axes.flat[len(panels) :]:
         ax.set_axis_off()
+    for ax in axes.flat[max(len(panels) - across, 0) : len(panels)]:
+        ax.tick_params(labelbottom=True)
     figure.supxlabel(axis, fontsize=8.5)
     figure.supylabel(label, fontsize=8.5)
     legend_of(figure, axes.flat[: len(panels)], ncols=2)
@@ -109,8 +111,8 @@ def _line(ax: Axes, rows: Sequence[Swept], k: int, count: int, words: Sequence[s
     if words:
         x = x + 0.3 * ((k + 0.5) / count - 0.5)
     colour = CYCLE[k % len(CYCLE)]
-    if joined and not words:
-        five, ninety_five = (np.array([getattr(rows[i], side) for i in order]) for side in ("five", "ninety_five"))
+    five, ninety_five = (np.array([getattr(rows[i], side) for i in order]) for side in ("five", "ninety_five"))
+    if joined and not words and np.any(five < ninety_five):
         ax.fill_between(x, five, ninety_five, color=colour, alpha=0.12, linewidth=0, label=NINETY if k == 0 else None)
     told = (f"{rows[0].line}: mean, 95 % interval" if k == 0 else rows[0].line).removeprefix(": ")
     ax.errorbar(
