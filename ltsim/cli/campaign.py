@@ -234,7 +234,7 @@ def recover(
     if junit is not None:
         junit.write_text(junit_xml(result, str(scenario)), encoding="utf-8")
     terminal.answer(content.content())
-    terminal.say(recovery_table(result))
+    terminal.say(result.table("parameters").text() if len(result.converged) > 1 else "hardly a trial gave a result")
     failures = result.failures()
     for failure in failures:
         print(failure.sentence(), file=sys.stderr)
@@ -287,18 +287,3 @@ def junit_xml(result: Recovery, suite: str) -> str:
         if not check.passed:
             SubElement(case, "failure", message=check.sentence())
     return tostring(root, encoding="unicode", xml_declaration=True) + "\n"
-
-
-def recovery_table(result: Recovery) -> str:
-    """One row a parameter: its errors, beside ltsim's where another calibrator is checked, and its z-scores."""
-    if len(result.converged) < 2:
-        return "fewer than two trials gave a result"
-    columns = result.parameters()
-    heads = {"rms_error": "rms error", "ltsim_rms_error": "ltsim's", "mean_z": "mean z", "deviation_z": "sd of z"}
-    shown = [name for name in ("parameter", "unit", *heads) if name in columns]
-    cover = ["" if c != c else f"{100 * c:.1f} %" for c in columns["coverage_95"]]
-    rows = [
-        [value if isinstance(value, str) else "" if value != value else f"{value:.3g}" for value in row] + [covered]
-        for row, covered in zip(zip(*(columns[name] for name in shown), strict=True), cover, strict=True)
-    ]
-    return table([*(heads.get(name, name) for name in shown), "95 % covers"], rows, left=2)

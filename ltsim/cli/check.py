@@ -13,14 +13,11 @@ import typer
 import ltsim as lt
 from ltsim.cli.options import Out, Reading, Source
 from ltsim.cli.places import Force, claim
-from ltsim.cli.terminal import Terminal, table
+from ltsim.cli.terminal import Terminal
 from ltsim.errors import NetworkError, RecordError
-from ltsim.notation import with_sigma
 from ltsim.recording.files import is_number
 
 if TYPE_CHECKING:
-    from ltsim.acceptance.files import AcceptanceFile
-    from ltsim.evaluation.bench import BenchFile, EstimateEntry
     from ltsim.fieldcheck import Check, Item
 
 MpeOption = Annotated[
@@ -77,12 +74,7 @@ def check(
         from ltsim.pages.style import svg  # most checks draw nothing
 
         content = write_check(found, out, {"check.svg": svg(found.plot())})
-    terminal.answer(content.content())
-    for item in found.items:
-        terminal.say(f"  {'ok   ' if item.passed else 'NO-GO'} {item.sentence}")
-    terminal.say(found.sentence)
-    if out is not None:
-        terminal.say(f"written to {out}; for a page with pictures: ltsim report {out}")
+    terminal.result(content, out)
     return 0 if found.passed else 1
 
 
@@ -163,35 +155,8 @@ def accept(file: AcceptFile, out: Out = None, force: Force = False, *, terminal:
         content = lt.accept(file)
     if out is not None:
         content = write_acceptance(content, out)
-    terminal.answer(content.content())
-    show_acceptance(terminal, content)
-    terminal.written(out)
+    terminal.result(content, out)
     return int(content.kind != "predicted" and content.passes < 1)
-
-
-def show_acceptance(terminal: Terminal, content: AcceptanceFile) -> None:
-    """The answer, a line a group, and what the tests are blind to."""
-    from ltsim.acceptance.files import passes_words
-
-    terminal.say(content.sentence)
-    if content.assumption:
-        terminal.say(f"assumed: {content.assumption}")
-    rows = [
-        [g.name, str(g.tests), passes_words(content, g.passes), f"{100 * g.largest_share:.0f} %"]
-        for g in content.groups
-    ]
-    terminal.say("")
-    share = "error + U over limit" if content.kind == "predicted" else "error over limit"
-    terminal.say(table(["tests", "number", "passed", share], rows, left=1))
-    worst = content.worst_passing
-    if worst is not None:
-        blind = [s.name for s in content.sensitivities if s.smallest_failing is None]
-        if blind:
-            terminal.say(f"\nno test sees {', '.join(blind)}")
-        terminal.say(
-            f"an instrument can pass every test and still place points {worst.rms_um:.0f} um off "
-            f"({worst.largest_um:.0f} um at most), 1.5 to 9 m away"
-        )
 
 
 def bench(file: BenchTable, *, out: Out = None, force: Force = False, terminal: Terminal, **options: Any) -> None:
@@ -210,26 +175,6 @@ def bench(file: BenchTable, *, out: Out = None, force: Force = False, terminal: 
     if out is not None:
         content = write_result(out, content, {})
     terminal.answer(content.content())
-    show_bench(terminal, content)
+    terminal.say(repr(content))
+    terminal.say("\n" + content.table().text())
     terminal.written(out)
-
-
-def show_bench(terminal: Terminal, found: BenchFile) -> None:
-    """The table, what explains it, and the line for a scenario."""
-    from ltsim.effects.smr_incidence import TABLE_ANGLES
-    from ltsim.units import DEGREE
-
-    off = f"{words(found.eccentricity_forward)} forward, {words(found.eccentricity_side)} to the side"
-    terminal.say(f"sphere off the table's axis: {off}; run-out {found.run_out_um:.1f} um\n")
-    terminal.say(found.table().text())
-    vertex = f"{words(found.vertex_axial)} axial, {words(found.vertex_side)} to the side"
-    terminal.say(f"\nas a vertex off the centre (smr-centring): {vertex}")
-    terminal.say(f"what no offset explains (smr-incidence): {found.remainder_um:.2f} um rms")
-    if [round(r.angle_deg, 3) for r in found.angles] == [round(float(a) / DEGREE, 3) for a in TABLE_ANGLES]:
-        values = ", ".join(f"{r.error_um:.2f}" for r in found.angles)
-        terminal.say(f"\nfor a scenario: [smr] incidence_error = true, table_um = [{values}]")
-
-
-def words(entry: EstimateEntry) -> str:
-    """A length with its standard deviation."""
-    return with_sigma(entry.value_um, entry.sigma_um, "um")

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 import ltsim as lt
-from ltsim.chances import p_is
 from ltsim.cli.options import Out, Reading, Source
 from ltsim.cli.places import Force, claim
 from ltsim.cli.terminal import Terminal, table
@@ -18,9 +17,6 @@ from ltsim.simulation.builtin import builtin_names
 if TYPE_CHECKING:
     from ltsim.recording.coordinates import Coordinates
     from ltsim.recording.recording import Recording
-    from ltsim.tasks.comparison import Comparison
-    from ltsim.tasks.evaluation import Evaluation
-    from ltsim.tasks.files import UncertaintyFile
     from ltsim.tasks.spec import Tasks
 
 Second = Annotated[Path, typer.Argument(metavar="REC2", help="The later recording, of the same points.")]
@@ -64,9 +60,7 @@ def compare(
         found = lt.compare(one, other, **options)
     if out is not None:
         found = write_result(out, found, {DISPLACEMENTS.file: found.table().csv()})
-    terminal.answer(found.content())
-    show_comparison(terminal, found)
-    terminal.written(out)
+    terminal.result(found, out)
     return int(bool(found.moved))
 
 
@@ -80,17 +74,6 @@ def _listed(path: Path, terminal: Terminal) -> Coordinates | Path:
     terminal.notes(found.notes)
     terminal.say(f"{found.title}: {len(found.names)} points along {', '.join(found.axes)}")
     return found
-
-
-def show_comparison(terminal: Terminal, found: Comparison) -> None:
-    """The verdict, then a line a point."""
-    terminal.say("\n" + found.sentence)
-    terminal.say(
-        f"no motion at all has {p_is(found.p_value)} (chi-square {found.statistic:.1f}, {found.dof} degrees of "
-        f"freedom); without the points that moved {p_is(found.p_value_after)}"
-    )
-    terminal.say(found.table().only("target moved dx_um dy_um dz_um visible_um p_value").text())
-    terminal.say("a +- b: one standard deviation; visible: the smallest motion that is found in 4 of 5 cases")
 
 
 def uncertainty(
@@ -109,6 +92,7 @@ def uncertainty(
 
     Example: ltsim uncertainty flange.toml --out my-uncertainty
     """
+    from ltsim.pages.sections import section_of
     from ltsim.recording.result_file import read_result
     from ltsim.tasks.evaluation import write_uncertainty
     from ltsim.tasks.files import BUDGET, RESULTS, UncertaintyFile, compared
@@ -130,7 +114,7 @@ def uncertainty(
     if other is not None:
         answer["against"] = [{"result": name, "E_n": value} for name, value in other]
     terminal.answer(answer)
-    show_uncertainty(terminal, evaluation, content)
+    terminal.say("\n" + section_of(content).text())
     if other is not None:
         _show_against(terminal, other)
     terminal.written(out)
@@ -149,19 +133,6 @@ def _recording(terminal: Terminal, tasks: Tasks, file: Path, seed: int, *, besid
     if not place.exists():
         raise SetupError(f"{file}: source names {place}, which is neither a recording nor a scenario")
     return Reading().open(place, terminal)
-
-
-def show_uncertainty(terminal: Terminal, evaluation: Evaluation, content: UncertaintyFile) -> None:
-    """A line a result: value, expanded uncertainty, what makes most of it, verdict; then what to mind."""
-    percent, trials = 100 * content.coverage, content.trials
-    terminal.say(f"\nResults with expanded uncertainty U ({percent:g} %, {trials} trials); frame: {content.frame}")
-    terminal.say(evaluation.table().only("task result value U unit judgement largest_source").text())
-    for r in content.results:
-        if r.conformity is not None:
-            judged, chance = r.conformity.judgement, r.conformity.probability
-            terminal.say(f"{r.task}, {r.name}: {judged} (conforms with probability {chance:.3f})")
-    for warning in content.warnings:
-        terminal.say(f"mind: {warning}")
 
 
 def _show_against(terminal: Terminal, other: list[tuple[str, float]]) -> None:

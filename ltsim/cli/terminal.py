@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
@@ -18,6 +18,9 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from ltsim.errors import printable
 from ltsim.notation import aligned
+
+if TYPE_CHECKING:
+    from ltsim.recording.result_file import ResultFile
 
 SILENCE = 10.0
 """[s] after which a pipe is told that the work goes on."""
@@ -53,6 +56,16 @@ class Terminal:
         """What was decided where the input did not say, or what it lacks."""
         for note in notes:
             self.note(f"note: {note}")
+
+    def result(self, content: ResultFile, out: Path | None = None, notes: Iterable[str] = ()) -> None:
+        """A result that a page tells of: all of it for a program, for a person what the page says without pictures."""
+        self.answer(content.content())
+        if not self.quiet and not self.as_json:
+            from ltsim.pages.sections import section_of  # what a page needs takes its time to load
+
+            self.say("\n" + section_of(content).text())
+        self.notes(notes)
+        self.written(out)
 
     def written(self, out: Path | None) -> None:
         """Where the results are, and how to look at them."""

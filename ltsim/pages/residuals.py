@@ -13,7 +13,6 @@ from ltsim.adjustment.adjustment import Adjustment
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.calibration.schema import RESIDUALS
 from ltsim.errors import RecordError
-from ltsim.pages.style import OBSERVABLE_UNIT
 from ltsim.recording.files import shown
 from ltsim.recording.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
@@ -21,6 +20,9 @@ from ltsim.units import DEGREE, FACTOR
 
 Names = NDArray[np.str_]
 
+OBSERVABLE_UNIT = {"distance": "um", "azimuth": "arcsec", "elevation": "arcsec"}
+USUAL = ("azimuth", "elevation", "distance", "time")
+"""Covariates that every recording has."""
 COVARIATE_UNIT = {"azimuth": "°", "elevation": "°", "distance": "m", "time": "min", "incidence": "°", "row": ""}
 
 

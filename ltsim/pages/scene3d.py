@@ -14,8 +14,7 @@ from PIL import Image
 from vtkmodules.vtkCommonCore import vtkLogger
 
 from ltsim.arrays import Floats
-from ltsim.pages import solids
-from ltsim.pages.style import BLUE, GREEN, INK, ORANGE, PURPLE, RED, SKY, shorten
+from ltsim.pages import solids, style
 from ltsim.pages.workshop import Workshop
 from ltsim.units import DEGREE
 
@@ -109,17 +108,17 @@ def show(workshop: Workshop) -> None:
 def write_legend(plotter: pv.Plotter, title: str, legend: Legend) -> None:
     """Write title, magnifications and the colour bar on a picture."""
     if title:
-        plotter.add_text(title, position=(0.015, 0.955), viewport=True, font_size=13, color=INK, shadow=False)
+        plotter.add_text(title, position=(0.015, 0.955), viewport=True, font_size=13, color=style.INK, shadow=False)
     text = "\n".join(legend.lines)
     if text:
         actor = plotter.add_text(
-            text, position=(0.015, 0.93 - 0.027 * len(legend.lines)), viewport=True, font_size=9, color=INK
+            text, position=(0.015, 0.93 - 0.027 * len(legend.lines)), viewport=True, font_size=9, color=style.INK
         )
         actor.prop.SetLineSpacing(1.35)
     if legend.bar is not None:
         plotter.add_scalar_bar(  # type: ignore[call-arg]
             title=legend.bar[0] + "\n",
-            color=INK,
+            color=style.INK,
             position_x=0.64,
             position_y=0.02,
             width=0.33,
@@ -182,14 +181,14 @@ def _shadows(plotter: pv.Plotter, workshop: Workshop, lines: list[str]) -> None:
             rims.append(np.stack([rim[:-1], rim[1:]], axis=1).reshape(-1, 3))
             if k == 0:
                 plotter.add_mesh(
-                    solids.cone(place, rim[:-1]), color=RED, opacity=0.13, lighting=False, name=f"cone-{s}"
+                    solids.cone(place, rim[:-1]), color=style.RED, opacity=0.13, lighting=False, name=f"cone-{s}"
                 )
                 plotter.add_mesh(
-                    solids.polygon(rim[:-1]), color=ORANGE, opacity=0.30, lighting=False, name=f"shadow-{s}"
+                    solids.polygon(rim[:-1]), color=style.ORANGE, opacity=0.30, lighting=False, name=f"shadow-{s}"
                 )
         plotter.add_mesh(
             solids.lines(np.concatenate(rims)),
-            color=RED if k == 0 else ORANGE,
+            color=style.RED if k == 0 else style.ORANGE,
             line_width=3 if k == 0 else 1.5,
             lighting=False,
             name=f"rims-{k}",
@@ -202,8 +201,8 @@ def _targets(plotter: pv.Plotter, workshop: Workshop) -> None:
     gauge = set(workshop.gauge_targets)
     radius = 0.009 * workshop.size
     for name, colour, chosen in (
-        ("targets", BLUE, [i for i in range(len(workshop.targets)) if i not in gauge]),
-        ("gauge", GREEN, sorted(gauge)),
+        ("targets", style.BLUE, [i for i in range(len(workshop.targets)) if i not in gauge]),
+        ("gauge", style.GREEN, sorted(gauge)),
     ):
         if chosen:
             axes = np.broadcast_to(np.eye(3) * radius, (len(chosen), 3, 3))
@@ -215,7 +214,7 @@ def _targets(plotter: pv.Plotter, workshop: Workshop) -> None:
             )
     if workshop.gauge:
         ends = workshop.points[np.array(workshop.gauge).ravel()]
-        plotter.add_mesh(solids.lines(ends), color=GREEN, line_width=3, lighting=False, name="gauge-lengths")
+        plotter.add_mesh(solids.lines(ends), color=style.GREEN, line_width=3, lighting=False, name="gauge-lengths")
 
 
 def _stations(plotter: pv.Plotter, workshop: Workshop) -> None:
@@ -235,8 +234,8 @@ def _stations(plotter: pv.Plotter, workshop: Workshop) -> None:
             pv.Cone(center=end + 0.06 * turn[:, 0], direction=turn[:, 0], height=0.12, radius=0.05, resolution=24)
         )
     plotter.add_mesh(solids.merged(legs), color=LEG, name="tripods")
-    plotter.add_mesh(solids.merged(heads), color=INK, name="heads")
-    plotter.add_mesh(solids.merged(pointers), color=ORANGE, name="azimuth-zero")
+    plotter.add_mesh(solids.merged(heads), color=style.INK, name="heads")
+    plotter.add_mesh(solids.merged(pointers), color=style.ORANGE, name="azimuth-zero")
 
 
 def _uncertainty(plotter: pv.Plotter, workshop: Workshop, lines: list[str]) -> None:
@@ -251,7 +250,7 @@ def _uncertainty(plotter: pv.Plotter, workshop: Workshop, lines: list[str]) -> N
     scale = round_magnification(largest, 0.035 * workshop.size)
     ellipsoids = solids.balls(workshop.points, axes * (scale * semi)[:, None, :])
     plotter.add_mesh(
-        ellipsoids, color=SKY, opacity=0.35, name="ellipsoids", smooth_shading=len(semi) <= solids.FEW_BALLS
+        ellipsoids, color=style.SKY, opacity=0.35, name="ellipsoids", smooth_shading=len(semi) <= solids.FEW_BALLS
     )
     lines.append(f"pale ellipsoids: 1 sigma of a target, enlarged {times(scale)} times")
 
@@ -278,7 +277,7 @@ def _corrections(plotter: pv.Plotter, workshop: Workshop, lines: list[str]) -> N
         for p, c, n in zip(workshop.points, workshop.correction, length, strict=True)
         if n >= least
     ]
-    plotter.add_mesh(solids.merged(arrows), color=PURPLE, name="corrections")
+    plotter.add_mesh(solids.merged(arrows), color=style.PURPLE, name="corrections")
     most = f" (the {MOST_ARROWS} largest)" if len(length) > MOST_ARROWS else ""
     lines.append(f"arrows: correction of a target{most}, enlarged {times(scale)} times")
 
@@ -286,7 +285,7 @@ def _corrections(plotter: pv.Plotter, workshop: Workshop, lines: list[str]) -> N
 def _names(plotter: pv.Plotter, workshop: Workshop) -> None:
     direction = np.array(plotter.camera.position) - np.array(plotter.camera.focal_point)
     size = 0.026 * workshop.size
-    groups = [("station-names", workshop.stations, workshop.position, 0.33, 1.5 * size, INK)]
+    groups = [("station-names", workshop.stations, workshop.position, 0.33, 1.5 * size, style.INK)]
     if len(workshop.targets) <= MOST_LABELS:
         groups.append(("target-names", workshop.targets, workshop.points, 0.1, size, "#3A4046"))
     for key, names, places, up, height, colour in groups:
@@ -297,7 +296,7 @@ def _names(plotter: pv.Plotter, workshop: Workshop) -> None:
 
 def _letters(name: str, place: Floats, direction: Floats, height: float) -> pv.PolyData:
     """A short name of a given height [m], its plane square to `direction`."""
-    text = shorten(name, 16).encode("latin-1", "replace").decode("latin-1")
+    text = style.shorten(name, 16).encode("latin-1", "replace").decode("latin-1")
     mesh = pv.Text3D(text, depth=0.0, height=height, center=(0.0, 0.0, 0.0), normal=(0.0, 0.0, 1.0))
     out = direction / np.linalg.norm(direction)
     right = np.cross([0.0, 0.0, 1.0] if abs(out[2]) < 1 - 1e-9 else [-1.0, 0.0, 0.0], out)

@@ -34,7 +34,7 @@ from ltsim.simulation.truth import TruthFile
 from ltsim.tasks import comparison, files as uncertainty
 from ltsim.tasks.spec import Tasks
 
-RESULTS: tuple[type[ResultFile], ...] = (
+_WRITTEN: tuple[type[ResultFile], ...] = (
     CalibrationFile,
     HistoryFile,
     CriteriaFile,
@@ -47,12 +47,12 @@ RESULTS: tuple[type[ResultFile], ...] = (
     comparison.Comparison,
     checks.CheckFile,
     acceptance.AcceptanceFile,
+    BenchFile,
 )
-"""Files that verbs write and the report reads."""
-
+RESULTS: dict[str, type[ResultFile]] = {model.FILE: model for model in _WRITTEN}
+"""Files that verbs write."""
 FILES: dict[str, type[BaseModel]] = {
-    **{model.FILE: model for model in RESULTS},
-    BenchFile.FILE: BenchFile,
+    **RESULTS,
     "truth.json": TruthFile,
     "setup.toml": Setup,
     "scenario.toml": Scenario,

@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
-
-from matplotlib.figure import Figure
+from typing import TYPE_CHECKING, Any
 
 from ltsim.campaigns.design import Factor
 from ltsim.campaigns.paired import errors_of
 from ltsim.campaigns.schema import SHARES, ManifestFile, column_of
 from ltsim.campaigns.statistics import Checked, Results, Scores, Spread
 from ltsim.notation import number
-from ltsim.pages.document import Block, Fact, Listing, Section, Table, mood, picture, table_block
+from ltsim.pages.document import Block, Fact, Listing, Picture, Section, Table, mood, table_block
 from ltsim.pages.figures.campaign import (
     ALLOWED,
     MOST_LINES,
@@ -32,6 +31,9 @@ from ltsim.pages.figures.campaign import (
 from ltsim.pages.words import count, sentence, typeset
 from ltsim.simulation.keys import meaning_of
 from ltsim.units import BY_ENDING
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 MOST_DRAWN = 200_000
 """Trials whose values are drawn; tables and intervals use all of them."""
@@ -180,7 +182,7 @@ def _improvements(results: Results, spreads: Mapping[str, list[Spread]], publish
                 if paper is None
                 else f" The paper's {number(paper)} (dashed) lies against the 90 % of trials: {where}."
             )
-            blocks.append(picture(label.split(" [")[0].capitalize(), figure, text + told))
+            blocks.append(Picture(label.split(" [")[0].capitalize(), figure, text + told))
     return blocks
 
 
@@ -189,7 +191,7 @@ def campaign_figure(results: Results) -> Figure:
     if len(results.levels) > 1:
         for column, label in LABELS.items():
             if column in results.columns:
-                return next(drawn(results, results.spread(column), label, None))[1]
+                return next(drawn(results, results.spread(column), label, None))[1]()
     rows = _rows_of(results, list(results.columns), next(iter(cell_words(results))), {})
     return distributions(rows)
 
@@ -216,7 +218,7 @@ def _distributions(
         if rows:
             told = " Dashed: the paper's figures and the share of trials below them." if published else ""
             place = f", {names[cell]}" if len(names) > 1 else ""
-            blocks.append(picture(f"Distributions over trials: {method}{place}", distributions(rows), told))
+            blocks.append(Picture(f"Distributions over trials: {method}{place}", partial(distributions, rows), told))
     return blocks
 
 
@@ -228,7 +230,7 @@ def _coverage(results: Results, scores: Sequence[Scores]) -> list[Block]:
         rows = [s for s in mine if s.cell == mine[0].cell and s.trials > 1]
         if rows and len(blocks) < MOST_CELLS:
             place = f", {cell_words(results)[mine[0].cell]}" if len(results.levels) > 1 else ""
-            blocks.append(picture(f"Coverage: {method}{place}", coverage(rows), coverage_words(rows)))
+            blocks.append(Picture(f"Coverage: {method}{place}", partial(coverage, rows), coverage_words(rows)))
     text = "z: estimate minus truth over its stated sigma; right sigmas give mean 0 and standard deviation 1."
     return [*blocks, *table_block("z-scores of the parameters", results.table("z_scores"), note=text)] if scores else []
 
@@ -275,19 +277,19 @@ def _meaning(column: str) -> str:
     return sentence("" if known is None else known.meaning.replace("`", "")).removesuffix(".")
 
 
-def _statistics(results: Results, spreads: Mapping[str, list[Spread]], ends: Sequence[Checked]) -> list[Table]:
+def _statistics(results: Results, spreads: Mapping[str, list[Spread]], ends: Sequence[Checked]) -> list[Block]:
     """All statistics, what each of them is, and how the trials ended."""
     cells = results.table("summary")
     more = {"cell", "deviation", "least", "largest", *(f"quantile_{q}_percent" for q in ("2.5", "25", "75", "97.5"))}
     shown = cells.only(" ".join(name for name in cells.header if name not in more))
-    means = [[_column_words(column), results.units.get(column, ""), _meaning(column)] for column in spreads]
+    means = [f"{_column_words(c)} [{results.units.get(c, '')}]: {_meaning(c)}" for c in spreads]
     note = "Verified: trials that the full solver repeated; the difference is that of the estimates."
     failed = frozenset(i for i, e in enumerate(ends) if e.failed)
     ended = results.table("ends")
     ended = ended.only(" ".join(name for name in ended.header if name != "cell"))
     return [
         *table_block(f"Statistics ({count(len(shown.rows), 'row')})", shown),
-        Table("What the statistics mean", ["statistic", "unit", "meaning"], means, text_columns=3),
+        Listing("What the statistics mean", "\n".join(means)),
         *table_block("How the trials ended", ended, note=note, marked=failed),
     ]
 
@@ -338,7 +340,7 @@ def _alike(one: Sequence[Any], other: Sequence[Any]) -> bool:
 
 def drawn(
     results: Results, spreads: Sequence[Spread], label: str, published: float | None
-) -> Iterator[tuple[str, Figure]]:
+) -> Iterator[tuple[str, Callable[[], Figure]]]:
     """Figures of a statistic, each with words for its caption.
 
     A line over one factor where cells form a grid, dots over every range of a design, else a line of text a cell.
@@ -350,7 +352,7 @@ def drawn(
     if factors and results.manifest.settings.get("design"):
         places = [(f, _place(f, results.levels[s.cell]), s) for f in factors for s in spreads]
         rows = [_swept(s, place, s.method, title(factor)) for factor, place, s in places]
-        figure = by_factor(rows, axis="", joined=False, **how)
+        figure = partial(by_factor, rows, axis="", joined=False, **how)
         yield f"Each mark is one setting, against each factor. {several}", figure
     elif factors and of_grid and cells > 2:
         axis, rows = _lines(results, factors, spreads)
@@ -358,10 +360,10 @@ def drawn(
         for first in range(0, len(names), MOST_PANELS):
             shown = names[first : first + MOST_PANELS]
             part = f" Panels {first + 1} to {first + len(shown)} of {len(names)}." if len(names) > MOST_PANELS else ""
-            yield several + part, by_factor([row for row in rows if row.panel in shown], axis=axis, **how)
+            yield several + part, partial(by_factor, [row for row in rows if row.panel in shown], axis=axis, **how)
     else:
         named = cell_words(results)
-        yield several, by_setting([_swept(s, named[s.cell], s.method, "") for s in spreads], **how)
+        yield several, partial(by_setting, [_swept(s, named[s.cell], s.method, "") for s in spreads], **how)
 
 
 def _lines(results: Results, factors: Sequence[Factor], spreads: Sequence[Spread]) -> tuple[str, list[Swept]]:
