@@ -86,7 +86,7 @@ def _read_result(file: Path) -> Any:
         return read_calibration(file)
     if kind.startswith("ltsim-truth/"):
         return read_truth(file)
-    model = next((m for m in RESULTS.values() if m.model_fields["format"].default == kind), None)
+    model = next((m for m in RESULTS if m.model_fields["format"].default == kind), None)
     if model is None:
         raise RecordError("is no recording and no result of ltsim", file=file)
     return read_result(file, model)

@@ -34,7 +34,7 @@ from ltsim.simulation.truth import TruthFile
 from ltsim.tasks import comparison, files as uncertainty
 from ltsim.tasks.spec import Tasks
 
-_WRITTEN: tuple[type[ResultFile], ...] = (
+RESULTS: tuple[type[ResultFile], ...] = (
     CalibrationFile,
     HistoryFile,
     CriteriaFile,
@@ -49,10 +49,10 @@ _WRITTEN: tuple[type[ResultFile], ...] = (
     acceptance.AcceptanceFile,
     BenchFile,
 )
-RESULTS: dict[str, type[ResultFile]] = {model.FILE: model for model in _WRITTEN}
 """Files that verbs write."""
+
 FILES: dict[str, type[BaseModel]] = {
-    **RESULTS,
+    **{model.FILE: model for model in RESULTS},
     "truth.json": TruthFile,
     "setup.toml": Setup,
     "scenario.toml": Scenario,

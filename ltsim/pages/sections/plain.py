@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from ltsim.acceptance.files import AcceptanceFile, passes_words
-from ltsim.calibration.events import ENOUGH_STEPS
+from ltsim.calibration.events import ENOUGH_STEPS, LEAST_STEPS
 from ltsim.calibration.history_schema import HistoryFile
 from ltsim.chances import p_is, p_text
 from ltsim.fieldcheck.files import CheckFile
@@ -190,9 +190,12 @@ def history_section(content: HistoryFile, _: Beside) -> Section:
     rows = [[ends["from_"](c), ends["to"](c), listing(c.changed) or ("no single one" if c.p_value < LEVEL else ""),
              f"{c.chi2:.1f} / {c.dof}", p_text(c.p_value)] for c in every]  # fmt: skip
     marked = frozenset(i for i, c in enumerate(every) if c.p_value < LEVEL)
+    few = "no event can be told" if len(labels) <= LEAST_STEPS else "only a gross event stands out"
+    hardly = f" {len(labels)} calibrations hardly tell how the instrument moves from one to the next: {few}."
     blocks: list[Block] = [
         Table("Has it changed?", ["from", "to", "above all", "chi2 / parameters", "p"], rows, 3,
-              "Marked where the chance of such differences without a change is under 1 %.", marked),
+              "Marked where the chance of such differences without a change is under 1 %." + hardly * (not usual),
+              marked),
         *drawn,
         *table_of("Events: steps that stand out", named, "from_=from", "to", "name=parameter", "difference+-sigma=step",
                   "usual=its usual step", "unit", "p_value"),
@@ -208,10 +211,6 @@ def history_section(content: HistoryFile, _: Beside) -> Section:
         Fact("events", str(len(named)), mood(not named)),
         Fact("p of no change since the first", p_text(since.p_value), mood(not changed)),
     ]
-    if not usual:
-        few = "no event can be told" if len(labels) < ENOUGH_STEPS else "only a gross event stands out"
-        hardly = f"{len(labels)} calibrations hardly tell how the instrument moves from one to the next: {few}."
-        blocks.insert(1, Note("", hardly))
     answer = f"Over {count(len(labels), 'calibration')} from {rows[-1][0]} to {rows[-1][1]} the instrument "
     answer += _course_words(content, named, usual, ends)
     return Section("History of an instrument", "History", answer, mood(not changed), facts, blocks)
