@@ -35,14 +35,19 @@ class Terminal:
     quiet: Quiet = False
     as_json: Annotated[bool, typer.Option("--json", help="Print the answer as JSON, and nothing else.")] = False
 
+    @property
+    def silent(self) -> bool:
+        """Whether there is nobody to say a line to."""
+        return self.quiet or self.as_json
+
     def say(self, text: str = "") -> None:
         """A line for a person."""
-        if not self.quiet and not self.as_json:
+        if not self.silent:
             print(printable(text))
 
     def at_once(self, text: str, *, bell: bool = False) -> None:
         """A line that somebody waits for: held in no buffer, with a bell where somebody watches."""
-        if bell and not self.quiet and not self.as_json and sys.stdout.isatty():
+        if bell and not self.silent and sys.stdout.isatty():
             print("\a", end="")
         self.say(text)
         sys.stdout.flush()
@@ -60,7 +65,7 @@ class Terminal:
     def result(self, content: ResultFile, out: Path | None = None, notes: Iterable[str] = ()) -> None:
         """A result that a page tells of: all of it for a program, for a person what the page says without pictures."""
         self.answer(content.content())
-        if not self.quiet and not self.as_json:
+        if not self.silent:
             from ltsim.pages.sections import section_of  # what a page needs takes its time to load
 
             self.say("\n" + section_of(content).text())

@@ -225,7 +225,7 @@ def hidden_and_found() -> Figure:
 
 def whereabouts() -> Figure:
     names = samples.recording().targets[:2]
-    return misfits.whereabouts(samples.after(), names, [names])
+    return floors.whereabouts(from_adjustment(samples.after()), names, [names])
 
 
 DRAWINGS = {

@@ -52,7 +52,7 @@ def place_labels(figure: Figure, ax: Axes, labels: Sequence[Label], markers: Flo
         half = 0.5 * label.size * np.array([LETTER[0] * len(label.text), LETTER[1]])
         for turn in label.away + TURNS:
             way = np.array([np.cos(turn), np.sin(turn)])
-            offset = way * (GAP + half * np.abs(way))
+            offset = way / np.abs(way).max() * (GAP + half)
             middle = ax.transData.transform(label.place) / point + offset
             box = np.concatenate([middle - half, middle + half])
             if not ((box[:2] < taken[:, 2:]) & (box[2:] > taken[:, :2])).all(axis=1).any():
@@ -69,7 +69,9 @@ LEVELS = ((0.9, "v", style.ORANGE, "low"), (3.2, "s", style.SKY, "middle"), (np.
 MOST_LABELS = 60
 FEW_DOTS = 150
 """Above so many targets their marks are one small image."""
-MOST_PLACES = 16
+MOST_PLACES, MOST_STACKED = 16, 4
+NEAR = 0.05
+"""Share of the floor within which targets share a label."""
 WIDE, HEIGHTS = 4.3, (3.6, 6.6)
 """Inches: width of the axes, and the figure's least and greatest height."""
 ON_A_WALL = 0.35
@@ -269,41 +271,18 @@ def _targets(ax: Axes, workshop: Workshop) -> None:
 def _target_labels(workshop: Workshop) -> list[Label]:
     """One label for targets that stand above each other, away from the middle of the floor where that is free."""
     middle, size = workshop.floor.mean(axis=0), np.ptp(workshop.floor, axis=0)
-    reach = 0.035 * float(size.max())
+    stacks: dict[tuple[float, ...], list[int]] = defaultdict(list)
+    for i, cell in enumerate(np.round(workshop.points[:, :2] / (NEAR * size.max())).tolist()):
+        stacks[tuple(cell)].append(i)
     labels = []
-    for members in _stacks(workshop.points[:, :2], reach):
-        place = workshop.points[members, :2].mean(axis=0)
+    for members in stacks.values():
+        place, names = workshop.points[members[0], :2], [style.shorten(workshop.targets[i], 16) for i in members]
         away = (place - middle) / size
         sideways = abs(away[0]) > abs(away[1])
         turn = (0.0 if away[0] > 0 else np.pi) if sideways else (0.5 if away[1] > 0 else 1.5) * np.pi
-        labels.append(Label(_joined([workshop.targets[i] for i in members]), place, away=turn))
+        told = " ".join(names) if len(names) < MOST_STACKED else f"{names[0]} +{len(names) - 1}"
+        labels.append(Label(told, place, away=turn))
     return labels
-
-
-def _stacks(places: Floats, reach: float) -> list[list[int]]:
-    """Groups of indices whose places (n, 2) lie within `reach` of the group's first."""
-    groups: list[list[int]] = []
-    for i, place in enumerate(places):
-        home = next((g for g in groups if np.linalg.norm(places[g[0]] - place) < reach), None)
-        if home is None:
-            groups.append([i])
-        else:
-            home.append(i)
-    return groups
-
-
-def _joined(names: list[str]) -> str:
-    """Names in one label: `T01 09 17` where they share their letters."""
-    if len(names) == 1:
-        return style.shorten(names[0], 16)
-    by_stem: dict[str, list[str]] = defaultdict(list)
-    for name in names:
-        stem = name.rstrip("0123456789")
-        by_stem[stem].append(name[len(stem) :])
-    if len(by_stem) > 1 or len(names) > 4:
-        return f"{style.shorten(names[0], 12)} +{len(names) - 1}"
-    stem, numbers = next(iter(by_stem.items()))
-    return style.shorten(stem, 10) + " ".join(numbers)
 
 
 def _stations(ax: Axes, workshop: Workshop, colours: Sequence[str]) -> None:
@@ -346,3 +325,20 @@ def _places(workshop: Workshop) -> tuple[list[Line2D], list[str]]:
     ]
     words = ["", "station: x, y, z, azimuth 0", *lines]
     return [Line2D([], [], linestyle="none") for _ in words], words
+
+
+@style.styled
+def whereabouts(workshop: Workshop, marked: Sequence[str], pairs: Sequence[tuple[str, str]] = ()) -> Figure:
+    """The floor plan with red rings around stations and targets, and an arrow between the targets of each pair."""
+    figure = floor_plan(workshop)
+    ax = figure.axes[0]
+    names = [*workshop.stations, *workshop.targets]
+    place = dict(zip(names, np.concatenate([workshop.position, workshop.points])[:, :2].tolist(), strict=True))
+    for name in marked:
+        if name in place:
+            x, y = place[name]
+            ax.scatter(x, y, s=180, facecolors="none", edgecolors=style.RED, linewidths=2.0, zorder=9)
+    for start, end in pairs:
+        arrow = {"arrowstyle": "<|-|>", "color": style.RED, "lw": 1.6, "shrinkA": 5, "shrinkB": 5}
+        ax.annotate("", place[end], place[start], arrowprops=arrow, zorder=9)
+    return figure

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from ltsim.adjustment import Adjustment
 from ltsim.arrays import Bools, Floats
 from ltsim.diagnosis.schema import Curve, Where
 from ltsim.pages import style
-from ltsim.pages.figures.floor_plan import Label, place_labels
 from ltsim.pages.residuals import COVARIATE_UNIT, OBSERVABLE_UNIT, USUAL, Residuals
 from ltsim.recording.recording import OBSERVABLES
 from ltsim.units import FACTOR
@@ -190,41 +187,4 @@ def hidden_and_found(at: Floats, hidden: Floats, found: Floats, axis: str, label
     ax.set_ylabel(label)
     style.quiet_axis(ax, grid="both")
     style.legend_of(figure, [ax])
-    return figure
-
-
-@style.styled
-def whereabouts(network: Adjustment, marked: Sequence[str], pairs: Sequence[tuple[str, str]] = ()) -> Figure:
-    """Stations and targets from above; some names are marked, pairs of targets joined by an arrow."""
-    stations, targets = network.recording.stations, network.recording.targets
-    figure = style.new_figure(3.6)
-    ax = figure.subplots()
-    places = np.concatenate([network.state.position, network.state.points])[:, :2]
-    names = [*stations, *targets]
-    hot = np.isin(names, list(marked))
-    kinds = np.arange(len(names)) < len(stations)
-    for chosen, marker, colour, word in (
-        (kinds & ~hot, "^", style.INK, "station"),
-        (~kinds & ~hot, "o", style.AFTER, "target"),
-        (kinds & hot, "^", style.RED, "station of the finding"),
-        (~kinds & hot, "o", style.RED, "target of the finding"),
-    ):
-        if chosen.any():
-            ax.plot(*places[chosen].T, marker, ms=6 if marker == "^" else 4.5, color=colour, label=word)
-    for pair in pairs:
-        start, end = (places[len(stations) + list(targets).index(name)] for name in pair)
-        ax.annotate(
-            "",
-            end,
-            start,
-            arrowprops={"arrowstyle": "<|-|>", "color": style.RED, "lw": 1.6, "shrinkA": 5, "shrinkB": 5},
-        )
-    ax.set_aspect("equal", adjustable="datalim")
-    ax.set_xlabel("x [m]")
-    ax.set_ylabel("y [m]")
-    style.quiet_axis(ax, grid="both")
-    style.legend_of(figure, [ax], ncols=2)
-    order = np.argsort(~hot, kind="stable")
-    looks: list[dict[str, Any]] = [{"size": 6.5, "colour": style.INK}, {"size": 8.0, "bold": True, "colour": style.RED}]
-    place_labels(figure, ax, [Label(names[i], places[i], **looks[int(hot[i])]) for i in order], places)
     return figure

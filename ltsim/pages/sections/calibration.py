@@ -161,7 +161,8 @@ def _actions(content: CalibrationFile) -> list[str]:
     left = [o for o in content.outliers if not o.left_out]
     if left:
         which = listing([f"{o.station} to {o.target} ({o.observable}, row {o.row})" for o in left], 3)
-        said.append(f"Measure again or leave out {count(len(left), 'reading')} that did not fit: {which}.")
+        out = f"or leave them out ({option('robust=True')})"
+        said.append(f"Measure again what did not fit, {out}: {which}.")
     test = content.fit.p_value
     if test is not None and test < AGREES / 2 and not content.noise_estimated:
         said.append("Find out why readings and model disagree: ltsim diagnose names what is missing from the model.")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
@@ -29,6 +30,7 @@ from ltsim.pages.figures.campaign import (
     uncovered,
 )
 from ltsim.pages.words import count, sentence, typeset
+from ltsim.results import Table as TableOf
 from ltsim.simulation.keys import meaning_of
 from ltsim.units import BY_ENDING
 
@@ -38,6 +40,8 @@ if TYPE_CHECKING:
 MOST_DRAWN = 200_000
 """Trials whose values are drawn; tables and intervals use all of them."""
 MOST_CELLS, MOST_VALUES, MOST_SHOWN = 3, 8, 4
+MOST_ROWS = 48
+"""Settings that can be read one by one."""
 IMPROVEMENT = "distance_improvement_percent"
 
 LABELS = MappingProxyType(
@@ -82,6 +86,7 @@ def campaign_section(folder: Path) -> Section:
     published = PAPER.get(str(manifest.settings.get("scenario", "")), {})
     drawn_ = _distributions(results, spreads, published)
     shown = [*_improvements(results, spreads, published), *_varied(results)] or drawn_[:1]
+    shown += _by_factor(results, spreads)
     shown[1:1] = _errors(results, spreads)
     blocks: list[Block] = [*shown, *(b for b in drawn_ if b not in shown)]
     blocks += [*_coverage(results, scores), *_statistics(results, spreads, ends)]
@@ -150,7 +155,7 @@ def _facts(manifest: ManifestFile, ends: Sequence[Checked], scores: Sequence[Sco
         Fact("failed", str(failed), mood(not failed)),
     ]
     if checked:
-        facts.append(Fact("fast against full solver", f"{max(checked):.1e} σ", mood(max(checked) < 1e-3)))
+        facts.append(Fact("fast against full solver", f"{max(checked):.1e} sigma", mood(max(checked) < 1e-3)))
     if scores:
         shares = [s.coverage_95 for s in scores]
         facts.append(Fact("coverage of 95 %", f"{100 * min(shares):.1f} to {100 * max(shares):.1f} %"))
@@ -165,6 +170,21 @@ def _varied(results: Results) -> list[Block]:
         told = meaning_of(factor.keys[0]).replace("`", "")
         rows.append([title(factor), ", ".join(shown), ", ".join(factor.keys), told])
     return [Table("What was varied", ["", "values", "key", "meaning"], rows, text_columns=4)] if rows else []
+
+
+def _by_factor(results: Results, spreads: Mapping[str, list[Spread]]) -> list[Table]:
+    """Means over the cells of each level, where cells are too many to be read; factors of few levels first."""
+    if len(results.levels) <= MOST_ROWS:
+        return []
+    groups: dict[tuple[str, ...], list[float]] = {}
+    for factor in sorted(varied(results), key=lambda f: len(set(_column(results, f)))):
+        for name in filter(spreads.get, LABELS):
+            for s in spreads[name]:
+                key = title(factor), factor.words(results.levels[s.cell][factor.name]), s.method, name
+                groups.setdefault(key, []).append(s.mean)
+    rows = [[*key, *(number(v, 4) for v in (sum(m) / len(m), min(m), max(m)))] for key, m in groups.items()]
+    heads = ["factor", "level", "method", "statistic", "mean", "least cell", "largest cell"]
+    return [Table("Means over the settings of a level", heads, rows, text_columns=4)]
 
 
 def _improvements(results: Results, spreads: Mapping[str, list[Spread]], published: Mapping[str, float]) -> list[Block]:
@@ -281,17 +301,24 @@ def _statistics(results: Results, spreads: Mapping[str, list[Spread]], ends: Seq
     """All statistics, what each of them is, and how the trials ended."""
     cells = results.table("summary")
     more = {"cell", "deviation", "least", "largest", *(f"quantile_{q}_percent" for q in ("2.5", "25", "75", "97.5"))}
-    shown = cells.only(" ".join(name for name in cells.header if name not in more))
+    shown = _settings(results, cells.only(" ".join(name for name in cells.header if name not in more)))
     means = [f"{_column_words(c)} [{results.units.get(c, '')}]: {_meaning(c)}" for c in spreads]
     note = "Verified: trials that the full solver repeated; the difference is that of the estimates."
     failed = frozenset(i for i, e in enumerate(ends) if e.failed)
     ended = results.table("ends")
-    ended = ended.only(" ".join(name for name in ended.header if name != "cell"))
+    ended = _settings(results, ended.only(" ".join(name for name in ended.header if name != "cell")))
     return [
         *table_block(f"Statistics ({count(len(shown.rows), 'row')})", shown),
         Listing("What the statistics mean", "\n".join(means)),
         *table_block("How the trials ended", ended, note=note, marked=failed),
     ]
+
+
+def _settings(results: Results, table: TableOf) -> TableOf:
+    """A table of cells whose settings read as they were given: 0.5 and not 0.5000."""
+    given = {f.name for f in results.factors}
+    columns = (replace(c, shown=".6g") if c.name in given and c.kind == "number" else c for c in table.columns)
+    return replace(table, columns=tuple(columns))
 
 
 def title(factor: Factor) -> str:

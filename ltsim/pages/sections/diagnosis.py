@@ -181,6 +181,8 @@ def finding_drawing(finding: Finding, before: Residuals | None, after: Residuals
 
 def _whereabouts(finding: Finding, number_: int, pair: Pair | None) -> list[Block]:
     """Where it is, seen from above, for what concerns few stations or targets; of a swap who stands for whom."""
+    from ltsim.pages.workshop import from_adjustment
+
     stations, targets = finding.where.stations, finding.where.targets
     if pair is None or not targets or len(targets) > MOST_MARKED:
         return []
@@ -188,7 +190,8 @@ def _whereabouts(finding: Finding, number_: int, pair: Pair | None) -> list[Bloc
     marked, pairs = (*stations, *targets), [(targets[0], targets[1])] if swapped else []
     text = "The red targets were booked for each other: each reading belongs to the other end of the arrow."
     caption = text if swapped else "Seen from above, in red."
-    figure = partial(figures.residuals.whereabouts, pair[1], marked, pairs)
+    workshop = from_adjustment(pair[1])
+    figure = partial(figures.floor_plan.whereabouts, workshop, marked, pairs)
     return [Picture(f"Where finding {number_} is", figure, caption)]
 
 

@@ -10,7 +10,7 @@ from ltsim.calibration.events import ENOUGH_STEPS, LEAST_STEPS
 from ltsim.calibration.history_schema import HistoryFile
 from ltsim.chances import p_is, p_text
 from ltsim.fieldcheck.files import CheckFile
-from ltsim.notation import expanded, number, with_sigma
+from ltsim.notation import number, with_sigma
 from ltsim.pages import figures
 from ltsim.pages.document import Beside, Block, Fact, Note, Picture, Points, Section, Table, mood, table_block, table_of
 from ltsim.pages.words import count, duration, listing, natural, sentence, told_apart
@@ -19,6 +19,10 @@ from ltsim.tasks.comparison import DISPLACEMENTS, Comparison
 from ltsim.tasks.files import UncertaintyFile
 
 LEVEL, LIKELY = 0.01, 0.5
+UNITED = (
+    "U: expanded uncertainty; mc: ends of the interval by Monte Carlo, to be taken where it does not agree with U "
+    "(JCGM 101, clause 8)."
+)
 MOST_BARS, MOST_TESTS, MOST_PROPOSALS = 40, 200, 10
 
 
@@ -103,19 +107,8 @@ def acceptance_section(content: AcceptanceFile, _: Beside) -> Section:
 def uncertainty_section(content: UncertaintyFile, _: Beside) -> Section:
     """What tasks are worth."""
     told = [r for r in content.results if r.conformity is not None]
-    rows, sentences = [], []
-    for r in content.results:
-        value = expanded(r.value, r.expanded_uncertainty, r.unit, r.coverage_factor)
-        low, high = (number(end, 6) for end in r.monte_carlo.symmetric)
-        agrees = "" if r.monte_carlo.agrees else "take this interval (JCGM 101, clause 8)"
-        top = f"{r.budget[0].source} ({100 * r.budget[0].share:.0f} %)" if r.budget else ""
-        rows.append([r.task, r.name, value, f"{low} to {high}", agrees, top])
-        sentences.append(f"{r.task}, {r.name}: {value}")
-    header = ["task", "result", "value, expanded uncertainty", "Monte Carlo interval", "not normal", "improve first"]
-    kept = [i for i in range(6) if i != 4 or any(row[4] for row in rows)]
-    blocks: list[Block] = [
-        Table("Results", [header[i] for i in kept], [[row[i] for i in kept] for row in rows], 2, folds=False)
-    ]
+    results = content.tables()["results"]().only("task result value U mc_low mc_high agrees unit largest_source")
+    blocks: list[Block] = [*table_block("Results", results, note=UNITED, folds=False)]
     judged = [[r.task, r.name, *(number(x, 6) for x in (c.lower, c.upper, c.guard_band)), r.unit,
                f"{100 * c.probability:.1f} %", c.judgement] for r in told if (c := r.conformity)]  # fmt: skip
     header = ["task", "result", "lower", "upper", "guard band", "unit", "conforms with", "judgement"]
@@ -133,7 +126,10 @@ def uncertainty_section(content: UncertaintyFile, _: Beside) -> Section:
         blocks += table_of(head, [part for part in r.budget if part.share > 1e-3], *fields)
     by_word = {w: [f"{r.task}, {r.name}" for r in told if r.conformity and r.conformity.judgement == w]
                for w in ("accepted", "rejected", "undecided")}  # fmt: skip
-    answer = "; ".join(f"{word}: {listing(names, 3)}" for word, names in by_word.items() if names) or sentences[0]
+    answer = (
+        "; ".join(f"{word}: {listing(names, 3)}" for word, names in by_word.items() if names)
+        or content.results[0].words
+    )
     facts = [Fact("results", str(len(content.results))), Fact("coverage", f"{100 * content.coverage:g} %")]
     facts += [] if content.sigma0 is None else [Fact("sigma0 of the adjustment", number(content.sigma0))]
     title = content.title or "Uncertainty of tasks"
