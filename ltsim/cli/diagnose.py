@@ -12,11 +12,9 @@ from ltsim.cli.adjustment import calibration_of
 from ltsim.cli.options import FramedReading, Out, Reading, Source
 from ltsim.cli.places import Force, claim
 from ltsim.cli.terminal import Terminal
-from ltsim.errors import LtsimError, RecordError
 
 if TYPE_CHECKING:
     from ltsim.calibration import Calibration
-    from ltsim.calibration.history import History
     from ltsim.recording import Recording
 
 
@@ -77,7 +75,6 @@ FailOnChange = Annotated[
         "last differs from the first (for CI).",
     ),
 ]
-LEVEL = 0.01
 
 
 def history(
@@ -98,17 +95,15 @@ def history(
     Example: ltsim history january.json may.json september-recording --out my-history
     """
     from ltsim.calibration.files import history_file
-    from ltsim.calibration.history import History
     from ltsim.calibration.history_schema import HistoryFile
+    from ltsim.pages.sections import section_of
 
     claim(out, HistoryFile, ("history.svg",), force=force)
-    named: list[tuple[str, Calibration]] = []
-    instrument, dates = options.pop("instrument"), options.pop("dates")
-    with terminal.progress("calibrating", len(sources)) as done:
-        for source in sources:
-            named += _calibrations(terminal, source, reading, options, each_set_up=each_set_up)
-            done(1)
-    found = History.of(named, instrument, dates)
+    opened: dict[str, Calibration | Recording] = {}
+    for source in sources:
+        opened |= _opened(terminal, source, reading, each_set_up=each_set_up)
+    with terminal.busy("calibrating"):
+        found = lt.history(opened, **options)
     content = history_file(found)
     if out is not None:
         from ltsim.pages.style import svg
@@ -116,37 +111,22 @@ def history(
 
         content = write_result(out, content, {"history.svg": svg(found.plot())})
     terminal.result(content, out)
-    return 1 if fail_on_change and _has_changed(found) else 0
+    return 1 if fail_on_change and section_of(content).mood == "bad" else 0
 
 
-def _has_changed(found: History) -> bool:
-    """An event where there are calibrations enough to tell one, otherwise any change from the first to the last."""
-    from ltsim.calibration.events import events, knows_usual
-
-    return bool(events(found)) if knows_usual(found) else found.change(0, len(found) - 1).joint.p_value < LEVEL
-
-
-def _calibrations(
-    terminal: Terminal, source: Path, reading: Reading, treated: dict[str, Any], *, each_set_up: bool
-) -> list[tuple[str, Calibration]]:
-    """One calibration of a file, or one a set-up of a recording."""
+def _opened(
+    terminal: Terminal, source: Path, reading: Reading, *, each_set_up: bool
+) -> dict[str, Calibration | Recording]:
+    """A calibration that was written before, or a recording, or each of its set-ups, by what it is called."""
     from ltsim.calibration.schema import CalibrationFile
 
     file = CalibrationFile.FILE
     if source.name == file or (source / file).is_file() or source.suffix == ".json":
         label = source.parent.name if source.name == file else source.stem
-        return [(label or source.stem, calibration_of(terminal, source))]
+        return {label or source.stem: calibration_of(terminal, source)}
     recording = reading.of(source)
     terminal.notes(recording.notes)
     label = source.stem if source.is_file() else source.name
     if not each_set_up:
-        return [(label, _calibrated(recording, label, treated))]
-    parts = [(f"{label} {name}", recording.select(recording.station == i)) for i, name in enumerate(recording.stations)]
-    return [(name, _calibrated(part, name, treated)) for name, part in parts]
-
-
-def _calibrated(recording: Recording, label: str, treated: dict[str, Any]) -> Calibration:
-    try:
-        return lt.calibrate(recording, advise=False, **treated)
-    except LtsimError as problem:
-        raise RecordError(f"{label} cannot be calibrated: {problem}") from None
+        return {label: recording}
+    return {f"{label} {name}": recording.select(recording.station == i) for i, name in enumerate(recording.stations)}

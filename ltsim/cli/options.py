@@ -179,7 +179,7 @@ def _option(name: str, kind: Any, default: Any) -> inspect.Parameter:
     return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=kind)
 
 
-PROGRAMS = ("advise", "again", "geometry", "cad", "about", "recording", "title", "format", "hints", "follower")
+PROGRAMS = ("advise", "again", "geometry", "about", "format", "hints", "follower")
 """Parameters that only a program gives, or that their verb reads in its own way."""
 BOUNDS: dict[str, tuple[float, float | None]] = {
     "seed": (0, None), "trial": (0, None), "trials": (2, None), "starts": (1, None), "injections": (1, None),
