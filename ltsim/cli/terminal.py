@@ -7,7 +7,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -83,27 +83,22 @@ class Terminal:
             print(json.dumps(content, indent=1, allow_nan=False))
 
     @contextmanager
-    def progress(self, what: str, total: int) -> Iterator[Callable[[int], None]]:
+    def progress(self, what: str, total: int | None = None) -> Iterator[Callable[[int], None]]:
         """A bar on standard error, in a pipe a line now and then; the function it gives counts steps done."""
         if self.quiet or not sys.stderr.isatty():
             done = [0]
-            with self._sign_of_life(lambda: f"{what}: {done[0]} of {total}"):
+            with self._sign_of_life(lambda: what if total is None else f"{what}: {done[0]} of {total}"):
                 yield lambda steps: done.__setitem__(0, done[0] + steps)
             return
-        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+        counted = () if total is None else (MofNCompleteColumn(), TimeRemainingColumn())
+        columns = (TextColumn("{task.description}"), BarColumn(), *counted)
         with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
             task = bar.add_task(what, total=total)
             yield lambda steps: bar.advance(task, steps)
 
-    @contextmanager
-    def busy(self, what: str) -> Iterator[None]:
+    def busy(self, what: str) -> AbstractContextManager[Any]:
         """A sign of life while something takes its time."""
-        if self.quiet or not sys.stderr.isatty():
-            with self._sign_of_life(lambda: what):
-                yield
-            return
-        with Console(stderr=True).status(what):
-            yield
+        return self.progress(what)
 
     @contextmanager
     def _sign_of_life(self, words: Callable[[], str]) -> Iterator[None]:

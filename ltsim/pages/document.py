@@ -31,7 +31,7 @@ Detail = Literal["turn", "plan", "none"]
 """How a section shows the workshop: in 3D to turn, from above alone, or not, since another section shows it."""
 LONG, ENDLESS = 30, 120
 """Rows of a table from which it is folded, and from which a print leaves it out: three pages."""
-FIRST, WIDEST = 12, 160
+FIRST, WIDEST = 8, 160
 """Rows of a folded table that a terminal shows, and the letters of a line up to which it shows columns."""
 
 

@@ -175,10 +175,6 @@ def trade_off() -> Figure:
     return plans.trade_off(PlanResult.model_validate(plan), MARKUP)
 
 
-def visibility_figure() -> Figure:
-    return plans.visibility_figure(["S1", MARKUP], ["T1", "T2", "T3"], [["", "shadow cone", ""], ["incidence", "", ""]])
-
-
 def budget_figure() -> Figure:
     return estimates.budget_figure(
         ["length", MARKUP], {"readings": [0.7, 0.2], "weather": [0.3, 0.5], MARKUP: [0.0, 0.3]}
@@ -234,7 +230,7 @@ DRAWINGS = {
         shares_of_limits, budget_figure, by_factor, by_setting, check_figure, correlation_figure, coverage,
         criteria_figure, displacement_figure, distributions, driver_curve, floor_plan, hidden_and_found,
         history_figure, parameter_figure, reflector_changes, residuals_by_covariate, residuals_by_station,
-        sigma_figure, signature_figure, trade_off, visibility_figure, whereabouts,
+        sigma_figure, signature_figure, trade_off, whereabouts,
     )
 }  # fmt: skip
 

@@ -89,7 +89,9 @@ def acceptance_section(content: AcceptanceFile, _: Beside) -> Section:
     worst = content.worst_passing
     if worst is not None:
         constants = ", ".join(f"{name} {number(value, 2)}" for name, value in worst.constants.items())
-        text = (
+        blind = [s.name for s in content.sensitivities if s.smallest_failing is None]
+        text = f"No test sees {', '.join(blind)}. " if blind else ""
+        text += (
             f"An instrument with {constants} passes every test and places points 1.5 to 9 m away by {worst.rms_um:.0f} "
             f"um (root mean square; {worst.largest_um:.0f} um at most) off."
         )

@@ -28,6 +28,8 @@ def plan_section(content: PlanResult, beside: Beside) -> Section:
     blocks: list[Block] = [_stations(content)]
     drawn, changed = _pictures(content, beside)
     blocks += drawn
+    if content.not_seen:
+        blocks.append(Table("Who does not see whom", ["sight"], [[words] for words in content.not_seen]))
     if content.reasons:
         blocks.append(Points("Why this plan", content.reasons))
     blocks += _tolerances(content) + _changes(content) + changed
@@ -142,10 +144,8 @@ def _pictures(content: PlanResult, beside: Beside) -> tuple[list[Block], list[Bl
         return [], []
     from ltsim.pages.workshop import from_scenario
     from ltsim.simulation.scenario import load_scenario
-    from ltsim.simulation.workshop import planned, visibility_of
 
-    scenario = load_scenario(file)
-    workshop = from_scenario(scenario)
+    workshop = from_scenario(load_scenario(file))
     reference = content.reference.stations if content.reference else ()
     places = np.array([s.position_mm for s in reference], dtype=np.float64).reshape(-1, 3) * MILLIMETRE
     text = "Seen from above; x and y in metres. Inside the circles the elevation limit hides the floor." + (
@@ -157,11 +157,6 @@ def _pictures(content: PlanResult, beside: Beside) -> tuple[list[Block], list[Bl
         Picture("Floor plan", lambda: floor.floor_plan(workshop, reference=places, ground=ground), text)
     ]
     drawn += [scene(workshop)] if beside.detail == "turn" else []
-    layout = planned(scenario)
-    words = visibility_of(scenario, layout).words()
-    text = "A coloured cell with a letter says why a station misses a target."
-    seen = partial(figures.plan.visibility_figure, layout.stations, layout.targets, words)
-    drawn.append(Picture("Who sees whom", seen, text))
     text = "Numbers are those of the table: at the new places, with an arrow from where a reflector is; crosses go."
     changes = partial(figures.plan.reflector_changes, workshop, content.reflector_changes, ground)
     return drawn, [Picture("Where these reflectors are", changes, text)] if content.reflector_changes else []
