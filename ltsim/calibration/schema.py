@@ -84,11 +84,6 @@ class ParameterEntry(Entry):
     instrument: str = ""
     """Where there are several."""
 
-    @property
-    def determined(self) -> bool:
-        """Whether the measurement tells more than half of what is known of it."""
-        return self.prior_sigma is None or (self.sigma or 0.0) < 0.7 * self.prior_sigma
-
 
 class HarmonicEntry(Entry):
     """A cosine and a sine together, as amplitude and phase; no phase where the amplitude drowns in its sigma."""

@@ -17,6 +17,11 @@ QUALITY = {
 """What a plan's goal is measured by: its name with its unit, and that unit in SI."""
 
 
+def is_determined(sigma: float | None, prior_sigma: float | None) -> bool:
+    """Whether a measurement tells more than half of what is known of a parameter."""
+    return prior_sigma is None or (sigma or 0.0) < 0.7 * prior_sigma
+
+
 def duration(seconds: float) -> str:
     """A time span."""
     minutes = seconds / 60.0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -19,6 +20,23 @@ from ltsim.pages.words import typeset
 
 MOST_PANELS, MOST_LINES = 12, 8
 NINETY = "90 % of trials"
+PAPER = MappingProxyType(
+    {
+        "paper-workshop": {
+            "coordinate_before_max_um": 149.0, "coordinate_before_mean_um": 46.0, "distance_before_max_um": 60.0,
+            "distance_before_mean_um": 29.0, "coordinate_after_max_um": 118.0, "coordinate_after_mean_um": 39.0,
+            "distance_after_max_um": 39.0, "distance_after_mean_um": 17.0, "coordinate_improvement_percent": 14.47,
+            "distance_improvement_percent": 40.1,
+        },
+        "paper-laboratory": {
+            "coordinate_before_max_um": 54.0, "coordinate_before_mean_um": 21.0, "distance_before_max_um": 84.0,
+            "distance_before_mean_um": 24.0, "coordinate_after_max_um": 41.0, "coordinate_after_mean_um": 17.0,
+            "distance_after_max_um": 53.0, "distance_after_mean_um": 18.0, "coordinate_improvement_percent": 17.98,
+            "distance_improvement_percent": 25.53,
+        },
+    }
+)  # fmt: skip
+"""Tables 3 and 4 of Sensors 2021, 21, 7479."""
 
 
 @dataclass(frozen=True)

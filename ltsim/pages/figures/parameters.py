@@ -12,7 +12,7 @@ from ltsim.calibration.history_schema import CourseEntry
 from ltsim.calibration.schema import ParameterEntry
 from ltsim.notation import number, with_sigma
 from ltsim.pages import style
-from ltsim.pages.words import told_apart
+from ltsim.pages.words import is_determined, told_apart
 from ltsim.planning.schema import ParameterEntry as PlannedEntry
 from ltsim.results import Table
 
@@ -39,7 +39,7 @@ def parameter_figure(rows: Sequence[ParameterEntry], true: Sequence[float | None
     ax.hlines(
         places, values - 1.96 * sigma, values + 1.96 * sigma, color=style.AFTER, linewidth=1.8, label="95 % interval"
     )
-    clear = np.array([row.determined for row in rows], dtype=bool)
+    clear = np.array([is_determined(row.sigma, row.prior_sigma) for row in rows], dtype=bool)
     for chosen, fill, word in ((clear, style.AFTER, "estimate"), (~clear, "white", "hardly determined")):
         if chosen.any():
             ax.plot(values[chosen], places[chosen], "o", ms=4.5, mfc=fill, mec=style.AFTER, label=word)

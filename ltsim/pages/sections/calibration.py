@@ -28,7 +28,7 @@ from ltsim.pages.sections.network import (
     undetermined,
     workshop_blocks,
 )
-from ltsim.pages.words import agreement, count, listing, sentence
+from ltsim.pages.words import agreement, count, is_determined, listing, sentence
 from ltsim.recording import Recording, Setup
 from ltsim.recording.result_file import check_source
 from ltsim.simulation.truth import Truth
@@ -69,7 +69,8 @@ def calibration_section(content: CalibrationFile, beside: Beside) -> Section:
     blocks += [*first[1:], *(product if content.parameters else ()), *_stations(content)]
     if after is not None and not beside.brief:
         blocks += residual_blocks(after, before, what="the instrument's parameters")
-    blocks += [Note("Estimated beside the calibration", f"{e.sentence}.") for e in content.effects]
+    if content.effects:
+        blocks.append(Points("Estimated beside the calibration", [effect.sentence for effect in content.effects]))
     blocks += combined("Determined in combination", content.determined)
     told = "What the recording tells of the combination: 0 % is nothing beyond the maker's guarantee."
     blocks += undetermined("Not determined by this recording", content.undetermined, decimals=1, note=told)
@@ -93,7 +94,7 @@ def _answer(content: CalibrationFile, agreement_words: str, targets: Path | None
     if not content.parameters:
         begin = f"The network of {size} was adjusted without instrument parameters: {agreement_words}"
     else:
-        clear = [p for p in content.parameters if p.determined]
+        clear = [p for p in content.parameters if is_determined(p.sigma, p.prior_sigma)]
         begin = (
             f"The instrument was calibrated from {size}: {len(clear)} of "
             f"{count(len(content.parameters), 'parameter')} are determined, and {agreement_words}"

@@ -21,6 +21,7 @@ from ltsim.pages.figures.campaign import (
     ALLOWED,
     MOST_LINES,
     MOST_PANELS,
+    PAPER,
     Distribution,
     Swept,
     by_factor,
@@ -39,9 +40,7 @@ if TYPE_CHECKING:
 
 MOST_DRAWN = 200_000
 """Trials whose values are drawn; tables and intervals use all of them."""
-MOST_CELLS, MOST_VALUES, MOST_SHOWN = 3, 8, 4
-MOST_ROWS = 48
-"""Settings that can be read one by one."""
+MOST_CELLS, MOST_VALUES, MOST_SHOWN, MOST_ROWS = 3, 8, 4, 48
 IMPROVEMENT = "distance_improvement_percent"
 
 LABELS = MappingProxyType(
@@ -52,23 +51,6 @@ LABELS = MappingProxyType(
         "target_error_um": "error of the targets [µm]",
     }
 )
-PAPER = MappingProxyType(
-    {
-        "paper-workshop": {
-            "coordinate_before_max_um": 149.0, "coordinate_before_mean_um": 46.0, "distance_before_max_um": 60.0,
-            "distance_before_mean_um": 29.0, "coordinate_after_max_um": 118.0, "coordinate_after_mean_um": 39.0,
-            "distance_after_max_um": 39.0, "distance_after_mean_um": 17.0, "coordinate_improvement_percent": 14.47,
-            "distance_improvement_percent": 40.1,
-        },
-        "paper-laboratory": {
-            "coordinate_before_max_um": 54.0, "coordinate_before_mean_um": 21.0, "distance_before_max_um": 84.0,
-            "distance_before_mean_um": 24.0, "coordinate_after_max_um": 41.0, "coordinate_after_mean_um": 17.0,
-            "distance_after_max_um": 53.0, "distance_after_mean_um": 18.0, "coordinate_improvement_percent": 17.98,
-            "distance_improvement_percent": 25.53,
-        },
-    }
-)  # fmt: skip
-"""Tables 3 and 4 of Sensors 2021, 21, 7479."""
 
 
 def campaign_section(folder: Path) -> Section:
@@ -84,7 +66,7 @@ def campaign_section(folder: Path) -> Section:
     spreads = {name: results.spread(name) for name in results.columns if ":" not in name}
     scores, ends = results.z_scores(), results.checked()
     published = PAPER.get(str(manifest.settings.get("scenario", "")), {})
-    drawn_ = _distributions(results, spreads, published)
+    drawn_ = _distributions(results, published)
     shown = [*_improvements(results, spreads, published), *_varied(results)] or drawn_[:1]
     shown += _by_factor(results, spreads)
     shown[1:1] = _errors(results, spreads)
@@ -197,12 +179,9 @@ def _improvements(results: Results, spreads: Mapping[str, list[Spread]], publish
         for text, figure in drawn(results, own, label, paper) if own else ():
             outside = [s for s in own if paper is not None and not s.quantiles[1] <= paper <= s.quantiles[5]]
             where = f"outside it in {len(outside)} of {len(own)}" if outside else "within it everywhere"
-            told = (
-                ""
-                if paper is None
-                else f" The paper's {number(paper)} (dashed) lies against the 90 % of trials: {where}."
-            )
-            blocks.append(Picture(label.split(" [")[0].capitalize(), figure, text + told))
+            told = f" The paper's {number(paper)} (dashed) lies against the 90 % of trials: {where}."
+            caption = text if paper is None else text + told
+            blocks.append(Picture(label.split(" [")[0].capitalize(), figure, caption))
     return blocks
 
 
@@ -212,12 +191,15 @@ def campaign_figure(results: Results) -> Figure:
         for column, label in LABELS.items():
             if column in results.columns:
                 return next(drawn(results, results.spread(column), label, None))[1]()
-    rows = _rows_of(results, list(results.columns), next(iter(cell_words(results))), {})
-    return distributions(rows)
+    return distributions(_rows_of(results, {}))
 
 
-def _rows_of(results: Results, columns: Sequence[str], cell: int, published: Mapping[str, float]) -> list[Distribution]:
-    wanted = [c for c in columns if c.endswith(("_um", "_percent")) and c.startswith(("distance", "coordinate"))]
+def _rows_of(results: Results, published: Mapping[str, float]) -> list[Distribution]:
+    """The criteria over the trials of the first setting and method."""
+    cell = results.manifest.cells[0].cell
+    wanted = [
+        c for c in results.columns if c.endswith(("_um", "_percent")) and c.startswith(("distance", "coordinate"))
+    ]
     wanted.sort(key=lambda c: (not c.endswith("percent"), "mean" not in c, "before" not in c, c.startswith("coord")))
     values = {c: results.values(c, cell, results.manifest.methods[0], most=MOST_DRAWN) for c in wanted}
     return [
@@ -227,19 +209,12 @@ def _rows_of(results: Results, columns: Sequence[str], cell: int, published: Map
     ]
 
 
-def _distributions(
-    results: Results, spreads: Mapping[str, list[Spread]], published: Mapping[str, float]
-) -> list[Block]:
-    """Histograms of the criteria, cell by cell, for the file's first method."""
-    names, method = cell_words(results), results.manifest.methods[0]
-    blocks: list[Block] = []
-    for cell in list(names)[: MOST_CELLS if len(names) <= MOST_CELLS else 1]:
-        rows = _rows_of(results, list(spreads), cell, published)
-        if rows:
-            told = " Dashed: the paper's figures and the share of trials below them." if published else ""
-            place = f", {names[cell]}" if len(names) > 1 else ""
-            blocks.append(Picture(f"Distributions over trials: {method}{place}", partial(distributions, rows), told))
-    return blocks
+def _distributions(results: Results, published: Mapping[str, float]) -> list[Block]:
+    """Histograms of the criteria of the file's first method; means over several settings tell more."""
+    rows = [] if len(results.levels) > 1 else _rows_of(results, published)
+    told = "Dashed: the paper's figures and the share of trials below them." if published else ""
+    title = f"Distributions over trials: {results.manifest.methods[0]}"
+    return [Picture(title, partial(distributions, rows), told)] if rows else []
 
 
 def _coverage(results: Results, scores: Sequence[Scores]) -> list[Block]:

@@ -109,7 +109,9 @@ def acceptance_section(content: AcceptanceFile, _: Beside) -> Section:
 def uncertainty_section(content: UncertaintyFile, _: Beside) -> Section:
     """What tasks are worth."""
     told = [r for r in content.results if r.conformity is not None]
-    results = content.tables()["results"]().only("task result value U mc_low mc_high agrees unit largest_source")
+    results = content.tables()["results"]().only(
+        "task result unit value U mc_low mc_high agrees judgement largest_source"
+    )
     blocks: list[Block] = [*table_block("Results", results, note=UNITED, folds=False)]
     judged = [[r.task, r.name, *(number(x, 6) for x in (c.lower, c.upper, c.guard_band)), r.unit,
                f"{100 * c.probability:.1f} %", c.judgement] for r in told if (c := r.conformity)]  # fmt: skip
