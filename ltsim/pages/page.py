@@ -6,7 +6,7 @@ import importlib.metadata
 import json
 import platform
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -20,7 +20,6 @@ from ltsim.pages.sections import WRITERS, content_of, section_of
 from ltsim.pages.sections.network import TRUTH, recording_section
 from ltsim.pages.words import natural, typeset
 from ltsim.recording import read
-from ltsim.recording.files import write_text
 from ltsim.recording.native import OBSERVATIONS, SETUP
 from ltsim.recording.result_file import digest_of
 from ltsim.recording.settings import read_setup
@@ -86,29 +85,6 @@ def section(part: Part, detail: Detail = "none") -> Section:
     recording = read(part.recording) if part.recording else None
     made = section_of(content, Beside(part.folder, recording, detail, part.brief))
     return replace(made, measured=(content.recording and content.recording.measured) or "")
-
-
-def report(
-    folder: Path,
-    *,
-    recording: Path | None = None,
-    title: str | None = None,
-    about: About | None = None,
-    tell: Callable[[str], None] = lambda words: None,
-) -> Path:
-    """Write `report.html` into a folder that a command left, and give its path; arguments as of `ltsim.report`.
-
-    Raises
-    ------
-    RecordError
-        When there is nothing to report, or a file of the folder itself is malformed; nothing is written then.
-    """
-    target, content = folder / NAME, document(folder, recording=recording, title=title, about=about)
-    for unread in content.sections:
-        if unread.kind == UNREADABLE:
-            tell(unread.answer)
-    write_text(target, render(content))
-    return target
 
 
 def document(

@@ -18,12 +18,12 @@ from ltsim.planning.schema import NextFile
 from ltsim.tasks.comparison import DISPLACEMENTS, Comparison
 from ltsim.tasks.files import UncertaintyFile
 
-LEVEL, LIKELY = 0.01, 0.5
+LEVEL, LIKELY, NOTHING = 0.01, 0.5, 1e-6
 UNITED = (
     "U: expanded uncertainty; mc: ends of the interval by Monte Carlo, to be taken where it does not agree with U "
     "(JCGM 101, clause 8)."
 )
-MOST_BARS, MOST_TESTS, MOST_PROPOSALS = 40, 200, 10
+MOST_BARS, MOST_TESTS = 40, 200
 
 
 def check_section(content: CheckFile, beside: Beside) -> Section:
@@ -88,7 +88,9 @@ def acceptance_section(content: AcceptanceFile, _: Beside) -> Section:
     ]  # fmt: skip
     worst = content.worst_passing
     if worst is not None:
-        constants = ", ".join(f"{name} {number(value, 2)}" for name, value in worst.constants.items())
+        constants = ", ".join(
+            f"{name} {number(value, 2)}" for name, value in worst.constants.items() if abs(value) > NOTHING
+        )
         blind = [s.name for s in content.sensitivities if s.smallest_failing is None]
         text = f"No test sees {', '.join(blind)}. " if blind else ""
         text += (
@@ -154,8 +156,7 @@ def next_section(content: NextFile, _: Beside) -> Section:
              f"{p.serves} ({100 * (1 - p.serves_factor):.0f} %)"] for p in content.proposals]  # fmt: skip
     header = ["do", "time [min]", "sharper by", "most for"]
     note = "'Sharper' is the mean fall of the standard deviations of the instrument's parameters."
-    first, rest = rows[:MOST_PROPOSALS], rows[MOST_PROPOSALS:]
-    blocks: list[Block] = [Table("Further measurements, the best first", header, first, note=note)]
+    blocks: list[Block] = [Table("Further measurements, the best first", header, rows, note=note)]
     if content.between:
         rivals = content.between[1:]
         now = ["as it is now", *(number(content.evidence_now.get(name, 0.0)) for name in rivals), ""]
@@ -165,7 +166,6 @@ def next_section(content: NextFile, _: Beside) -> Section:
         heads = ["measurement", *(f"chi2 against {name}" for name in rivals), "decides"]
         blocks.append(Table("What would decide", heads, [now, *seen], note=told))
     blocks += [Note("What the diagnosis of the recording said", content.diagnosis)] if content.diagnosis else []
-    blocks += [Table("All further proposals", header, rest)] if rest else []
     facts = [Fact("time for it", duration(60 * best.minutes)), Fact("instrument sharper by", f"{saved[0]:.0f} %")]
     actions = [sentence(proposal.do) for proposal in content.proposals[:2]]
     return Section("What to measure next", "Next measurement", answer, decided, facts, blocks, actions=actions)
