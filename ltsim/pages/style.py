@@ -146,13 +146,6 @@ def at_right(ax: Axes, places: Floats, texts: Sequence[str]) -> None:
     right.spines["right"].set_visible(False)
 
 
-def bare(ax: Axes) -> None:
-    """Take frame, grid and ticks off a table of colours."""
-    ax.tick_params(length=0)
-    ax.grid(visible=False)
-    ax.spines[:].set_visible(False)
-
-
 def legend_of(figure: Figure, panels: Iterable[Axes], *, ncols: int = 3) -> None:
     """One legend above all panels, each label once."""
     known = {label: handle for ax in panels for handle, label in zip(*ax.get_legend_handles_labels(), strict=True)}

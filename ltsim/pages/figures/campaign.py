@@ -190,26 +190,6 @@ class Distribution:
     unit: str = ""
     published: float | None = None
 
-    @property
-    def mean_interval(self) -> tuple[float, float]:
-        """95 % confidence interval of the mean."""
-        half = 1.96 * float(np.std(self.values, ddof=1)) / np.sqrt(len(self.values)) if len(self.values) > 1 else np.nan
-        mean = float(np.mean(self.values))
-        return mean - half, mean + half
-
-    @property
-    def middle(self) -> tuple[float, float]:
-        """Bounds of the middle 90 % of the trials."""
-        five, ninety_five = np.percentile(self.values, [5, 95])
-        return float(five), float(ninety_five)
-
-    @property
-    def published_percentile(self) -> float | None:
-        """Share of the trials below the published figure [%]."""
-        if self.published is None:
-            return None
-        return 100.0 * float(np.mean(self.values < self.published))
-
 
 @style.styled
 def distributions(rows: Sequence[Distribution], *, source: str = "the paper") -> Figure:
@@ -240,17 +220,18 @@ def _panel(ax: Axes, row: Distribution, source: str) -> None:
     style.quiet_axis(ax, grid="none")
     top = 1.05 * float(height.max())
     ax.set_ylim(0, 1.28 * top)
-    ax.hlines(1.07 * top, *row.middle, color=style.INK, linewidth=1.0, label="90 % of trials")
-    ax.hlines(1.07 * top, *row.mean_interval, color=style.AFTER, linewidth=5.0, label="mean, 95 % interval")
-    ax.plot([float(values.mean())], [1.07 * top], "o", ms=4.5, color=style.AFTER)
+    mean, half = float(values.mean()), NORMAL_95 * float(values.std(ddof=1)) / np.sqrt(len(values))
+    ax.hlines(1.07 * top, *np.percentile(values, [5, 95]), color=style.INK, linewidth=1.0, label="90 % of trials")
+    ax.hlines(1.07 * top, mean - half, mean + half, color=style.AFTER, linewidth=5.0, label="mean, 95 % interval")
+    ax.plot([mean], [1.07 * top], "o", ms=4.5, color=style.AFTER)
     ax.set_title(style.shorten(row.name, 40), fontsize=8)
     ax.xaxis.set_major_locator(MaxNLocator(5))
     ax.set_xlabel(f"[{style.unit_text(row.unit)}]" if row.unit else "")
     if row.published is not None:
         ax.axvline(row.published, color=style.INK, linewidth=1.2, linestyle=(0, (4, 2)), label=source)
-        left = row.published > 0.5 * (low + high)
+        left, below = row.published > 0.5 * (low + high), 100 * float(np.mean(values < row.published))
         ax.annotate(
-            typeset(f"{number(row.published)}, percentile {row.published_percentile:.0f}"), (row.published, 1.27 * top),
+            typeset(f"{number(row.published)}, percentile {below:.0f}"), (row.published, 1.27 * top),
             xytext=(-3 if left else 3, -1), textcoords="offset points", fontsize=7.5, ha="right" if left else "left",
             va="top", in_layout=False,
         )  # fmt: skip

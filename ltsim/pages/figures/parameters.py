@@ -108,7 +108,9 @@ def correlation_figure(rows: Sequence[ParameterEntry], covariance: Floats) -> Fi
     short = [style.shorten(names[i], 26) for i in shown]
     ax.set_xticks(np.arange(count) + 0.5, short, rotation=60, ha="right", rotation_mode="anchor", fontsize=6.5)
     ax.set_yticks(np.arange(count) + 0.5, short, fontsize=6.5)
-    style.bare(ax)
+    ax.tick_params(length=0)
+    ax.grid(visible=False)
+    ax.spines[:].set_visible(False)
     for i, j in zip(*np.nonzero(np.abs(np.nan_to_num(table)) > 0.3), strict=True):
         colour = style.ON_DEEP if abs(matrix[i, j]) > 0.6 else style.ON_PALE
         ax.text(j + 0.5, i + 0.5, f"{100 * matrix[i, j]:.0f}", ha="center", va="center", fontsize=5.5, color=colour)
