@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 import ltsim as lt
-from ltsim.cli.options import CalibrationFile, FramedReading, OptionalCalibrationFile, Out, Reading, Source
-from ltsim.cli.places import Force, claim, claim_recording
-from ltsim.cli.terminal import Terminal
+from ltsim.cli.options import CalibrationFile, FramedReading, OptionalCalibrationFile, Reading, Source
+from ltsim.cli.places import Force, claim_recording
+from ltsim.cli.terminal import Results, Terminal
 from ltsim.units import ARCSECOND, MICROMETRE
 
 if TYPE_CHECKING:
@@ -29,10 +29,8 @@ Nominal = Annotated[
 def adjust(
     source: Source,
     *,
-    out: Out = None,
     reading: FramedReading,
-    force: Force = False,
-    terminal: Terminal,
+    terminal: Results,
     **options: Any,
 ) -> None:
     """Adjust the network of a recording without instrument parameters: targets, stations, outliers.
@@ -41,16 +39,14 @@ def adjust(
 
     Example: ltsim adjust my-recording --robust --noise-from-data --out adjusted
     """
-    _fitted(lt.adjust, source, out, reading, force, terminal, options)
+    _fitted(lt.adjust, source, reading, terminal, options)
 
 
 def calibrate(
     source: Source,
     *,
-    out: Out = None,
     reading: FramedReading,
-    force: Force = False,
-    terminal: Terminal,
+    terminal: Results,
     **options: Any,
 ) -> None:
     """Find the instrument's parameters from a recording, with uncertainty, and say what it cannot tell.
@@ -59,7 +55,7 @@ def calibrate(
 
     Example: ltsim calibrate my-recording --out my-calibration
     """
-    _fitted(lt.calibrate, source, out, reading, force, terminal, options)
+    _fitted(lt.calibrate, source, reading, terminal, options)
 
 
 def correct(
@@ -107,11 +103,9 @@ def correct(
 def evaluate(
     source: Source,
     calibration: OptionalCalibrationFile = None,
-    out: Out = None,
     *,
     reading: Reading,
-    force: Force = False,
-    terminal: Terminal,
+    terminal: Results,
 ) -> None:
     """How far the stations disagree about distances and coordinates, before and after a calibration.
 
@@ -122,25 +116,23 @@ def evaluate(
     from ltsim.calibration.result import gross_rows
     from ltsim.evaluation.criteria import CriteriaFile
 
-    claim(out, CriteriaFile, force=force)
+    terminal.claim(CriteriaFile)
     recording = reading.open(source, terminal)
     gross = gross_rows(recording)
     if gross.any():
         rows = ", ".join(str(i + 1) for i in gross.nonzero()[0][:12])
         terminal.notes([f"{gross.sum()} pointings miss their target by far and are left out (rows {rows})"])
     found = None if calibration is None else calibration_of(terminal, calibration)
-    _judged(terminal, lt.evaluate(recording, found), recording, out)
+    _judged(terminal, lt.evaluate(recording, found), recording)
 
 
 def verify(
     source: Source,
     nominal: Nominal,
     calibration: CalibrationFile,
-    out: Out = None,
     *,
     reading: Reading,
-    force: Force = False,
-    terminal: Terminal,
+    terminal: Results,
 ) -> None:
     """Apply a calibration to another recording and compare with nominal points, before and after (eq. 13, 14).
 
@@ -150,42 +142,40 @@ def verify(
     """
     from ltsim.evaluation.criteria import CriteriaFile
 
-    claim(out, CriteriaFile, force=force)
+    terminal.claim(CriteriaFile)
     recording = reading.open(source, terminal)
     found = calibration_of(terminal, calibration)
-    _judged(terminal, lt.verify(recording, nominal, found), recording, out)
+    _judged(terminal, lt.verify(recording, nominal, found), recording)
 
 
 def _fitted(
-    verb: Callable[..., Calibration], source: Path, out: Path | None, reading: FramedReading, force: bool,
-    terminal: Terminal, options: dict[str, Any],
-) -> None:  # fmt: skip
+    verb: Callable[..., Calibration], source: Path, reading: FramedReading, terminal: Results, options: dict[str, Any]
+) -> None:
     """Fit, write, show; a calibration replaces a calibration alone, an adjustment an adjustment."""
     from ltsim.calibration.files import calibration_file, write_calibration
     from ltsim.calibration.schema import RESIDUALS, TARGETS, CalibrationFile
 
     alone = verb is lt.adjust
     names = (TARGETS.file, RESIDUALS.file)
-    claim(out, CalibrationFile, names, force=force, own=lambda found: (found.method == "adjustment") == alone)
+    terminal.claim(CalibrationFile, *names, own=lambda found: (found.method == "adjustment") == alone)
     recording = reading.open(source, terminal)
     with terminal.busy("adjusting" if alone else "calibrating"):
         found = verb(recording, **options)
-    content = calibration_file(found) if out is None else write_calibration(found, out)
-    terminal.result(content, out, found.notes)
+    content = write_calibration(found, terminal.out) if terminal.out else calibration_file(found)
+    terminal.result(content, notes=found.notes)
 
 
-def _judged(terminal: Terminal, criteria: Criteria, recording: Recording, out: Path | None) -> None:
+def _judged(terminal: Results, criteria: Criteria, recording: Recording) -> None:
     """Write and print criteria."""
     from ltsim.evaluation.criteria import CriteriaFile
-    from ltsim.recording.result_file import SourceEntry, write_result
+    from ltsim.recording.result_file import SourceEntry
 
     content = CriteriaFile.model_validate({"recording": SourceEntry.of(recording), **criteria.as_json()})
-    if out is not None:
-        write_result(out, content, {})
+    terminal.kept(content)
     terminal.answer(content.content())
     terminal.say(criteria.table().text())
-    if out is not None:
-        terminal.say(f"\nwritten to {out}")
+    if terminal.out is not None:
+        terminal.say(f"\nwritten to {terminal.out}")
 
 
 def calibration_of(terminal: Terminal, path: Path) -> Calibration:

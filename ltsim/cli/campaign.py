@@ -14,10 +14,9 @@ import typer
 
 import ltsim as lt
 from ltsim.campaigns import require_packages
-from ltsim.cli.options import Out
-from ltsim.cli.places import Force, claim, claim_file
+from ltsim.cli.places import Force, claim_file
 from ltsim.cli.simulate import ScenarioName
-from ltsim.cli.terminal import Terminal
+from ltsim.cli.terminal import Results as ResultsOut, Terminal
 from ltsim.errors import SetupError, StoppedError
 from ltsim.recording.files import write_text
 from ltsim.workers import MOST
@@ -147,10 +146,8 @@ def recover(
     scenario: ScenarioName,
     jobs: RecoverJobs = None,
     junit: JunitFile = None,
-    out: Out = None,
-    force: Force = False,
     *,
-    terminal: Terminal,
+    terminal: ResultsOut,
     **options: Any,
 ) -> None:
     """Make an instrument with errors, measure, calibrate, compare with the truth; many times.
@@ -164,18 +161,15 @@ def recover(
     from ltsim.campaigns.recovery_checks import FALSE_ALARM
     from ltsim.campaigns.schema import TRIALS, RecoveryFile
 
-    claim(out, RecoveryFile, (TRIALS.file,), force=force)
-    claim_file(junit, force=force)
+    terminal.claim(RecoveryFile, TRIALS.file)
+    claim_file(junit, force=terminal.force)
     if junit is not None:
         _make_folder(junit.parent)
     workers = jobs or (1 if options["trials"] < FEW else os.cpu_count() or 1)
     with terminal.progress("trials", options["trials"]) as step:
         result = lt.recover(scenario, progress=step, jobs=workers, **options)
-    content = recovery_file(result, options["seed"])
-    if out is not None:
-        from ltsim.recording.result_file import write_result
-
-        content = write_result(out, content, {TRIALS.file: result.table("trials").csv()})
+    beside = {TRIALS.file: result.table("trials").csv()}
+    content = terminal.kept(recovery_file(result, options["seed"]), lambda: beside)
     if junit is not None:
         junit.write_text(junit_xml(result, str(scenario)), encoding="utf-8")
     terminal.answer(content.content())

@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 import ltsim as lt
-from ltsim.cli.options import Out, Reading, Source
-from ltsim.cli.places import Force, claim
-from ltsim.cli.terminal import Terminal
+from ltsim.cli.options import Reading, Source
+from ltsim.cli.terminal import Results, Terminal
 from ltsim.errors import NetworkError, RecordError
 from ltsim.recording.files import is_number
 
@@ -40,11 +39,9 @@ def check(
     source: Source,
     mpe: MpeOption = None,
     watch: Watch = False,
-    out: Out = None,
     *,
     reading: Reading,
-    force: Force = False,
-    terminal: Terminal,
+    terminal: Results,
     **options: Any,
 ) -> int:
     """Go or no-go: two-face differences, gross pointings, bumps, drift, level and scatter; status 1 for no-go.
@@ -57,7 +54,7 @@ def check(
     from ltsim.fieldcheck import check_file, write_check
     from ltsim.fieldcheck.files import TWO_FACE, CheckFile
 
-    claim(out, CheckFile, (TWO_FACE.file, "check.svg"), force=force)
+    terminal.claim(CheckFile, TWO_FACE.file, "check.svg")
     limit = mpe_of(mpe)
 
     def look() -> Check:
@@ -70,11 +67,11 @@ def check(
     with terminal.busy("checking"):
         found = lt.check(recording, mpe=limit, **options)
     content = check_file(found)
-    if out is not None:
+    if terminal.out is not None:
         from ltsim.pages.style import svg  # most checks draw nothing
 
-        content = write_check(found, out, {"check.svg": svg(found.plot())})
-    terminal.result(content, out)
+        content = write_check(found, terminal.out, {"check.svg": svg(found.plot())})
+    terminal.result(content)
     return 0 if found.passed else 1
 
 
@@ -141,25 +138,24 @@ def _key(item: Item) -> tuple[str, str, tuple[str, ...]]:
     return item.station, item.kind, item.targets
 
 
-def accept(file: AcceptFile, out: Out = None, force: Force = False, *, terminal: Terminal) -> int:
+def accept(file: AcceptFile, *, terminal: Results) -> int:
     """Predict acceptance tests of a tracker, or judge errors that were found, against its maker's limits.
 
     Writes accept.json and accept.csv to --out. Exit status 1 when an error that was found is over its limit.
 
     Example: ltsim accept my-tracker.toml --out acceptance
     """
-    from ltsim.acceptance.files import TESTS, AcceptanceFile, write_acceptance
+    from ltsim.acceptance.files import TESTS, AcceptanceFile
 
-    claim(out, AcceptanceFile, (TESTS.file,), force=force)
+    terminal.claim(AcceptanceFile, TESTS.file)
     with terminal.busy("looking at the tests"):
         content = lt.accept(file)
-    if out is not None:
-        content = write_acceptance(content, out)
-    terminal.result(content, out)
+    content = terminal.kept(content, lambda: {TESTS.file: content.table("tests").csv()})
+    terminal.result(content)
     return int(content.kind != "predicted" and content.passes < 1)
 
 
-def bench(file: BenchTable, *, out: Out = None, force: Force = False, terminal: Terminal, **options: Any) -> None:
+def bench(file: BenchTable, *, terminal: Results, **options: Any) -> None:
     """Find a reflector's range error against incidence from its bench test, with uncertainty.
 
     The table turns the reflector; the probe's first harmonic is the eccentricity, which is taken off the lengths.
@@ -168,13 +164,10 @@ def bench(file: BenchTable, *, out: Out = None, force: Force = False, terminal: 
     Example: ltsim bench my-reflector.csv --out my-reflector
     """
     from ltsim.evaluation.bench import BenchFile
-    from ltsim.recording.result_file import write_result
 
-    claim(out, BenchFile, force=force)
-    content = lt.bench(file, **options)
-    if out is not None:
-        content = write_result(out, content, {})
+    terminal.claim(BenchFile)
+    content = terminal.kept(lt.bench(file, **options))
     terminal.answer(content.content())
     terminal.say(repr(content))
     terminal.say("\n" + content.table().text())
-    terminal.written(out)
+    terminal.written(terminal.out)

@@ -9,9 +9,8 @@ import typer
 
 import ltsim as lt
 from ltsim.cli.adjustment import calibration_of
-from ltsim.cli.options import FramedReading, Out, Reading, Source
-from ltsim.cli.places import Force, claim
-from ltsim.cli.terminal import Terminal
+from ltsim.cli.options import FramedReading, Reading, Source
+from ltsim.cli.terminal import Results, Terminal
 
 if TYPE_CHECKING:
     from ltsim.calibration import Calibration
@@ -32,13 +31,11 @@ HeldOut = Annotated[
 
 def diagnose(
     source: Source,
-    out: Out = None,
     held_out: HeldOut = None,
     fail_on_mismatch: FailOnMismatch = False,
     *,
     reading: FramedReading,
-    force: Force = False,
-    terminal: Terminal,
+    terminal: Results,
     **options: Any,
 ) -> int:
     """Say whether recording and model agree; where not: where, why, how sure, and what to measure next.
@@ -50,12 +47,12 @@ def diagnose(
     from ltsim.diagnosis.files import COMPANIONS, write_diagnosis
     from ltsim.diagnosis.schema import DiagnosisFile
 
-    claim(out, DiagnosisFile, COMPANIONS, force=force)
+    terminal.claim(DiagnosisFile, *COMPANIONS)
     recording = reading.open(source, terminal)
     with terminal.busy("diagnosing"):
         found = lt.diagnose(recording, held_out=held_out, **options)
-    content = found.file(recording) if out is None else write_diagnosis(found, out, recording)
-    terminal.result(content, out)
+    content = write_diagnosis(found, terminal.out, recording) if terminal.out else found.file(recording)
+    terminal.result(content)
     return 1 if fail_on_mismatch and found.verdict == "mismatch" else 0
 
 
@@ -79,13 +76,11 @@ FailOnChange = Annotated[
 
 def history(
     sources: Sources,
-    out: Out = None,
     each_set_up: EachSetUp = False,
     fail_on_change: FailOnChange = False,
     *,
     reading: Reading,
-    force: Force = False,
-    terminal: Terminal,
+    terminal: Results,
     **options: Annotated[Any, "history", "adjust robust noise_from_data"],
 ) -> int:
     """Follow an instrument's parameters over calibrations: course, uncertainty, and whether it has changed since.
@@ -98,19 +93,23 @@ def history(
     from ltsim.calibration.history_schema import HistoryFile
     from ltsim.pages.sections import section_of
 
-    claim(out, HistoryFile, ("history.svg",), force=force)
+    terminal.claim(HistoryFile, "history.svg")
     opened: dict[str, Calibration | Recording] = {}
     for source in sources:
         opened |= _opened(terminal, source, reading, each_set_up=each_set_up)
     with terminal.busy("calibrating"):
         found = lt.history(opened, **options)
     content = history_file(found)
-    if out is not None:
-        from ltsim.pages.style import svg
-        from ltsim.recording.result_file import write_result
 
-        content = write_result(out, content, {"history.svg": svg(found.plot())})
-    terminal.result(content, out)
+    def drawn() -> dict[str, str]:
+        from ltsim.pages.figures.parameters import history_figure
+        from ltsim.pages.style import svg
+
+        known = [course for course in content.parameters if course.constant.dof]
+        return {"history.svg": svg(history_figure(found.labels, known))}
+
+    written = terminal.kept(content, drawn)
+    terminal.result(written)
     return 1 if fail_on_change and section_of(content).mood == "bad" else 0
 
 

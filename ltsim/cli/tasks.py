@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 import ltsim as lt
-from ltsim.cli.options import Out, Reading, Source
-from ltsim.cli.places import Force, claim
-from ltsim.cli.terminal import Terminal, table
+from ltsim.cli.options import Reading, Source
+from ltsim.cli.terminal import Results, Terminal, table
 from ltsim.errors import SetupError
 from ltsim.simulation.builtin import builtin_names
 
@@ -33,11 +32,9 @@ Against = Annotated[
 def compare(
     source: Source,
     second: Second,
-    out: Out = None,
     *,
     reading: Reading,
-    force: Force = False,
-    terminal: Terminal,
+    terminal: Results,
     **options: Any,
 ) -> int:
     """Say which points moved between two recordings, by how much, and which motion could not have been seen.
@@ -50,17 +47,15 @@ def compare(
     Example: ltsim compare january march --stable P1,P2,P3 --out my-comparison
     """
     from ltsim.recording.coordinates import holds_coordinates
-    from ltsim.recording.result_file import write_result
     from ltsim.tasks.comparison import DISPLACEMENTS, Comparison
 
-    claim(out, Comparison, (DISPLACEMENTS.file,), force=force)
+    terminal.claim(Comparison, DISPLACEMENTS.file)
     lists = holds_coordinates(source) or holds_coordinates(second)
     one, other = (_listed(p, terminal) if lists else reading.open(p, terminal) for p in (source, second))
     with terminal.busy("comparing"):
         found = lt.compare(one, other, **options)
-    if out is not None:
-        found = write_result(out, found, {DISPLACEMENTS.file: found.table().csv()})
-    terminal.result(found, out)
+    found = terminal.kept(found, lambda: {DISPLACEMENTS.file: found.table().csv()})
+    terminal.result(found)
     return int(bool(found.moved))
 
 
@@ -80,10 +75,8 @@ def uncertainty(
     file: TaskFile,
     source: TaskSource = None,
     against: Against = None,
-    out: Out = None,
-    force: Force = False,
     *,
-    terminal: Terminal,
+    terminal: Results,
     **options: Any,
 ) -> int:
     """Say how well the tasks of a file are known: GUM and Monte Carlo, budget, verdict.
@@ -98,7 +91,7 @@ def uncertainty(
     from ltsim.tasks.files import BUDGET, RESULTS, UncertaintyFile, compared
     from ltsim.tasks.spec import load_tasks
 
-    claim(out, UncertaintyFile, (RESULTS.file, BUDGET.file), force=force)
+    terminal.claim(UncertaintyFile, RESULTS.file, BUDGET.file)
     tasks = load_tasks(file)
     if source is not None:
         tasks = tasks.model_copy(update={"source": source})
@@ -108,8 +101,8 @@ def uncertainty(
         evaluation = lt.uncertainty(recording, tasks, **options)
     content = evaluation.content
     other = None if against is None else compared(content, read_result(against, UncertaintyFile))
-    if out is not None:
-        content = write_uncertainty(evaluation, out)
+    if terminal.out is not None:
+        content = write_uncertainty(evaluation, terminal.out)
     answer = content.content()
     if other is not None:
         answer["against"] = [{"result": name, "E_n": value} for name, value in other]
@@ -117,7 +110,7 @@ def uncertainty(
     terminal.say("\n" + section_of(content).text())
     if other is not None:
         _show_against(terminal, other)
-    terminal.written(out)
+    terminal.written(terminal.out)
     return int(any(r.conformity is not None and r.conformity.judgement == "rejected" for r in content.results))
 
 

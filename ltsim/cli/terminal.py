@@ -6,22 +6,24 @@ import json
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from ltsim.cli.places import Force, claim
 from ltsim.errors import printable
 from ltsim.notation import aligned
 
 if TYPE_CHECKING:
     from ltsim.recording.result_file import ResultFile
 
+File = TypeVar("File", bound="ResultFile")
 SILENCE = 10.0
 """[s] after which a pipe is told that the work goes on."""
 table = aligned
@@ -121,3 +123,25 @@ class Terminal:
         finally:
             done.set()
             thread.join()
+
+
+@dataclass(frozen=True)
+class Results(Terminal):
+    """A terminal, and the folder that a verb writes to what it finds."""
+
+    out: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Folder to write the results to.")] = None
+    force: Force = False
+
+    def claim(self, model: type[ResultFile], *names: str, own: Callable[[Any], bool] = lambda found: True) -> None:
+        """Make sure that a result and the files beside it replace nothing else; raises RecordError."""
+        claim(self.out, model, names, force=self.force, own=own)
+
+    def kept(self, content: File, beside: Callable[[], Mapping[str, str | bytes]] = dict) -> File:
+        """A result, written with the files beside it where there is a folder for them."""
+        from ltsim.recording.result_file import write_result
+
+        return content if self.out is None else write_result(self.out, content, beside())
+
+    def result(self, content: ResultFile, out: Path | None = None, notes: Iterable[str] = ()) -> None:
+        """The same, and where it was written."""
+        super().result(content, out or self.out, notes)
