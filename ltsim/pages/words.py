@@ -57,7 +57,7 @@ def sentence(words: str) -> str:
 
 def typeset(text: str) -> str:
     """A text with the signs of print: plus-minus, minus before a number, micro, chi, a dash for what does not exist."""
-    signs = re.sub(r"\bu(m|rad)\b", "µ\\1", text.replace("+-", "±").replace("chi2", "χ²"))
+    signs = re.sub(r"\bu(m|rad)\b", "µ\\1", text.replace("+-", "±").replace("chi2", "χ²").replace("[deg]", "[°]"))
     return "–" if signs == "-" else re.sub(r"(?<![\w.,)\]-])-(?=\.?\d)", "−", signs)
 
 

@@ -116,11 +116,7 @@ def scene(workshop: Workshop) -> Scene | Note:
 def undetermined(title: str, entries: Sequence[Combination], *, decimals: int, note: str = "") -> list[Table]:
     """Combinations of parameters that stay open, and the cure of each."""
     rows = [
-        [
-            entry.terms,
-            entry.cure or NONE,
-            NONE if entry.gain is None else f"{100 * entry.gain:.{decimals}f} %",
-        ]
+        [entry.terms, entry.cure or NONE, NONE if entry.gain is None else f"{100 * entry.gain:.{decimals}f} %"]
         for entry in entries
     ]
     header = ["combination, in units of the prior sigma", "what would determine it", "told"]

@@ -124,15 +124,7 @@ def _stations(content: PlanResult) -> Table:
          " ".join(number(v, 2) for v in s.sigma_position_um), str(s.reflectors_seen)]
         for s in content.stations
     ]  # fmt: skip
-    header = [
-        "station",
-        "x [mm]",
-        "y [mm]",
-        "z [mm]",
-        "azimuth zero looks to [deg]",
-        "sigma x y z [um]",
-        "reflectors seen",
-    ]
+    header = ["station", "x [mm]", "y [mm]", "z [mm]", "azimuth zero [deg]", "sigma x y z [um]", "reflectors"]
     frame = content.frame[:1].upper() + content.frame[1:]
     return Table("Where to put the tripod", header, rows, note=f"{frame}." if frame else "")
 
