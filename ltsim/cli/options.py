@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 Source = Annotated[
     Path, typer.Argument(metavar="REC", help="A recording: a folder, or a file in a format that is recognised.")
 ]
-Out = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Folder to write the results to.")]
 _IN_FILE = typer.Option("--calibration", metavar="FILE", help="A calibration.json, or the folder that holds it.")
 CalibrationFile = Annotated[Path, _IN_FILE]
 OptionalCalibrationFile = Annotated[Path | None, _IN_FILE]

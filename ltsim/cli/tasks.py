@@ -87,7 +87,6 @@ def uncertainty(
     """
     from ltsim.pages.sections import section_of
     from ltsim.recording.result_file import read_result
-    from ltsim.tasks.evaluation import write_uncertainty
     from ltsim.tasks.files import BUDGET, RESULTS, UncertaintyFile, compared
     from ltsim.tasks.spec import load_tasks
 
@@ -101,8 +100,8 @@ def uncertainty(
         evaluation = lt.uncertainty(recording, tasks, **options)
     content = evaluation.content
     other = None if against is None else compared(content, read_result(against, UncertaintyFile))
-    if terminal.out is not None:
-        content = write_uncertainty(evaluation, terminal.out)
+    tables = [evaluation.table(name) for name in ("results", "budget")]
+    content = terminal.kept(content, lambda: {table.file: table.csv() for table in tables})
     answer = content.content()
     if other is not None:
         answer["against"] = [{"result": name, "E_n": value} for name, value in other]
