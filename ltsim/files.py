@@ -9,7 +9,7 @@ from ltsim.errors import ModelError, RecordError
 from ltsim.recording import Hints, Recording, read as read_recording, write as write_recording
 from ltsim.recording.exchange import RecordingSource, is_recording
 from ltsim.recording.native import OBSERVATIONS
-from ltsim.recording.result_file import ResultFile, read_json, read_result
+from ltsim.recording.result_file import read_json, read_result
 from ltsim.saved import is_saved, load
 
 if TYPE_CHECKING:
@@ -78,7 +78,6 @@ def _read_result(file: Path) -> Any:
     """What a command wrote: a calibration or a truth whole, of others what their file says."""
     from ltsim.calibration import read_calibration
     from ltsim.calibration.schema import CalibrationFile
-    from ltsim.evaluation.bench import BenchFile
     from ltsim.pages.schemas import RESULTS
     from ltsim.simulation.truth import read_truth
 
@@ -87,8 +86,7 @@ def _read_result(file: Path) -> Any:
         return read_calibration(file)
     if kind.startswith("ltsim-truth/"):
         return read_truth(file)
-    known: tuple[type[ResultFile], ...] = (*RESULTS, BenchFile)
-    model = next((m for m in known if m.model_fields["format"].default == kind), None)
+    model = next((m for m in RESULTS if m.model_fields["format"].default == kind), None)
     if model is None:
         raise RecordError("is no recording and no result of ltsim", file=file)
     return read_result(file, model)

@@ -26,7 +26,7 @@ def number(value: float | None, digits: int = 3) -> str:
     size = abs(value)
     if not 1e-4 <= size < 1e6:
         return f"{value:.{max(digits - 1, 0)}e}"
-    return _fixed(value, max(digits - 1 - math.floor(math.log10(size)), 0))
+    return fixed(value, max(digits - 1 - math.floor(math.log10(size)), 0))
 
 
 def with_sigma(value: float | None, sigma: float | None, unit: str = "") -> str:
@@ -36,7 +36,7 @@ def with_sigma(value: float | None, sigma: float | None, unit: str = "") -> str:
     if sigma is None or not (math.isfinite(sigma) and sigma > 0):
         return f"{number(value)} {unit}".rstrip()
     places = decimals(sigma)
-    return f"{_fixed(value, places)} +- {_fixed(sigma, places)} {unit}".rstrip()
+    return f"{fixed(value, places)} +- {fixed(sigma, places)} {unit}".rstrip()
 
 
 def expanded(value: float | None, u: float | None, unit: str = "", factor: float = 2.0) -> str:
@@ -46,7 +46,7 @@ def expanded(value: float | None, u: float | None, unit: str = "", factor: float
     if value is None or not math.isfinite(value):
         return NONE
     places = decimals(u)
-    measured, half = (f"{_fixed(v, places)} {unit}".rstrip() for v in (value, u))
+    measured, half = (f"{fixed(v, places)} {unit}".rstrip() for v in (value, u))
     return f"{measured}, U = {half} (k = {factor:.3g})"
 
 
@@ -84,6 +84,9 @@ def listing(words: Sequence[str], most: int = 6) -> str:
     return ", ".join(words[:most]) + f" and {len(words) - most} more"
 
 
-def _fixed(value: float, places: int) -> str:
+def fixed(value: float | None, places: int) -> str:
+    """A number with so many decimals, a dash for none; thousands are not divided, so that it can be copied."""
+    if value is None or not math.isfinite(value):
+        return NONE
     text = f"{value:.{places}f}"
     return text.removeprefix("-") if not text.strip("-0.") else text

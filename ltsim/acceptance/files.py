@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
 from typing import ClassVar, Literal
 
-from ltsim.recording.result_file import Entry, Finite, Known, ResultFile, write_result
+from ltsim.recording.result_file import Entry, Finite, Known, ResultFile
 from ltsim.recording.specification import Specification
 from ltsim.results import Result, Table, columns_of
 
@@ -143,14 +142,3 @@ def group_entries(
 def passes_words(content: AcceptanceFile, chance: float) -> str:
     """A chance to pass, or whether errors that were found keep their limits."""
     return f"{100 * chance:.1f} %" if content.kind == "predicted" else "yes" if chance == 1 else "no"
-
-
-def write_acceptance(content: AcceptanceFile, folder: Path) -> AcceptanceFile:
-    """Write accept.json and accept.csv (a row a test) into a folder; give what was written.
-
-    Raises
-    ------
-    RecordError
-        When the folder cannot be written; nothing half-written stays behind.
-    """
-    return write_result(folder, content, {TESTS.file: content.table("tests").csv()})

@@ -232,7 +232,7 @@ def verify(recording: RecordingSource, nominal: str | Path, calibration: Calibra
 
 
 def history(
-    sources: Iterable[RecordingSource | Calibration],
+    sources: Iterable[RecordingSource | Calibration] | Mapping[str, RecordingSource | Calibration],
     *,
     instrument: str | None = None,
     dates: str | Sequence[str] | None = None,
@@ -242,8 +242,8 @@ def history(
 
     Parameters
     ----------
-    sources : iterable of Calibration, Recording, str or Path
-        A recording is calibrated first, with `options` of `calibrate`.
+    sources : iterable of Calibration, Recording, str or Path, or mapping of str to these
+        A recording is calibrated first, with `options` of `calibrate`. A mapping says what to call each.
     instrument : str, optional
         Which, where a calibration holds several.
     dates : sequence of str, optional
@@ -262,16 +262,19 @@ def history(
     >>> course.change(0, 1).joint.dof > 0
     True
     """
-    named = [_labelled(number, source, options) for number, source in enumerate(sources, start=1)]
+    if isinstance(sources, Mapping):
+        named = [(label, _labelled(label, source, options)[1]) for label, source in sources.items()]
+    else:
+        named = [_labelled(str(number), source, options) for number, source in enumerate(sources, start=1)]
     return History.of(named, instrument, None if dates is None else names(dates))
 
 
-def _labelled(number: int, source: RecordingSource | Calibration, options: dict[str, Any]) -> tuple[str, Calibration]:
-    """A calibration under the name of its file, or its number."""
+def _labelled(label: str, source: RecordingSource | Calibration, options: dict[str, Any]) -> tuple[str, Calibration]:
+    """A calibration under the name of its file; of what is no file as it is called."""
     if isinstance(source, Calibration):
-        return str(number), source
+        return label, source
     if isinstance(source, Recording):
-        label, recording = str(number), source
+        recording = source
     else:
         path = Path(source)
         label = path.stem

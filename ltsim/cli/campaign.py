@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import sys
-from dataclasses import replace
 from enum import StrEnum
 from importlib.resources import files
 from pathlib import Path
@@ -15,35 +14,21 @@ import typer
 
 import ltsim as lt
 from ltsim.campaigns import require_packages
-from ltsim.cli.options import Out
-from ltsim.cli.places import Force, claim, claim_file
+from ltsim.cli.places import Force, claim_file
 from ltsim.cli.simulate import ScenarioName
-from ltsim.cli.terminal import Terminal, table
+from ltsim.cli.terminal import Results as ResultsOut, Terminal
 from ltsim.errors import SetupError, StoppedError
 from ltsim.recording.files import write_text
 from ltsim.workers import MOST
 
 if TYPE_CHECKING:
-    from ltsim.campaigns.campaign import Outcome
     from ltsim.campaigns.recovery import Recovery
     from ltsim.campaigns.schema import RecoveryFile
     from ltsim.campaigns.statistics import Results
-    from ltsim.results import Table
 
 
 AGREED = 1e-3
 """[sigma] how far the batch may be from the full solver."""
-SHOWN = (
-    "distance_improvement_percent",
-    "coordinate_improvement_percent",
-    "share_removed",
-    "target_error_um",
-    "new_point_error_raw_um",
-    "new_point_error_calibrated_um",
-    "new_point_error_true_parameters_um",
-)
-MOST_ROWS = 48
-"""Of a table of cells; more of them are told by their factors."""
 
 
 class Backend(StrEnum):
@@ -100,6 +85,7 @@ def campaign(
     from ltsim.campaigns.spec import load_campaign
     from ltsim.campaigns.statistics import Results
     from ltsim.campaigns.store import Store
+    from ltsim.pages.sections.campaign import campaign_section
 
     folder = out or file.with_suffix("")
     settings, scenarios = load_campaign(file, options["changes"])
@@ -116,8 +102,14 @@ def campaign(
     results = Results(folder)
     summary = results.summary()
     write_text(folder / "summary.csv", results.table("summary").csv())
+    for note in outcome.notes:
+        terminal.note(note)
     terminal.answer(summary)
-    show(terminal, outcome, results, summary)
+    again = f", {outcome.kept} were finished before" if outcome.kept else ""
+    terminal.say(f"{outcome.shards} shards written to {folder}{again}\n")
+    if not terminal.silent:
+        terminal.say(campaign_section(folder).text())
+        terminal.say(f"\nall statistics: {folder / 'summary.csv'}; a page: ltsim report {folder}")
     failures = [disagreement(e, results) for e in summary["ends"] if (e["largest_difference_sigma"] or 0.0) > AGREED]
     for failure in failures:
         print(failure, file=sys.stderr)
@@ -132,54 +124,6 @@ def disagreement(end: dict[str, Any], results: Results) -> str:
         f"{end['largest_difference_sigma']:.2g} sigma on {end['checked']} verified trials, allowed {AGREED:g}; "
         'solver = "single" for the method calibrates every trial by the full one'
     )
-
-
-def show(terminal: Terminal, outcome: Outcome, results: Results, summary: dict[str, Any]) -> None:
-    """The answer in tables for a person: cell by cell, or of very many by their factors."""
-    for note in outcome.notes:
-        terminal.note(note)
-    again = f", {outcome.kept} were finished before" if outcome.kept else ""
-    terminal.say(f"{outcome.shards} shards written to {outcome.folder}{again}\n")
-    names = " ".join(f.name for f in results.factors)
-    ends, cells = (_worded(results, results.table(name)) for name in ("ends", "summary"))
-    if len(ends.rows) > MOST_ROWS:
-        trials, failed = (sum(ends.column(name)) for name in ("trials", "failed"))
-        terminal.say(f"{len(results.levels)} cells, {trials} trials, {failed} failed\n")
-        settings = [[f.words(level[f.name]) for f in results.factors] for level in results.levels]
-        shown = [c for c in summary["columns"] if c["column"] in SHOWN]
-        heads = ["factor", "level", "method", "statistic", "mean", "least cell", "largest cell"]
-        terminal.say(table(heads, by_factor(names.split(), settings, shown), left=4))
-    else:
-        terminal.say(ends.only(f"{names} method trials failed by_full_solver checked largest_difference_sigma").text())
-        at = cells.header.index("column")
-        chosen = replace(cells, rows=tuple(row for row in cells.rows if row[at] in SHOWN))
-        quantiles = "quantile_5_percent quantile_50_percent quantile_95_percent"
-        terminal.say("\n" + chosen.only(f"{names} method column mean low high {quantiles}").text())
-        terminal.say("low, high: 95 % confidence of the mean; quantiles are of the trials")
-    terminal.say(f"\nall statistics: {outcome.folder / 'summary.csv'}; a page: ltsim report {outcome.folder}")
-
-
-def _worded(results: Results, made: Table) -> Table:
-    """A table of cells with their settings in words."""
-    words = {f.name: f.words for f in results.factors}
-    columns = tuple(replace(c, kind="text") if c.name in words else c for c in made.columns)
-    rows = (
-        tuple(words[c.name](value) if c.name in words else value for c, value in zip(columns, row, strict=True))
-        for row in made.rows
-    )
-    return replace(made, columns=columns, rows=tuple(rows))
-
-
-def by_factor(names: list[str], settings: list[list[str]], shown: list[dict[str, Any]]) -> list[list[str]]:
-    """A row a level, method and statistic: means over the cells of the level."""
-    groups: dict[tuple[str, str, str, str], list[float]] = {}
-    for entry in shown:
-        for name, level in zip(names, settings[entry["cell"]], strict=True):
-            groups.setdefault((entry["column"], name, level, entry["method"]), []).append(entry["mean"])
-    return [
-        [name, level, method, column, *(f"{value:.3f}" for value in (sum(means) / len(means), min(means), max(means)))]
-        for (column, name, level, method), means in groups.items()
-    ]
 
 
 RecoverJobs = Annotated[
@@ -202,10 +146,8 @@ def recover(
     scenario: ScenarioName,
     jobs: RecoverJobs = None,
     junit: JunitFile = None,
-    out: Out = None,
-    force: Force = False,
     *,
-    terminal: Terminal,
+    terminal: ResultsOut,
     **options: Any,
 ) -> None:
     """Make an instrument with errors, measure, calibrate, compare with the truth; many times.
@@ -219,22 +161,19 @@ def recover(
     from ltsim.campaigns.recovery_checks import FALSE_ALARM
     from ltsim.campaigns.schema import TRIALS, RecoveryFile
 
-    claim(out, RecoveryFile, (TRIALS.file,), force=force)
-    claim_file(junit, force=force)
+    terminal.claim(RecoveryFile, TRIALS.file)
+    claim_file(junit, force=terminal.force)
     if junit is not None:
         _make_folder(junit.parent)
     workers = jobs or (1 if options["trials"] < FEW else os.cpu_count() or 1)
     with terminal.progress("trials", options["trials"]) as step:
         result = lt.recover(scenario, progress=step, jobs=workers, **options)
-    content = recovery_file(result, options["seed"])
-    if out is not None:
-        from ltsim.recording.result_file import write_result
-
-        content = write_result(out, content, {TRIALS.file: result.table("trials").csv()})
+    beside = {TRIALS.file: result.table("trials").csv()}
+    content = terminal.kept(recovery_file(result, options["seed"]), lambda: beside)
     if junit is not None:
         junit.write_text(junit_xml(result, str(scenario)), encoding="utf-8")
     terminal.answer(content.content())
-    terminal.say(recovery_table(result))
+    terminal.say(result.table("parameters").text() if len(result.converged) > 1 else "hardly a trial gave a result")
     failures = result.failures()
     for failure in failures:
         print(failure.sentence(), file=sys.stderr)
@@ -287,18 +226,3 @@ def junit_xml(result: Recovery, suite: str) -> str:
         if not check.passed:
             SubElement(case, "failure", message=check.sentence())
     return tostring(root, encoding="unicode", xml_declaration=True) + "\n"
-
-
-def recovery_table(result: Recovery) -> str:
-    """One row a parameter: its errors, beside ltsim's where another calibrator is checked, and its z-scores."""
-    if len(result.converged) < 2:
-        return "fewer than two trials gave a result"
-    columns = result.parameters()
-    heads = {"rms_error": "rms error", "ltsim_rms_error": "ltsim's", "mean_z": "mean z", "deviation_z": "sd of z"}
-    shown = [name for name in ("parameter", "unit", *heads) if name in columns]
-    cover = ["" if c != c else f"{100 * c:.1f} %" for c in columns["coverage_95"]]
-    rows = [
-        [value if isinstance(value, str) else "" if value != value else f"{value:.3g}" for value in row] + [covered]
-        for row, covered in zip(zip(*(columns[name] for name in shown), strict=True), cover, strict=True)
-    ]
-    return table([*(heads.get(name, name) for name in shown), "95 % covers"], rows, left=2)

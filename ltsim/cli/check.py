@@ -11,16 +11,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 import ltsim as lt
-from ltsim.cli.options import Out, Reading, Source
-from ltsim.cli.places import Force, claim
-from ltsim.cli.terminal import Terminal, table
+from ltsim.cli.options import Reading, Source
+from ltsim.cli.terminal import Results, Terminal
 from ltsim.errors import NetworkError, RecordError
-from ltsim.notation import with_sigma
 from ltsim.recording.files import is_number
 
 if TYPE_CHECKING:
-    from ltsim.acceptance.files import AcceptanceFile
-    from ltsim.evaluation.bench import BenchFile, EstimateEntry
     from ltsim.fieldcheck import Check, Item
 
 MpeOption = Annotated[
@@ -43,11 +39,9 @@ def check(
     source: Source,
     mpe: MpeOption = None,
     watch: Watch = False,
-    out: Out = None,
     *,
     reading: Reading,
-    force: Force = False,
-    terminal: Terminal,
+    terminal: Results,
     **options: Any,
 ) -> int:
     """Go or no-go: two-face differences, gross pointings, bumps, drift, level and scatter; status 1 for no-go.
@@ -60,7 +54,7 @@ def check(
     from ltsim.fieldcheck import check_file, write_check
     from ltsim.fieldcheck.files import TWO_FACE, CheckFile
 
-    claim(out, CheckFile, (TWO_FACE.file, "check.svg"), force=force)
+    terminal.claim(CheckFile, TWO_FACE.file, "check.svg")
     limit = mpe_of(mpe)
 
     def look() -> Check:
@@ -73,16 +67,11 @@ def check(
     with terminal.busy("checking"):
         found = lt.check(recording, mpe=limit, **options)
     content = check_file(found)
-    if out is not None:
+    if terminal.out is not None:
         from ltsim.pages.style import svg  # most checks draw nothing
 
-        content = write_check(found, out, {"check.svg": svg(found.plot())})
-    terminal.answer(content.content())
-    for item in found.items:
-        terminal.say(f"  {'ok   ' if item.passed else 'NO-GO'} {item.sentence}")
-    terminal.say(found.sentence)
-    if out is not None:
-        terminal.say(f"written to {out}; for a page with pictures: ltsim report {out}")
+        content = write_check(found, terminal.out, {"check.svg": svg(found.plot())})
+    terminal.result(content)
     return 0 if found.passed else 1
 
 
@@ -149,52 +138,24 @@ def _key(item: Item) -> tuple[str, str, tuple[str, ...]]:
     return item.station, item.kind, item.targets
 
 
-def accept(file: AcceptFile, out: Out = None, force: Force = False, *, terminal: Terminal) -> int:
+def accept(file: AcceptFile, *, terminal: Results) -> int:
     """Predict acceptance tests of a tracker, or judge errors that were found, against its maker's limits.
 
     Writes accept.json and accept.csv to --out. Exit status 1 when an error that was found is over its limit.
 
     Example: ltsim accept my-tracker.toml --out acceptance
     """
-    from ltsim.acceptance.files import TESTS, AcceptanceFile, write_acceptance
+    from ltsim.acceptance.files import TESTS, AcceptanceFile
 
-    claim(out, AcceptanceFile, (TESTS.file,), force=force)
+    terminal.claim(AcceptanceFile, TESTS.file)
     with terminal.busy("looking at the tests"):
         content = lt.accept(file)
-    if out is not None:
-        content = write_acceptance(content, out)
-    terminal.answer(content.content())
-    show_acceptance(terminal, content)
-    terminal.written(out)
+    content = terminal.kept(content, lambda: {TESTS.file: content.table("tests").csv()})
+    terminal.result(content)
     return int(content.kind != "predicted" and content.passes < 1)
 
 
-def show_acceptance(terminal: Terminal, content: AcceptanceFile) -> None:
-    """The answer, a line a group, and what the tests are blind to."""
-    from ltsim.acceptance.files import passes_words
-
-    terminal.say(content.sentence)
-    if content.assumption:
-        terminal.say(f"assumed: {content.assumption}")
-    rows = [
-        [g.name, str(g.tests), passes_words(content, g.passes), f"{100 * g.largest_share:.0f} %"]
-        for g in content.groups
-    ]
-    terminal.say("")
-    share = "error + U over limit" if content.kind == "predicted" else "error over limit"
-    terminal.say(table(["tests", "number", "passed", share], rows, left=1))
-    worst = content.worst_passing
-    if worst is not None:
-        blind = [s.name for s in content.sensitivities if s.smallest_failing is None]
-        if blind:
-            terminal.say(f"\nno test sees {', '.join(blind)}")
-        terminal.say(
-            f"an instrument can pass every test and still place points {worst.rms_um:.0f} um off "
-            f"({worst.largest_um:.0f} um at most), 1.5 to 9 m away"
-        )
-
-
-def bench(file: BenchTable, *, out: Out = None, force: Force = False, terminal: Terminal, **options: Any) -> None:
+def bench(file: BenchTable, *, terminal: Results, **options: Any) -> None:
     """Find a reflector's range error against incidence from its bench test, with uncertainty.
 
     The table turns the reflector; the probe's first harmonic is the eccentricity, which is taken off the lengths.
@@ -203,33 +164,10 @@ def bench(file: BenchTable, *, out: Out = None, force: Force = False, terminal: 
     Example: ltsim bench my-reflector.csv --out my-reflector
     """
     from ltsim.evaluation.bench import BenchFile
-    from ltsim.recording.result_file import write_result
 
-    claim(out, BenchFile, force=force)
-    content = lt.bench(file, **options)
-    if out is not None:
-        content = write_result(out, content, {})
+    terminal.claim(BenchFile)
+    content = terminal.kept(lt.bench(file, **options))
     terminal.answer(content.content())
-    show_bench(terminal, content)
-    terminal.written(out)
-
-
-def show_bench(terminal: Terminal, found: BenchFile) -> None:
-    """The table, what explains it, and the line for a scenario."""
-    from ltsim.effects.smr_incidence import TABLE_ANGLES
-    from ltsim.units import DEGREE
-
-    off = f"{words(found.eccentricity_forward)} forward, {words(found.eccentricity_side)} to the side"
-    terminal.say(f"sphere off the table's axis: {off}; run-out {found.run_out_um:.1f} um\n")
-    terminal.say(found.table().text())
-    vertex = f"{words(found.vertex_axial)} axial, {words(found.vertex_side)} to the side"
-    terminal.say(f"\nas a vertex off the centre (smr-centring): {vertex}")
-    terminal.say(f"what no offset explains (smr-incidence): {found.remainder_um:.2f} um rms")
-    if [round(r.angle_deg, 3) for r in found.angles] == [round(float(a) / DEGREE, 3) for a in TABLE_ANGLES]:
-        values = ", ".join(f"{r.error_um:.2f}" for r in found.angles)
-        terminal.say(f"\nfor a scenario: [smr] incidence_error = true, table_um = [{values}]")
-
-
-def words(entry: EstimateEntry) -> str:
-    """A length with its standard deviation."""
-    return with_sigma(entry.value_um, entry.sigma_um, "um")
+    terminal.say(repr(content))
+    terminal.say("\n" + content.table().text())
+    terminal.written(terminal.out)

@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 Source = Annotated[
     Path, typer.Argument(metavar="REC", help="A recording: a folder, or a file in a format that is recognised.")
 ]
-Out = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Folder to write the results to.")]
 _IN_FILE = typer.Option("--calibration", metavar="FILE", help="A calibration.json, or the folder that holds it.")
 CalibrationFile = Annotated[Path, _IN_FILE]
 OptionalCalibrationFile = Annotated[Path | None, _IN_FILE]
@@ -179,7 +178,7 @@ def _option(name: str, kind: Any, default: Any) -> inspect.Parameter:
     return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=kind)
 
 
-PROGRAMS = ("advise", "again", "geometry", "cad", "about", "recording", "title", "format", "hints", "follower")
+PROGRAMS = ("advise", "again", "geometry", "about", "format", "hints", "follower")
 """Parameters that only a program gives, or that their verb reads in its own way."""
 BOUNDS: dict[str, tuple[float, float | None]] = {
     "seed": (0, None), "trial": (0, None), "trials": (2, None), "starts": (1, None), "injections": (1, None),

@@ -11,17 +11,15 @@ import typer
 import ltsim as lt
 from ltsim.cli.options import Jobs, Reading
 from ltsim.cli.places import Force, claim
-from ltsim.cli.terminal import Terminal, table
+from ltsim.cli.terminal import Terminal
 from ltsim.errors import SetupError
 
 if TYPE_CHECKING:
     from ltsim.effects.signature import Signature
     from ltsim.planning.planner import Plan
-    from ltsim.planning.schema import PlanResult
     from ltsim.planning.survey import Survey
     from ltsim.planning.verbs import Alternative
     from ltsim.recording import Recording
-    from ltsim.remedies.next_measurement import NextMeasurement
 
 PlanSource = Annotated[
     str | None,
@@ -43,10 +41,8 @@ Between = Annotated[
 Without = Annotated[
     str | None, typer.Option("--without", metavar="STATION", help="Other places for a station, the others as they are.")
 ]
-MOST_SHOWN = 6
 SO_FAR = "best-so-far.toml"
-PICTURES = ("floor.png", "tradeoff.png")
-PAGE = "work-order.html"
+FLOOR, TRADE_OFF, PAGE = "floor.png", "tradeoff.png", "work-order.html"
 
 
 def plan(
@@ -95,7 +91,7 @@ def plan(
         return _show_places(terminal, lt.without_station(source, without))
     nowhere = terminal.as_json or bool(changes)
     folder = out if out is not None or nowhere else Path(f"plan-{Path(source).stem}")
-    claim(folder, PlanResult, (*(table.file for table in TABLES), "scenario.toml", *PICTURES, PAGE), force=force)
+    claim(folder, PlanResult, (*(table.file for table in TABLES), "scenario.toml", FLOOR, TRADE_OFF, PAGE), force=force)
     if changes:
         with terminal.busy("judging the layout"):
             made = lt.plan(source, move=changes)
@@ -141,19 +137,23 @@ def _write(terminal: Terminal, made: Plan, folder: Path | None) -> None:
     from ltsim.planning.files import write_plan
 
     with terminal.busy("writing tables, pictures and the work order"):
-        content = write_plan(made, folder, {} if folder is None else pictures_of(made) | page_of(made))
-    terminal.answer(content.content())
-    show_plan(terminal, content)
+        content = write_plan(made, folder, {} if folder is None else _drawn(made))
+    terminal.result(content)
     if folder is not None:
         terminal.say(f"\nwritten to {folder}: {PAGE} goes to the shop floor, nominals.csv to the tracker's software")
         terminal.say(f"for a page with pictures: ltsim report {folder}; in 3D: ltsim view {folder / 'scenario.toml'}")
 
 
-def page_of(made: Plan) -> dict[str, bytes]:
-    """work-order.html: the page for the shop floor."""
+def _drawn(made: Plan) -> dict[str, bytes]:
+    """The page for the shop floor, the plan from above, and cost against quality."""
+    from ltsim.pages.figures.plan import trade_off
     from ltsim.pages.sections.work_order import work_order_page
+    from ltsim.pages.style import png
+    from ltsim.planning.files import plan_file
 
-    return {PAGE: work_order_page(made).encode()}
+    content = plan_file(made)
+    drawn = {PAGE: work_order_page(made).encode(), FLOOR: png(made.plot())}
+    return drawn | ({TRADE_OFF: png(trade_off(content, next(iter(content.quality))))} if content.tradeoff else {})
 
 
 def _percent(advance: Any) -> Any:
@@ -166,68 +166,6 @@ def _percent(advance: Any) -> Any:
         done = int(100 * share)
 
     return tell
-
-
-def show_plan(terminal: Terminal, content: PlanResult) -> None:
-    """The answer, coordinates, reasons, curve."""
-    terminal.say(content.summary)
-    rows = [
-        [s.name, *(f"{v:.0f}" for v in s.position_mm), f"{s.yaw_deg:.0f}", str(s.reflectors_seen)]
-        for s in content.stations
-    ]
-    terminal.say("\nWhere the tripod goes (mm from the corner of the workshop; yaw from the x axis):")
-    terminal.say(table(["station", "x", "y", "z", "yaw [deg]", "sees"], rows))
-    terminal.say("\nWhy:")
-    for sentence in content.reasons:
-        terminal.say(f"- {sentence}")
-    terminal.say("\nReflectors, one at a time:")
-    for sentence in (*(f"{c.words}." for c in content.reflector_changes), content.changes_tried):
-        terminal.say(f"- {sentence}")
-    factor, unit = content.value_unit
-    rows = [
-        [str(o.stations), str(o.faces), str(o.repeats), f"{o.hours:.1f}", f"{factor * (o.value or 0.0):.4g}"]
-        for o in content.tradeoff
-        if o.efficient
-    ]
-    if not rows:
-        return
-    terminal.say("\nCost against quality (each the best for its time; smaller is better):")
-    terminal.say(
-        table(["stations", "faces", "rounds", "hours", f"quality [{unit}]" if unit else "quality"], rows, left=0)
-    )
-
-
-def pictures_of(made: Plan) -> dict[str, bytes]:
-    """floor.png: the plan from above; tradeoff.png: cost against quality."""
-    from io import BytesIO
-
-    from ltsim.pages.figures.floor_plan import floor_plan
-    from ltsim.pages.figures.plan import Layout, trade_off
-    from ltsim.pages.workshop import from_scenario
-    from ltsim.planning.files import planned_scenario
-
-    layouts = []
-    for option in made.options:
-        survey = option.survey
-        faces = "both faces" if len(survey.faces) == 2 else "one face"
-        same = len(survey.position) == len(made.chosen.survey.position) and survey.faces == made.chosen.survey.faces
-        chosen = same and survey.repeats == made.chosen.survey.repeats
-        kind = "chosen" if chosen else "best" if option.efficient else "tried"
-        name = f"{len(survey.position)} stations, {faces}, {survey.repeats}x"
-        layouts.append(Layout(name, 60 * option.hours, option.value, kind))
-    if made.reference is not None and made.reference.qualities:
-        own = made.reference.survey
-        value = next(iter(made.reference.qualities.values()))
-        if len(made.reference.qualities) == 1:
-            layouts.append(Layout("the scenario's own", own.seconds / 60, value, "reference"))
-    drawn = floor_plan(from_scenario(planned_scenario(made)), coordinates=True, ground=made.file.floor)
-    figures = [drawn, trade_off(layouts)] if made.options else [drawn]
-    found = {}
-    for name, figure in zip(PICTURES, figures, strict=False):
-        buffer = BytesIO()
-        figure.savefig(buffer, format="png", dpi=150)
-        found[name] = buffer.getvalue()
-    return found
 
 
 def _explanations(between: str | None) -> tuple[str, ...]:
@@ -265,26 +203,4 @@ def _after(terminal: Terminal, recording: Recording, between: tuple[str, ...], o
     content = next_file(made, summary, SourceEntry.of(recording))
     if out is not None:
         content = write_result(out, content, {NEXT.file: next_csv(content)})
-    terminal.answer(content.content())
-    show_next(terminal, made)
-    if out is not None:
-        terminal.say(f"\nwritten to {out}")
-
-
-def show_next(terminal: Terminal, made: NextMeasurement) -> None:
-    """The proposals, the best first."""
-    if made.between:
-        now = ", ".join(f"{name} {value:.1f}" for name, value in made.evidence_now.items())
-        terminal.say(f"\nChi-square between {made.between[0]} and what else it may be, as it is: {now}.")
-    terminal.say(f"Next: {made.advice}.")
-    rows = [
-        [
-            p.remedy.words,
-            f"{p.remedy.seconds / 60:.0f}",
-            f"{100 * (1 - p.sharper):.0f} %",
-            f"{p.serves} ({100 * (1 - p.serves_factor):.0f} %)",
-            " ".join(f"{value:.0f}" for value in p.evidence.values()),
-        ]
-        for p in made.proposals[:MOST_SHOWN]
-    ]
-    terminal.say(table(["do", "min", "sharper by", "most for", "chi-square"], rows))
+    terminal.result(content, out)

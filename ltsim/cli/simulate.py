@@ -231,17 +231,13 @@ def simulated(out: Path, seed: int) -> str:
 
 def calibrated(out: Path, seed: int) -> str:
     """Calibrate that recording."""
+    from ltsim.calibration.files import calibration_file
+    from ltsim.pages.sections import section_of
+
     recording, _ = lt.simulate("paper-workshop", seed=seed)
     found = lt.calibrate(recording)
     lt.write(found, out / "workshop")
-    if found.criteria is None:
-        return f"{len(found.names)} parameters"
-    distance, coordinate = found.criteria.distance, found.criteria.coordinate
-    return (
-        f"{len(found.names)} parameters; the distance criterion improves by {distance.improvement_percent:.0f} %, the "
-        f"coordinate criterion by {coordinate.improvement_percent:.0f} % (the paper: 40 % and 14 %); "
-        f"{len(found.undetermined)} combinations are not determined in one face, and a cure is named for each"
-    )
+    return section_of(calibration_file(found)).answer
 
 
 def diagnosed(out: Path, seed: int) -> str:
@@ -261,22 +257,12 @@ def diagnosed(out: Path, seed: int) -> str:
 
 def repeated(out: Path, seed: int) -> str:
     """Repeat the calibration on many drawn instruments, by the network and by the paper's distances."""
-    write_texts(out, {"campaign.toml": CAMPAIGN.format(seed=seed)})
+    from ltsim.pages.sections.campaign import campaign_section
 
+    write_texts(out, {"campaign.toml": CAMPAIGN.format(seed=seed)})
     results = lt.campaign(out / "campaign.toml", force=True)
     write_texts(out / "campaign", {"summary.csv": results.table("summary").csv()})
-    parts = []
-    for column, title in (
-        ("distance_improvement_percent", "distance"),
-        ("coordinate_improvement_percent", "coordinate"),
-    ):
-        spreads = {spread.method: spread for spread in results.spread(column)}
-        figures = ", ".join(
-            f"{method} {spread.quantiles[3]:.0f} % ({spread.quantiles[1]:.0f} to {spread.quantiles[5]:.0f})"
-            for method, spread in spreads.items()
-        )
-        parts.append(f"{title} criterion: {figures}")
-    return "improvement over the trials, median and 90 % of them; " + "; ".join(parts)
+    return campaign_section(out / "campaign").answer
 
 
 def reported(out: Path, seed: int) -> str:

@@ -8,19 +8,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 import ltsim as lt
-from ltsim.chances import p_is
-from ltsim.cli.options import Out, Reading, Source
-from ltsim.cli.places import Force, claim
-from ltsim.cli.terminal import Terminal, table
+from ltsim.cli.options import Reading, Source
+from ltsim.cli.terminal import Results, Terminal, table
 from ltsim.errors import SetupError
 from ltsim.simulation.builtin import builtin_names
 
 if TYPE_CHECKING:
     from ltsim.recording.coordinates import Coordinates
     from ltsim.recording.recording import Recording
-    from ltsim.tasks.comparison import Comparison
-    from ltsim.tasks.evaluation import Evaluation
-    from ltsim.tasks.files import UncertaintyFile
     from ltsim.tasks.spec import Tasks
 
 Second = Annotated[Path, typer.Argument(metavar="REC2", help="The later recording, of the same points.")]
@@ -37,11 +32,9 @@ Against = Annotated[
 def compare(
     source: Source,
     second: Second,
-    out: Out = None,
     *,
     reading: Reading,
-    force: Force = False,
-    terminal: Terminal,
+    terminal: Results,
     **options: Any,
 ) -> int:
     """Say which points moved between two recordings, by how much, and which motion could not have been seen.
@@ -54,19 +47,15 @@ def compare(
     Example: ltsim compare january march --stable P1,P2,P3 --out my-comparison
     """
     from ltsim.recording.coordinates import holds_coordinates
-    from ltsim.recording.result_file import write_result
     from ltsim.tasks.comparison import DISPLACEMENTS, Comparison
 
-    claim(out, Comparison, (DISPLACEMENTS.file,), force=force)
+    terminal.claim(Comparison, DISPLACEMENTS.file)
     lists = holds_coordinates(source) or holds_coordinates(second)
     one, other = (_listed(p, terminal) if lists else reading.open(p, terminal) for p in (source, second))
     with terminal.busy("comparing"):
         found = lt.compare(one, other, **options)
-    if out is not None:
-        found = write_result(out, found, {DISPLACEMENTS.file: found.table().csv()})
-    terminal.answer(found.content())
-    show_comparison(terminal, found)
-    terminal.written(out)
+    found = terminal.kept(found, lambda: {DISPLACEMENTS.file: found.table().csv()})
+    terminal.result(found)
     return int(bool(found.moved))
 
 
@@ -82,25 +71,12 @@ def _listed(path: Path, terminal: Terminal) -> Coordinates | Path:
     return found
 
 
-def show_comparison(terminal: Terminal, found: Comparison) -> None:
-    """The verdict, then a line a point."""
-    terminal.say("\n" + found.sentence)
-    terminal.say(
-        f"no motion at all has {p_is(found.p_value)} (chi-square {found.statistic:.1f}, {found.dof} degrees of "
-        f"freedom); without the points that moved {p_is(found.p_value_after)}"
-    )
-    terminal.say(found.table().only("target moved dx_um dy_um dz_um visible_um p_value").text())
-    terminal.say("a +- b: one standard deviation; visible: the smallest motion that is found in 4 of 5 cases")
-
-
 def uncertainty(
     file: TaskFile,
     source: TaskSource = None,
     against: Against = None,
-    out: Out = None,
-    force: Force = False,
     *,
-    terminal: Terminal,
+    terminal: Results,
     **options: Any,
 ) -> int:
     """Say how well the tasks of a file are known: GUM and Monte Carlo, budget, verdict.
@@ -109,12 +85,12 @@ def uncertainty(
 
     Example: ltsim uncertainty flange.toml --out my-uncertainty
     """
+    from ltsim.pages.sections import section_of
     from ltsim.recording.result_file import read_result
-    from ltsim.tasks.evaluation import write_uncertainty
     from ltsim.tasks.files import BUDGET, RESULTS, UncertaintyFile, compared
     from ltsim.tasks.spec import load_tasks
 
-    claim(out, UncertaintyFile, (RESULTS.file, BUDGET.file), force=force)
+    terminal.claim(UncertaintyFile, RESULTS.file, BUDGET.file)
     tasks = load_tasks(file)
     if source is not None:
         tasks = tasks.model_copy(update={"source": source})
@@ -124,16 +100,16 @@ def uncertainty(
         evaluation = lt.uncertainty(recording, tasks, **options)
     content = evaluation.content
     other = None if against is None else compared(content, read_result(against, UncertaintyFile))
-    if out is not None:
-        content = write_uncertainty(evaluation, out)
+    tables = [evaluation.table(name) for name in ("results", "budget")]
+    content = terminal.kept(content, lambda: {table.file: table.csv() for table in tables})
     answer = content.content()
     if other is not None:
         answer["against"] = [{"result": name, "E_n": value} for name, value in other]
     terminal.answer(answer)
-    show_uncertainty(terminal, evaluation, content)
+    terminal.say("\n" + section_of(content).text())
     if other is not None:
         _show_against(terminal, other)
-    terminal.written(out)
+    terminal.written(terminal.out)
     return int(any(r.conformity is not None and r.conformity.judgement == "rejected" for r in content.results))
 
 
@@ -149,19 +125,6 @@ def _recording(terminal: Terminal, tasks: Tasks, file: Path, seed: int, *, besid
     if not place.exists():
         raise SetupError(f"{file}: source names {place}, which is neither a recording nor a scenario")
     return Reading().open(place, terminal)
-
-
-def show_uncertainty(terminal: Terminal, evaluation: Evaluation, content: UncertaintyFile) -> None:
-    """A line a result: value, expanded uncertainty, what makes most of it, verdict; then what to mind."""
-    percent, trials = 100 * content.coverage, content.trials
-    terminal.say(f"\nResults with expanded uncertainty U ({percent:g} %, {trials} trials); frame: {content.frame}")
-    terminal.say(evaluation.table().only("task result value U unit judgement largest_source").text())
-    for r in content.results:
-        if r.conformity is not None:
-            judged, chance = r.conformity.judgement, r.conformity.probability
-            terminal.say(f"{r.task}, {r.name}: {judged} (conforms with probability {chance:.3f})")
-    for warning in content.warnings:
-        terminal.say(f"mind: {warning}")
 
 
 def _show_against(terminal: Terminal, other: list[tuple[str, float]]) -> None:

@@ -6,19 +6,24 @@ import json
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from ltsim.cli.places import Force, claim
 from ltsim.errors import printable
 from ltsim.notation import aligned
 
+if TYPE_CHECKING:
+    from ltsim.recording.result_file import ResultFile
+
+File = TypeVar("File", bound="ResultFile")
 SILENCE = 10.0
 """[s] after which a pipe is told that the work goes on."""
 table = aligned
@@ -32,14 +37,19 @@ class Terminal:
     quiet: Quiet = False
     as_json: Annotated[bool, typer.Option("--json", help="Print the answer as JSON, and nothing else.")] = False
 
+    @property
+    def silent(self) -> bool:
+        """Whether there is nobody to say a line to."""
+        return self.quiet or self.as_json
+
     def say(self, text: str = "") -> None:
         """A line for a person."""
-        if not self.quiet and not self.as_json:
+        if not self.silent:
             print(printable(text))
 
     def at_once(self, text: str, *, bell: bool = False) -> None:
         """A line that somebody waits for: held in no buffer, with a bell where somebody watches."""
-        if bell and not self.quiet and not self.as_json and sys.stdout.isatty():
+        if bell and not self.silent and sys.stdout.isatty():
             print("\a", end="")
         self.say(text)
         sys.stdout.flush()
@@ -54,6 +64,16 @@ class Terminal:
         for note in notes:
             self.note(f"note: {note}")
 
+    def result(self, content: ResultFile, out: Path | None = None, notes: Iterable[str] = ()) -> None:
+        """A result that a page tells of: all of it for a program, for a person what the page says without pictures."""
+        self.answer(content.content())
+        if not self.silent:
+            from ltsim.pages.sections import section_of  # what a page needs takes its time to load
+
+            self.say("\n" + section_of(content).text())
+        self.notes(notes)
+        self.written(out)
+
     def written(self, out: Path | None) -> None:
         """Where the results are, and how to look at them."""
         if out is not None:
@@ -65,27 +85,22 @@ class Terminal:
             print(json.dumps(content, indent=1, allow_nan=False))
 
     @contextmanager
-    def progress(self, what: str, total: int) -> Iterator[Callable[[int], None]]:
+    def progress(self, what: str, total: int | None = None) -> Iterator[Callable[[int], None]]:
         """A bar on standard error, in a pipe a line now and then; the function it gives counts steps done."""
         if self.quiet or not sys.stderr.isatty():
             done = [0]
-            with self._sign_of_life(lambda: f"{what}: {done[0]} of {total}"):
+            with self._sign_of_life(lambda: what if total is None else f"{what}: {done[0]} of {total}"):
                 yield lambda steps: done.__setitem__(0, done[0] + steps)
             return
-        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+        counted = () if total is None else (MofNCompleteColumn(), TimeRemainingColumn())
+        columns = (TextColumn("{task.description}"), BarColumn(), *counted)
         with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
             task = bar.add_task(what, total=total)
             yield lambda steps: bar.advance(task, steps)
 
-    @contextmanager
-    def busy(self, what: str) -> Iterator[None]:
+    def busy(self, what: str) -> AbstractContextManager[Any]:
         """A sign of life while something takes its time."""
-        if self.quiet or not sys.stderr.isatty():
-            with self._sign_of_life(lambda: what):
-                yield
-            return
-        with Console(stderr=True).status(what):
-            yield
+        return self.progress(what)
 
     @contextmanager
     def _sign_of_life(self, words: Callable[[], str]) -> Iterator[None]:
@@ -108,3 +123,25 @@ class Terminal:
         finally:
             done.set()
             thread.join()
+
+
+@dataclass(frozen=True)
+class Results(Terminal):
+    """A terminal, and the folder that a verb writes to what it finds."""
+
+    out: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Folder to write the results to.")] = None
+    force: Force = False
+
+    def claim(self, model: type[ResultFile], *names: str, own: Callable[[Any], bool] = lambda found: True) -> None:
+        """Make sure that a result and the files beside it replace nothing else; raises RecordError."""
+        claim(self.out, model, names, force=self.force, own=own)
+
+    def kept(self, content: File, beside: Callable[[], Mapping[str, str | bytes]] = dict) -> File:
+        """A result, written with the files beside it where there is a folder for them."""
+        from ltsim.recording.result_file import write_result
+
+        return content if self.out is None else write_result(self.out, content, beside())
+
+    def result(self, content: ResultFile, out: Path | None = None, notes: Iterable[str] = ()) -> None:
+        """The same, and where it was written."""
+        super().result(content, out or self.out, notes)

@@ -36,19 +36,9 @@ Png = Annotated[Path | None, typer.Option("--png", metavar="FILE", help="Write a
 Html = Annotated[
     Path | None, typer.Option("--html", metavar="FILE", help="Write one page to turn in a browser, offline.")
 ]
-Cad = Annotated[
-    Path | None, typer.Option("--cad", metavar="FILE", help="CAD file (STL, OBJ, GLB, STEP) to stand in the room.")
-]
 Folder = Annotated[
     Path, typer.Argument(metavar="DIR", help="A folder that another verb wrote, or one of such folders.")
 ]
-Behind = Annotated[
-    Path | None,
-    typer.Option(
-        "--recording", metavar="REC", help="The recording behind a calibration or diagnosis, if not near DIR."
-    ),
-]
-Title = Annotated[str | None, typer.Option("--title", metavar="TEXT", help="Of the page.")]
 Line = Annotated[str | None, typer.Option(metavar="TEXT", help="For the head; default from [report] of setup.toml.")]
 Day = Annotated[str | None, typer.Option("--date", metavar="YYYY-MM-DD", help="Day of the measurement.")]
 
@@ -58,7 +48,6 @@ def view(
     plan: Plan = None,
     png: Png = None,
     html: Html = None,
-    cad: Cad = None,
     *,
     reading: FramedReading,
     force: Force = False,
@@ -90,7 +79,7 @@ def view(
         claim_file(file, force=force)
     with terminal.busy("looking at the workshop"):
         source = place if reading == FramedReading() else reading.of(Path(place))
-        shown = lt.view(source, cad=cad, **options)
+        shown = lt.view(source, **options)
         if png is not None:
             shown.png(png)
         if html is not None:
@@ -128,14 +117,13 @@ def _has_screen() -> bool:
 
 def report(
     folder: Folder,
-    recording: Behind = None,
-    title: Title = None,
     instrument: Line = None,
     date: Day = None,
     operator: Line = None,
     customer: Line = None,
     force: Force = False,
     quiet: Quiet = False,
+    **options: Any,
 ) -> None:
     """Write report.html into DIR: one page that opens offline, the answer first, then tables, figures and the 3D view.
 
@@ -153,7 +141,7 @@ def report(
     about = _about(instrument=instrument, date=date, operator=operator, customer=customer)
     claim_file(folder / NAME, force=force)
     with terminal.busy("drawing the report"):
-        page = lt.report(folder, recording=recording, title=title, about=about, tell=terminal.note)
+        page = lt.report(folder, about=about, tell=terminal.note, **options)
     terminal.say(f"written to {page}")
 
 

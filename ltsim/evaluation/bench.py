@@ -18,6 +18,7 @@ import numpy as np
 from pydantic import Field
 
 from ltsim.arrays import Floats
+from ltsim.effects.smr_incidence import TABLE_ANGLES
 from ltsim.errors import RecordError
 from ltsim.notation import with_sigma
 from ltsim.recording.files import read_text
@@ -47,6 +48,9 @@ class EstimateEntry(Entry):
     """Estimate."""
     sigma_um: Finite
     """Standard deviation."""
+
+    def __str__(self) -> str:
+        return with_sigma(self.value_um, self.sigma_um, "um")
 
 
 class BenchRow(Entry):
@@ -100,7 +104,17 @@ class BenchFile(ResultFile, Result):
     def _lines(self) -> list[str]:
         worst = max(self.angles, key=lambda row: abs(row.error_um))
         size = with_sigma(worst.error_um, worst.sigma_um, "um")
-        return [f"Bench: {len(self.angles)} angles, range error at most {size} at {worst.angle_deg:+.1f} deg"]
+        off = f"{self.eccentricity_forward} forward, {self.eccentricity_side} to the side"
+        said = [
+            f"Bench: {len(self.angles)} angles, range error at most {size} at {worst.angle_deg:+.1f} deg",
+            f"sphere off the table's axis: {off}; run-out {self.run_out_um:.1f} um",
+            f"as a vertex off the centre (smr-centring): {self.vertex_axial} axial, {self.vertex_side} to the side",
+            f"what no offset explains (smr-incidence): {self.remainder_um:.2f} um rms",
+        ]
+        if [round(r.angle_deg, 3) for r in self.angles] == [round(float(a) / DEGREE, 3) for a in TABLE_ANGLES]:
+            values = ", ".join(f"{r.error_um:.2f}" for r in self.angles)
+            said.append(f"for a scenario: [smr] incidence_error = true, table_um = [{values}]")
+        return said
 
     def _tables(self) -> Mapping[str, Callable[[], Table]]:
         return {"angles": lambda: ANGLES.filled(self.angles)}

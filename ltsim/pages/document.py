@@ -1,18 +1,25 @@
-"""A report as data: sections of facts, tables, pictures and a scene. The template turns it into HTML."""
+"""A report as data: sections of facts, tables, pictures and a scene. A template turns it into HTML, `text` into lines.
+
+A picture is drawn when the page is written: a terminal says the same without drawing.
+"""
 
 from __future__ import annotations
 
 import base64
 import gzip
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
-from typing import Any, Literal
-
-from matplotlib.figure import Figure
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
 
 from ltsim import results
-from ltsim.notation import number
-from ltsim.pages.style import svg, svg_uri
+from ltsim.notation import NONE, aligned, number
+from ltsim.recording import Recording
+from ltsim.recording.result_file import ResultFile, companion
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 POLICY = (
     "default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; "
@@ -24,6 +31,25 @@ Detail = Literal["turn", "plan", "none"]
 """How a section shows the workshop: in 3D to turn, from above alone, or not, since another section shows it."""
 LONG, ENDLESS = 30, 120
 """Rows of a table from which it is folded, and from which a print leaves it out: three pages."""
+FIRST, WIDEST = 8, 160
+"""Rows of a folded table that a terminal shows, and the letters of a line up to which it shows columns."""
+
+
+@dataclass(frozen=True)
+class Beside:
+    """What lies beside a result: its folder, the recording behind it, and how much of them its section shows.
+
+    A `brief` section leaves residuals to another one.
+    """
+
+    folder: Path | None = None
+    recording: Recording | None = None
+    detail: Detail = "none"
+    brief: bool = False
+
+    def file(self, name: str, content: ResultFile) -> Path | None:
+        """A file that was written with a result; None where there is none, RecordError where it is of another."""
+        return None if self.folder is None else companion(self.folder, name, content)
 
 
 def mood(good: bool) -> Mood:
@@ -68,12 +94,20 @@ class Table:
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure as a `data:` address with a caption that also serves readers who cannot see it."""
+    """A figure, or its SVG, with a caption that also serves readers who cannot see it; drawn when it is asked for."""
 
     title: str
-    uri: str
+    draw: Callable[[], Figure | str]
     caption: str
     kind: Literal["picture"] = "picture"
+
+    @cached_property
+    def uri(self) -> str:
+        """As a `data:` address."""
+        from ltsim.pages.style import svg, svg_uri
+
+        drawn = self.draw()
+        return svg_uri(drawn if isinstance(drawn, str) else svg(drawn))
 
 
 @dataclass(frozen=True)
@@ -146,6 +180,13 @@ class Section:
     shown: int = 3
     lead: int = 0
 
+    def text(self) -> str:
+        """What a terminal says: the answer, the facts, every sentence and table, what to do next."""
+        facts = "; ".join(f"{fact.name}: {fact.value}" for fact in self.facts)
+        said = [self.answer, facts, *map(_told, self.blocks)]
+        said += ["\n".join(["What to do next:", *(f"- {line}" for line in self.actions)])] if self.actions else []
+        return "\n\n".join(filter(None, said))
+
 
 @dataclass(frozen=True)
 class Document:
@@ -161,9 +202,31 @@ class Document:
     actions: Sequence[str] = ()
 
 
-def picture(title: str, figure: Figure, caption: str) -> Picture:
-    """A figure for the page."""
-    return Picture(title, svg_uri(svg(figure)), caption)
+def _told(block: Block) -> str:
+    """A block in lines; pictures and settings stay on the page."""
+    match block:
+        case Note():
+            return f"{block.title}: {block.text}" if block.title else block.text
+        case Points():
+            return "\n".join([f"{block.title}:", *(f"- {line}" for line in block.lines)])
+        case Table():
+            rows = block.rows[:FIRST] if block.long else block.rows
+            said = [f"{block.title}:", _lines(replace(block, rows=rows))]
+            said += [f"and {len(block.rows) - FIRST} more"] if block.long else []
+            return "\n".join(said + ([block.note] if block.note else []))
+    return ""
+
+
+def _lines(table: Table) -> str:
+    """A table in columns, or where its texts are long a sentence a row."""
+    said = aligned(table.header, table.rows, table.text_columns)
+    if max(map(len, said.split("\n"))) <= WIDEST:
+        return said
+    heads = ["" if i < table.text_columns else f"{head}: " for i, head in enumerate(table.header)]
+    rows = (
+        [head + cell for head, cell in zip(heads, row, strict=True) if cell not in ("", NONE)] for row in table.rows
+    )
+    return "\n".join(f"- {'; '.join(row)}" for row in rows)
 
 
 def table_of(

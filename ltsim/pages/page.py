@@ -6,41 +6,27 @@ import importlib.metadata
 import json
 import platform
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from ltsim.calibration.schema import CalibrationFile
 from ltsim.campaigns import require_packages
-from ltsim.chances import AGREES
-from ltsim.diagnosis.schema import DiagnosisFile
 from ltsim.errors import LtsimError, RecordError
-from ltsim.pages.document import POLICY, Detail, Document, Section
-from ltsim.pages.sections.calibration import calibration_section
-from ltsim.pages.sections.diagnosis import diagnosis_section
+from ltsim.pages.document import POLICY, Beside, Detail, Document, Section
+from ltsim.pages.sections import WRITERS, content_of, section_of
 from ltsim.pages.sections.network import TRUTH, recording_section
-from ltsim.pages.sections.plain import PLAIN, plain_section
-from ltsim.pages.sections.plan import plan_section
-from ltsim.pages.words import count, listing, natural, typeset
-from ltsim.planning.schema import NextFile
-from ltsim.recording import Recording, read
-from ltsim.recording.files import write_text
+from ltsim.pages.words import natural, typeset
+from ltsim.recording import read
 from ltsim.recording.native import OBSERVATIONS, SETUP
-from ltsim.recording.result_file import digest_of, read_result
+from ltsim.recording.result_file import digest_of
 from ltsim.recording.settings import read_setup
 from ltsim.recording.setup import About
-from ltsim.tasks.comparison import Comparison
 
 MOST = 5
 """Actions at the head of a page."""
-
-
-def actions_of(kind: str, folder: Path) -> list[str]:
-    """Sentences, the most urgent first, for a folder whose file `kind` is readable; empty where nothing follows."""
-    return WRITERS[kind](folder) if kind in WRITERS else []
 
 
 def headline(kind: str, mood: str) -> str:
@@ -67,60 +53,8 @@ HEADLINES = {
 }
 
 
-def _calibration(folder: Path) -> list[str]:
-    content = read_result(folder, CalibrationFile)
-    said = []
-    left = [o for o in content.outliers if not o.left_out]
-    if left:
-        which = listing([f"{o.station} to {o.target} ({o.observable}, row {o.row})" for o in left], 3)
-        said.append(f"Measure again or leave out {count(len(left), 'reading')} that did not fit: {which}.")
-    test = content.fit.p_value
-    if test is not None and test < AGREES / 2 and not content.noise_estimated:
-        said.append("Find out why readings and model disagree: ltsim diagnose names what is missing from the model.")
-    cures = dict.fromkeys(entry.cure.partition(" (gain ")[0] for entry in content.undetermined if entry.cure)
-    said += [f"To determine what is still open: {cure.rstrip('.')}." for cure in list(cures)[:3]]
-    if content.parameters and not said:
-        said.append("Apply the calibration to later readings: ltsim correct.")
-    return said
-
-
-def _diagnosis(folder: Path) -> list[str]:
-    content = read_result(folder, DiagnosisFile)
-    said = [_sentence(finding.separate_by) for finding in content.findings if finding.separate_by]
-    for finding in content.findings:
-        where = finding.where
-        trackers = [f"instrument {name}" for name in where.instruments]
-        place = listing([*trackers, *where.stations, *where.targets]) or "the whole recording"
-        follows = f" with {listing(where.covariates)}" if where.covariates else ""
-        unnamed = f"what changes the {finding.carrier or 'readings'}{follows}"
-        cause = f"the cause of {finding.effect}" if finding.known else unnamed
-        said.append(f"Look for {cause} ({place}); targets.csv holds coordinates that allow for it.")
-    return said
-
-
-def _next(folder: Path) -> list[str]:
-    return [_sentence(proposal.do) for proposal in read_result(folder, NextFile).proposals[:2]]
-
-
-def _comparison(folder: Path) -> list[str]:
-    moved = [d.target for d in read_result(folder, Comparison).displacements if d.moved]
-    said = f"Look at what moved, and measure it again before it is used as a reference: {listing(moved)}."
-    return [said] if moved else []
-
-
-def _sentence(words: str) -> str:
-    return f"{words[:1].upper()}{words[1:].rstrip('.')}."
-
-
-WRITERS: dict[str, Callable[[Path], list[str]]] = {
-    "diagnosis.json": _diagnosis,
-    "calibration.json": _calibration,
-    "comparison.json": _comparison,
-    "next.json": _next,
-}
-
-
-NAME = "report.html"
+NAME, MANIFEST = "report.html", "manifest.json"
+HEADS = ("diagnosis.json", "calibration.json")
 UNREADABLE = "Not readable"
 
 
@@ -134,51 +68,23 @@ class Part:
     brief: bool = False
 
 
-Builder = Callable[[Part, Recording | None, Detail], Section]
-
-
-def _campaign_section(part: Part, _: Recording | None, __: Detail) -> Section:
-    """The section of a campaign; what it is read with may be missing where nobody runs campaigns."""
-    require_packages()
-    from ltsim.pages.sections.campaign import campaign_section
-
-    return campaign_section(part.folder)
-
-
-KINDS: dict[str, Builder] = {
-    "diagnosis.json": lambda part, recording, detail: diagnosis_section(part.folder, recording, detail=detail),
-    "calibration.json": lambda part, recording, detail: calibration_section(
-        part.folder, recording, detail=detail, brief=part.brief
-    ),
-    OBSERVATIONS: lambda part, _, detail: recording_section(part.folder, detail=detail, brief=part.brief),
-    "plan.json": lambda part, _, detail: plan_section(part.folder, detail=detail),
-    **{name: lambda part, _, __: plain_section(part.folder, PLAIN[part.kind]) for name in PLAIN},
-    "manifest.json": _campaign_section,
-}
+KINDS = ("diagnosis.json", "calibration.json", OBSERVATIONS, *(k for k in WRITERS if k not in HEADS), MANIFEST)
 """What a folder holds, by the file that tells; in the order of the page, the first one's answer heads it."""
 
 
-def report(
-    folder: Path,
-    *,
-    recording: Path | None = None,
-    title: str | None = None,
-    about: About | None = None,
-    tell: Callable[[str], None] = lambda words: None,
-) -> Path:
-    """Write `report.html` into a folder that a command left, and give its path; arguments as of `ltsim.report`.
+def section(part: Part, detail: Detail = "none") -> Section:
+    """What the page says of one folder; raises RecordError, and SetupError where packages for it are missing."""
+    if part.kind == OBSERVATIONS:
+        return recording_section(part.folder, detail=detail, brief=part.brief)
+    if part.kind == MANIFEST:
+        require_packages()
+        from ltsim.pages.sections.campaign import campaign_section  # reads with packages that may be missing
 
-    Raises
-    ------
-    RecordError
-        When there is nothing to report, or a file of the folder itself is malformed; nothing is written then.
-    """
-    target, content = folder / NAME, document(folder, recording=recording, title=title, about=about)
-    for section in content.sections:
-        if section.kind == UNREADABLE:
-            tell(section.answer)
-    write_text(target, render(content))
-    return target
+        return campaign_section(part.folder)
+    content = content_of(part.folder, part.kind)
+    recording = read(part.recording) if part.recording else None
+    made = section_of(content, Beside(part.folder, recording, detail, part.brief))
+    return replace(made, measured=(content.recording and content.recording.measured) or "")
 
 
 def document(
@@ -194,8 +100,8 @@ def document(
     if not folder.is_dir():
         raise RecordError("there is no such folder; give the folder that a command wrote", file=folder)
     parts = _parts(folder, recording)
-    sections = [replace(section, folder=part.folder.name) for part, section in _sections(parts, folder)]
-    sections.sort(key=lambda section: section.kind == UNREADABLE)
+    sections = [replace(made, folder=part.folder.name) for part, made in _sections(parts, folder)]
+    sections.sort(key=lambda made: made.kind == UNREADABLE)
     first = sections[0]
     return Document(
         title=title or first.title,
@@ -259,15 +165,14 @@ def _sections(parts: list[Part], top: Path) -> Iterator[tuple[Part, Section]]:
         source = part.recording or _digest(part)
         detail: Detail = "none" if source in shown and source else "plan" if shown or flat else "turn"
         try:
-            section = KINDS[part.kind](part, read(part.recording) if part.recording else None, detail)
-            section = replace(section, actions=actions_of(part.kind, part.folder))
+            made = section(part, detail)
         except LtsimError as problem:
             if part.folder == top or len(parts) == 1:
                 raise
-            section = Section(part.folder.name, UNREADABLE, str(problem), "bad")
-        if {block.title for block in section.blocks} & {"Floor plan", "The workshop in 3D"}:
+            made = Section(part.folder.name, UNREADABLE, str(problem), "bad")
+        if {block.title for block in made.blocks} & {"Floor plan", "The workshop in 3D"}:
             shown.add(source)
-        yield part, section
+        yield part, made
 
 
 def _digest(part: Part) -> str:

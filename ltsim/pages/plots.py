@@ -5,7 +5,6 @@ from __future__ import annotations
 from functools import singledispatch
 from typing import Any, cast
 
-import numpy as np
 from matplotlib.figure import Figure
 
 from ltsim.calibration.calibration import Calibration
@@ -16,17 +15,11 @@ from ltsim.errors import ModelError
 from ltsim.evaluation.criteria import Criteria
 from ltsim.fieldcheck.check import Check
 from ltsim.pages.figures.floor_plan import floor_plan
-from ltsim.pages.figures.parameters import (
-    Criterion,
-    ParameterRow,
-    criteria_figure,
-    history_figure,
-    parameter_figure,
-)
+from ltsim.pages.figures.parameters import criteria_figure, history_figure, parameter_figure
 from ltsim.pages.figures.points import check_figure, displacement_figure
 from ltsim.pages.figures.residuals import residuals_by_covariate
 from ltsim.pages.residuals import Residuals
-from ltsim.pages.sections.diagnosis import finding_figure
+from ltsim.pages.sections.diagnosis import finding_drawing
 from ltsim.pages.workshop import from_scenario
 from ltsim.planning.files import planned_scenario
 from ltsim.planning.planner import Plan
@@ -48,19 +41,14 @@ def figure_of(result: Result) -> Figure:
 def _(result: Calibration) -> Figure:
     if not result.names:
         raise ModelError("an adjustment without instrument parameters has no picture; lt.report makes a page of it")
-    table = result.table("parameters")
-    rows = zip(*(table.column(name) for name in ("parameter", "value", "sigma", "unit", "prior_sigma")), strict=True)
-    return parameter_figure([ParameterRow(*row) for row in rows])
+    return parameter_figure(result.parameters)
 
 
 @figure_of.register
 def _(result: Criteria) -> Figure:
-    table = result.table()
     if result.distance.after is None:
         raise ModelError("criteria without a calibration have no before and after to draw")
-    names = ("criterion", "mean_um", "mean_after_um", "max_um", "max_after_um", "improvement_percent")
-    rows = zip(*(table.column(name) for name in names), strict=True)
-    return criteria_figure([Criterion(*row) for row in rows])
+    return criteria_figure(result.table())
 
 
 @figure_of.register
@@ -73,21 +61,15 @@ def _(result: Diagnosis) -> Figure:
     """The curve or the residuals of the first finding; of a consistent recording its residuals."""
     before, after = (Residuals.from_adjustment(a) for a in (result.baseline, result.adjusted))
     for finding in result.findings[:1]:
-        figure = finding_figure(finding, before, after)
-        if figure is not None:
-            return figure
+        draw = finding_drawing(finding, before, after)
+        if draw is not None:
+            return draw()
     return residuals_by_covariate(after)
 
 
 @figure_of.register
 def _(result: Comparison) -> Figure:
-    table = result.table()
-    places, shifts, axes = (
-        table.numbers(*names)
-        for names in (("x_mm", "y_mm", "z_mm"), ("dx_um", "dy_um", "dz_um"), ("a_um", "b_um", "c_um"))
-    )
-    moved = np.array(table.column("moved"), dtype=bool)
-    return displacement_figure(places, shifts, axes, moved, table.column("target"))
+    return displacement_figure(result)
 
 
 @figure_of.register

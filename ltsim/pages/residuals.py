@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,16 +11,20 @@ from numpy.typing import NDArray
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.arrays import Bools, Floats, Ints
+from ltsim.calibration.calibration import residuals_table
 from ltsim.calibration.schema import RESIDUALS
 from ltsim.errors import RecordError
-from ltsim.pages.style import OBSERVABLE_UNIT
 from ltsim.recording.files import read_text, shown
 from ltsim.recording.recording import OBSERVABLES
+from ltsim.results import Table
 from ltsim.scene.sightings import Sightings
 from ltsim.units import DEGREE, FACTOR
 
 Names = NDArray[np.str_]
 
+OBSERVABLE_UNIT = {"distance": "um", "azimuth": "arcsec", "elevation": "arcsec"}
+USUAL = ("azimuth", "elevation", "distance", "time")
+"""Covariates that every recording has."""
 COVARIATE_UNIT = {"azimuth": "°", "elevation": "°", "distance": "m", "time": "min", "incidence": "°", "row": ""}
 
 
@@ -65,46 +69,37 @@ class Residuals:
         return inside
 
     @classmethod
-    def from_adjustment(cls, adjustment: Adjustment) -> Residuals:
-        """Residuals of an adjustment with the geometry of its pointings."""
-        rows, columns = np.nonzero(np.isfinite(adjustment.w))
-        recording = adjustment.recording
-        scale = np.array([1.0 / FACTOR[OBSERVABLE_UNIT[name]] for name in OBSERVABLES])
-        return cls(
-            row=(rows + 1).astype(np.int64),
-            station=np.array(recording.stations)[recording.station[rows]],
-            target=np.array(recording.targets)[recording.target[rows]],
-            observable=columns.astype(np.int64),
-            residual=adjustment.residuals[rows, columns] * scale[columns],
-            w=adjustment.w[rows, columns],
-            redundancy=adjustment.redundancy[rows, columns],
-            covariates=_geometry(adjustment.sightings, rows),
-        )
-
-    @classmethod
-    def read(cls, file: Path) -> Residuals:
-        """Residuals from a `residuals.csv`; raises RecordError when a column is missing or a field is no number."""
-        found = RESIDUALS.parsed(read_text(file), file)
-        names = {name: found.column(name) for name in ("station", "target", "observable", "unit")}
-        row, residual, redundancy, w = found.numbers("row", "residual", "redundancy", "w").T
+    def from_table(cls, table: Table, file: Path | None = None) -> Residuals:
+        """Residuals of a table `RESIDUALS`; raises RecordError for an observable or a unit that is none."""
         for column, known in (("observable", OBSERVABLES), ("unit", FACTOR)):
-            wrong = next((i for i, name in enumerate(names[column]) if name not in known), None)
+            wrong = next((i for i, name in enumerate(table.column(column)) if name not in known), None)
             if wrong is not None:
-                message = f"'{shown(names[column][wrong])}' is none of {', '.join(known)}"
+                message = f"'{shown(table.column(column)[wrong])}' is none of {', '.join(known)}"
                 raise RecordError(message, file=file, row=wrong + 1, column=column)
-        scale = [
-            FACTOR[u] / FACTOR[OBSERVABLE_UNIT[o]] for o, u in zip(names["observable"], names["unit"], strict=True)
-        ]
+        names, units = table.column("observable"), table.column("unit")
+        scale = np.array([FACTOR[u] / FACTOR[OBSERVABLE_UNIT[o]] for o, u in zip(names, units, strict=True)])
+        row, residual, redundancy, w = table.numbers("row", "residual", "redundancy", "w").T
         return cls(
             row=row.astype(np.int64),
-            station=np.array(names["station"], dtype=np.str_),
-            target=np.array(names["target"], dtype=np.str_),
-            observable=np.array([OBSERVABLES.index(name) for name in names["observable"]], dtype=np.int64),
-            residual=residual * np.array(scale),
+            station=np.array(table.column("station"), dtype=np.str_),
+            target=np.array(table.column("target"), dtype=np.str_),
+            observable=np.array([OBSERVABLES.index(name) for name in names], dtype=np.int64),
+            residual=residual * scale,
             w=w,
             redundancy=redundancy,
             covariates={"row": row},
         )
+
+    @classmethod
+    def from_adjustment(cls, adjustment: Adjustment) -> Residuals:
+        """Residuals of an adjustment with the geometry of its pointings."""
+        found = cls.from_table(residuals_table(adjustment))
+        return replace(found, covariates=_geometry(adjustment.sightings, found.row - 1))
+
+    @classmethod
+    def read(cls, file: Path) -> Residuals:
+        """Residuals from a `residuals.csv`; raises RecordError when a column is missing or a field is no number."""
+        return cls.from_table(RESIDUALS.parsed(read_text(file), file), file)
 
     def with_covariates(self, other: Residuals | None) -> Residuals:
         """The same residuals with the covariates that `other`, if there is one, knows for the same observations."""
@@ -116,9 +111,7 @@ class Residuals:
             name: np.array([np.nan if i is None else column[i] for i in at])
             for name, column in other.covariates.items()
         }
-        return Residuals(
-            self.row, self.station, self.target, self.observable, self.residual, self.w, self.redundancy, found
-        )
+        return replace(self, covariates=found)
 
 
 def _geometry(sightings: Sightings, rows: Ints) -> dict[str, Floats]:

@@ -13,15 +13,16 @@ from matplotlib.colors import ListedColormap
 from PIL import Image
 from vtkmodules.vtkCommonCore import vtkLogger
 
-from ltsim.arrays import Floats
-from ltsim.pages import solids
-from ltsim.pages.style import BLUE, GREEN, INK, ORANGE, PURPLE, RED, SKY, shorten
+from ltsim.arrays import Floats, Ints
+from ltsim.pages import style
 from ltsim.pages.workshop import Workshop
 from ltsim.units import DEGREE
 
 WALL, FLOOR, LEG = "#D5DBE0", "#E3E7EA", "#5C6166"
-MOST_ARROWS = 300
+MOST_ARROWS, MOST_METRES = 300, 200
 MOST_LABELS = 60
+FEW_BALLS, MANY_BALLS = 150, 600
+"""Above so many balls eight sides look round on the screen, and six."""
 LINES = ListedColormap(mpl.colormaps["viridis"](np.linspace(0.0, 0.86, 128)))
 
 vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_ERROR)  # else it complains about a missing display
@@ -109,17 +110,17 @@ def show(workshop: Workshop) -> None:
 def write_legend(plotter: pv.Plotter, title: str, legend: Legend) -> None:
     """Write title, magnifications and the colour bar on a picture."""
     if title:
-        plotter.add_text(title, position=(0.015, 0.955), viewport=True, font_size=13, color=INK, shadow=False)
+        plotter.add_text(title, position=(0.015, 0.955), viewport=True, font_size=13, color=style.INK, shadow=False)
     text = "\n".join(legend.lines)
     if text:
         actor = plotter.add_text(
-            text, position=(0.015, 0.93 - 0.027 * len(legend.lines)), viewport=True, font_size=9, color=INK
+            text, position=(0.015, 0.93 - 0.027 * len(legend.lines)), viewport=True, font_size=9, color=style.INK
         )
         actor.prop.SetLineSpacing(1.35)
     if legend.bar is not None:
         plotter.add_scalar_bar(  # type: ignore[call-arg]
             title=legend.bar[0] + "\n",
-            color=INK,
+            color=style.INK,
             position_x=0.64,
             position_y=0.02,
             width=0.33,
@@ -135,14 +136,18 @@ def write_legend(plotter: pv.Plotter, title: str, legend: Legend) -> None:
 def _surroundings(plotter: pv.Plotter, workshop: Workshop) -> None:
     z = workshop.floor_height
     corners = np.column_stack([workshop.floor, np.full(len(workshop.floor), z - 0.002)])
-    plotter.add_mesh(solids.polygon(corners), color=FLOOR, lighting=False, name="floor")
-    grid = solids.metre_grid(workshop.floor, z)
-    if grid is not None:
+    plotter.add_mesh(_polygon(corners), color=FLOOR, lighting=False, name="floor")
+    ends = workshop.floor.min(axis=0), workshop.floor.max(axis=0)
+    metres = [np.arange(np.ceil(low), high + 1e-9) for low, high in zip(*ends, strict=True)]
+    if all(map(len, metres)) and sum(map(len, metres)) <= MOST_METRES:
+        grid = pv.RectilinearGrid(*metres, [z]).extract_all_edges()
         plotter.add_mesh(grid, color="#CBD1D6", line_width=1, lighting=False, name="grid")
     for i, wall in enumerate(workshop.walls):
-        plotter.add_mesh(solids.polygon(wall), color=WALL, opacity=0.55, lighting=False, name=f"wall-{i}")
+        plotter.add_mesh(_polygon(wall), color=WALL, opacity=0.55, lighting=False, name=f"wall-{i}")
     if len(workshop.obstacles):
-        plotter.add_mesh(solids.triangles(workshop.obstacles), color="#B9A98C", name="obstacles")
+        corners = workshop.obstacles.reshape(-1, 3)
+        stand = pv.PolyData.from_regular_faces(corners, np.arange(len(corners)).reshape(-1, 3))  # type: ignore[arg-type]
+        plotter.add_mesh(stand, color="#B9A98C", name="obstacles")
 
 
 def _sights(plotter: pv.Plotter, workshop: Workshop) -> tuple[str, float, float] | None:
@@ -154,7 +159,7 @@ def _sights(plotter: pv.Plotter, workshop: Workshop) -> tuple[str, float, float]
     value = np.full(len(pairs), -np.inf)
     np.maximum.at(value, place.ravel(), sights.value)
     ends = np.stack([workshop.position[pairs[:, 0]], workshop.points[pairs[:, 1]]], axis=1).reshape(-1, 3)
-    mesh = solids.lines(ends)
+    mesh = pv.line_segments_from_points(ends)
     mesh.cell_data["value"] = value
     low, high = float(value.min()), float(value.max())
     plotter.add_mesh(
@@ -178,18 +183,18 @@ def _shadows(plotter: pv.Plotter, workshop: Workshop, lines: list[str]) -> None:
         radius = workshop.shadow_radius(opening)
         rims = []
         for s, place in enumerate(workshop.position):
-            rim = solids.circle(place[:2], radius[s], z + 0.004 * (k + 1))
-            rims.append(np.stack([rim[:-1], rim[1:]], axis=1).reshape(-1, 3))
+            low = np.array([*place[:2], z + 0.004 * (k + 1)])
+            disc = pv.Polygon(center=low, radius=float(radius[s]), normal=(0.0, 0.0, 1.0), n_sides=72)
+            rims.append(disc.extract_feature_edges())
             if k == 0:
-                plotter.add_mesh(
-                    solids.cone(place, rim[:-1]), color=RED, opacity=0.13, lighting=False, name=f"cone-{s}"
-                )
-                plotter.add_mesh(
-                    solids.polygon(rim[:-1]), color=ORANGE, opacity=0.30, lighting=False, name=f"shadow-{s}"
-                )
+                high = float(place[2] - low[2])
+                how = {"direction": (0.0, 0.0, 1.0), "height": high, "radius": radius[s], "resolution": 72}
+                cone = pv.Cone(center=0.5 * (place + low), capping=False, **how)
+                plotter.add_mesh(cone, color=style.RED, opacity=0.13, lighting=False, name=f"cone-{s}")
+                plotter.add_mesh(disc, color=style.ORANGE, opacity=0.30, lighting=False, name=f"shadow-{s}")
         plotter.add_mesh(
-            solids.lines(np.concatenate(rims)),
-            color=RED if k == 0 else ORANGE,
+            pv.merge(rims),
+            color=style.RED if k == 0 else style.ORANGE,
             line_width=3 if k == 0 else 1.5,
             lighting=False,
             name=f"rims-{k}",
@@ -198,24 +203,49 @@ def _shadows(plotter: pv.Plotter, workshop: Workshop, lines: list[str]) -> None:
         lines.append(f"{what}: shadow, opening {opening / DEGREE:.0f}°")
 
 
+def _polygon(corners: Floats) -> pv.PolyData:
+    """A flat convex face through corners (k, 3)."""
+    return pv.PolyData(corners, faces=[len(corners), *range(len(corners))])
+
+
+def _rod(begin: Floats, end: Floats, radius: float) -> pv.PolyData:
+    """A round bar between two points (3,)."""
+    along = end - begin
+    height = float(np.linalg.norm(along))
+    return pv.Cylinder(center=0.5 * (begin + end), direction=along, radius=radius, height=height, resolution=12)
+
+
+def balls(centres: Floats, axes: Floats) -> pv.PolyData:
+    """Ellipsoids around centres (k, 3) in one mesh; the columns of `axes` (k, 3, 3) are the semi-axes."""
+    count = len(centres)
+    around, up = (18, 12) if count <= FEW_BALLS else (8, 6) if count <= MANY_BALLS else (6, 4)
+    unit = pv.Sphere(radius=1.0, theta_resolution=around, phi_resolution=up)
+    points = np.einsum("kij,nj->kni", axes, unit.points) + centres[:, None, :]
+    first = len(unit.points) * np.arange(count, dtype=np.int64)[:, None, None]
+    corners: Ints = (np.asarray(unit.regular_faces, dtype=np.int64)[None] + first).reshape(-1, 3)
+    return pv.PolyData.from_regular_faces(points.reshape(-1, 3).astype(np.float32), corners)  # type: ignore[arg-type]
+
+
 def _targets(plotter: pv.Plotter, workshop: Workshop) -> None:
     gauge = set(workshop.gauge_targets)
     radius = 0.009 * workshop.size
     for name, colour, chosen in (
-        ("targets", BLUE, [i for i in range(len(workshop.targets)) if i not in gauge]),
-        ("gauge", GREEN, sorted(gauge)),
+        ("targets", style.BLUE, [i for i in range(len(workshop.targets)) if i not in gauge]),
+        ("gauge", style.GREEN, sorted(gauge)),
     ):
         if chosen:
             axes = np.broadcast_to(np.eye(3) * radius, (len(chosen), 3, 3))
             plotter.add_mesh(
-                solids.balls(workshop.points[chosen], axes),
+                balls(workshop.points[chosen], axes),
                 color=colour,
                 name=name,
-                smooth_shading=len(chosen) <= solids.FEW_BALLS,
+                smooth_shading=len(chosen) <= FEW_BALLS,
             )
     if workshop.gauge:
         ends = workshop.points[np.array(workshop.gauge).ravel()]
-        plotter.add_mesh(solids.lines(ends), color=GREEN, line_width=3, lighting=False, name="gauge-lengths")
+        plotter.add_mesh(
+            pv.line_segments_from_points(ends), color=style.GREEN, line_width=3, lighting=False, name="gauge-lengths"
+        )
 
 
 def _stations(plotter: pv.Plotter, workshop: Workshop) -> None:
@@ -226,17 +256,17 @@ def _stations(plotter: pv.Plotter, workshop: Workshop) -> None:
         top = place - np.array([0.0, 0.0, 0.22])
         for angle in np.array([90.0, 210.0, 330.0]) * DEGREE:
             foot = np.array([*(place[:2] + spread * np.array([np.cos(angle), np.sin(angle)])), workshop.floor_height])
-            legs.append(solids.rod(top, foot, 0.018))
-        legs.append(solids.rod(top, place - np.array([0.0, 0.0, 0.09]), 0.05))
+            legs.append(_rod(top, foot, 0.018))
+        legs.append(_rod(top, place - np.array([0.0, 0.0, 0.09]), 0.05))
         heads.append(pv.Cylinder(center=place, direction=turn[:, 1], radius=0.09, height=0.20, resolution=32))
         end = place + 0.30 * turn[:, 0]
-        pointers.append(solids.rod(place, end, 0.022))
+        pointers.append(_rod(place, end, 0.022))
         pointers.append(
             pv.Cone(center=end + 0.06 * turn[:, 0], direction=turn[:, 0], height=0.12, radius=0.05, resolution=24)
         )
-    plotter.add_mesh(solids.merged(legs), color=LEG, name="tripods")
-    plotter.add_mesh(solids.merged(heads), color=INK, name="heads")
-    plotter.add_mesh(solids.merged(pointers), color=ORANGE, name="azimuth-zero")
+    plotter.add_mesh(pv.merge(legs), color=LEG, name="tripods")
+    plotter.add_mesh(pv.merge(heads), color=style.INK, name="heads")
+    plotter.add_mesh(pv.merge(pointers), color=style.ORANGE, name="azimuth-zero")
 
 
 def _uncertainty(plotter: pv.Plotter, workshop: Workshop, lines: list[str]) -> None:
@@ -249,9 +279,9 @@ def _uncertainty(plotter: pv.Plotter, workshop: Workshop, lines: list[str]) -> N
     if not largest > 0:
         return
     scale = round_magnification(largest, 0.035 * workshop.size)
-    ellipsoids = solids.balls(workshop.points, axes * (scale * semi)[:, None, :])
+    ellipsoids = balls(workshop.points, axes * (scale * semi)[:, None, :])
     plotter.add_mesh(
-        ellipsoids, color=SKY, opacity=0.35, name="ellipsoids", smooth_shading=len(semi) <= solids.FEW_BALLS
+        ellipsoids, color=style.SKY, opacity=0.35, name="ellipsoids", smooth_shading=len(semi) <= FEW_BALLS
     )
     lines.append(f"pale ellipsoids: 1 sigma of a target, enlarged {times(scale)} times")
 
@@ -278,7 +308,7 @@ def _corrections(plotter: pv.Plotter, workshop: Workshop, lines: list[str]) -> N
         for p, c, n in zip(workshop.points, workshop.correction, length, strict=True)
         if n >= least
     ]
-    plotter.add_mesh(solids.merged(arrows), color=PURPLE, name="corrections")
+    plotter.add_mesh(pv.merge(arrows), color=style.PURPLE, name="corrections")
     most = f" (the {MOST_ARROWS} largest)" if len(length) > MOST_ARROWS else ""
     lines.append(f"arrows: correction of a target{most}, enlarged {times(scale)} times")
 
@@ -286,18 +316,18 @@ def _corrections(plotter: pv.Plotter, workshop: Workshop, lines: list[str]) -> N
 def _names(plotter: pv.Plotter, workshop: Workshop) -> None:
     direction = np.array(plotter.camera.position) - np.array(plotter.camera.focal_point)
     size = 0.026 * workshop.size
-    groups = [("station-names", workshop.stations, workshop.position, 0.33, 1.5 * size, INK)]
+    groups = [("station-names", workshop.stations, workshop.position, 0.33, 1.5 * size, style.INK)]
     if len(workshop.targets) <= MOST_LABELS:
         groups.append(("target-names", workshop.targets, workshop.points, 0.1, size, "#3A4046"))
     for key, names, places, up, height, colour in groups:
         raised = places + np.array([0.0, 0.0, up])
         words = [_letters(name, place, direction, height) for name, place in zip(names, raised, strict=True)]
-        plotter.add_mesh(solids.merged(words), color=colour, lighting=False, name=key)
+        plotter.add_mesh(pv.merge(words), color=colour, lighting=False, name=key)
 
 
 def _letters(name: str, place: Floats, direction: Floats, height: float) -> pv.PolyData:
     """A short name of a given height [m], its plane square to `direction`."""
-    text = shorten(name, 16).encode("latin-1", "replace").decode("latin-1")
+    text = style.shorten(name, 16).encode("latin-1", "replace").decode("latin-1")
     mesh = pv.Text3D(text, depth=0.0, height=height, center=(0.0, 0.0, 0.0), normal=(0.0, 0.0, 1.0))
     out = direction / np.linalg.norm(direction)
     right = np.cross([0.0, 0.0, 1.0] if abs(out[2]) < 1 - 1e-9 else [-1.0, 0.0, 0.0], out)

@@ -15,9 +15,10 @@ from matplotlib.colors import to_hex
 from trame_vtk.modules.vtk import serializers
 from trame_vtk.tools.vtksz2html import write_html
 
+from ltsim.notation import number
 from ltsim.pages import scene3d
 from ltsim.pages.document import POLICY
-from ltsim.pages.style import number
+from ltsim.pages.words import typeset
 from ltsim.pages.workshop import Workshop
 
 STYLE = """
@@ -83,7 +84,7 @@ def _overlay(title: str, legend: scene3d.Legend) -> str:
         stops = ", ".join(to_hex(scene3d.LINES(x)) for x in np.linspace(0, 1, 9))
         parts.append(
             f'<div id="bar">{escape(label)}<i style="background: linear-gradient(90deg, {stops})"></i>'
-            f"{number(low)}<span>{number(high)}</span></div>"
+            f"{typeset(number(low))}<span>{typeset(number(high))}</span></div>"
         )
     parts.append('<div id="hint">drag: turn · wheel or pinch: zoom · shift-drag: move</div>')
     return "".join(parts)

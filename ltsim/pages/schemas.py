@@ -47,12 +47,12 @@ RESULTS: tuple[type[ResultFile], ...] = (
     comparison.Comparison,
     checks.CheckFile,
     acceptance.AcceptanceFile,
+    BenchFile,
 )
-"""Files that verbs write and the report reads."""
+"""Files that verbs write."""
 
 FILES: dict[str, type[BaseModel]] = {
     **{model.FILE: model for model in RESULTS},
-    BenchFile.FILE: BenchFile,
     "truth.json": TruthFile,
     "setup.toml": Setup,
     "scenario.toml": Scenario,

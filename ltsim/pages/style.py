@@ -21,7 +21,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from PIL import Image
 
-from ltsim import notation
 from ltsim.arrays import Floats
 from ltsim.pages.words import typeset
 
@@ -37,8 +36,6 @@ ON_PALE, ON_DEEP = "#23282c", "#fefefe"
 
 WIDTH = 4.9
 """Inches of every figure: on a phone its letters still have nine pixels."""
-
-OBSERVABLE_UNIT = {"distance": "um", "azimuth": "arcsec", "elevation": "arcsec"}
 
 _SETTINGS: dict[Any, Any] = {
     "font.sans-serif": ["DejaVu Sans", "Verdana", "Arial"],
@@ -100,6 +97,13 @@ def svg(figure: Figure) -> str:
     return stream.getvalue()
 
 
+def png(figure: Figure) -> bytes:
+    """The figure as a picture to print."""
+    stream = io.BytesIO()
+    figure.savefig(stream, format="png", dpi=150)
+    return stream.getvalue()
+
+
 def svg_uri(text: str) -> str:
     """An SVG as a `data:` address for an `img`, in which names can run nothing."""
     return "data:image/svg+xml," + quote(text, safe=" !$'()*+,/:;<=>?@[]{|}")
@@ -137,16 +141,9 @@ def category_rows(ax: Axes, names: Sequence[str], *, size: float = 8.0) -> Float
 def at_right(ax: Axes, places: Floats, texts: Sequence[str]) -> None:
     """Texts beside the rows, at the right end."""
     right = ax.secondary_yaxis("right")
-    right.set_yticks(places, texts, fontsize=8)
+    right.set_yticks(places, [typeset(text) for text in texts], fontsize=8)
     right.tick_params(length=0)
     right.spines["right"].set_visible(False)
-
-
-def bare(ax: Axes) -> None:
-    """Take frame, grid and ticks off a table of colours."""
-    ax.tick_params(length=0)
-    ax.grid(visible=False)
-    ax.spines[:].set_visible(False)
 
 
 def legend_of(figure: Figure, panels: Iterable[Axes], *, ncols: int = 3) -> None:
@@ -159,18 +156,3 @@ def shorten(name: str, most: int = 34) -> str:
     """A name that fits on an axis."""
     flat = " ".join(name.split())
     return flat if len(flat) <= most else flat[: most - 1] + "…"
-
-
-def number(value: float | None, digits: int = 3) -> str:
-    """A number of so many digits, as a page prints it."""
-    return typeset(notation.number(value, digits))
-
-
-def fixed(value: float | None, decimals: int) -> str:
-    """A number with so many decimals, a dash for none; thousands are not divided, so that it can be copied."""
-    return typeset(notation.NONE if value is None or not np.isfinite(value) else f"{value:.{decimals}f}")
-
-
-def with_unit(value: float, sigma: float | None, unit: str) -> str:
-    """`value ± sigma unit`: one standard deviation."""
-    return typeset(notation.with_sigma(value, sigma, unit))

@@ -8,7 +8,7 @@ from html import escape
 from pathlib import Path
 
 from ltsim.errors import require
-from ltsim.pages.page import report as write_report
+from ltsim.pages.page import NAME, UNREADABLE, document, render
 from ltsim.pages.workshop import Workshop, from_recording, from_scenario, with_cad
 from ltsim.recording import Recording
 from ltsim.recording.exchange import read
@@ -149,4 +149,9 @@ def report(
     """
     head = About(**about) if isinstance(about, Mapping) else about
     behind = None if recording is None else Path(recording)
-    return write_report(Path(folder), recording=behind, title=title, about=head, tell=tell)
+    target, content = Path(folder) / NAME, document(Path(folder), recording=behind, title=title, about=head)
+    for unread in content.sections:
+        if unread.kind == UNREADABLE:
+            tell(unread.answer)
+    write_text(target, render(content))
+    return target

@@ -11,10 +11,10 @@ import numpy as np
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.arrays import Floats, Ints
 from ltsim.errors import SetupError
-from ltsim.geometry.rotations import about_z
 from ltsim.model.construction import stated_construction
 from ltsim.recording.recording import Recording
 from ltsim.recording.setup import Limits, Setup
+from ltsim.remedies.remedy import FloorPlan
 from ltsim.scene.cad import read_mesh, size_question
 from ltsim.scene.visibility import Reason, Visibility, cone_opening, shadow_radius
 from ltsim.simulation.scenario import Scenario
@@ -159,9 +159,9 @@ def assemble(
     correction: Floats | None = None,
 ) -> Workshop:
     """Bring a network into the frame of the floor plan where the set-up knows one, and add floor, walls and gauge."""
-    turn, shift, planned = _to_plan(setup, stations, position, rotation)
-    points = points @ turn.T + shift
-    position = position @ turn.T + shift
+    plan = FloorPlan.by(setup, stations, position, rotation)
+    turn, planned = plan.rotation, plan.known
+    points, position = plan.place(points), plan.place(position)
     normal = _nest_normals(setup, targets)
     height = 0.0 if planned and points[:, 2].min() > -0.05 else float(points[:, 2].min())
     notes = () if height == 0.0 else ("The floor is taken at the lowest target.",)
@@ -198,34 +198,6 @@ def gauge_pairs(setup: Setup, targets: Iterable[str]) -> tuple[tuple[int, int], 
     place: Mapping[str, int] = {name: i for i, name in enumerate(targets)}
     lengths = setup.gauge.distance if setup.gauge else ()
     return tuple((place[g.from_], place[g.to]) for g in lengths if g.from_ in place and g.to in place)
-
-
-def _to_plan(
-    setup: Setup, stations: tuple[str, ...], position: Floats, rotation: Floats
-) -> tuple[Floats, Floats, bool]:
-    """Turn about z and shift that bring the network to the floor plan, and whether there is one.
-
-    Plans are rough, levels are not: only the yaw is taken from the plan.
-    """
-    known = [i for i, name in enumerate(stations) if _plan(setup, name) is not None]
-    if not known:
-        return np.eye(3), np.zeros(3), False
-    plan = np.array([_plan(setup, stations[i]) for i in known]) * MILLIMETRE
-    yaws = [(i, setup.stations[stations[i]].yaw_deg) for i in known if setup.stations[stations[i]].yaw_deg is not None]
-    if yaws:
-        differences = [(yaw or 0.0) * DEGREE - np.arctan2(rotation[i, 1, 0], rotation[i, 0, 0]) for i, yaw in yaws]
-        angle = float(np.angle(np.mean(np.exp(1j * np.array(differences)))))
-    else:
-        here = position[known] - position[known].mean(axis=0)
-        there = plan - plan.mean(axis=0)
-        angle = float(np.angle(np.sum((there[:, 0] + 1j * there[:, 1]) * (here[:, 0] - 1j * here[:, 1]))))
-    turn = about_z(angle)
-    shift: Floats = plan.mean(axis=0) - turn @ position[known].mean(axis=0)
-    return turn, shift, True
-
-
-def _plan(setup: Setup, station: str) -> tuple[float, float, float] | None:
-    return setup.stations[station].position_mm if station in setup.stations else None
 
 
 def _nest_normals(setup: Setup, targets: tuple[str, ...]) -> Floats:

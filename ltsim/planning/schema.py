@@ -314,7 +314,7 @@ class PlanResult(ResultFile, LayoutEntry):
     @property
     def value_unit(self) -> tuple[float, str]:
         """Factor and unit in which a person reads the objective: lengths where targets alone are its goal."""
-        return (1e6, "µm") if set(self.quality) == {"targets"} else (1.0, "")
+        return (1e6, "um") if set(self.quality) == {"targets"} else (1.0, "")
 
 
 class ProposalEntry(Entry):

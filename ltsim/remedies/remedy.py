@@ -6,20 +6,18 @@ explanations; all choose from this list.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
 
 from ltsim.arrays import Floats, Ints
-from ltsim.errors import NetworkError
-from ltsim.geometry.alignment import align
 from ltsim.geometry.polar import from_polar
 from ltsim.geometry.rotations import about_z
 from ltsim.model.measurement import State
 from ltsim.recording.recording import Recording
-from ltsim.recording.setup import Limits
+from ltsim.recording.setup import Limits, Setup
 from ltsim.remedies.network import Network
 from ltsim.scene.visibility import SightLimits, visibility
 from ltsim.units import DEGREE, MILLIMETRE
@@ -121,7 +119,10 @@ class Remedy:
 
 @dataclass(frozen=True)
 class FloorPlan:
-    """From the network's frame to the floor plan's; the identity where no plan is known."""
+    """From the network's frame to the floor plan's; the identity where no plan is known.
+
+    Plans are rough, levels are not: only a turn about the vertical is taken from the plan.
+    """
 
     rotation: Floats
     """(3, 3) (3,)."""
@@ -130,15 +131,26 @@ class FloorPlan:
 
     @classmethod
     def of(cls, recording: Recording, state: State) -> FloorPlan:
-        """By at least three stations whose places on the plan the set-up states."""
-        stated = [recording.station_setup(name).position_mm for name in recording.stations]
-        known = [i for i, place in enumerate(stated) if place is not None]
-        try:
-            goal = np.array([stated[i] for i in known], dtype=np.float64).reshape(-1, 3) * MILLIMETRE
-            rotation, translation = align(state.position[known], goal)
-        except NetworkError:
+        """By the stations of an adjusted network."""
+        return cls.by(recording.setup, recording.stations, state.position, state.rotation)
+
+    @classmethod
+    def by(cls, setup: Setup, stations: Sequence[str], position: Floats, rotation: Floats) -> FloorPlan:
+        """By the stations whose places, or directions of zero too, a set-up states."""
+        stated = {i: setup.stations[name] for i, name in enumerate(stations) if name in setup.stations}
+        known = [i for i, station in stated.items() if station.position_mm is not None]
+        if not known:
             return cls(np.eye(3), np.zeros(3), known=False)
-        return cls(rotation, translation, known=True)
+        here, there = position[known], np.array([stated[i].position_mm for i in known]) * MILLIMETRE
+        yaws = [i for i in known if stated[i].yaw_deg is not None]
+        if yaws:
+            own = np.arctan2(rotation[yaws, 1, 0], rotation[yaws, 0, 0])
+            turns = np.exp(1j * (np.array([stated[i].yaw_deg for i in yaws]) * DEGREE - own))
+        else:
+            away, goal = here - here.mean(axis=0), there - there.mean(axis=0)
+            turns = (goal[:, 0] + 1j * goal[:, 1]) * (away[:, 0] - 1j * away[:, 1])
+        turn = about_z(float(np.angle(turns.sum())))
+        return cls(turn, there.mean(axis=0) - turn @ here.mean(axis=0), known=True)
 
     def place(self, position: Floats) -> Floats:
         """Positions (..., 3) on the plan."""

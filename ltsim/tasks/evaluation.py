@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 
 from ltsim.arrays import Bools, Floats
 from ltsim.calibration.result import frame_of
 from ltsim.recording.recording import Recording
-from ltsim.recording.result_file import SourceEntry, write_result
+from ltsim.recording.result_file import SourceEntry
 from ltsim.results import Result, Table
 from ltsim.solve.threads import in_one_thread
 from ltsim.tasks.files import Conformity, Distribution, Part, TaskResult, UncertaintyFile, conformity
@@ -151,15 +150,3 @@ def evaluate_tasks(recording: Recording, tasks: Tasks) -> Evaluation:
     curved = gap / np.where(linear.sigma > 0, linear.sigma, np.inf)
     agrees = drawn.agrees(linear, tasks.monte_carlo.coverage)
     return Evaluation(tasks, inputs, measurands, linear, drawn, agrees, curved)
-
-
-def write_uncertainty(evaluation: Evaluation, folder: Path) -> UncertaintyFile:
-    """Write uncertainty.json, uncertainty.csv (a row a result) and budget.csv (a row a source); give what was written.
-
-    Raises
-    ------
-    RecordError
-        When the folder cannot be written; nothing half-written stays behind.
-    """
-    tables = [evaluation.table(name) for name in ("results", "budget")]
-    return write_result(folder, evaluation.content, {table.file: table.csv() for table in tables})

@@ -36,7 +36,7 @@ def test_predicted_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> N
     assert run(["accept", str(file), "--out", str(tmp_path / "out")]) == 0
     said = capsys.readouterr().out
     assert "passes all 74 tests with a chance of" in said
-    assert "no test sees azimuth-second-order-cos, elevation-eccentricity-cos" in said
+    assert "No test sees azimuth-second-order-cos, elevation-eccentricity-cos" in said
     content = json.loads((tmp_path / "out" / "accept.json").read_text())
     assert len(content["tests"]) == 74
     assert run(["report", str(tmp_path / "out")]) == 0
@@ -63,7 +63,7 @@ def test_measured_errors_are_judged(tmp_path: Path, capsys: pytest.CaptureFixtur
     text = 'tests = "plan.csv"\ninstrument = "leica-at500"\nmeasured = "found.csv"'
     file = write(tmp_path, text, plan=PLAN, found="test,error_um,U_um\nbar,-12.5,4\nball,30,2\n")
     assert run(["accept", str(file)]) == 0
-    assert "all 2 errors are within their limits" in capsys.readouterr().out
+    assert "All 2 errors are within their limits" in capsys.readouterr().out
     file = write(tmp_path, text, plan=PLAN, found="test,error_um,U_um\nbar,-62.5,\nball,30,20\n")
     assert run(["accept", str(file)]) == 1
     said = capsys.readouterr().out

@@ -235,7 +235,7 @@ def test_the_command_follows_recordings_and_calibrations(before_and_after, tmp_p
     write(third, tmp_path / "september")
     paths = [str(tmp_path / name) for name in ("january", "may", "september")]
     assert run(["history", *paths[:2], "--fail-on-change", "--out", str(tmp_path / "same")]) == 0
-    assert "no change seen" in capsys.readouterr().out
+    assert "shows no change since the first" in capsys.readouterr().out
     assert run(["history", *paths, "--fail-on-change", "--json"]) == 1
     content = json.loads(capsys.readouterr().out)
     assert "beam-tilt" in content["changes"][1]["changed"]

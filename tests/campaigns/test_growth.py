@@ -10,9 +10,9 @@ import pytest
 from ltsim.campaigns.campaign import run_campaign
 from ltsim.campaigns.spec import load_campaign
 from ltsim.campaigns.statistics import Results
-from ltsim.cli.campaign import MOST_ROWS
 from ltsim.cli.main import run
 from ltsim.errors import SetupError
+from ltsim.pages.sections.campaign import MOST_ROWS
 
 FILE = """
 format = "ltsim-campaign/1"

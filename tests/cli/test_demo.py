@@ -16,7 +16,7 @@ from ltsim.randomness import stream
 
 def test_first_steps(tmp_path: Path) -> None:
     assert "5 stations, 28 reflectors, 140 pointings" in simulated(tmp_path, 1)
-    assert "the distance criterion improves by" in calibrated(tmp_path, 1)
+    assert "stations agree about distances" in calibrated(tmp_path, 1)
     found = {str(p.relative_to(tmp_path)) for p in tmp_path.rglob("*") if p.is_file()}
     assert {
         "workshop/recording/observations.csv",

@@ -30,11 +30,11 @@ def source(tmp_path_factory) -> Path:
 def test_robust_and_noise_are_printed_and_written(source: Path, tmp_path: Path, capsys) -> None:
     assert run(["calibrate", str(source), "--robust", "--noise-from-data", "--out", str(tmp_path / "cal")]) == 0
     text = capsys.readouterr().out
-    assert "no test, the noise was estimated from the same readings" in text
-    assert "robust: 2 of the readings left out" in text
-    assert "noise found from the readings" in text
-    assert "row 21: " in text
-    assert "left out of the adjustment" in text
+    assert "the noise was estimated from the same readings, which leaves nothing to test" in text
+    assert "2 readings did not fit and were left out" in text
+    assert "Noise found from the readings" in text
+    rows = [line.split() for line in text.splitlines()]
+    assert [row[0] for row in rows if "yes" in row] == ["21", "151"]  # left out
     content = json.loads((tmp_path / "cal" / "calibration.json").read_text())
     assert {(o["row"], o["observable"], o["left_out"]) for o in content["outliers"]} == {
         (21, "distance", True),
@@ -47,7 +47,7 @@ def test_without_the_options_the_summary_says_which_test_to_trust(source: Path, 
     assert run(["calibrate", str(source)]) == 0
     text = capsys.readouterr().out
     assert "Trust the " in text
-    assert "--robust would leave out" in text
+    assert "leave them out (--robust)" in text
 
 
 @pytest.mark.parametrize("verb", ["adjust", "calibrate"])

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from ltsim.pages import workshop
-from ltsim.pages.page import report
 from ltsim.pages.scene_page import scene_page
+from ltsim.pages.verbs import report
 from tests.pages import samples
 from tests.pages.browser import find_browser, visit
 

@@ -17,8 +17,12 @@ from matplotlib.text import Text
 
 from ltsim.acceptance.files import AcceptanceFile
 from ltsim.calibration.history_schema import ChiSquareEntry, CourseEntry
+from ltsim.calibration.schema import ParameterEntry
 from ltsim.campaigns.statistics import Scores
+from ltsim.diagnosis.schema import Curve, Where
+from ltsim.evaluation.criteria import CRITERIA
 from ltsim.fieldcheck.check import check as check_of
+from ltsim.notation import fixed, number, with_sigma
 from ltsim.pages import style
 from ltsim.pages.figures import (
     campaign as sweeps,
@@ -30,11 +34,13 @@ from ltsim.pages.figures import (
 )
 from ltsim.pages.residuals import Residuals
 from ltsim.pages.sections.campaign import coverage_words
+from ltsim.pages.words import told_apart, typeset
 from ltsim.pages.workshop import from_adjustment, from_scenario
-from ltsim.planning.schema import ChangeEntry
+from ltsim.planning.schema import ChangeEntry, ParameterEntry as PlannedEntry, PlanResult
 from ltsim.randomness import stream
 from ltsim.recording.specification import sheet
 from ltsim.simulation.scenario import load_scenario
+from ltsim.tasks.comparison import Comparison
 from tests.pages import samples
 
 DEFAULT = {colour.lower() for colour in mpl.colors.TABLEAU_COLORS.values()}
@@ -46,10 +52,19 @@ def residuals() -> tuple[Residuals, Residuals]:
     return Residuals.from_adjustment(samples.before()), Residuals.from_adjustment(samples.after())
 
 
+def parameters() -> list[ParameterEntry]:
+    adjusted = samples.after()
+    sigma = np.sqrt(np.diag(adjusted.instrument_covariance))
+    return [
+        ParameterEntry(
+            name=p.name, value=v / p.factor, sigma=s / p.factor, unit=p.unit, prior_sigma=p.prior_sigma / p.factor
+        )
+        for p, v, s in zip(adjusted.construction.parameters, adjusted.state.instrument[0], sigma, strict=True)
+    ]
+
+
 def correlation_figure() -> Figure:
-    covariance = samples.after().instrument_covariance
-    sigma = np.sqrt(np.diag(covariance))
-    return estimates.correlation_figure(samples.after().construction.names, covariance / np.outer(sigma, sigma))
+    return estimates.correlation_figure(parameters(), samples.after().instrument_covariance)
 
 
 def by_setting() -> Figure:
@@ -72,8 +87,9 @@ def by_factor() -> Figure:
 
 
 def sigma_figure() -> Figure:
-    rows = [estimates.SigmaRow(f"parameter-{i}", "urad", 1.0 + i, 15.0, 2.0 + i) for i in range(6)]
-    return estimates.sigma_figure([*rows, estimates.SigmaRow("alone", "um", 3.0, 20.0)])
+    rows = [PlannedEntry(name=f"parameter-{i}", unit="urad", sigma=1.0 + i, prior_sigma=15.0) for i in range(6)]
+    alone = PlannedEntry(name="alone", unit="um", sigma=3.0, prior_sigma=20.0)
+    return estimates.sigma_figure([*rows, alone], {f"parameter-{i}": 2.0 + i for i in range(6)})
 
 
 def history_figure() -> Figure:
@@ -114,11 +130,8 @@ def shares_of_limits() -> Figure:
 
 
 def criteria_figure() -> Figure:
-    rows = [
-        estimates.Criterion("distance", 29, 17, 60, 39, 40.1),
-        estimates.Criterion("worse", 3.26, 29, 39, 60, -70.6),
-    ]
-    return estimates.criteria_figure(rows)
+    rows = [("distance", 29, 60, 17, 39, 40.1), ("worse", 3.26, 39, 29, 60, -70.6)]
+    return estimates.criteria_figure(CRITERIA.filled(rows))
 
 
 def distributions() -> Figure:
@@ -133,13 +146,7 @@ def floor_plan() -> Figure:
 
 
 def parameter_figure() -> Figure:
-    adjusted = samples.after()
-    sigma = np.sqrt(np.diag(adjusted.instrument_covariance))
-    rows = [
-        estimates.ParameterRow(p.name, v / p.factor, s / p.factor, p.unit, p.prior_sigma / p.factor, truth=0.0)
-        for p, v, s in zip(adjusted.construction.parameters, adjusted.state.instrument[0], sigma, strict=True)
-    ]
-    return estimates.parameter_figure(rows)
+    return estimates.parameter_figure(parameters(), [0.0] * len(parameters()))
 
 
 def reflector_changes() -> Figure:
@@ -158,17 +165,14 @@ def residuals_by_station() -> Figure:
 
 def signature_figure() -> Figure:
     first, second = residuals()
-    return misfits.signature_figure(first, second, covariate="elevation", observables=["elevation"], stations=["S2"])
+    return misfits.signature_figure(first, second, "elevation", Where(observables=("elevation",), stations=("S2",)))
 
 
 def trade_off() -> Figure:
-    layouts = [plans.Layout(str(i), 20.0 + i, 9.0 - 0.2 * i) for i in range(12)]
-    layouts += [plans.Layout("5 stations", 40.0, 3.0, "chosen"), plans.Layout(MARKUP, 25.0, 5.0, "best")]
-    return plans.trade_off(layouts)
-
-
-def visibility_figure() -> Figure:
-    return plans.visibility_figure(["S1", MARKUP], ["T1", "T2", "T3"], [["", "shadow cone", ""], ["incidence", "", ""]])
+    tried = [{"stations": 2 + i, "hours": 0.3 + i / 60, "quality": {MARKUP: 9.0 - 0.2 * i}} for i in range(12)]
+    best = {"stations": 3, "hours": 0.4, "quality": {MARKUP: 5.0}, "efficient": True}
+    plan = {"summary": "", "stations": [], "hours": 0.7, "quality": {MARKUP: 3.0}, "tradeoff": [*tried, best]}
+    return plans.trade_off(PlanResult.model_validate(plan), MARKUP)
 
 
 def budget_figure() -> Figure:
@@ -183,18 +187,22 @@ def check_figure() -> Figure:
 
 def displacement_figure() -> Figure:
     draws = stream(3, "figure").standard_normal((2, 6, 3))
-    moved = np.array([True, False, False, False, False, True])
-    return points.displacement_figure(
-        1e3 * draws[0], 20 * draws[1], np.full((6, 3), 15.0), moved, ["T1"] * 5 + [MARKUP]
-    )
+    names = ["T1", "T1", "T1", "T1", "T1", MARKUP]
+    told = {"sigma_um": (1, 1, 1), "covariance_um2": np.eye(3).tolist(), "p_value": 0.5, "visible_um": (1, 2)}
+    displacements = [
+        {"target": name, "moved": i in (0, 5), "place_mm": (1e3 * place).tolist(), "shift_um": (20 * shift).tolist(),
+         "semi_axes_um": (15, 15, 15), **told}
+        for i, (name, place, shift) in enumerate(zip(names, *draws, strict=True))
+    ]  # fmt: skip
+    whole = {"second": None, "sentence": "", "level": 0.05, "statistic": 1, "dof": 1, "p_value": 1, "p_value_after": 1}
+    return points.displacement_figure(Comparison.model_validate({**whole, "displacements": displacements}))
 
 
 def driver_curve() -> Figure:
     at = np.linspace(-0.6, 0.9, 40)
-    return misfits.driver_curve(
-        at, 3.0 * np.sin(3 * at), np.full(40, 0.4), covariate="elevation", carrier="distance", unit="um",
-        residuals=residuals()[0],
-    )  # fmt: skip
+    value, sigma = (3.0 * np.sin(3 * at)).tolist(), [0.4] * 40
+    curve = Curve(covariate="elevation", unit="um", at=at.tolist(), value=value, sigma=sigma)
+    return misfits.driver_curve(curve, "distance", residuals()[0])
 
 
 def scores(z: np.ndarray) -> list[Scores]:
@@ -212,10 +220,8 @@ def hidden_and_found() -> Figure:
 
 
 def whereabouts() -> Figure:
-    state, made = samples.after().state, samples.recording()
-    return misfits.whereabouts(
-        made.stations, state.position, made.targets, state.points, marked=made.targets[:2], pairs=[made.targets[:2]]
-    )
+    names = samples.recording().targets[:2]
+    return floors.whereabouts(from_adjustment(samples.after()), names, [names])
 
 
 DRAWINGS = {
@@ -224,7 +230,7 @@ DRAWINGS = {
         shares_of_limits, budget_figure, by_factor, by_setting, check_figure, correlation_figure, coverage,
         criteria_figure, displacement_figure, distributions, driver_curve, floor_plan, hidden_and_found,
         history_figure, parameter_figure, reflector_changes, residuals_by_covariate, residuals_by_station,
-        sigma_figure, signature_figure, trade_off, visibility_figure, whereabouts,
+        sigma_figure, signature_figure, trade_off, whereabouts,
     )
 }  # fmt: skip
 
@@ -273,7 +279,8 @@ def test_figure_is_the_same_twice_and_holds_no_script(draw: Callable[[], Figure]
 def many_correlations() -> Figure:
     """Of a chain with more parameters than a picture has room for names."""
     matrix = np.corrcoef(stream(4, "figure").standard_normal((70, 90)))
-    return estimates.correlation_figure([f"J{i % 3}.eX_cos{i}" for i in range(70)], matrix)
+    rows = [ParameterEntry(name=f"J{i % 3}.eX_cos{i}", value=0.0, unit="um") for i in range(70)]
+    return estimates.correlation_figure(rows, matrix)
 
 
 @pytest.mark.parametrize("draw", [*DRAWINGS.values(), many_correlations], ids=[*DRAWINGS, "many"])
@@ -317,10 +324,10 @@ def test_a_plan_lists_where_each_tripod_goes() -> None:
 
 
 def test_labels_lose_what_they_share() -> None:
-    assert estimates.told_apart(["tracker_20Sep", "tracker_22Sep"]) == ("20Sep", "22Sep")
-    assert estimates.told_apart(["one", "two"]) == ("one", "two")
-    assert estimates.told_apart(["same", "same"]) == ("same", "same")
-    assert estimates.told_apart(["a-b-", "a-b-1"]) == ("a-b-", "a-b-1")
+    assert told_apart(["tracker_20Sep", "tracker_22Sep"]) == ("20Sep", "22Sep")
+    assert told_apart(["one", "two"]) == ("one", "two")
+    assert told_apart(["same", "same"]) == ("same", "same")
+    assert told_apart(["a-b-", "a-b-1"]) == ("a-b-", "a-b-1")
 
 
 def test_drawing_changes_no_global_setting() -> None:
@@ -330,10 +337,10 @@ def test_drawing_changes_no_global_setting() -> None:
 
 
 def test_numbers_read_like_numbers() -> None:
-    assert style.with_unit(-13.66, 3.7, "um") == "−13.7 ± 3.7 µm"
-    assert style.with_unit(-0.001, 0.9, "") == "0.00 ± 0.90"
-    assert [style.number(v) for v in (0.0, 1234.5, -0.25, float("nan"))] == ["0", "1234", "−0.250", "–"]
-    assert [style.fixed(v, 1) for v in (-0.26, None)] == ["−0.3", "–"]
+    assert typeset(with_sigma(-13.66, 3.7, "um")) == "−13.7 ± 3.7 µm"
+    assert typeset(with_sigma(-0.001, 0.9)) == "0.00 ± 0.90"
+    assert [typeset(number(v)) for v in (0.0, 1234.5, -0.25, float("nan"))] == ["0", "1234", "−0.250", "–"]
+    assert [typeset(fixed(v, 1)) for v in (-0.26, None)] == ["−0.3", "–"]
 
 
 def test_coverage_interval_is_wilsons() -> None:

@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 
 from ltsim.errors import RecordError
-from ltsim.pages import solids
 from ltsim.pages.document import Document, Listing, Section, Table
 from ltsim.pages.page import document, render
 from ltsim.recording import read, write
@@ -123,6 +122,8 @@ def test_print_leaves_settings_and_endless_tables_out() -> None:
 def test_many_balls_are_light() -> None:
     import numpy as np
 
-    few, many = (solids.balls(np.zeros((k, 3)), np.broadcast_to(np.eye(3), (k, 3, 3))) for k in (10, 1000))
+    from ltsim.pages import scene3d
+
+    few, many = (scene3d.balls(np.zeros((k, 3)), np.broadcast_to(np.eye(3), (k, 3, 3))) for k in (10, 1000))
     assert few.n_points / 10 > 4 * many.n_points / 1000
     assert np.abs(np.linalg.norm(many.points, axis=1) - 1.0).max() < 1e-6

@@ -13,9 +13,9 @@ from ltsim.adjustment import adjust
 from ltsim.calibration.calibration import residuals_table, targets_table
 from ltsim.calibration.files import read_targets
 from ltsim.errors import LtsimError, RecordError
-from ltsim.pages.page import report
 from ltsim.pages.residuals import Residuals
 from ltsim.pages.schemas import RESULTS, main, schemas, tables
+from ltsim.pages.verbs import report
 from ltsim.recording import write
 from ltsim.recording.result_file import digest_of, read_result
 from ltsim.recording.setup import Setup

@@ -1,1 +1,30 @@
-"""Each a function from data to a matplotlib Figure."""
+"""One figure a function, in modules by what they show; each is loaded when it is first used, since drawing takes time.
+
+Sections say `figures.points.displacement_figure(...)` where a picture is drawn, and load nothing before.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from ltsim.pages.figures import (
+        campaign as campaign,
+        floor_plan as floor_plan,
+        parameters as parameters,
+        plan as plan,
+        points as points,
+        residuals as residuals,
+    )
+
+MODULES = ("campaign", "floor_plan", "parameters", "plan", "points", "residuals")
+
+
+def _load(name: str) -> Any:
+    """Load a module of figures when it is first asked for."""
+    if name in MODULES:
+        return import_module(f"{__name__}.{name}")
+    raise AttributeError(f"there are no figures '{name}'")
+
+
+if not TYPE_CHECKING:
+    __getattr__ = _load

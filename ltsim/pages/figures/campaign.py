@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -13,27 +14,29 @@ from matplotlib.ticker import MaxNLocator
 
 from ltsim.arrays import Floats
 from ltsim.campaigns.statistics import NORMAL_95, Scores
-from ltsim.pages.style import (
-    AFTER,
-    BLUE,
-    CYCLE,
-    INK,
-    MARKERS,
-    PALE,
-    RED,
-    SKY,
-    category_rows,
-    legend_of,
-    new_figure,
-    number,
-    quiet_axis,
-    shorten,
-    styled,
-    unit_text,
-)
+from ltsim.notation import number
+from ltsim.pages import style
+from ltsim.pages.words import typeset
 
 MOST_PANELS, MOST_LINES = 12, 8
 NINETY = "90 % of trials"
+PAPER = MappingProxyType(
+    {
+        "paper-workshop": {
+            "coordinate_before_max_um": 149.0, "coordinate_before_mean_um": 46.0, "distance_before_max_um": 60.0,
+            "distance_before_mean_um": 29.0, "coordinate_after_max_um": 118.0, "coordinate_after_mean_um": 39.0,
+            "distance_after_max_um": 39.0, "distance_after_mean_um": 17.0, "coordinate_improvement_percent": 14.47,
+            "distance_improvement_percent": 40.1,
+        },
+        "paper-laboratory": {
+            "coordinate_before_max_um": 54.0, "coordinate_before_mean_um": 21.0, "distance_before_max_um": 84.0,
+            "distance_before_mean_um": 24.0, "coordinate_after_max_um": 41.0, "coordinate_after_mean_um": 17.0,
+            "distance_after_max_um": 53.0, "distance_after_mean_um": 18.0, "coordinate_improvement_percent": 17.98,
+            "distance_improvement_percent": 25.53,
+        },
+    }
+)  # fmt: skip
+"""Tables 3 and 4 of Sensors 2021, 21, 7479."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +56,7 @@ class Swept:
     ninety_five: float
 
 
-@styled
+@style.styled
 def by_factor(
     rows: Sequence[Swept], *, label: str, axis: str, published: float | None = None, joined: bool = True
 ) -> Figure:
@@ -75,7 +78,7 @@ def by_factor(
     panels = list(dict.fromkeys(row.panel for row in rows))[:MOST_PANELS]
     across = min(len(panels), 2)
     down = -(-len(panels) // across)
-    figure = new_figure(0.9 + (1.9 if across > 1 else 2.6) * down)
+    figure = style.new_figure(0.9 + (1.9 if across > 1 else 2.6) * down)
     axes = figure.subplots(down, across, sharex=joined, sharey=True, squeeze=False)
     words = list(dict.fromkeys(row.x for row in rows if isinstance(row.x, str)))
     names = list(dict.fromkeys(row.line for row in rows))[:MOST_LINES]
@@ -84,20 +87,20 @@ def by_factor(
             own = [row for row in rows if (row.panel, row.line) == (panel, name)]
             _line(ax, own, k, len(names), words, joined=joined)
         if published is not None:
-            ax.axhline(published, color=INK, linewidth=1.2, linestyle=(0, (4, 2)), label="the paper")
+            ax.axhline(published, color=style.INK, linewidth=1.2, linestyle=(0, (4, 2)), label="the paper")
         if joined:
-            ax.set_title(shorten(panel, 44 if across < 2 else 34), fontsize=8.5)
+            ax.set_title(style.shorten(panel, 44 if across < 2 else 34), fontsize=8.5)
         else:
             ax.set_xlabel(panel)
         _axis(ax, [row.x for row in rows if row.panel == panel], words, joined=joined)
-        quiet_axis(ax)
+        style.quiet_axis(ax)
     for ax in axes.flat[len(panels) :]:
         ax.set_axis_off()
     for ax in axes.flat[max(len(panels) - across, 0) : len(panels)]:
         ax.tick_params(labelbottom=True)
     figure.supxlabel(axis, fontsize=8.5)
     figure.supylabel(label, fontsize=8.5)
-    legend_of(figure, axes.flat[: len(panels)], ncols=2)
+    style.legend_of(figure, axes.flat[: len(panels)], ncols=2)
     return figure
 
 
@@ -110,13 +113,13 @@ def _line(ax: Axes, rows: Sequence[Swept], k: int, count: int, words: Sequence[s
     low, high = (np.array([getattr(rows[i], side) for i in order]) for side in ("low", "high"))
     if words:
         x = x + 0.3 * ((k + 0.5) / count - 0.5)
-    colour = CYCLE[k % len(CYCLE)]
+    colour = style.CYCLE[k % len(style.CYCLE)]
     five, ninety_five = (np.array([getattr(rows[i], side) for i in order]) for side in ("five", "ninety_five"))
     if joined and not words and np.any(five < ninety_five):
         ax.fill_between(x, five, ninety_five, color=colour, alpha=0.12, linewidth=0, label=NINETY if k == 0 else None)
     told = (f"{rows[0].line}: mean, 95 % interval" if k == 0 else rows[0].line).removeprefix(": ")
     ax.errorbar(
-        x, mean, [mean - low, high - mean], color=colour, marker=MARKERS[k % len(MARKERS)], markersize=4.5,
+        x, mean, [mean - low, high - mean], color=colour, marker=style.MARKERS[k % len(style.MARKERS)], markersize=4.5,
         linestyle=("-" if joined else "none"), elinewidth=2.4, label=told,
     )  # fmt: skip
 
@@ -124,7 +127,7 @@ def _line(ax: Axes, rows: Sequence[Swept], k: int, count: int, words: Sequence[s
 def _axis(ax: Axes, places: Sequence[float | str], words: Sequence[str], *, joined: bool) -> None:
     """Ticks where the levels are; a logarithmic axis where they span a decade."""
     if words:
-        ax.set_xticks(range(len(words)), [shorten(word, 18) for word in words])
+        ax.set_xticks(range(len(words)), [style.shorten(word, 18) for word in words])
         ax.set_xlim(-0.5, len(words) - 0.5)
         return
     levels = sorted({float(x) for x in places if not isinstance(x, str)})
@@ -147,7 +150,7 @@ def _axis(ax: Axes, places: Sequence[float | str], words: Sequence[str], *, join
 MOST_SETTINGS = 40
 
 
-@styled
+@style.styled
 def by_setting(rows: Sequence[Swept], *, label: str, published: float | None = None) -> Figure:
     """A row a setting: marks are means with 95 % intervals, thin lines the middle 90 % of the trials.
 
@@ -162,21 +165,21 @@ def by_setting(rows: Sequence[Swept], *, label: str, published: float | None = N
     """
     settings = list(dict.fromkeys(str(row.x) for row in rows))[:MOST_SETTINGS]
     methods = list(dict.fromkeys(row.line for row in rows))
-    figure = new_figure(0.75 + len(settings) * (0.14 + 0.14 * len(methods)))
+    figure = style.new_figure(0.75 + len(settings) * (0.14 + 0.14 * len(methods)))
     ax = figure.subplots()
-    places = dict(zip(settings, category_rows(ax, settings), strict=True))
+    places = dict(zip(settings, style.category_rows(ax, settings), strict=True))
     for m, method in enumerate(methods):
         mine = [row for row in rows if row.line == method and str(row.x) in places]
         y = np.array([places[str(row.x)] for row in mine]) + 0.62 * ((m + 0.5) / len(methods) - 0.5)
-        colour = CYCLE[m % len(CYCLE)]
+        colour = style.CYCLE[m % len(style.CYCLE)]
         ninety, mean = ("90 % of trials", "95 % interval of the mean") if m == 0 else ("", "")
         ax.hlines(y, [r.five for r in mine], [r.ninety_five for r in mine], color=colour, lw=0.9, label=ninety)
         ax.hlines(y, [r.low for r in mine], [r.high for r in mine], color=colour, lw=3.6, label=mean)
-        ax.plot([r.mean for r in mine], y, MARKERS[m % len(MARKERS)], ms=4.5, color=colour, label=method)
+        ax.plot([r.mean for r in mine], y, style.MARKERS[m % len(style.MARKERS)], ms=4.5, color=colour, label=method)
     if published is not None:
-        ax.axvline(published, color=INK, linewidth=1.2, linestyle=(0, (4, 2)), label="the paper")
+        ax.axvline(published, color=style.INK, linewidth=1.2, linestyle=(0, (4, 2)), label="the paper")
     ax.set_xlabel(label)
-    legend_of(figure, [ax], ncols=2)
+    style.legend_of(figure, [ax], ncols=2)
     return figure
 
 
@@ -189,39 +192,19 @@ class Distribution:
     unit: str = ""
     published: float | None = None
 
-    @property
-    def mean_interval(self) -> tuple[float, float]:
-        """95 % confidence interval of the mean."""
-        half = 1.96 * float(np.std(self.values, ddof=1)) / np.sqrt(len(self.values)) if len(self.values) > 1 else np.nan
-        mean = float(np.mean(self.values))
-        return mean - half, mean + half
 
-    @property
-    def middle(self) -> tuple[float, float]:
-        """Bounds of the middle 90 % of the trials."""
-        five, ninety_five = np.percentile(self.values, [5, 95])
-        return float(five), float(ninety_five)
-
-    @property
-    def published_percentile(self) -> float | None:
-        """Share of the trials below the published figure [%]."""
-        if self.published is None:
-            return None
-        return 100.0 * float(np.mean(self.values < self.published))
-
-
-@styled
+@style.styled
 def distributions(rows: Sequence[Distribution], *, source: str = "the paper") -> Figure:
     """Small histograms, two a line: mean with 95 % interval, middle 90 % of trials, the published figure."""
     across = min(2, max(len(rows), 1))
     lines = -(-len(rows) // across)
-    figure = new_figure(0.4 + 1.7 * lines)
+    figure = style.new_figure(0.4 + 1.7 * lines)
     axes = figure.subplots(lines, across, squeeze=False)
     for ax, row in zip(axes.flat, rows, strict=False):
         _panel(ax, row, source)
     for ax in axes.flat[len(rows) :]:
         ax.set_axis_off()
-    legend_of(figure, axes.flat)
+    style.legend_of(figure, axes.flat)
     return figure
 
 
@@ -232,24 +215,25 @@ def _panel(ax: Axes, row: Distribution, source: str) -> None:
         low, high = min(low, row.published), max(high, row.published)
     margin = 0.04 * (high - low) or 1.0
     height, edges = np.histogram(values, bins=min(60, max(12, int(np.sqrt(len(values))))), range=(low, high))
-    ax.stairs(height, edges, fill=True, color=SKY)
+    ax.stairs(height, edges, fill=True, color=style.SKY)
     ax.set_xlim(low - margin, high + margin)
     ax.set_yticks([])
     ax.spines["left"].set_visible(False)
-    quiet_axis(ax, grid="none")
+    style.quiet_axis(ax, grid="none")
     top = 1.05 * float(height.max())
     ax.set_ylim(0, 1.28 * top)
-    ax.hlines(1.07 * top, *row.middle, color=INK, linewidth=1.0, label="90 % of trials")
-    ax.hlines(1.07 * top, *row.mean_interval, color=AFTER, linewidth=5.0, label="mean, 95 % interval")
-    ax.plot([float(values.mean())], [1.07 * top], "o", ms=4.5, color=AFTER)
-    ax.set_title(shorten(row.name, 40), fontsize=8)
+    mean, half = float(values.mean()), NORMAL_95 * float(values.std(ddof=1)) / np.sqrt(len(values))
+    ax.hlines(1.07 * top, *np.percentile(values, [5, 95]), color=style.INK, linewidth=1.0, label="90 % of trials")
+    ax.hlines(1.07 * top, mean - half, mean + half, color=style.AFTER, linewidth=5.0, label="mean, 95 % interval")
+    ax.plot([mean], [1.07 * top], "o", ms=4.5, color=style.AFTER)
+    ax.set_title(style.shorten(row.name, 40), fontsize=8)
     ax.xaxis.set_major_locator(MaxNLocator(5))
-    ax.set_xlabel(f"[{unit_text(row.unit)}]" if row.unit else "")
+    ax.set_xlabel(f"[{style.unit_text(row.unit)}]" if row.unit else "")
     if row.published is not None:
-        ax.axvline(row.published, color=INK, linewidth=1.2, linestyle=(0, (4, 2)), label=source)
-        left = row.published > 0.5 * (low + high)
+        ax.axvline(row.published, color=style.INK, linewidth=1.2, linestyle=(0, (4, 2)), label=source)
+        left, below = row.published > 0.5 * (low + high), 100 * float(np.mean(values < row.published))
         ax.annotate(
-            f"{number(row.published)} · percentile {row.published_percentile:.0f}", (row.published, 1.27 * top),
+            typeset(f"{number(row.published)}, percentile {below:.0f}"), (row.published, 1.27 * top),
             xytext=(-3 if left else 3, -1), textcoords="offset points", fontsize=7.5, ha="right" if left else "left",
             va="top", in_layout=False,
         )  # fmt: skip
@@ -272,22 +256,24 @@ def uncovered(rows: Sequence[Scores], allowed: tuple[float, float] = ALLOWED) ->
     return [high < allowed[0] or low > allowed[1] for low, high in map(interval, rows)]
 
 
-@styled
+@style.styled
 def coverage(rows: Sequence[Scores], *, allowed: tuple[float, float] = ALLOWED) -> Figure:
     """Share of trials whose 95 % interval holds the truth, with its own 95 % interval, against the allowed band."""
-    figure = new_figure(0.9 + 0.2 * max(len(rows), 3))
+    figure = style.new_figure(0.9 + 0.2 * max(len(rows), 3))
     ax = figure.subplots()
-    places = category_rows(ax, [row.parameter for row in rows])
+    places = style.category_rows(ax, [row.parameter for row in rows])
     share, bounds = np.array([row.coverage_95 for row in rows]), np.array([interval(row) for row in rows])
-    ax.axvspan(*allowed, color=PALE, zorder=0, label=f"allowed {100 * allowed[0]:.1f} to {100 * allowed[1]:.1f} %")
-    ax.axvline(0.95, color=INK, linewidth=1.0, linestyle=(0, (4, 2)), label="nominal 95 %")
+    ax.axvspan(
+        *allowed, color=style.PALE, zorder=0, label=f"allowed {100 * allowed[0]:.1f} to {100 * allowed[1]:.1f} %"
+    )
+    ax.axvline(0.95, color=style.INK, linewidth=1.0, linestyle=(0, (4, 2)), label="nominal 95 %")
     red = np.array(uncovered(rows, allowed), dtype=bool)
-    for chosen, colour, word in ((~red, BLUE, "share, its 95 % interval"), (red, RED, "outside the band")):
+    for chosen, colour, word in ((~red, style.BLUE, "share, its 95 % interval"), (red, style.RED, "outside the band")):
         if chosen.any():
             ax.hlines(places[chosen], *bounds[chosen].T, color=colour, linewidth=1.8)
             ax.plot(share[chosen], places[chosen], "o", ms=4.5, color=colour, label=word)
     ax.xaxis.set_major_formatter(lambda value, _: f"{100 * value:g} %")
     ax.set_xlabel("95 % intervals that hold the truth")
     ax.set_xlim(min(bounds.min(), allowed[0]) - 0.01, min(max(bounds.max(), allowed[1]) + 0.01, 1.0))
-    legend_of(figure, [ax], ncols=2)
+    style.legend_of(figure, [ax], ncols=2)
     return figure

@@ -14,21 +14,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Polygon
 
 from ltsim.arrays import Bools, Floats, Ints
-from ltsim.pages.style import (
-    BLUE,
-    CYCLE,
-    GREEN,
-    GREY,
-    INK,
-    ORANGE,
-    PURPLE,
-    RED,
-    SKY,
-    new_figure,
-    quiet_axis,
-    shorten,
-    styled,
-)
+from ltsim.pages import style
 from ltsim.pages.workshop import Workshop
 from ltsim.planning.floor import Floor, FloorArea, distance
 from ltsim.units import DEGREE, MILLIMETRE
@@ -79,18 +65,20 @@ def place_labels(figure: Figure, ax: Axes, labels: Sequence[Label], markers: Flo
                 break
 
 
-LEVELS = ((0.9, "v", ORANGE, "low"), (3.2, "s", SKY, "middle"), (np.inf, "^", BLUE, "high"))
+LEVELS = ((0.9, "v", style.ORANGE, "low"), (3.2, "s", style.SKY, "middle"), (np.inf, "^", style.BLUE, "high"))
 MOST_LABELS = 60
 FEW_DOTS = 150
 """Above so many targets their marks are one small image."""
-MOST_PLACES = 16
+MOST_PLACES, MOST_STACKED = 16, 4
+NEAR = 0.05
+"""Share of the floor within which targets share a label."""
 WIDE, HEIGHTS = 4.3, (3.6, 6.6)
 """Inches: width of the axes, and the figure's least and greatest height."""
 ON_A_WALL = 0.35
 """[m] from a side of the floor within which its wall is taken to hold a target."""
 
 
-@styled
+@style.styled
 def floor_plan(
     workshop: Workshop, *, reference: Floats | None = None, coordinates: bool = False, ground: Floor | None = None
 ) -> Figure:
@@ -108,10 +96,10 @@ def floor_plan(
     """
     low, high = _limits(workshop)
     tall = (high[1] - low[1]) / (high[0] - low[0])
-    figure = new_figure(float(np.clip(WIDE * tall + 1.2, *HEIGHTS)), layout="compressed")
+    figure = style.new_figure(float(np.clip(WIDE * tall + 1.2, *HEIGHTS)), layout="compressed")
     ax = figure.subplots()
     ax.set_aspect("equal")
-    quiet_axis(ax, grid="both")
+    style.quiet_axis(ax, grid="both")
     ax.add_patch(
         Polygon(workshop.floor, closed=True, facecolor="#F7F8F9", edgecolor="#B5BBC0", linewidth=0.8, zorder=0)
     )
@@ -127,10 +115,10 @@ def floor_plan(
         _pies(ax, workshop, seen)
     if reference is not None and len(reference):
         ax.scatter(
-            reference[:, 0], reference[:, 1], s=46, facecolors="white", edgecolors=GREY, linewidths=1.4, zorder=5,
+            reference[:, 0], reference[:, 1], s=46, facecolors="white", edgecolors=style.GREY, linewidths=1.4, zorder=5,
             label="station of the reference",
         )  # fmt: skip
-    _stations(ax, workshop, [INK] * len(workshop.stations) if seen is None else CYCLE)
+    _stations(ax, workshop, [style.INK] * len(workshop.stations) if seen is None else style.CYCLE)
     ax.set_xlabel("x [m]")
     ax.set_ylabel("y [m]")
     ax.set_xlim(low[0], high[0])
@@ -155,7 +143,7 @@ def _walls(ax: Axes, workshop: Workshop) -> None:
     nearest = np.where(away.min(axis=0) < ON_A_WALL, away.argmin(axis=0), -1)
     for number, side in enumerate(sides):
         if np.sum(nearest == number) >= 2:
-            ax.plot(*side.T, color=INK, linewidth=3.0, zorder=1, label=word)
+            ax.plot(*side.T, color=style.INK, linewidth=3.0, zorder=1, label=word)
             word = None
 
 
@@ -166,19 +154,25 @@ def _ground(ax: Axes, ground: Floor) -> list[Label]:
     for i, area in enumerate(own):
         corners = np.array(area.corners_mm) * mm
         word = "area for tripods" if i == 0 else None
-        ax.add_patch(Polygon(corners, facecolor="#009E7318", edgecolor=GREEN, linewidth=0.9, zorder=0.5, label=word))
+        ax.add_patch(
+            Polygon(corners, facecolor="#009E7318", edgecolor=style.GREEN, linewidth=0.9, zorder=0.5, label=word)
+        )
         for hole in area.holes_mm:
-            ax.add_patch(Polygon(np.array(hole) * mm, facecolor="white", edgecolor=GREEN, linewidth=0.9, zorder=0.6))
+            ax.add_patch(
+                Polygon(np.array(hole) * mm, facecolor="white", edgecolor=style.GREEN, linewidth=0.9, zorder=0.6)
+            )
         names.append(Label(area.name, corners.min(axis=0), 7.0, colour="#00664B", away=0.25 * np.pi))
     for i, place in enumerate(ground.keep_outs):
         corners = np.array(place.corners_mm) * mm
         word = "kept free" if i == 0 else None
-        ax.add_patch(Polygon(corners, facecolor="#FFFFFFCC", edgecolor=PURPLE, hatch="////", zorder=0.7, label=word))
+        ax.add_patch(
+            Polygon(corners, facecolor="#FFFFFFCC", edgecolor=style.PURPLE, hatch="////", zorder=0.7, label=word)
+        )
         names.append(Label(place.name, corners.mean(axis=0), 7.0, colour="#8A3A66", away=0.5 * np.pi))
     for i, door in enumerate(ground.doors):
         ends = np.array([door.from_mm, door.to_mm]) * mm
         ax.plot(*ends.T, color="white", linewidth=5.0, zorder=1.5)
-        ax.plot(*ends.T, color=PURPLE, linewidth=2.0, zorder=1.6, label="door" if i == 0 else None)
+        ax.plot(*ends.T, color=style.PURPLE, linewidth=2.0, zorder=1.6, label="door" if i == 0 else None)
         names.append(Label(door.name, ends.mean(axis=0), 7.0, colour="#8A3A66"))
     return [label for label in names if label.text]
 
@@ -194,14 +188,14 @@ def _limits(workshop: Workshop) -> Floats:
 
 def _shadows(ax: Axes, workshop: Workshop) -> None:
     for k, opening in enumerate(workshop.openings):
-        style = (
-            {"facecolor": "#D55E0022", "edgecolor": RED, "linestyle": "-"}
+        how = (
+            {"facecolor": "#D55E0022", "edgecolor": style.RED, "linestyle": "-"}
             if k == 0
-            else {"facecolor": "none", "edgecolor": RED, "linestyle": (0, (3, 2))}
+            else {"facecolor": "none", "edgecolor": style.RED, "linestyle": (0, (3, 2))}
         )
         for s, radius in enumerate(workshop.shadow_radius(opening)):
             word = f"shadow, cone of {opening / DEGREE:.0f}°" if s == 0 else None
-            ax.add_patch(Circle(tuple(workshop.position[s, :2]), radius, linewidth=0.9, zorder=1, label=word, **style))
+            ax.add_patch(Circle(tuple(workshop.position[s, :2]), radius, linewidth=0.9, zorder=1, label=word, **how))
 
 
 def _obstacles(ax: Axes, workshop: Workshop) -> None:
@@ -218,7 +212,7 @@ def _obstacles(ax: Axes, workshop: Workshop) -> None:
 def _seen(workshop: Workshop) -> Bools | None:
     """(S, T): who sees whom, where that is known, some pair does not, and stations are few enough for a colour each."""
     count = len(workshop.stations), len(workshop.targets)
-    if workshop.sights is None or count[0] > len(CYCLE) or not len(workshop.hidden):
+    if workshop.sights is None or count[0] > len(style.CYCLE) or not len(workshop.hidden):
         return None
     seen = np.zeros(count, dtype=bool)
     seen[workshop.sights.station, workshop.sights.target] = True
@@ -229,24 +223,26 @@ def _pies(ax: Axes, workshop: Workshop, seen: Bools) -> None:
     """Each target as a circle with a slice, in the station's colour, for each station that sees it."""
     x, y = workshop.points[:, :2].T
     size = 62 if len(workshop.targets) <= MOST_LABELS else 34
-    ax.scatter(x, y, s=size, facecolors="white", edgecolors=INK, linewidths=0.7, zorder=4, label="target: slices are "
-               "the\nstations that see it")  # fmt: skip
+    label = "target: slices are the\nstations that see it"
+    ax.scatter(x, y, s=size, facecolors="white", edgecolors=style.INK, linewidths=0.7, zorder=4, label=label)
     turn = 2 * np.pi / len(seen)
     for s, sees in enumerate(seen):
         angle = 0.5 * np.pi - turn * np.linspace(s, s + 1, 24)
         slice_ = np.vstack([[0.0, 0.0], np.stack([np.cos(angle), np.sin(angle)], axis=1), [0.0, 0.0]])
         reach = float(np.abs(slice_).max())  # a marker is scaled by its farthest corner
-        own = {"s": 0.8 * size * reach**2, "marker": slice_.tolist(), "color": CYCLE[s]}
+        own = {"s": 0.8 * size * reach**2, "marker": slice_.tolist(), "color": style.CYCLE[s]}
         ax.scatter(x[sees], y[sees], linewidths=0, zorder=5, **own)
     none = ~seen.any(axis=0)
     if none.any():
-        ax.scatter(x[none], y[none], marker="x", s=size, color=RED, zorder=5, label="seen from nowhere")
+        ax.scatter(x[none], y[none], marker="x", s=size, color=style.RED, zorder=5, label="seen from nowhere")
 
 
 def _gauge(ax: Axes, workshop: Workshop) -> None:
     for k, (a, b) in enumerate(workshop.gauge):
         ends = workshop.points[[a, b], :2]
-        ax.plot(ends[:, 0], ends[:, 1], color=GREEN, linewidth=1.2, zorder=2, label="gauge length" if k == 0 else None)
+        ax.plot(
+            ends[:, 0], ends[:, 1], color=style.GREEN, linewidth=1.2, zorder=2, label="gauge length" if k == 0 else None
+        )
 
 
 def _targets(ax: Axes, workshop: Workshop) -> None:
@@ -275,41 +271,18 @@ def _targets(ax: Axes, workshop: Workshop) -> None:
 def _target_labels(workshop: Workshop) -> list[Label]:
     """One label for targets that stand above each other, away from the middle of the floor where that is free."""
     middle, size = workshop.floor.mean(axis=0), np.ptp(workshop.floor, axis=0)
-    reach = 0.035 * float(size.max())
+    stacks: dict[tuple[float, ...], list[int]] = defaultdict(list)
+    for i, cell in enumerate(np.round(workshop.points[:, :2] / (NEAR * size.max())).tolist()):
+        stacks[tuple(cell)].append(i)
     labels = []
-    for members in _stacks(workshop.points[:, :2], reach):
-        place = workshop.points[members, :2].mean(axis=0)
+    for members in stacks.values():
+        place, names = workshop.points[members[0], :2], [style.shorten(workshop.targets[i], 16) for i in members]
         away = (place - middle) / size
         sideways = abs(away[0]) > abs(away[1])
         turn = (0.0 if away[0] > 0 else np.pi) if sideways else (0.5 if away[1] > 0 else 1.5) * np.pi
-        labels.append(Label(_joined([workshop.targets[i] for i in members]), place, away=turn))
+        told = " ".join(names) if len(names) < MOST_STACKED else f"{names[0]} +{len(names) - 1}"
+        labels.append(Label(told, place, away=turn))
     return labels
-
-
-def _stacks(places: Floats, reach: float) -> list[list[int]]:
-    """Groups of indices whose places (n, 2) lie within `reach` of the group's first."""
-    groups: list[list[int]] = []
-    for i, place in enumerate(places):
-        home = next((g for g in groups if np.linalg.norm(places[g[0]] - place) < reach), None)
-        if home is None:
-            groups.append([i])
-        else:
-            home.append(i)
-    return groups
-
-
-def _joined(names: list[str]) -> str:
-    """Names in one label: `T01 09 17` where they share their letters."""
-    if len(names) == 1:
-        return shorten(names[0], 16)
-    by_stem: dict[str, list[str]] = defaultdict(list)
-    for name in names:
-        stem = name.rstrip("0123456789")
-        by_stem[stem].append(name[len(stem) :])
-    if len(by_stem) > 1 or len(names) > 4:
-        return f"{shorten(names[0], 12)} +{len(names) - 1}"
-    stem, numbers = next(iter(by_stem.items()))
-    return shorten(stem, 10) + " ".join(numbers)
 
 
 def _stations(ax: Axes, workshop: Workshop, colours: Sequence[str]) -> None:
@@ -323,13 +296,13 @@ def _stations(ax: Axes, workshop: Workshop, colours: Sequence[str]) -> None:
             xy=(x + tick[s, 0], y + tick[s, 1]),
             xytext=(x, y),
             zorder=6,
-            arrowprops={"arrowstyle": "-|>", "color": INK, "lw": 1.3, "shrinkA": 0, "shrinkB": 0},
+            arrowprops={"arrowstyle": "-|>", "color": style.INK, "lw": 1.3, "shrinkA": 0, "shrinkB": 0},
         )
     ax.scatter(
         workshop.position[:, 0],
         workshop.position[:, 1],
         s=64,
-        marker="s" if colours is CYCLE else "o",
+        marker="s" if colours is style.CYCLE else "o",
         color=list(colours[: len(workshop.stations)]),
         edgecolors="white",
         linewidths=0.8,
@@ -340,15 +313,32 @@ def _stations(ax: Axes, workshop: Workshop, colours: Sequence[str]) -> None:
 
 def _station_labels(workshop: Workshop) -> list[Label]:
     return [
-        Label(shorten(name, 16), place[:2], 9.0, bold=True, colour=INK, away=float(yaw) + 1.25 * np.pi)
+        Label(style.shorten(name, 16), place[:2], 9.0, bold=True, colour=style.INK, away=float(yaw) + 1.25 * np.pi)
         for name, place, yaw in zip(workshop.stations, workshop.position, workshop.yaw, strict=True)
     ]
 
 
 def _places(workshop: Workshop) -> tuple[list[Line2D], list[str]]:
     lines = [
-        f"{shorten(name, 10)}: {x:.3f}, {y:.3f}, {z:.3f} m, {yaw / DEGREE % 360:.0f}°"
+        f"{style.shorten(name, 10)}: {x:.3f}, {y:.3f}, {z:.3f} m, {yaw / DEGREE % 360:.0f}°"
         for name, (x, y, z), yaw in zip(workshop.stations, workshop.position, workshop.yaw, strict=True)
     ]
     words = ["", "station: x, y, z, azimuth 0", *lines]
     return [Line2D([], [], linestyle="none") for _ in words], words
+
+
+@style.styled
+def whereabouts(workshop: Workshop, marked: Sequence[str], pairs: Sequence[tuple[str, str]] = ()) -> Figure:
+    """The floor plan with red rings around stations and targets, and an arrow between the targets of each pair."""
+    figure = floor_plan(workshop)
+    ax = figure.axes[0]
+    names = [*workshop.stations, *workshop.targets]
+    place = dict(zip(names, np.concatenate([workshop.position, workshop.points])[:, :2].tolist(), strict=True))
+    for name in marked:
+        if name in place:
+            x, y = place[name]
+            ax.scatter(x, y, s=180, facecolors="none", edgecolors=style.RED, linewidths=2.0, zorder=9)
+    for start, end in pairs:
+        arrow = {"arrowstyle": "<|-|>", "color": style.RED, "lw": 1.6, "shrinkA": 5, "shrinkB": 5}
+        ax.annotate("", place[end], place[start], arrowprops=arrow, zorder=9)
+    return figure

@@ -3,114 +3,79 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from itertools import takewhile
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from ltsim.arrays import Floats
 from ltsim.calibration.history_schema import CourseEntry
-from ltsim.pages.style import (
-    AFTER,
-    BEFORE,
-    CYCLE,
-    DIVERGING,
-    GREY,
-    INK,
-    ON_DEEP,
-    ON_PALE,
-    PALE,
-    at_right,
-    bare,
-    category_rows,
-    legend_of,
-    new_figure,
-    number,
-    quiet_axis,
-    shorten,
-    styled,
-    unit_text,
-    with_unit,
-)
+from ltsim.calibration.schema import ParameterEntry
+from ltsim.notation import number, with_sigma
+from ltsim.pages import style
+from ltsim.pages.words import is_determined, told_apart
+from ltsim.planning.schema import ParameterEntry as PlannedEntry
+from ltsim.results import Table
 
 
-@dataclass(frozen=True)
-class ParameterRow:
-    """One estimate in the unit a person reads; `prior_sigma` is None where nothing was known."""
-
-    name: str
-    value: float
-    sigma: float
-    unit: str
-    prior_sigma: float | None = None
-    truth: float | None = None
-
-    @property
-    def determined(self) -> bool:
-        """Whether the measurement tells more than half of what is known of it."""
-        return self.prior_sigma is None or self.sigma < 0.7 * self.prior_sigma
+def names_of(rows: Sequence[ParameterEntry]) -> list[str]:
+    """Names of parameters, with their instrument where there are several."""
+    return [f"{row.name} ({row.instrument})" if row.instrument else row.name for row in rows]
 
 
-@styled
-def parameter_figure(rows: Sequence[ParameterRow]) -> Figure:
+@style.styled
+def parameter_figure(rows: Sequence[ParameterEntry], true: Sequence[float | None] = ()) -> Figure:
     """Each estimate in units of its prior sigma with its 95 % interval; the numbers stand at the right.
 
-    Where a parameter has no prior, its own sigma scales it. Hollow marks are hardly determined by the recording.
+    Where a parameter has no prior, its own sigma scales it. Hollow marks are hardly determined by the recording; `true`
+    are the values of a simulation, each where it is known.
     """
-    figure = new_figure(0.75 + 0.2 * max(len(rows), 3))
+    figure = style.new_figure(0.75 + 0.2 * max(len(rows), 3))
     ax = figure.subplots()
-    places = category_rows(ax, [row.name for row in rows], size=7.0)
+    places = style.category_rows(ax, names_of(rows), size=7.0)
     scales = np.array([row.prior_sigma or row.sigma or 1.0 for row in rows])
-    values, sigma = (np.array([getattr(row, name) for row in rows]) / scales for name in ("value", "sigma"))
-    ax.axvspan(-1.0, 1.0, color=PALE, zorder=0, label="prior, ± 1 sigma")
-    ax.axvline(0.0, color=GREY, linewidth=0.7, zorder=1)
-    ax.hlines(places, values - 1.96 * sigma, values + 1.96 * sigma, color=AFTER, linewidth=1.8, label="95 % interval")
-    clear = np.array([row.determined for row in rows], dtype=bool)
-    for chosen, fill, word in ((clear, AFTER, "estimate"), (~clear, "white", "hardly determined")):
+    values, sigma = (np.array([getattr(row, name) or 0.0 for row in rows]) / scales for name in ("value", "sigma"))
+    ax.axvspan(-1.0, 1.0, color=style.PALE, zorder=0, label="prior, ± 1 sigma")
+    ax.axvline(0.0, color=style.GREY, linewidth=0.7, zorder=1)
+    ax.hlines(
+        places, values - 1.96 * sigma, values + 1.96 * sigma, color=style.AFTER, linewidth=1.8, label="95 % interval"
+    )
+    clear = np.array([is_determined(row.sigma, row.prior_sigma) for row in rows], dtype=bool)
+    for chosen, fill, word in ((clear, style.AFTER, "estimate"), (~clear, "white", "hardly determined")):
         if chosen.any():
-            ax.plot(values[chosen], places[chosen], "o", ms=4.5, mfc=fill, mec=AFTER, label=word)
-    known = [i for i, row in enumerate(rows) if row.truth is not None]
+            ax.plot(values[chosen], places[chosen], "o", ms=4.5, mfc=fill, mec=style.AFTER, label=word)
+    known = [i for i, value in enumerate(true) if value is not None]
     if known:
-        truth = np.array([rows[i].truth for i in known], dtype=np.float64) / scales[known]
-        ax.plot(truth, places[known], "|", ms=9, mew=1.8, color=INK, zorder=4, label="hidden truth")
-    at_right(ax, places, [with_unit(r.value, r.sigma, r.unit) for r in rows])
+        truth = np.array([true[i] for i in known], dtype=np.float64) / scales[known]
+        ax.plot(truth, places[known], "|", ms=9, mew=1.8, color=style.INK, zorder=4, label="hidden truth")
+    style.at_right(ax, places, [with_sigma(r.value, r.sigma, r.unit) for r in rows])
     ax.set_xlabel("estimate / sigma of the prior")
-    legend_of(figure, [ax])
+    style.legend_of(figure, [ax])
     return figure
 
 
-@dataclass(frozen=True)
-class SigmaRow:
-    """Standard deviations of one parameter in its unit: by the layout, by the reference, and before measuring."""
+@style.styled
+def sigma_figure(rows: Sequence[PlannedEntry], reference: Mapping[str, float]) -> Figure:
+    """Sigma as a share of the prior's, on a logarithmic axis: left is better; the sigma stands at the right.
 
-    name: str
-    unit: str
-    sigma: float
-    prior_sigma: float
-    reference: float | None = None
-
-
-@styled
-def sigma_figure(rows: Sequence[SigmaRow]) -> Figure:
-    """Sigma as a share of the prior's, on a logarithmic axis: left is better; the sigma stands at the right."""
-    figure = new_figure(0.55 + 0.21 * max(len(rows), 3))
+    `reference` has the sigmas of another layout by name.
+    """
+    figure = style.new_figure(0.55 + 0.21 * max(len(rows), 3))
     ax = figure.subplots()
-    places = category_rows(ax, [row.name for row in rows])
+    places = style.category_rows(ax, [row.name for row in rows])
     share = np.array([row.sigma / row.prior_sigma for row in rows])
-    other = np.array([np.nan if r.reference is None else r.reference / r.prior_sigma for r in rows])
-    ax.hlines(places, share, other, color=BEFORE, linewidth=1.0, zorder=1)
+    other = np.array([reference.get(row.name, np.nan) / row.prior_sigma for row in rows])
+    ax.hlines(places, share, other, color=style.BEFORE, linewidth=1.0, zorder=1)
     if np.isfinite(other).any():
-        ax.scatter(other, places, s=28, facecolors="white", edgecolors=BEFORE, zorder=2, label="reference layout")
-    ax.scatter(share, places, s=28, color=AFTER, zorder=3, label="this layout")
-    ax.axvline(1.0, color=GREY, linewidth=1.0, linestyle=(0, (4, 2)), label="nothing learnt")
+        ax.scatter(other, places, s=28, facecolors="white", edgecolors=style.BEFORE, zorder=2, label="reference layout")
+    ax.scatter(share, places, s=28, color=style.AFTER, zorder=3, label="this layout")
+    ax.axvline(1.0, color=style.GREY, linewidth=1.0, linestyle=(0, (4, 2)), label="nothing learnt")
     ax.set_xscale("log")
     low = float(np.nanmin(np.concatenate([share, other])))
     ax.set_xlim(0.8 * low, 1.4)
     ticks = [t for t in (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0) if t >= 0.8 * low]
     ax.set_xticks(ticks, [f"{100 * t:g} %" for t in ticks])
     ax.minorticks_off()
-    at_right(ax, places, [f"{number(r.sigma, 2)} {unit_text(r.unit)}" for r in rows])
+    style.at_right(ax, places, [f"{number(r.sigma, 2)} {style.unit_text(r.unit)}" for r in rows])
     ax.set_xlabel("sigma after measuring / sigma of the prior")
     figure.legend(*ax.get_legend_handles_labels(), loc="outside upper left", ncols=3)
     return figure
@@ -120,29 +85,34 @@ MOST = 24
 """Parameters whose names can be read."""
 
 
-@styled
-def correlation_figure(names: Sequence[str], matrix: Floats) -> Figure:
-    """Correlation coefficients (p, p) as a coloured matrix; those above 0.3 in size are written in percent.
+@style.styled
+def correlation_figure(rows: Sequence[ParameterEntry], covariance: Floats) -> Figure:
+    """Correlation of parameters with a covariance (p, p) as colours; coefficients above 0.3 are written in percent.
 
     Of more than 24 parameters it shows those 24 that correlate most with another, and says so.
     """
+    names, sigma = names_of(rows), np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    scale = np.where(sigma > 0, sigma, 1.0)
+    matrix = covariance / np.outer(scale, scale)
     apart = np.abs(np.where(np.eye(len(names), dtype=bool), 0.0, matrix)).max(axis=1, initial=0.0)
     shown = np.sort(np.argsort(-apart, kind="stable")[:MOST])
     count, matrix = len(shown), matrix[np.ix_(shown, shown)]
-    figure = new_figure(2.2 + 0.15 * count)
+    figure = style.new_figure(2.2 + 0.15 * count)
     ax = figure.subplots()
     if count < len(names):
         ax.set_title(f"the {count} of {len(names)} parameters that correlate most", fontsize=7.5, fontweight="normal")
     ax.set_facecolor("#DDE1E4")
     table = np.where(np.eye(count, dtype=bool), np.nan, matrix)
-    colours = ax.pcolormesh(table, cmap=DIVERGING, vmin=-1, vmax=1)
+    colours = ax.pcolormesh(table, cmap=style.DIVERGING, vmin=-1, vmax=1)
     ax.invert_yaxis()
-    short = [shorten(names[i], 26) for i in shown]
+    short = [style.shorten(names[i], 26) for i in shown]
     ax.set_xticks(np.arange(count) + 0.5, short, rotation=60, ha="right", rotation_mode="anchor", fontsize=6.5)
     ax.set_yticks(np.arange(count) + 0.5, short, fontsize=6.5)
-    bare(ax)
+    ax.tick_params(length=0)
+    ax.grid(visible=False)
+    ax.spines[:].set_visible(False)
     for i, j in zip(*np.nonzero(np.abs(np.nan_to_num(table)) > 0.3), strict=True):
-        colour = ON_DEEP if abs(matrix[i, j]) > 0.6 else ON_PALE
+        colour = style.ON_DEEP if abs(matrix[i, j]) > 0.6 else style.ON_PALE
         ax.text(j + 0.5, i + 0.5, f"{100 * matrix[i, j]:.0f}", ha="center", va="center", fontsize=5.5, color=colour)
     bar = figure.colorbar(colours, ax=ax, shrink=0.7, pad=0.02)
     bar.set_label("correlation (numbers: %)")
@@ -150,36 +120,27 @@ def correlation_figure(names: Sequence[str], matrix: Floats) -> Figure:
     return figure
 
 
-def told_apart(labels: Sequence[str]) -> tuple[str, ...]:
-    """Labels without the words that all of them begin with, where something is left then."""
-    if len(set(labels)) < 2:
-        return tuple(labels)
-    alike = takewhile(lambda letters: len(set(letters)) == 1, zip(*labels, strict=False))
-    common = "".join(letters[0] for letters in alike)
-    begin = 1 + max(common.rfind(separator) for separator in "_- .")
-    short = tuple(label[begin:] for label in labels)
-    return short if all(short) else tuple(labels)
-
-
-@styled
+@style.styled
 def history_figure(names: Sequence[str], courses: Sequence[CourseEntry]) -> Figure:
     """A panel a parameter over calibrations: estimates with 95 % intervals, the band in which true values lie."""
     columns = 2 if len(courses) > 1 else 1
     rows = max(1, -(-len(courses) // columns))
-    figure = new_figure(0.7 + 1.35 * rows)
+    figure = style.new_figure(0.7 + 1.35 * rows)
     panels = figure.subplots(rows, columns, sharex=True, squeeze=False)
-    labels = [shorten(name, 24) for name in told_apart(names)]
+    labels = [style.shorten(name, 24) for name in told_apart(names)]
     place = np.arange(len(labels))
     for ax, course in zip(panels.ravel(), courses, strict=False):
         band = (course.mean - course.spread, course.mean + course.spread)
-        ax.axhspan(*band, color=PALE, zorder=0, label="mean ± spread between calibrations")
-        ax.axhline(0.0, color=GREY, linewidth=0.7, zorder=1)
+        ax.axhspan(*band, color=style.PALE, zorder=0, label="mean ± spread between calibrations")
+        ax.axhline(0.0, color=style.GREY, linewidth=0.7, zorder=1)
         half = 1.96 * np.array(course.sigmas)
-        ax.errorbar(place, course.values, half, fmt="o", ms=3.5, color=AFTER, lw=1.2, label="estimate, 95 % interval")
-        ax.set_title(f"{course.name} [{unit_text(course.unit)}]")
+        ax.errorbar(
+            place, course.values, half, fmt="o", ms=3.5, color=style.AFTER, lw=1.2, label="estimate, 95 % interval"
+        )
+        ax.set_title(f"{course.name} [{style.unit_text(course.unit)}]")
         ax.set_xticks(place, labels, rotation=60, ha="right", fontsize=7)
         ax.set_xlim(-0.5, len(place) - 0.5)
-        quiet_axis(ax)
+        style.quiet_axis(ax)
     for ax in panels.ravel()[len(courses) :]:
         ax.set_axis_off()
         panels[-2, -1].tick_params(labelbottom=True)
@@ -188,36 +149,26 @@ def history_figure(names: Sequence[str], courses: Sequence[CourseEntry]) -> Figu
     return figure
 
 
-@dataclass(frozen=True)
-class Criterion:
-    """One criterion [um]: mean and largest deviation before and after."""
-
-    name: str
-    mean_before: float
-    mean_after: float
-    max_before: float
-    max_after: float
-    improvement_percent: float | None = None
-
-
-@styled
-def criteria_figure(rows: Sequence[Criterion]) -> Figure:
-    """Two lines a criterion, mean and largest; an arrow runs from before to after."""
+@style.styled
+def criteria_figure(criteria: Table) -> Figure:
+    """Two lines a criterion of a table `CRITERIA`, mean and largest; an arrow runs from before to after."""
     lines = []
-    for row in rows:
-        change = "" if row.improvement_percent is None else f" ({row.improvement_percent:+.1f} % better)"
-        lines.append((f"{row.name}, mean{change}", row.mean_before, row.mean_after))
-        lines.append((f"{row.name}, largest", row.max_before, row.max_after))
-    figure = new_figure(0.9 + 0.3 * len(lines))
+    for row in criteria.json():
+        change = "" if row["improvement_percent"] is None else f" ({row['improvement_percent']:+.1f} % better)"
+        lines.append((f"{row['criterion']}, mean{change}", row["mean_um"], row["mean_after_um"]))
+        lines.append((f"{row['criterion']}, largest", row["max_um"], row["max_after_um"]))
+    figure = style.new_figure(0.9 + 0.3 * len(lines))
     ax = figure.subplots()
-    places = category_rows(ax, [name for name, _, _ in lines])
+    places = style.category_rows(ax, [name for name, _, _ in lines])
     for place, (_, before, after) in zip(places, lines, strict=True):
-        ax.annotate("", (after, place), (before, place), arrowprops={"arrowstyle": "-|>", "color": INK, "lw": 1.0})
-    ax.plot([x[1] for x in lines], places, "o", ms=5, mfc="white", mec=BEFORE, label="before")
-    ax.plot([x[2] for x in lines], places, "o", ms=5, color=AFTER, label="after")
+        ax.annotate(
+            "", (after, place), (before, place), arrowprops={"arrowstyle": "-|>", "color": style.INK, "lw": 1.0}
+        )
+    ax.plot([x[1] for x in lines], places, "o", ms=5, mfc="white", mec=style.BEFORE, label="before")
+    ax.plot([x[2] for x in lines], places, "o", ms=5, color=style.AFTER, label="after")
     ax.set_xlim(left=0)
     ax.set_xlabel("deviation between stations [µm]")
-    legend_of(figure, [ax])
+    style.legend_of(figure, [ax])
     return figure
 
 
@@ -225,7 +176,7 @@ MOST_SOURCES = 7
 """Sources with a colour of their own; the smallest are drawn together."""
 
 
-@styled
+@style.styled
 def budget_figure(names: Sequence[str], shares: Mapping[str, Sequence[float]]) -> Figure:
     """Shares of the variance of each result by source; the sources that matter most over all results come first.
 
@@ -241,12 +192,12 @@ def budget_figure(names: Sequence[str], shares: Mapping[str, Sequence[float]]) -
     rows = {name: np.asarray(shares[name], dtype=np.float64) for name in told}
     if rest:
         rows["all others"] = np.sum([shares[name] for name in rest], axis=0)
-    figure = new_figure(0.75 + 0.21 * max(len(names), 3))
+    figure = style.new_figure(0.75 + 0.21 * max(len(names), 3))
     ax = figure.subplots()
-    places = category_rows(ax, list(names))
+    places = style.category_rows(ax, list(names))
     left = np.zeros(len(names))
     for i, (name, share) in enumerate(rows.items()):
-        colour = GREY if name == "all others" else CYCLE[i % len(CYCLE)]
+        colour = style.GREY if name == "all others" else style.CYCLE[i % len(style.CYCLE)]
         ax.barh(places, 100 * share, left=100 * left, height=0.62, color=colour, label=name)
         left += share
     ax.set_xlim(0, 100)

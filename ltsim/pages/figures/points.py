@@ -7,24 +7,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ltsim.acceptance.files import AcceptanceFile
-from ltsim.arrays import Bools, Floats
+from ltsim.arrays import Floats
 from ltsim.fieldcheck.check import Check
+from ltsim.pages import style
 from ltsim.pages.figures.floor_plan import Label, place_labels
-from ltsim.pages.style import (
-    AFTER,
-    BLUE,
-    CYCLE,
-    GREEN,
-    GREY,
-    INK,
-    ORANGE,
-    RED,
-    category_rows,
-    new_figure,
-    quiet_axis,
-    shorten,
-    styled,
-)
+from ltsim.tasks.comparison import Comparison
 
 VIEWS = (("seen from above", 0, 1), ("seen from the side", 0, 2))
 
@@ -36,26 +23,25 @@ def enlargement(places: Floats, shifts: Floats, semi_axes: Floats) -> float:
     return 1e3 * 0.125 * extent / longest
 
 
-@styled
-def displacement_figure(places: Floats, shifts: Floats, semi_axes: Floats, moved: Bools, names: list[str]) -> Figure:
-    """Arrows of the shifts, enlarged alike, and a circle of the largest semi-axis around each tip.
-
-    Parameters
-    ----------
-    places : (T, 3) float, [mm]
-    shifts, semi_axes : (T, 3) float, [um]
-    moved : (T,) bool
-    names : list of str
-    """
-    figure = new_figure(3.0)
-    enlarged = enlargement(places, shifts, semi_axes) * 1e-3
+@style.styled
+def displacement_figure(comparison: Comparison) -> Figure:
+    """Arrows of the shifts, enlarged alike, and a circle of the largest semi-axis around each tip."""
+    points = comparison.displacements
+    places, shifts, semi_axes = (
+        np.array([getattr(d, name) for d in points]) for name in ("place_mm", "shift_um", "semi_axes_um")
+    )
+    moved, names = np.array([d.moved for d in points], dtype=bool), [d.target for d in points]
+    figure = style.new_figure(3.0)
+    times = enlargement(places, shifts, semi_axes)
+    figure.suptitle(f"shifts are drawn {times:.0f} times as long", x=0.01, ha="left", fontsize=7.5)
+    enlarged = times * 1e-3
     for ax, (title, i, j) in zip(figure.subplots(1, 2), VIEWS, strict=True):
         for place, shift, axes, far in zip(places, shifts, semi_axes, moved, strict=True):
-            colour = RED if far else AFTER
+            colour = style.RED if far else style.AFTER
             start, end = place[[i, j]], place[[i, j]] + enlarged * shift[[i, j]]
             turn = np.linspace(0, 2 * np.pi, 60)
             ring = end[:, None] + enlarged * axes[0] * np.stack([np.cos(turn), np.sin(turn)])
-            ax.plot(*ring, color=GREY, linewidth=0.7)
+            ax.plot(*ring, color=style.GREY, linewidth=0.7)
             ax.plot([start[0], end[0]], [start[1], end[1]], color=colour, linewidth=1.8 if far else 1.0)
             ax.plot(*start, marker="s" if far else "o", markersize=3.5, color=colour, linestyle="none")
         ax.set_aspect("equal", adjustable="datalim")
@@ -64,7 +50,9 @@ def displacement_figure(places: Floats, shifts: Floats, semi_axes: Floats, moved
         ax.set_ylabel(f"{'xyz'[j]} [mm]")
     gone = np.flatnonzero(moved)
     for ax, (_, i, j) in zip(figure.axes, VIEWS, strict=True):
-        place_labels(figure, ax, [Label(names[k], places[k, [i, j]], colour=RED) for k in gone], places[:, [i, j]])
+        place_labels(
+            figure, ax, [Label(names[k], places[k, [i, j]], colour=style.RED) for k in gone], places[:, [i, j]]
+        )
     return figure
 
 
@@ -72,44 +60,46 @@ SPREAD = 0.32
 """Of a group's tests about its row."""
 
 
-@styled
+@style.styled
 def shares_of_limits(content: AcceptanceFile) -> Figure:
     """Error over limit of every test, a row a group; bars are expanded uncertainties, failed errors are crosses."""
     groups = [g.name for g in content.groups]
-    figure = new_figure(0.9 + 0.42 * max(len(groups), 3))
+    figure = style.new_figure(0.9 + 0.42 * max(len(groups), 3))
     ax = figure.subplots()
-    rows = category_rows(ax, groups)
-    ax.axvspan(-1, 1, color=BLUE, alpha=0.08, lw=0)
+    rows = style.category_rows(ax, groups)
+    ax.axvspan(-1, 1, color=style.BLUE, alpha=0.08, lw=0)
     for edge in (-1, 1):
-        ax.axvline(edge, color=INK, lw=0.8)
+        ax.axvline(edge, color=style.INK, lw=0.8)
     for row, name in zip(rows, groups, strict=True):
         mine = [t for t in content.tests if t.group == name]
         share = np.array([t.error_um / t.limit_um for t in mine])
         width = np.array([(t.expanded_um or 0.0) / t.limit_um for t in mine])
         place = row + np.linspace(-SPREAD, SPREAD, len(mine)) * (len(mine) > 1)
         good = np.abs(share) <= 1
-        ax.hlines(place, share - width, share + width, color=BLUE, lw=0.6, alpha=0.6)
-        ax.plot(share[good], place[good], "o", ms=2.6, color=BLUE, mec="none")
-        ax.plot(share[~good], place[~good], "x", ms=5, color=RED, mew=1.4)
+        ax.hlines(place, share - width, share + width, color=style.BLUE, lw=0.6, alpha=0.6)
+        ax.plot(share[good], place[good], "o", ms=2.6, color=style.BLUE, mec="none")
+        ax.plot(share[~good], place[~good], "x", ms=5, color=style.RED, mew=1.4)
     largest = max(1.0, *(abs(t.error_um) / t.limit_um for t in content.tests))
     ax.set_xlim(-1.15 * largest, 1.15 * largest)
     ax.set_xlabel("error / limit")
     return figure
 
 
-OBSERVABLES = (("range", BLUE, "o"), ("across the beam", ORANGE, "s"), ("elevation", GREEN, "^"))
+OBSERVABLES = (("range", style.BLUE, "o"), ("across the beam", style.ORANGE, "s"), ("elevation", style.GREEN, "^"))
 MOST_NAMES = 40
 MOST_STATIONS = 8
 
 
-@styled
+@style.styled
 def check_figure(check: Check) -> Figure:
     """Two panels: half two-face differences over their limits, target by target; misfit of pointings over time."""
-    figure = new_figure(5.2)
+    figure = style.new_figure(5.2)
     above, below = figure.subplots(2, 1)
     _faces(above, check)
     _course(below, check)
-    figure.suptitle("go" if check.passed else "no-go", x=0.01, ha="left", color=GREEN if check.passed else RED)
+    figure.suptitle(
+        "go" if check.passed else "no-go", x=0.01, ha="left", color=style.GREEN if check.passed else style.RED
+    )
     return figure
 
 
@@ -127,10 +117,10 @@ def _faces(ax: Axes, check: Check) -> None:
         rows = setup.rows[setup.faces.pairs.rows[:, 0]] - 1
         names += [check.recording.targets[check.recording.target[row]] for row in rows]
         at += len(share)
-        ax.axvline(at - 0.5, color=INK, lw=0.4)
+        ax.axvline(at - 0.5, color=style.INK, lw=0.4)
     for limit in (-1.0, 1.0):
-        ax.axhline(limit, color=RED, lw=1.0)
-    quiet_axis(ax)
+        ax.axhline(limit, color=style.RED, lw=1.0)
+    style.quiet_axis(ax)
     ax.set_title("Half two-face differences over their limits")
     ax.set_ylabel("share of the limit")
     if not names:
@@ -139,7 +129,7 @@ def _faces(ax: Axes, check: Check) -> None:
         return
     ax.set_xlim(-0.8, at - 0.2)
     few = len(names) <= MOST_NAMES
-    ax.set_xticks(range(at) if few else [], [shorten(n) for n in names] if few else [], rotation=90, fontsize=6)
+    ax.set_xticks(range(at) if few else [], [style.shorten(n) for n in names] if few else [], rotation=90, fontsize=6)
     ax.legend(loc="upper right", ncols=3)
 
 
@@ -150,14 +140,16 @@ def _course(ax: Axes, check: Check) -> None:
             continue
         size = np.sqrt(np.mean(setup.visit.whitened**2, axis=1))
         label = setup.station if i < MOST_STATIONS else None
-        ax.plot(setup.visit.recording.time / scale, size, ".", ms=4, color=CYCLE[i % len(CYCLE)], label=label)
+        ax.plot(
+            setup.visit.recording.time / scale, size, ".", ms=4, color=style.CYCLE[i % len(style.CYCLE)], label=label
+        )
     marked = False
     for item in check.items:
         if item.between_s is not None:
-            ax.axvspan(item.between_s[0] / scale, item.between_s[1] / scale, color=RED, alpha=0.35, lw=0)
-            ax.axvline(item.between_s[0] / scale, color=RED, lw=1.0, label=None if marked else "moved")
+            ax.axvspan(item.between_s[0] / scale, item.between_s[1] / scale, color=style.RED, alpha=0.35, lw=0)
+            ax.axvline(item.between_s[0] / scale, color=style.RED, lw=1.0, label=None if marked else "moved")
             marked = True
-    quiet_axis(ax)
+    style.quiet_axis(ax)
     ax.set_title("What each pointing misses")
     ax.set_xlabel(unit)
     ax.set_ylabel("rms [sigma]")

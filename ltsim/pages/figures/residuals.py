@@ -10,65 +10,50 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from ltsim.arrays import Bools, Floats
-from ltsim.pages.figures.floor_plan import Label, place_labels
-from ltsim.pages.residuals import COVARIATE_UNIT, Residuals
-from ltsim.pages.style import (
-    AFTER,
-    BEFORE,
-    CYCLE,
-    GREY,
-    INK,
-    OBSERVABLE_UNIT,
-    RED,
-    legend_of,
-    new_figure,
-    quiet_axis,
-    shorten,
-    styled,
-    unit_text,
-)
+from ltsim.diagnosis.schema import Curve, Where
+from ltsim.pages import style
+from ltsim.pages.residuals import COVARIATE_UNIT, OBSERVABLE_UNIT, USUAL, Residuals
 from ltsim.recording.recording import OBSERVABLES
 from ltsim.units import FACTOR
 
-USUAL = ("azimuth", "elevation", "distance", "time")
 MOST_STATIONS, MOST_DOTS = 30, 40
 """Above so many dots those of an axes are one small image."""
 BAND = 1.96
 
 
-@styled
+@style.styled
 def residuals_by_covariate(residuals: Residuals, *, covariates: Sequence[str] = USUAL) -> Figure:
     """Normalised residuals of all observables against each covariate that is known, with their running means."""
     names = [name for name in covariates if name in residuals.covariates]
-    figure = new_figure(2.0 * max(-(-len(names) // 2), 1) + 0.4)
+    figure = style.new_figure(2.0 * max(-(-len(names) // 2), 1) + 0.4)
     axes = figure.subplots(-(-len(names) // 2), 2, sharey=True, squeeze=False)
     for ax, name in zip(axes.flat, names, strict=False):
-        for observable, colour in zip(OBSERVABLES, CYCLE, strict=False):
+        for observable, colour in zip(OBSERVABLES, style.CYCLE, strict=False):
             rows = residuals.of(observable) & np.isfinite(residuals.w)
             x, w = residuals.covariates[name][rows], residuals.w[rows]
             ax.plot(x, w, ".", ms=2.0, color=colour, alpha=0.35, rasterized=len(w) > MOST_DOTS, zorder=1.5)
             _running_mean(ax, x, w, colour=colour, label=observable)
-        ax.axhline(0.0, color=INK, linewidth=0.6)
-        quiet_axis(ax, grid="both")
+        ax.axhline(0.0, color=style.INK, linewidth=0.6)
+        style.quiet_axis(ax, grid="both")
         ax.xaxis.set_major_locator(MaxNLocator(5))
         ax.set_xlabel(axis_text(name))
     for ax in axes.flat[len(names) :]:
         ax.set_axis_off()
     for ax in axes[:, 0]:
         ax.set_ylabel("residual / its sigma")
-    legend_of(figure, axes.flat)
+    style.legend_of(figure, axes.flat)
     return figure
 
 
-@styled
+@style.styled
 def residuals_by_station(after: Residuals, before: Residuals | None = None) -> Figure:
     """A panel an observable; each station shows its residuals as dots and their root mean square as a bar."""
     shown = [name for name in OBSERVABLES if after.of(name).any()]
     stations = after.stations[:MOST_STATIONS]
-    figure = new_figure(1.7 * max(len(shown), 1) + 0.4)
+    figure = style.new_figure(1.7 * max(len(shown), 1) + 0.4)
     axes = figure.subplots(len(shown), 1, sharex=True, squeeze=False)[:, 0]
-    sides = [(after, 0.18 if before else 0.0, AFTER, "after")]
-    sides += [(before, -0.18, BEFORE, "before")] if before is not None else []
+    sides = [(after, 0.18 if before else 0.0, style.AFTER, "after")]
+    sides += [(before, -0.18, style.BEFORE, "before")] if before is not None else []
     for ax, observable in zip(axes, shown, strict=True):
         for residuals, shift, colour, word in sides:
             for place, station in enumerate(stations):
@@ -80,89 +65,76 @@ def residuals_by_station(after: Residuals, before: Residuals | None = None) -> F
                 bar = f"± rms {word}" if place == 0 else None
                 ax.vlines(place + shift, -size, size, color=colour, linewidth=3.0, alpha=0.8, label=bar)
         ax.set_ylabel(_reading(observable))
-        ax.axhline(0.0, color=INK, linewidth=0.6)
-        quiet_axis(ax)
-    axes[-1].set_xticks(range(len(stations)), [shorten(s, 14) for s in stations], rotation=60 * (len(stations) > 8))
+        ax.axhline(0.0, color=style.INK, linewidth=0.6)
+        style.quiet_axis(ax)
+    axes[-1].set_xticks(
+        range(len(stations)), [style.shorten(s, 14) for s in stations], rotation=60 * (len(stations) > 8)
+    )
     axes[-1].set_xlim(-0.6, len(stations) - 0.4)
-    legend_of(figure, axes[:1], ncols=4)
+    style.legend_of(figure, axes[:1], ncols=4)
     return figure
 
 
-@styled
-def signature_figure(
-    before: Residuals,
-    after: Residuals,
-    *,
-    covariate: str,
-    observables: Sequence[str] = (),
-    stations: Sequence[str] = (),
-    targets: Sequence[str] = (),
-) -> Figure:
+@style.styled
+def signature_figure(before: Residuals, after: Residuals, covariate: str, where: Where) -> Figure:
     """The residuals that a finding concerns, without it to the left and with it to the right, against a covariate.
 
-    `observables`, `stations` and `targets` are what the finding is confined to, empty for all; dots elsewhere are pale.
+    Dots elsewhere than where the finding is confined to are pale.
     """
-    shown = [name for name in OBSERVABLES if (not observables or name in observables) and before.of(name).any()]
-    figure = new_figure(0.5 + 1.8 * max(len(shown), 1))
+    shown = [n for n in OBSERVABLES if (not where.observables or n in where.observables) and before.of(n).any()]
+    figure = style.new_figure(0.5 + 1.8 * max(len(shown), 1))
     grid = figure.subplots(len(shown), 2, sharex=True, sharey="row", squeeze=False)
     for line, observable in zip(grid, shown, strict=True):
         for ax, residuals, word in zip(line, (before, after), ("without", "with it"), strict=True):
             rows = residuals.of(observable) & np.isfinite(residuals.covariates[covariate])
-            here = rows & residuals.at(stations, targets)
+            here = rows & residuals.at(where.stations, where.targets)
             if (rows & ~here).any():
                 _dots(ax, residuals, rows & ~here, covariate, colour="#C3C8CC", label="elsewhere")
-            _dots(ax, residuals, here, covariate, colour=AFTER, label="where the finding acts", size=4.0)
+            _dots(ax, residuals, here, covariate, colour=style.AFTER, label="where the finding acts", size=4.0)
             _running_mean(ax, residuals.covariates[covariate][here], residuals.residual[here], label="running mean")
             size = float(np.sqrt(np.mean(residuals.w[here] ** 2))) if here.any() else 0.0
             ax.set_title(f"{word}: rms {size:.2f} of the stated noise", fontsize=8, fontweight="normal")
         line[0].set_ylabel(_reading(observable))
     for ax in grid[-1]:
         ax.set_xlabel(axis_text(covariate))
-    legend_of(figure, grid[0, :1])
+    style.legend_of(figure, grid[0, :1])
     return figure
 
 
-@styled
-def driver_curve(
-    at: Floats, value: Floats, sigma: Floats, *, covariate: str, carrier: str, unit: str,
-    residuals: Residuals | None = None,
-) -> Figure:  # fmt: skip
+@style.styled
+def driver_curve(curve: Curve, carrier: str, residuals: Residuals | None = None) -> Figure:
     """What a carrier does over its covariate, with the 95 % band.
 
-    Parameters
-    ----------
-    at : (k,) float
-        Values of the covariate, SI or in the unit of the recording's own column.
-    value, sigma : (k,) float
-        Of the carrier, in `unit`.
-    covariate, carrier, unit : str
-    residuals : Residuals, optional
-        Without the finding: dots behind the curve of a reading, whose sign is then that of a residual.
+    `residuals` without the finding are dots behind the curve of a reading, whose sign is then that of a residual.
     """
-    figure = new_figure(2.6)
+    at, value, sigma = (np.array(values) for values in (curve.at, curve.value, curve.sigma))
+    covariate, unit = curve.covariate, curve.unit
+    figure = style.new_figure(2.6)
     ax = figure.subplots()
     factor, label = _axis(covariate)
     sign = 1.0
     if residuals is not None and covariate in residuals.covariates and carrier in OBSERVABLE_UNIT:
-        _dots(ax, residuals, residuals.of(carrier), covariate, colour=BEFORE, label="residuals without the finding")
+        _dots(
+            ax, residuals, residuals.of(carrier), covariate, colour=style.BEFORE, label="residuals without the finding"
+        )
         sign = -FACTOR[unit] / FACTOR[OBSERVABLE_UNIT[carrier]]
         unit = OBSERVABLE_UNIT[carrier]
     order = np.argsort(at, kind="stable")
     x, y, half = factor * at[order], sign * value[order], abs(sign) * BAND * sigma[order]
-    ax.fill_between(x, y - half, y + half, color=RED, alpha=0.2, linewidth=0, label="95 % band")
-    ax.plot(x, y, color=RED, label="what fits")
-    ax.axhline(0.0, color=INK, linewidth=0.6)
+    ax.fill_between(x, y - half, y + half, color=style.RED, alpha=0.2, linewidth=0, label="95 % band")
+    ax.plot(x, y, color=style.RED, label="what fits")
+    ax.axhline(0.0, color=style.INK, linewidth=0.6)
     ax.set_xlabel(label)
-    ax.set_ylabel(f"{carrier} [{unit_text(unit)}]")
-    quiet_axis(ax, grid="both")
-    legend_of(figure, [ax])
+    ax.set_ylabel(f"{carrier} [{style.unit_text(unit)}]")
+    style.quiet_axis(ax, grid="both")
+    style.legend_of(figure, [ax])
     return figure
 
 
 def axis_text(covariate: str) -> str:
     """Label of a covariate's axis."""
     unit = COVARIATE_UNIT.get(covariate, "")
-    return f"{shorten(covariate)} [{unit}]" if unit else shorten(covariate)
+    return f"{style.shorten(covariate)} [{unit}]" if unit else style.shorten(covariate)
 
 
 def _axis(covariate: str) -> tuple[float, str]:
@@ -175,7 +147,7 @@ def _axis(covariate: str) -> tuple[float, str]:
 
 
 def _reading(observable: str) -> str:
-    return f"{observable} [{unit_text(OBSERVABLE_UNIT[observable])}]"
+    return f"{observable} [{style.unit_text(OBSERVABLE_UNIT[observable])}]"
 
 
 def _dots(
@@ -185,11 +157,11 @@ def _dots(
     many = int(rows.sum()) > MOST_DOTS
     x, y = residuals.covariates[covariate][rows], residuals.residual[rows]
     ax.plot(x, y, ".", ms=size, color=colour, alpha=0.7, label=label, rasterized=many, zorder=1.5)
-    ax.axhline(0.0, color=INK, linewidth=0.6)
-    quiet_axis(ax, grid="both")
+    ax.axhline(0.0, color=style.INK, linewidth=0.6)
+    style.quiet_axis(ax, grid="both")
 
 
-def _running_mean(ax: Axes, x: Floats, y: Floats, *, colour: str = RED, label: str = "mean") -> None:
+def _running_mean(ax: Axes, x: Floats, y: Floats, *, colour: str = style.RED, label: str = "mean") -> None:
     """Mean of the dots in about ten equally filled bins, with twice its standard error."""
     good = np.isfinite(x) & np.isfinite(y)
     order = np.flatnonzero(good)[np.argsort(x[good], kind="stable")]
@@ -202,63 +174,17 @@ def _running_mean(ax: Axes, x: Floats, y: Floats, *, colour: str = RED, label: s
     ax.plot(centre, mean, color=colour, linewidth=1.4, label=label)
 
 
-MOST_MARKED = 12
-"""Targets that can be told apart in one picture."""
-
-
-@styled
-def hidden_and_found(at: Floats, hidden: Floats, found: Floats, *, axis: str, label: str) -> Figure:
+@style.styled
+def hidden_and_found(at: Floats, hidden: Floats, found: Floats, axis: str, label: str) -> Figure:
     """Changes of readings (n,) by what was hidden, as rings, and by what was found, over a covariate (n,)."""
-    figure = new_figure(2.7)
+    figure = style.new_figure(2.7)
     ax = figure.subplots()
     order = np.argsort(at, kind="stable")
-    ax.axhline(0.0, color=GREY, linewidth=0.7)
-    ax.plot(at[order], hidden[order], "-o", ms=5, mfc="none", color=INK, lw=0.8, label="hidden")
-    ax.plot(at[order], found[order], "-o", ms=2.4, color=RED, lw=1.2, label="found")
+    ax.axhline(0.0, color=style.GREY, linewidth=0.7)
+    ax.plot(at[order], hidden[order], "-o", ms=5, mfc="none", color=style.INK, lw=0.8, label="hidden")
+    ax.plot(at[order], found[order], "-o", ms=2.4, color=style.RED, lw=1.2, label="found")
     ax.set_xlabel(axis)
     ax.set_ylabel(label)
-    quiet_axis(ax, grid="both")
-    legend_of(figure, [ax])
-    return figure
-
-
-@styled
-def whereabouts(
-    stations: Sequence[str],
-    position: Floats,
-    targets: Sequence[str],
-    points: Floats,
-    *,
-    marked: Sequence[str],
-    pairs: Sequence[tuple[str, str]] = (),
-) -> Figure:
-    """Stations (S, 3) and targets (T, 3) [m] from above; some names are marked, pairs of them joined by an arrow."""
-    figure = new_figure(3.6)
-    ax = figure.subplots()
-    places = np.concatenate([position, points])[:, :2]
-    names = [*stations, *targets]
-    hot = np.isin(names, list(marked))
-    kinds = np.arange(len(names)) < len(stations)
-    for chosen, marker, colour, word in (
-        (kinds & ~hot, "^", INK, "station"), (~kinds & ~hot, "o", AFTER, "target"),
-        (kinds & hot, "^", RED, "station of the finding"), (~kinds & hot, "o", RED, "target of the finding"),
-    ):  # fmt: skip
-        if chosen.any():
-            ax.plot(*places[chosen].T, marker, ms=6 if marker == "^" else 4.5, color=colour, label=word)
-    for pair in pairs:
-        start, end = (places[len(stations) + list(targets).index(name)] for name in pair)
-        ax.annotate(
-            "", end, start, arrowprops={"arrowstyle": "<|-|>", "color": RED, "lw": 1.6, "shrinkA": 5, "shrinkB": 5}
-        )
-    ax.set_aspect("equal", adjustable="datalim")
-    ax.set_xlabel("x [m]")
-    ax.set_ylabel("y [m]")
-    quiet_axis(ax, grid="both")
-    legend_of(figure, [ax], ncols=2)
-    order = np.argsort(~hot, kind="stable")
-    place_labels(
-        figure, ax,
-        [Label(names[i], places[i], 8.0 if hot[i] else 6.5, bold=bool(hot[i]), colour=RED if hot[i] else INK)
-         for i in order], places,
-    )  # fmt: skip
+    style.quiet_axis(ax, grid="both")
+    style.legend_of(figure, [ax])
     return figure

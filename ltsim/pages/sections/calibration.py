@@ -4,76 +4,73 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from ltsim.arrays import Floats
-from ltsim.calibration.calibration import NOISE, OUTLIERS
+from ltsim.calibration.calibration import NOISE, OUTLIERS, PARAMETERS
 from ltsim.calibration.files import read_targets
 from ltsim.calibration.schema import RESIDUALS, TARGETS, CalibrationFile
-from ltsim.chances import p_text, two_sided
+from ltsim.chances import AGREES, p_text, two_sided
+from ltsim.errors import option
 from ltsim.evaluation.criteria import CRITERIA
-from ltsim.notation import number
-from ltsim.pages import style
-from ltsim.pages.document import Block, Detail, Fact, Note, Section, Table, mood, picture, table_block, table_of
-from ltsim.pages.figures.parameters import ParameterRow, correlation_figure, parameter_figure
+from ltsim.notation import fixed, number
+from ltsim.pages import figures
+from ltsim.pages.document import Beside, Block, Fact, Note, Picture, Points, Section, Table, mood, table_block, table_of
 from ltsim.pages.residuals import Residuals
 from ltsim.pages.sections.network import (
-    TRUTH,
     adjusted_if_possible,
     combined,
     residual_blocks,
     target_table,
     targets_in_words,
+    truth_of,
     undetermined,
     workshop_blocks,
 )
-from ltsim.pages.words import agreement, count
-from ltsim.pages.workshop import Sights, Workshop, assemble
+from ltsim.pages.words import agreement, count, is_determined, listing, sentence
 from ltsim.recording import Recording, Setup
-from ltsim.recording.result_file import check_source, companion, read_result
-from ltsim.simulation.truth import Truth, read_truth
+from ltsim.recording.result_file import check_source
+from ltsim.simulation.truth import Truth
 from ltsim.units import FACTOR
+
+if TYPE_CHECKING:
+    from ltsim.pages.workshop import Sights, Workshop
 
 SETTLED = ("", "converged", "not stated")
 """How a fit may have ended that nobody need worry about."""
 
 
-def calibration_section(
-    folder: Path, recording: Recording | None = None, *, detail: Detail = "turn", brief: bool = False
-) -> Section:
-    """The section of a folder with `calibration.json`.
-
-    A `recording` adds the floor plan and the residuals before; a `brief` section leaves residuals to the diagnosis.
+def calibration_section(content: CalibrationFile, beside: Beside) -> Section:
+    """The section of a `calibration.json`; a recording beside it adds the floor plan and the residuals before.
 
     Raises
     ------
     RecordError
         When a file is malformed.
     """
-    content = read_result(folder, CalibrationFile)
-    check_source(content, recording, folder)
+    recording = beside.recording
+    check_source(content, recording, beside.folder or Path())
     agrees, words = agreement(content.fit.chi2, content.fit.dof, content.fit.p_value)
     if content.noise_estimated:
         words = "the noise was estimated from the same readings, which leaves nothing to test"
     converged = content.fit.status in SETTLED
-    targets, residuals = (companion(folder, table.file, content) for table in (TARGETS, RESIDUALS))
-    pair = None if residuals is None or brief else adjusted_if_possible(recording)
+    targets, residuals = (beside.file(table.file, content) for table in (TARGETS, RESIDUALS))
+    pair = None if residuals is None or beside.brief else adjusted_if_possible(recording)
     before = Residuals.from_adjustment(pair[0]) if pair else None
     after = Residuals.read(residuals).with_covariates(before) if residuals else None
     product = target_table(targets, note=f"Axes: {content.frame or 'those of the first station'}.")
-    truth = read_truth(folder / TRUTH) if (folder / TRUTH).is_file() else None
-    first = _parameters(content, truth) if content.parameters else product
+    first = _parameters(content, truth_of(beside)) if content.parameters else product
     blocks: list[Block] = [*_warnings(content, converged=converged), *_known_values(content), *first[:1]]
     blocks += _criteria(content)
     shown = len(blocks) + 1
     if targets is not None and content.stations:
-        blocks += workshop_blocks(workshop_of(content, recording, targets, after), detail=detail)
+        blocks += workshop_blocks(lambda: workshop_of(content, recording, targets, after), beside.detail)
     blocks += [*first[1:], *(product if content.parameters else ()), *_stations(content)]
-    if after is not None and not brief:
+    if after is not None and not beside.brief:
         blocks += residual_blocks(after, before, what="the instrument's parameters")
-    blocks += [Note("Estimated beside the calibration", f"{e.sentence}.") for e in content.effects]
+    if content.effects:
+        blocks.append(Points("Estimated beside the calibration", [effect.sentence for effect in content.effects]))
     blocks += combined("Determined in combination", content.determined)
     told = "What the recording tells of the combination: 0 % is nothing beyond the maker's guarantee."
     blocks += undetermined("Not determined by this recording", content.undetermined, decimals=1, note=told)
@@ -86,8 +83,8 @@ def calibration_section(
         mood=mood(agrees and converged and all(outlier.left_out for outlier in content.outliers)),
         facts=_facts(content, agrees=agrees),
         blocks=blocks,
+        actions=_actions(content),
         axes=content.frame,
-        measured=(content.recording.measured if content.recording else "") or "",
         shown=shown,
     )
 
@@ -97,7 +94,7 @@ def _answer(content: CalibrationFile, agreement_words: str, targets: Path | None
     if not content.parameters:
         begin = f"The network of {size} was adjusted without instrument parameters: {agreement_words}"
     else:
-        clear = [row for row in parameter_rows(content) if row.determined]
+        clear = [p for p in content.parameters if is_determined(p.sigma, p.prior_sigma)]
         begin = (
             f"The instrument was calibrated from {size}: {len(clear)} of "
             f"{count(len(content.parameters), 'parameter')} are determined, and {agreement_words}"
@@ -123,7 +120,7 @@ def _facts(content: CalibrationFile, *, agrees: bool) -> list[Fact]:
     fit, found = content.fit, content.noise_estimated
     p = None if found or fit.p_value is None else two_sided(fit.p_value)
     facts = [
-        Fact("sigma0", style.fixed(fit.sigma0, 3), mood(agrees)),
+        Fact("sigma0", fixed(fit.sigma0, 3), mood(agrees)),
         Fact("p of the fit, two-sided", p_text(p), "plain" if found else mood(agrees)),
         Fact("degrees of freedom", str(fit.dof)),
         Fact("readings that do not fit", str(len(content.outliers)), "bad" if content.outliers else "plain"),
@@ -141,6 +138,9 @@ def _warnings(content: CalibrationFile, *, converged: bool) -> list[Block]:
         blocks.append(Note("The adjustment did not converge", content.fit.sentence or content.fit.status, "bad"))
     if content.verdict.sentence and not content.noise_estimated:
         blocks.append(Note("Which test to trust", content.verdict.sentence))
+    if content.correction is not None and content.correction.uncorrected_um > 0:
+        said = [content.correction.line, *content.correction.sentences]
+        blocks.append(Points("What it is worth", [sentence(line) for line in said]))
     if content.lost_targets:
         text = "What is left of their readings does not determine them: " + ", ".join(content.lost_targets) + "."
         blocks.append(Note("Targets without coordinates", text, "bad"))
@@ -150,49 +150,53 @@ def _warnings(content: CalibrationFile, *, converged: bool) -> list[Block]:
 
 
 def _known_values(content: CalibrationFile) -> list[Table]:
-    note = "Residual: stated less adjusted; error: by how much it is wrong by what the rest says, ± one sigma."
+    note = "Residual: stated less adjusted; error: by how much it is wrong by what the rest says, +- one sigma."
     shown = sorted(content.known, key=lambda entry: (not entry.left_out, -entry.w))
-    fields = (
-        "kind",
-        "name",
-        "component",
-        "residual",
-        "error+-sigma_error",
-        "minimal_detectable=detectable",
-        "unit",
-        "redundancy",
-    )
-    return table_of("How known values fit", shown, *fields, "w", "left_out", note=note, folds=False)
+    fields = ("kind", "name", "component", "residual", "error+-sigma_error", "minimal_detectable=detectable", "unit")
+    return table_of("How known values fit", shown, *fields, "redundancy", "w", "left_out", note=note)
 
 
-def parameter_rows(content: CalibrationFile, truth: Truth | None = None) -> list[ParameterRow]:
-    """Rows for the figure; of a simulated recording with the true values."""
-    true = {} if truth is None else {n: v / FACTOR[truth.units[n]] for n, v in truth.instrument.items()}
-    return [
-        ParameterRow(
-            f"{p.name} ({p.instrument})" if p.instrument else p.name, p.value, p.sigma or 0.0, p.unit, p.prior_sigma,
-            true.get(f"{p.name}@{p.instrument}" if p.instrument else p.name),
+def _actions(content: CalibrationFile) -> list[str]:
+    """What to do next, the most urgent first."""
+    said = []
+    left = [o for o in content.outliers if not o.left_out]
+    if left:
+        which = listing([f"{o.station} to {o.target} ({o.observable}, row {o.row})" for o in left], 3)
+        out = f"or leave them out ({option('robust=True')})"
+        said.append(f"Measure again what did not fit, {out}: {which}.")
+    test = content.fit.p_value
+    if test is not None and test < AGREES / 2 and not content.noise_estimated:
+        said.append("Find out why readings and model disagree: ltsim diagnose names what is missing from the model.")
+    if content.verdict.scale_by_sigma0 and not content.noise:
+        said.append(
+            f"Have the noise of each observable estimated, if it is not known: {option('noise_from_data=True')}."
         )
-        for p in content.parameters
-    ]  # fmt: skip
+    cures = dict.fromkeys(entry.cure.partition(" (gain ")[0] for entry in content.undetermined if entry.cure)
+    said += [f"To determine what is still open: {cure.rstrip('.')}." for cure in list(cures)[:3]]
+    if content.parameters and not said:
+        said.append("Apply the calibration to later readings: ltsim correct.")
+    return said
 
 
 def _parameters(content: CalibrationFile, truth: Truth | None) -> list[Block]:
-    rows = parameter_rows(content, truth)
+    rows, known = content.parameters, {} if truth is None else truth.instrument
+    names = [f"{p.name}@{p.instrument}" if p.instrument else p.name for p in rows]
+    true = [known[n] / FACTOR[truth.units[n]] if truth and n in known else None for n in names]
     text = "Corrections (truth minus reading) with 95 % intervals, against the spread that the maker guarantees."
-    note = "Corrections, truth minus reading, ± one sigma."
+    note = "Corrections, truth minus reading, +- one sigma."
     blocks: list[Block] = [
-        picture("Instrument parameters", parameter_figure(rows), text),
-        *table_of("Parameters in numbers", content.parameters, "name=parameter", "instrument", "value+-sigma", "unit",
-                  "prior_sigma=prior sigma", note=note),
-    ]  # fmt: skip
+        Picture("Instrument parameters", lambda: figures.parameters.parameter_figure(rows, true), text),
+        *table_block("Parameters in numbers", PARAMETERS.filled(rows), note=note, folds=False),
+    ]
     if len(content.covariance) == len(rows) and len(rows) > 1:
         covariance = np.array(content.covariance)
-        sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-        scale = np.where(sigma > 0, sigma, 1.0)
-        figure = correlation_figure([row.name for row in rows], covariance / np.outer(scale, scale))
-        text = "Two parameters near ±100 % can hardly be told apart with this network."
-        blocks.append(picture("Correlation of the parameters", figure, text))
+        text = "Two parameters near +-100 % can hardly be told apart with this network."
+        drawn = Picture(
+            "Correlation of the parameters",
+            lambda: figures.parameters.correlation_figure(rows, covariance),
+            text,
+        )
+        blocks.append(drawn)
     return blocks
 
 
@@ -203,7 +207,7 @@ def _criteria(content: CalibrationFile) -> list[Table]:
             *(e.before.mean_um, e.before.max_um, e.after.mean_um, e.after.max_um, e.improvement_percent),
         ]
         for name, e in content.criteria.items()
-        if e.before.mean_um is not None and e.after.mean_um is not None
+        if e.before.mean_um is not None
     ]
     text = "How far stations disagree about distances between reflectors and about their coordinates."
     return table_block("Criteria before and after calibration", CRITERIA.filled(rows), note=text)
@@ -212,7 +216,7 @@ def _criteria(content: CalibrationFile) -> list[Table]:
 def _stations(content: CalibrationFile) -> list[Table]:
     header = ["station", "x [mm]", "y [mm]", "z [mm]", "U x [um]", "U y [um]", "U z [um]"]
     rows = [
-        [s.name, *(style.fixed(v, 3) for v in s.position_mm),
+        [s.name, *(fixed(v, 3) for v in s.position_mm),
          *(number(None if v is None else 2e3 * v, 2) for v in s.sigma_position_mm or (None,) * 3)]
         for s in content.stations
     ]  # fmt: skip
@@ -224,6 +228,10 @@ def workshop_of(
     content: CalibrationFile, recording: Recording | None, targets: Path, residuals: Residuals | None
 ) -> Workshop:
     """The calibrated network, ready to be drawn."""
+    from scipy.spatial.transform import Rotation
+
+    from ltsim.pages.workshop import assemble
+
     names, points, sigma = read_targets(targets)
     stations = tuple(s.name for s in content.stations)
     return assemble(
@@ -235,15 +243,13 @@ def workshop_of(
         targets=names,
         points=np.nan_to_num(points),
         sights=_sights(residuals, stations, names),
-        covariance=_covariance(sigma),
+        covariance=np.einsum("ti,ij->tij", np.nan_to_num(sigma) ** 2, np.eye(3)),
     )
 
 
-def _covariance(sigma: Floats) -> Floats:
-    return np.einsum("ti,ij->tij", np.nan_to_num(sigma) ** 2, np.eye(3))
-
-
 def _sights(residuals: Residuals | None, stations: Sequence[str], targets: Sequence[str]) -> Sights | None:
+    from ltsim.pages.workshop import Sights
+
     if residuals is None:
         return None
     station, target = (

@@ -4,23 +4,24 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
-
-from matplotlib.figure import Figure
+from typing import TYPE_CHECKING, Any
 
 from ltsim.campaigns.design import Factor
 from ltsim.campaigns.paired import errors_of
 from ltsim.campaigns.schema import SHARES, ManifestFile, column_of
 from ltsim.campaigns.statistics import Checked, Results, Scores, Spread
 from ltsim.notation import number
-from ltsim.pages.document import Block, Fact, Listing, Section, Table, mood, picture, table_block
+from ltsim.pages.document import Block, Fact, Listing, Picture, Section, Table, mood, table_block
 from ltsim.pages.figures.campaign import (
     ALLOWED,
     MOST_LINES,
     MOST_PANELS,
+    PAPER,
     Distribution,
     Swept,
     by_factor,
@@ -30,12 +31,16 @@ from ltsim.pages.figures.campaign import (
     uncovered,
 )
 from ltsim.pages.words import count, sentence, typeset
+from ltsim.results import Table as TableOf
 from ltsim.simulation.keys import meaning_of
 from ltsim.units import BY_ENDING
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 MOST_DRAWN = 200_000
 """Trials whose values are drawn; tables and intervals use all of them."""
-MOST_CELLS, MOST_VALUES, MOST_SHOWN = 3, 8, 4
+MOST_CELLS, MOST_VALUES, MOST_SHOWN, MOST_ROWS = 3, 8, 4, 48
 IMPROVEMENT = "distance_improvement_percent"
 
 LABELS = MappingProxyType(
@@ -46,23 +51,6 @@ LABELS = MappingProxyType(
         "target_error_um": "error of the targets [µm]",
     }
 )
-PAPER = MappingProxyType(
-    {
-        "paper-workshop": {
-            "coordinate_before_max_um": 149.0, "coordinate_before_mean_um": 46.0, "distance_before_max_um": 60.0,
-            "distance_before_mean_um": 29.0, "coordinate_after_max_um": 118.0, "coordinate_after_mean_um": 39.0,
-            "distance_after_max_um": 39.0, "distance_after_mean_um": 17.0, "coordinate_improvement_percent": 14.47,
-            "distance_improvement_percent": 40.1,
-        },
-        "paper-laboratory": {
-            "coordinate_before_max_um": 54.0, "coordinate_before_mean_um": 21.0, "distance_before_max_um": 84.0,
-            "distance_before_mean_um": 24.0, "coordinate_after_max_um": 41.0, "coordinate_after_mean_um": 17.0,
-            "distance_after_max_um": 53.0, "distance_after_mean_um": 18.0, "coordinate_improvement_percent": 17.98,
-            "distance_improvement_percent": 25.53,
-        },
-    }
-)  # fmt: skip
-"""Tables 3 and 4 of Sensors 2021, 21, 7479."""
 
 
 def campaign_section(folder: Path) -> Section:
@@ -78,8 +66,9 @@ def campaign_section(folder: Path) -> Section:
     spreads = {name: results.spread(name) for name in results.columns if ":" not in name}
     scores, ends = results.z_scores(), results.checked()
     published = PAPER.get(str(manifest.settings.get("scenario", "")), {})
-    drawn_ = _distributions(results, spreads, published)
+    drawn_ = _distributions(results, published)
     shown = [*_improvements(results, spreads, published), *_varied(results)] or drawn_[:1]
+    shown += _by_factor(results, spreads)
     shown[1:1] = _errors(results, spreads)
     blocks: list[Block] = [*shown, *(b for b in drawn_ if b not in shown)]
     blocks += [*_coverage(results, scores), *_statistics(results, spreads, ends)]
@@ -148,7 +137,7 @@ def _facts(manifest: ManifestFile, ends: Sequence[Checked], scores: Sequence[Sco
         Fact("failed", str(failed), mood(not failed)),
     ]
     if checked:
-        facts.append(Fact("fast against full solver", f"{max(checked):.1e} σ", mood(max(checked) < 1e-3)))
+        facts.append(Fact("fast against full solver", f"{max(checked):.1e} sigma", mood(max(checked) < 1e-3)))
     if scores:
         shares = [s.coverage_95 for s in scores]
         facts.append(Fact("coverage of 95 %", f"{100 * min(shares):.1f} to {100 * max(shares):.1f} %"))
@@ -165,6 +154,21 @@ def _varied(results: Results) -> list[Block]:
     return [Table("What was varied", ["", "values", "key", "meaning"], rows, text_columns=4)] if rows else []
 
 
+def _by_factor(results: Results, spreads: Mapping[str, list[Spread]]) -> list[Table]:
+    """Means over the cells of each level, where cells are too many to be read; factors of few levels first."""
+    if len(results.levels) <= MOST_ROWS:
+        return []
+    groups: dict[tuple[str, ...], list[float]] = {}
+    for factor in sorted(varied(results), key=lambda f: len(set(_column(results, f)))):
+        for name in filter(spreads.get, LABELS):
+            for s in spreads[name]:
+                key = title(factor), factor.words(results.levels[s.cell][factor.name]), s.method, name
+                groups.setdefault(key, []).append(s.mean)
+    rows = [[*key, *(number(v, 4) for v in (sum(m) / len(m), min(m), max(m)))] for key, m in groups.items()]
+    heads = ["factor", "level", "method", "statistic", "mean", "least cell", "largest cell"]
+    return [Table("Means over the settings of a level", heads, rows, text_columns=4)]
+
+
 def _improvements(results: Results, spreads: Mapping[str, list[Spread]], published: Mapping[str, float]) -> list[Block]:
     """Means with intervals over the settings, and where the paper's figure lies."""
     blocks: list[Block] = []
@@ -175,12 +179,9 @@ def _improvements(results: Results, spreads: Mapping[str, list[Spread]], publish
         for text, figure in drawn(results, own, label, paper) if own else ():
             outside = [s for s in own if paper is not None and not s.quantiles[1] <= paper <= s.quantiles[5]]
             where = f"outside it in {len(outside)} of {len(own)}" if outside else "within it everywhere"
-            told = (
-                ""
-                if paper is None
-                else f" The paper's {number(paper)} (dashed) lies against the 90 % of trials: {where}."
-            )
-            blocks.append(picture(label.split(" [")[0].capitalize(), figure, text + told))
+            told = f" The paper's {number(paper)} (dashed) lies against the 90 % of trials: {where}."
+            caption = text if paper is None else text + told
+            blocks.append(Picture(label.split(" [")[0].capitalize(), figure, caption))
     return blocks
 
 
@@ -189,13 +190,16 @@ def campaign_figure(results: Results) -> Figure:
     if len(results.levels) > 1:
         for column, label in LABELS.items():
             if column in results.columns:
-                return next(drawn(results, results.spread(column), label, None))[1]
-    rows = _rows_of(results, list(results.columns), next(iter(cell_words(results))), {})
-    return distributions(rows)
+                return next(drawn(results, results.spread(column), label, None))[1]()
+    return distributions(_rows_of(results, {}))
 
 
-def _rows_of(results: Results, columns: Sequence[str], cell: int, published: Mapping[str, float]) -> list[Distribution]:
-    wanted = [c for c in columns if c.endswith(("_um", "_percent")) and c.startswith(("distance", "coordinate"))]
+def _rows_of(results: Results, published: Mapping[str, float]) -> list[Distribution]:
+    """The criteria over the trials of the first setting and method."""
+    cell = results.manifest.cells[0].cell
+    wanted = [
+        c for c in results.columns if c.endswith(("_um", "_percent")) and c.startswith(("distance", "coordinate"))
+    ]
     wanted.sort(key=lambda c: (not c.endswith("percent"), "mean" not in c, "before" not in c, c.startswith("coord")))
     values = {c: results.values(c, cell, results.manifest.methods[0], most=MOST_DRAWN) for c in wanted}
     return [
@@ -205,19 +209,12 @@ def _rows_of(results: Results, columns: Sequence[str], cell: int, published: Map
     ]
 
 
-def _distributions(
-    results: Results, spreads: Mapping[str, list[Spread]], published: Mapping[str, float]
-) -> list[Block]:
-    """Histograms of the criteria, cell by cell, for the file's first method."""
-    names, method = cell_words(results), results.manifest.methods[0]
-    blocks: list[Block] = []
-    for cell in list(names)[: MOST_CELLS if len(names) <= MOST_CELLS else 1]:
-        rows = _rows_of(results, list(spreads), cell, published)
-        if rows:
-            told = " Dashed: the paper's figures and the share of trials below them." if published else ""
-            place = f", {names[cell]}" if len(names) > 1 else ""
-            blocks.append(picture(f"Distributions over trials: {method}{place}", distributions(rows), told))
-    return blocks
+def _distributions(results: Results, published: Mapping[str, float]) -> list[Block]:
+    """Histograms of the criteria of the file's first method; means over several settings tell more."""
+    rows = [] if len(results.levels) > 1 else _rows_of(results, published)
+    told = "Dashed: the paper's figures and the share of trials below them." if published else ""
+    title = f"Distributions over trials: {results.manifest.methods[0]}"
+    return [Picture(title, partial(distributions, rows), told)] if rows else []
 
 
 def _coverage(results: Results, scores: Sequence[Scores]) -> list[Block]:
@@ -228,7 +225,7 @@ def _coverage(results: Results, scores: Sequence[Scores]) -> list[Block]:
         rows = [s for s in mine if s.cell == mine[0].cell and s.trials > 1]
         if rows and len(blocks) < MOST_CELLS:
             place = f", {cell_words(results)[mine[0].cell]}" if len(results.levels) > 1 else ""
-            blocks.append(picture(f"Coverage: {method}{place}", coverage(rows), coverage_words(rows)))
+            blocks.append(Picture(f"Coverage: {method}{place}", partial(coverage, rows), coverage_words(rows)))
     text = "z: estimate minus truth over its stated sigma; right sigmas give mean 0 and standard deviation 1."
     return [*blocks, *table_block("z-scores of the parameters", results.table("z_scores"), note=text)] if scores else []
 
@@ -275,21 +272,28 @@ def _meaning(column: str) -> str:
     return sentence("" if known is None else known.meaning.replace("`", "")).removesuffix(".")
 
 
-def _statistics(results: Results, spreads: Mapping[str, list[Spread]], ends: Sequence[Checked]) -> list[Table]:
+def _statistics(results: Results, spreads: Mapping[str, list[Spread]], ends: Sequence[Checked]) -> list[Block]:
     """All statistics, what each of them is, and how the trials ended."""
     cells = results.table("summary")
     more = {"cell", "deviation", "least", "largest", *(f"quantile_{q}_percent" for q in ("2.5", "25", "75", "97.5"))}
-    shown = cells.only(" ".join(name for name in cells.header if name not in more))
-    means = [[_column_words(column), results.units.get(column, ""), _meaning(column)] for column in spreads]
+    shown = _settings(results, cells.only(" ".join(name for name in cells.header if name not in more)))
+    means = [f"{_column_words(c)} [{results.units.get(c, '')}]: {_meaning(c)}" for c in spreads]
     note = "Verified: trials that the full solver repeated; the difference is that of the estimates."
     failed = frozenset(i for i, e in enumerate(ends) if e.failed)
     ended = results.table("ends")
-    ended = ended.only(" ".join(name for name in ended.header if name != "cell"))
+    ended = _settings(results, ended.only(" ".join(name for name in ended.header if name != "cell")))
     return [
         *table_block(f"Statistics ({count(len(shown.rows), 'row')})", shown),
-        Table("What the statistics mean", ["statistic", "unit", "meaning"], means, text_columns=3),
+        Listing("What the statistics mean", "\n".join(means)),
         *table_block("How the trials ended", ended, note=note, marked=failed),
     ]
+
+
+def _settings(results: Results, table: TableOf) -> TableOf:
+    """A table of cells whose settings read as they were given: 0.5 and not 0.5000."""
+    given = {f.name for f in results.factors}
+    columns = (replace(c, shown=".6g") if c.name in given and c.kind == "number" else c for c in table.columns)
+    return replace(table, columns=tuple(columns))
 
 
 def title(factor: Factor) -> str:
@@ -338,7 +342,7 @@ def _alike(one: Sequence[Any], other: Sequence[Any]) -> bool:
 
 def drawn(
     results: Results, spreads: Sequence[Spread], label: str, published: float | None
-) -> Iterator[tuple[str, Figure]]:
+) -> Iterator[tuple[str, Callable[[], Figure]]]:
     """Figures of a statistic, each with words for its caption.
 
     A line over one factor where cells form a grid, dots over every range of a design, else a line of text a cell.
@@ -350,7 +354,7 @@ def drawn(
     if factors and results.manifest.settings.get("design"):
         places = [(f, _place(f, results.levels[s.cell]), s) for f in factors for s in spreads]
         rows = [_swept(s, place, s.method, title(factor)) for factor, place, s in places]
-        figure = by_factor(rows, axis="", joined=False, **how)
+        figure = partial(by_factor, rows, axis="", joined=False, **how)
         yield f"Each mark is one setting, against each factor. {several}", figure
     elif factors and of_grid and cells > 2:
         axis, rows = _lines(results, factors, spreads)
@@ -358,10 +362,10 @@ def drawn(
         for first in range(0, len(names), MOST_PANELS):
             shown = names[first : first + MOST_PANELS]
             part = f" Panels {first + 1} to {first + len(shown)} of {len(names)}." if len(names) > MOST_PANELS else ""
-            yield several + part, by_factor([row for row in rows if row.panel in shown], axis=axis, **how)
+            yield several + part, partial(by_factor, [row for row in rows if row.panel in shown], axis=axis, **how)
     else:
         named = cell_words(results)
-        yield several, by_setting([_swept(s, named[s.cell], s.method, "") for s in spreads], **how)
+        yield several, partial(by_setting, [_swept(s, named[s.cell], s.method, "") for s in spreads], **how)
 
 
 def _lines(results: Results, factors: Sequence[Factor], spreads: Sequence[Spread]) -> tuple[str, list[Swept]]:

@@ -2,54 +2,52 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from itertools import zip_longest
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from ltsim.calibration.schema import RESIDUALS
 from ltsim.chances import p_text, two_sided
 from ltsim.diagnosis.schema import BEFORE, TARGETS, DiagnosisFile, Finding, Fit, Where
+from ltsim.diagnosis.words import clear_constants
 from ltsim.effects.verbs import effect_from
 from ltsim.errors import LtsimError
-from ltsim.notation import number, with_sigma
-from ltsim.pages.document import Block, Detail, Fact, Note, Section, Table, mood, picture, table_of
-from ltsim.pages.figures.residuals import (
-    MOST_MARKED,
-    driver_curve,
-    hidden_and_found,
-    residuals_by_covariate,
-    signature_figure,
-    whereabouts,
-)
-from ltsim.pages.residuals import Residuals
+from ltsim.notation import NONE, number, with_sigma
+from ltsim.pages import figures
+from ltsim.pages.document import Beside, Block, Fact, Note, Picture, Section, Table, mood, table_of
+from ltsim.pages.residuals import OBSERVABLE_UNIT, Residuals
 from ltsim.pages.sections.network import (
-    TRUTH,
     Pair,
     adjusted_if_possible,
     combined,
+    over_covariates,
     scene,
     target_table,
+    truth_of,
 )
-from ltsim.pages.style import OBSERVABLE_UNIT, unit_text
-from ltsim.pages.words import count, listing, sentence
-from ltsim.pages.workshop import from_adjustment
-from ltsim.recording import Recording
+from ltsim.pages.words import count, listing, sentence, typeset
 from ltsim.recording.recording import OBSERVABLES
-from ltsim.recording.result_file import check_source, companion, read_result
-from ltsim.simulation.truth import AppliedEffect, Truth, read_truth
+from ltsim.recording.result_file import check_source
+from ltsim.simulation.truth import AppliedEffect, Truth
 from ltsim.units import FACTOR
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+MOST_MARKED = 12
+"""Targets that can be told apart in one picture."""
 LEAST_UM = 0.1
 """What an effect hides below this [um] is no matter."""
 MOST_STEPS = 3
 """Points from which a curve is drawn."""
 
 
-def diagnosis_section(folder: Path, recording: Recording | None = None, *, detail: Detail = "none") -> Section:
-    """The section of a folder with `diagnosis.json`; a truth beside it puts hidden and found side by side in front.
+def diagnosis_section(content: DiagnosisFile, beside: Beside) -> Section:
+    """The section of a `diagnosis.json`; a truth beside it puts hidden and found side by side in front.
 
     Residuals without the findings are read from `residuals_before.csv`, those with them from `residuals.csv`.
 
@@ -58,30 +56,34 @@ def diagnosis_section(folder: Path, recording: Recording | None = None, *, detai
     RecordError
         When a file is malformed.
     """
-    content = read_result(folder, DiagnosisFile)
-    check_source(content, recording, folder)
+    recording = beside.recording
+    check_source(content, recording, beside.folder or Path())
     pair = adjusted_if_possible(recording)
-    before, after = _residuals(folder, content, pair)
-    truth = read_truth(folder / TRUTH) if (folder / TRUTH).is_file() else None
+    before, after = _residuals(content, beside, pair)
+    truth = truth_of(beside)
     blocks: list[Block] = _beside_truth(content, truth, pair) if truth is not None and truth.effects else []
-    if pair is not None and detail == "turn" and blocks:
+    if pair is not None and beside.detail == "turn" and blocks:
+        from ltsim.pages.workshop import from_adjustment
+
         blocks = [scene(from_adjustment(pair[1], plain=pair[0])), *blocks]
     lead = len(blocks)
     for number_, finding in enumerate(content.findings, start=1):
         blocks += _finding(finding, number_, pair, before, after)
+    if constants := clear_constants(content.instruments):
+        blocks.append(
+            Note("The clearest constants of the instruments, with the findings modelled", f"{'; '.join(constants)}.")
+        )
     shown = len(blocks)
     blocks += _fit(content)
     if after is not None and pair is not None:
-        text = "Lines: running means with twice their standard error; where the model holds they stay at zero."
-        drawn = residuals_by_covariate(after)
-        blocks.append(picture("Residuals against what they might depend on", drawn, text))
+        blocks += over_covariates(after)
     for entry in content.instruments:
         name = f" of {entry.name}" if entry.name else ""
         title = f"Constants{name}, with the findings modelled"
         blocks += table_of(title, entry.parameters, "name=constant", "value+-sigma", "unit")
         blocks += combined(f"What the recording determines{name} in combination", entry.determined)
     blocks += _limits(content)
-    blocks += target_table(companion(folder, TARGETS.file, content), note="Adjusted with the findings modelled.")
+    blocks += target_table(beside.file(TARGETS.file, content), note="Adjusted with the findings modelled.")
     named = (recording.setup.title if recording else "") or (content.recording.title if content.recording else "")
     answer = sentence(content.summary)
     if truth is not None and truth.effects:
@@ -90,8 +92,22 @@ def diagnosis_section(folder: Path, recording: Recording | None = None, *, detai
     return Section(
         f"Diagnosis: {named}" if named else "Diagnosis of a tracker network", "Diagnosis", answer,
         mood(content.verdict == "consistent"), _facts(content), blocks, shown=shown, lead=lead,
-        measured=(content.recording.measured if content.recording else "") or "",
+        actions=_actions(content),
     )  # fmt: skip
+
+
+def _actions(content: DiagnosisFile) -> list[str]:
+    """What to do next: what would decide between explanations, then where to look."""
+    said = [sentence(finding.separate_by) for finding in content.findings if finding.separate_by]
+    for finding in content.findings:
+        where = finding.where
+        trackers = [f"instrument {name}" for name in where.instruments]
+        place = listing([*trackers, *where.stations, *where.targets]) or "the whole recording"
+        follows = f" with {listing(where.covariates)}" if where.covariates else ""
+        unnamed = f"what changes the {finding.carrier or 'readings'}{follows}"
+        cause = f"the cause of {finding.effect}" if finding.known else unnamed
+        said.append(f"Look for {cause} ({place}); targets.csv holds coordinates that allow for it.")
+    return said
 
 
 def _facts(content: DiagnosisFile) -> list[Fact]:
@@ -105,17 +121,17 @@ def _facts(content: DiagnosisFile) -> list[Fact]:
         facts.append(Fact("whole search, p", p_text(test.search_p_value)))
     if content.fit is not None:
         before, after = content.fit.before, content.fit.after
-        facts.append(Fact("χ² per degree of freedom", f"{_ratio(before)} → {_ratio(after)}"))
+        facts.append(Fact("chi2 per degree of freedom", f"{_ratio(before)} to {_ratio(after)}"))
     return facts
 
 
 def _ratio(fit: Fit) -> str:
-    return f"{fit.chi2 / fit.dof:.3f}" if fit.dof > 0 and fit.chi2 is not None else "–"
+    return f"{fit.chi2 / fit.dof:.3f}" if fit.dof > 0 and fit.chi2 is not None else NONE
 
 
-def _residuals(folder: Path, content: DiagnosisFile, pair: Pair | None) -> tuple[Residuals | None, Residuals | None]:
+def _residuals(content: DiagnosisFile, beside: Beside, pair: Pair | None) -> tuple[Residuals | None, Residuals | None]:
     """Residuals without and with the findings; covariates come from the recording's geometry."""
-    file, stored = (companion(folder, name, content) for name in (RESIDUALS.file, BEFORE.file))
+    file, stored = (beside.file(name, content) for name in (RESIDUALS.file, BEFORE.file))
     geometry = Residuals.from_adjustment(pair[0]) if pair is not None else None
     after, before = (Residuals.read(f).with_covariates(geometry) if f is not None else None for f in (file, stored))
     return (before if after is not None else None), after
@@ -131,18 +147,18 @@ def _finding(
     new = finding.formula not in finding.sentence
     formula = f" Proposed term: {finding.formula}." if finding.formula and new else ""
     blocks: list[Block] = [Note(f"Finding {number_}: {name}", f"{words.rstrip('.')}.{formula}{cure}", "bad")]
-    figure = finding_figure(finding, before, after)
-    if figure is not None:
+    drawn = finding_drawing(finding, before, after)
+    if drawn is not None:
         text = "Residuals without the finding (left) and with it modelled (right)."
         if finding.curve is not None and len(finding.curve.at) >= MOST_STEPS:
             text = f"The {finding.carrier} over {finding.curve.covariate}, as it fits best."
-        blocks.append(picture(f"What finding {number_} does", figure, text))
+        blocks.append(Picture(f"What finding {number_} does", drawn, text))
     blocks += _whereabouts(finding, number_, pair)
     evidence = finding.evidence
     rows = [[p.name.replace("_", " "), with_sigma(p.value, p.sigma, p.unit)] for p in finding.parameters]
     rows += [
         ["where", _place(finding.where)],
-        ["χ² falls by", f"{number(evidence.chi2_drop)} for {count(evidence.parameters, 'parameter')}"],
+        ["chi2 falls by", f"{number(evidence.chi2_drop)} for {count(evidence.parameters, 'parameter')}"],
         ["p, corrected for the search", p_text(evidence.p_value)],
         ["probability", f"{100 * evidence.probability:.3g} %"],
         *([f"instead {e.effect}", f"{100 * e.probability:.2g} %"] for e in finding.equivalents),
@@ -150,17 +166,14 @@ def _finding(
     return [*blocks, Table(f"Finding {number_} in figures", ["", "value"], rows, text_columns=2)]
 
 
-def finding_figure(finding: Finding, before: Residuals | None, after: Residuals | None) -> Figure | None:
+def finding_drawing(finding: Finding, before: Residuals | None, after: Residuals | None) -> Callable[[], Figure] | None:
     """What a carrier does over its driver, where a finding has a curve; else the residuals without and with it.
 
     None for what leaves no residual, such as gross errors.
     """
     curve = finding.curve
     if curve is not None and len(curve.at) >= MOST_STEPS:
-        columns = (np.array(values) for values in (curve.at, curve.value, curve.sigma))
-        return driver_curve(
-            *columns, covariate=curve.covariate, carrier=finding.carrier, unit=curve.unit, residuals=before
-        )
+        return lambda: figures.residuals.driver_curve(curve, finding.carrier, before)
     if before is None or after is None:
         return None
     where = finding.where
@@ -169,24 +182,23 @@ def finding_figure(finding: Finding, before: Residuals | None, after: Residuals 
     place = where.stations, where.targets
     if not known or not before.at(*place).any() or not after.at(*place).any():
         return None
-    return signature_figure(
-        before, after, covariate=known[0], observables=where.observables, stations=place[0], targets=place[1]
-    )
+    return lambda: figures.residuals.signature_figure(before, after, known[0], where)
 
 
 def _whereabouts(finding: Finding, number_: int, pair: Pair | None) -> list[Block]:
     """Where it is, seen from above, for what concerns few stations or targets; of a swap who stands for whom."""
+    from ltsim.pages.workshop import from_adjustment
+
     stations, targets = finding.where.stations, finding.where.targets
     if pair is None or not targets or len(targets) > MOST_MARKED:
         return []
     swapped = finding.effect == "target-swap" and len(targets) == 2
-    full = pair[1]
-    figure = whereabouts(
-        full.recording.stations, full.state.position, full.recording.targets, full.state.points,
-        marked=(*stations, *targets), pairs=[(targets[0], targets[1])] if swapped else (),
-    )  # fmt: skip
+    marked, pairs = (*stations, *targets), [(targets[0], targets[1])] if swapped else []
     text = "The red targets were booked for each other: each reading belongs to the other end of the arrow."
-    return [picture(f"Where finding {number_} is", figure, text if swapped else "Seen from above, in red.")]
+    caption = text if swapped else "Seen from above, in red."
+    workshop = from_adjustment(pair[1])
+    figure = partial(figures.floor_plan.whereabouts, workshop, marked, pairs)
+    return [Picture(f"Where finding {number_} is", figure, caption)]
 
 
 def _place(where: Where) -> str:
@@ -217,7 +229,7 @@ def _fit(content: DiagnosisFile) -> list[Block]:
         "Held-out error: error of readings that the fit did not see, over their stated noise. The findings were chosen "
         "on all readings, so that its fall alone proves nothing."
     )
-    header = ["", "χ²", "degrees of freedom", "ratio", "held-out error"]
+    header = ["", "chi2", "degrees of freedom", "ratio", "held-out error"]
     return [Table("Fit before and after", header, rows, note=note)]
 
 
@@ -238,7 +250,7 @@ def _limits(content: DiagnosisFile) -> list[Block]:
 def _hidden(size: float | None) -> str:
     """How far an effect may move targets unseen [um]."""
     if size is None:
-        return "–"
+        return NONE
     return f"{number(size, 2)} um" if size >= LEAST_UM else f"under {LEAST_UM:g} um"
 
 
@@ -248,7 +260,7 @@ def _beside_truth(content: DiagnosisFile, truth: Truth, pair: Pair | None) -> li
     ordered = [named.get(f.effect) for f in content.findings]
     ordered += [a for name, a in named.items() if name not in {f.effect for f in content.findings}]
     rows = [row for one, other in zip_longest(ordered, content.findings) for row in _pair_rows(one, other)]
-    note = "From truth.json, which the diagnosis does not open; found values ± one sigma."
+    note = "From truth.json, which the diagnosis does not open; found values +- one sigma."
     table = Table("Hidden on purpose, and found", ["", "hidden", "found"], rows, 1, note)
     return [*_curves(content, truth.effects[0], pair), table]
 
@@ -261,15 +273,15 @@ def _pair_rows(hidden: AppliedEffect | None, found: Finding | None) -> list[list
         true = {p.name: (value / p.factor, p.unit) for p, value in sizes}
         true |= {s.name: (getattr(hidden.effect, s.name) / FACTOR[s.unit], s.unit) for s in hidden.effect.shape}
     values = {} if found is None else {p.name: p for p in found.parameters}
-    where = [_place_of(x) if x else "–" for x in (hidden and hidden.effect, found and found.where)]
+    where = [_place_of(x) if x else NONE for x in (hidden and hidden.effect, found and found.where)]
     rows = [
-        ["effect", hidden.effect.name if hidden else "–", found.effect if found else "not found"],
+        ["effect", hidden.effect.name if hidden else NONE, found.effect if found else "not found"],
         ["where", *where],
     ]
     for name in dict.fromkeys([*true, *values]):
         estimate = values.get(name)
         value, unit = true.get(name, (None, estimate.unit if estimate else ""))
-        told = with_sigma(estimate.value, estimate.sigma) if estimate else "–"
+        told = with_sigma(estimate.value, estimate.sigma) if estimate else NONE
         rows.append([f"{name.replace('_', ' ')} [{unit}]" if unit else name, number(value), told])
     return rows
 
@@ -289,11 +301,9 @@ def _curves(content: DiagnosisFile, hidden: AppliedEffect, pair: Pair | None) ->
     column = int(np.argmax(np.abs(true).max(axis=0) * [1.0, *2 * [float(np.median(sightings.range_))]]))
     rows, observable = np.abs(true).max(axis=1) > 0, OBSERVABLES[column]
     unit = OBSERVABLE_UNIT[observable]
-    figure = hidden_and_found(
-        sightings.range_[rows] if "distance" in own.covariates else sightings.time[rows] / 60.0,
-        *(shift[rows, column] / FACTOR[unit] for shift in (true, fitted)),
-        axis="distance [m]" if "distance" in own.covariates else "time [min]",
-        label=f"change of the {observable} [{unit_text(unit)}]",
-    )
+    far = "distance" in own.covariates
+    at = sightings.range_[rows] if far else sightings.time[rows] / 60.0
+    hid, got = (shift[rows, column] / FACTOR[unit] for shift in (true, fitted))
+    names = "distance [m]" if far else "time [min]", f"change of the {observable} [{typeset(unit)}]"
     text = f"What {own.name} did to the {observable} readings ({_place_of(own)}), and what was found of it."
-    return [picture("Hidden and found", figure, text)]
+    return [Picture("Hidden and found", lambda: figures.residuals.hidden_and_found(at, hid, got, *names), text)]

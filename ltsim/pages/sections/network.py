@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,14 +15,29 @@ from ltsim.calibration.schema import Combination, DeterminedEntry
 from ltsim.chances import p_text, two_sided
 from ltsim.errors import ConvergenceError, NetworkError, installed, missing_extra
 from ltsim.model.construction import stated_construction
-from ltsim.pages import style
-from ltsim.pages.document import Block, Detail, Fact, Listing, Note, Scene, Section, Table, mood, picture, table_of
-from ltsim.pages.figures.floor_plan import floor_plan
-from ltsim.pages.figures.residuals import USUAL, residuals_by_covariate, residuals_by_station
-from ltsim.pages.residuals import Residuals
+from ltsim.notation import NONE, fixed, number
+from ltsim.pages import figures
+from ltsim.pages.document import (
+    Beside,
+    Block,
+    Detail,
+    Fact,
+    Listing,
+    Note,
+    Picture,
+    Scene,
+    Section,
+    Table,
+    mood,
+    table_of,
+)  # fmt: skip
+from ltsim.pages.residuals import USUAL, Residuals
 from ltsim.pages.words import agreement, count, duration, natural
-from ltsim.pages.workshop import Workshop, from_adjustment
 from ltsim.recording import Recording, read
+from ltsim.simulation.truth import Truth, read_truth
+
+if TYPE_CHECKING:
+    from ltsim.pages.workshop import Workshop
 
 TRUTH = "truth.json"
 Pair = tuple[Adjustment, Adjustment]
@@ -44,28 +60,41 @@ def adjusted_if_possible(recording: Recording | None) -> Pair | None:
         return None
 
 
+def truth_of(beside: Beside) -> Truth | None:
+    """The truth of a simulation that lies beside a result."""
+    file = beside.folder / TRUTH if beside.folder else None
+    return read_truth(file) if file is not None and file.is_file() else None
+
+
 def residual_blocks(after: Residuals, before: Residuals | None, *, what: str) -> list[Block]:
     """Residuals by station and against covariates; `what` names the difference between before and after."""
     compared = f" Grey: without {what}; blue: with." if before is not None else ""
     text = "Observed minus adjusted reading of every pointing; the bar is the root mean square."
-    drawn = residuals_by_station(after, before)
-    blocks: list[Block] = [picture("Residuals by station", drawn, text + compared)]
-    if set(USUAL) & set(after.covariates):
-        text = "Lines: running means with twice their standard error; where the model holds they stay at zero."
-        drawn = residuals_by_covariate(after)
-        blocks.append(picture("Residuals against what they might depend on", drawn, text))
-    return blocks
+    drawn = Picture(
+        "Residuals by station", lambda: figures.residuals.residuals_by_station(after, before), text + compared
+    )
+    return [drawn, *over_covariates(after)]
 
 
-def workshop_blocks(workshop: Workshop, *, detail: Detail) -> list[Block]:
+def over_covariates(after: Residuals) -> list[Block]:
+    """Residuals against what is known of each pointing."""
+    text = "Lines: running means with twice their standard error; where the model holds they stay at zero."
+    title = "Residuals against what they might depend on"
+    known = set(USUAL) & set(after.covariates)
+    return [Picture(title, lambda: figures.residuals.residuals_by_covariate(after), text)] if known else []
+
+
+def workshop_blocks(shown: Callable[[], Workshop], detail: Detail) -> list[Block]:
     """The 3D view and the floor plan, as far as `detail` asks for them."""
     if detail == "none":
         return []
+    workshop = shown()
     text = (
         "Seen from above. No reflector may stand on the floor inside a shadow circle: the elevation limit of that "
         "station hides it. "
     )
-    plan = picture("Floor plan", floor_plan(workshop), text + " ".join(workshop.notes))
+    drawn = text + " ".join(workshop.notes)
+    plan = Picture("Floor plan", lambda: figures.floor_plan.floor_plan(workshop), drawn)
     return [scene(workshop), plan] if detail == "turn" else [plan]
 
 
@@ -74,26 +103,23 @@ def scene(workshop: Workshop) -> Scene | Note:
     if not installed("pyvista"):
         return Note("No 3D view", str(missing_extra("3D views", "view")))
     from ltsim.pages.scene_page import picture_and_page  # pyvista takes a second to load, and only this needs it
+    from ltsim.pages.style import webp_uri
 
     coloured = workshop.coloured("incidence")
     png, legend, page = picture_and_page(coloured)
     lines = "; ".join(line.rstrip(".") for line in legend.lines)
     by = f" Lines of sight are coloured by {coloured.sights.label}." if coloured.sights else ""
     caption = f"{lines[:1].upper()}{lines[1:]}.{by}"
-    return Scene("The workshop in 3D", style.webp_uri(png), caption, page)
+    return Scene("The workshop in 3D", webp_uri(png), caption, page)
 
 
 def undetermined(title: str, entries: Sequence[Combination], *, decimals: int, note: str = "") -> list[Table]:
     """Combinations of parameters that stay open, and the cure of each."""
     rows = [
-        [
-            " ".join(f"{'+' if c >= 0 else '−'} {abs(c):.2f} {name}" for name, c in entry.combination.items()),
-            entry.cure or "–",
-            "–" if entry.gain is None else f"{100 * entry.gain:.{decimals}f} %",
-        ]
+        [entry.terms, entry.cure or NONE, NONE if entry.gain is None else f"{100 * entry.gain:.{decimals}f} %"]
         for entry in entries
     ]
-    header = ["combination, in units of the prior σ", "what would determine it", "told"]
+    header = ["combination, in units of the prior sigma", "what would determine it", "told"]
     return [Table(title, header, rows, text_columns=2, note=note)] if rows else []
 
 
@@ -109,11 +135,8 @@ def target_table(file: Path | None, *, note: str) -> list[Table]:
         return []
     names, points, sigma = read_targets(file)
     order = sorted(range(len(names)), key=lambda i: natural(names[i]))
-    rows = [
-        [names[i], *(style.fixed(1e3 * v, 4) for v in points[i]), *(style.number(2e6 * s, 2) for s in sigma[i])]
-        for i in order
-    ]
-    header = ["target", "x [mm]", "y [mm]", "z [mm]", "U x [µm]", "U y [µm]", "U z [µm]"]
+    rows = [[names[i], *(fixed(1e3 * v, 4) for v in points[i]), *(number(2e6 * s, 2) for s in sigma[i])] for i in order]
+    header = ["target", "x [mm]", "y [mm]", "z [mm]", "U x [um]", "U y [um]", "U z [um]"]
     return [Table("Targets", header, rows, note=f"U: expanded uncertainty, k = 2. {note}", folds=False)]
 
 
@@ -123,7 +146,7 @@ def targets_in_words(sigma: Floats) -> str:
     known = np.sort(known[np.isfinite(known)])
     if not len(known):
         return ""
-    typical, worst = (style.number(2e6 * s, 2) for s in (np.median(known), known[-1]))
+    typical, worst = (number(2e6 * s, 2) for s in (np.median(known), known[-1]))
     return f"A target is known to U = {typical} um (k = 2) in space, the worst to {worst} um."
 
 
@@ -135,6 +158,8 @@ def recording_section(folder: Path, *, detail: Detail = "turn", brief: bool = Fa
     RecordError
         When the recording cannot be read.
     """
+    from ltsim.pages.workshop import from_adjustment
+
     recording = read(folder)
     title = f"Recording: {recording.setup.title}" if recording.setup.title else "Recording of a tracker network"
     facts = [
@@ -157,7 +182,7 @@ def recording_section(folder: Path, *, detail: Detail = "turn", brief: bool = Fa
         Fact("p, two-sided", p_text(two_sided(full.p_value)), mood(agrees)),
         Fact("outliers", str(len(outliers)), "bad" if outliers else "plain"),
     ]
-    blocks = workshop_blocks(from_adjustment(full, plain=plain), detail=detail)
+    blocks = workshop_blocks(lambda: from_adjustment(full, plain=plain), detail)
     if not brief:
         before, after = Residuals.from_adjustment(plain), Residuals.from_adjustment(full)
         last = [*residual_blocks(after, before, what="the instrument's parameters"), *last]
@@ -179,7 +204,7 @@ def _table(recording: Recording) -> Table:
     for s, name in enumerate(recording.stations):
         here = recording.station == s
         sizes = (here.sum(), len(set(recording.target[here].tolist())), len(set(recording.face[here].tolist())))
-        begin = duration(float(recording.time[here].min())) if recording.has_clock else "–"
+        begin = duration(float(recording.time[here].min())) if recording.has_clock else NONE
         rows.append([name, *map(str, sizes), str((~recording.measured[here]).sum()), begin])
     header = ["station", "pointings", "targets", "faces", "missing readings", "starts at"]
     return Table("Work of each station", header, rows)

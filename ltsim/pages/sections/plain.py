@@ -3,84 +3,80 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from ltsim.acceptance.files import AcceptanceFile, passes_words
-from ltsim.calibration.events import ENOUGH_STEPS
+from ltsim.calibration.events import ENOUGH_STEPS, LEAST_STEPS
 from ltsim.calibration.history_schema import HistoryFile
 from ltsim.chances import p_is, p_text
 from ltsim.fieldcheck.files import CheckFile
-from ltsim.notation import expanded, number, with_sigma
-from ltsim.pages.document import Block, Fact, Note, Picture, Points, Section, Table, mood, picture, table_of
-from ltsim.pages.figures.parameters import budget_figure, history_figure, told_apart
-from ltsim.pages.figures.points import displacement_figure, enlargement, shares_of_limits
-from ltsim.pages.style import svg_uri
-from ltsim.pages.words import count, duration, listing, natural, sentence
+from ltsim.notation import number, with_sigma
+from ltsim.pages import figures
+from ltsim.pages.document import Beside, Block, Fact, Note, Picture, Points, Section, Table, mood, table_block, table_of
+from ltsim.pages.words import count, duration, listing, natural, sentence, told_apart
 from ltsim.planning.schema import NextFile
-from ltsim.recording.result_file import ResultFile, companion, read_result
-from ltsim.tasks.comparison import Comparison
+from ltsim.tasks.comparison import DISPLACEMENTS, Comparison
 from ltsim.tasks.files import UncertaintyFile
 
-LEVEL, LIKELY = 0.01, 0.5
-MOST_BARS, MOST_TESTS, MOST_PROPOSALS = 40, 200, 10
+LEVEL, LIKELY, NOTHING = 0.01, 0.5, 1e-6
+UNITED = (
+    "U: expanded uncertainty; mc: ends of the interval by Monte Carlo, to be taken where it does not agree with U "
+    "(JCGM 101, clause 8)."
+)
+MOST_BARS, MOST_TESTS = 40, 200
 
 
-def plain_section(folder: Path, model: type[ResultFile]) -> Section:
-    """The section of a folder that holds such a file; raises RecordError."""
-    content = read_result(folder, model)
-    return replace(_WRITERS[model](content, folder), measured=(content.recording and content.recording.measured) or "")
-
-
-def _check(content: CheckFile, folder: Path) -> Section:
-    drawn = companion(folder, "check.svg", content)
+def check_section(content: CheckFile, beside: Beside) -> Section:
+    """Go or no-go, and every test."""
+    drawn = beside.file("check.svg", content)
     caption = "Above: half two-face differences over their limits. Below: what each pointing misses over time."
-    blocks: list[Block] = [] if drawn is None else [Picture("At a glance", svg_uri(drawn.read_text("utf-8")), caption)]
+    blocks: list[Block] = [] if drawn is None else [Picture("At a glance", lambda: drawn.read_text("utf-8"), caption)]
     fields = ("station", "kind=test", "sentence=what was found", "targets", "p_value")
     for title, passed in (("Against going on", False), ("Tests that are kept", True)):
-        blocks += table_of(title, [i for i in content.items if i.passed is passed], *fields)
+        blocks += table_of(title, [i for i in content.items if i.passed is passed], *fields, folds=False)
     failed = sum(not item.passed for item in content.items)
     facts = [Fact("tests", str(len(content.items))), Fact("against going on", str(failed), mood(not failed))]
     blocks = [*blocks[1:2], *blocks[:1], *blocks[2:]] if failed and drawn else blocks
     return Section("Check in the field", "Check", content.sentence, mood(content.passed), facts, blocks, shown=2)
 
 
-def _comparison(content: Comparison, folder: Path) -> Section:
+def comparison_section(content: Comparison, _: Beside) -> Section:
+    """Which points moved."""
     points = sorted(content.displacements, key=lambda d: (not d.moved, natural(d.target)))
-    places, shifts, axes = (np.array([getattr(d, n) for d in points]) for n in ("place_mm", "shift_um", "semi_axes_um"))
-    moved = np.array([d.moved for d in points], dtype=bool)
-    figure = displacement_figure(places, shifts, axes, moved, [d.target for d in points])
-    times = enlargement(places, shifts, axes)
-    caption = f"Shift of each point, {times:.0f} times enlarged; circle: the largest semi-axis of its 95 % ellipsoid."
-    heads = ("target", "moved", "shift_um=dx, dy, dz", "sigma_um=sigma x, y, z", "semi_axes_um=95 % ellipsoid")
-    tests = ("p_value", "visible_um=found with 80 %")
-    table = table_of("Every point", points, *heads, *tests, marked=lambda d: d.moved, folds=False)
+    moved = [d.target for d in points if d.moved]
+    caption = "Shift of each point, enlarged; circle: the largest semi-axis of its 95 % ellipsoid."
+    note = "a +- b: one standard deviation; visible: the smallest motion that is found in 4 of 5 cases."
+    shown = DISPLACEMENTS.filled(d.row for d in points).only("target moved dx_um dy_um dz_um a_um visible_um p_value")
+    table = table_block("Every point", shown, note=note, marked=frozenset(range(len(moved))), folds=False)
     facts = [
         Fact("points", str(len(points))),
-        Fact("moved", str(int(moved.sum())), mood(not moved.any())),
+        Fact("moved", str(len(moved)), mood(not moved)),
         Fact("no motion at all, p", p_text(content.p_value), mood(content.p_value >= content.level)),
         *([] if content.scale_ppm is None else [Fact("scale", f"{content.scale_ppm:+.2f} ppm")]),
     ]
-    blocks: list[Block] = [picture("Displacements", figure, caption), *table]
+    drawn = Picture("Displacements", lambda: figures.points.displacement_figure(content), caption)
+    said = f"Look at what moved, and measure it again before it is used as a reference: {listing(moved)}."
     return Section(
-        "Comparison of two epochs", "Comparison", content.sentence, mood(not moved.any()), facts, blocks,
-        axes="the first epoch's",
+        "Comparison of two epochs", "Comparison", content.sentence, mood(not moved), facts, [drawn, *table],
+        axes="the first epoch's", actions=[said] if moved else [],
     )  # fmt: skip
 
 
-def _acceptance(content: AcceptanceFile, folder: Path) -> Section:
+def acceptance_section(content: AcceptanceFile, _: Beside) -> Section:
+    """Tests against the maker's limits."""
     predicted = content.kind == "predicted"
     good = mood(content.passes >= (LIKELY if predicted else 1.0))
-    caption = "Each test's error over its limit, with its expanded uncertainty; the limit is at ±1."
-    groups = [[g.name, str(g.tests), passes_words(content, g.passes)] for g in content.groups]
+    caption = "Each test's error over its limit, with its expanded uncertainty; the limit is at +-1."
+    groups = [
+        [g.name, str(g.tests), passes_words(content, g.passes), f"{100 * g.largest_share:.0f} %"]
+        for g in content.groups
+    ]
+    share = "error + U over limit" if predicted else "error over limit"
     note = f"Assumed: {content.assumption}." if content.assumption else ""
     ranked = sorted(content.tests, key=lambda t: (t.passes, -abs(t.error_um) / t.limit_um))[:MOST_TESTS]
     blocks: list[Block] = [
-        picture("Errors over limits", shares_of_limits(content), caption),
-        Table("Groups", ["tests", "number", "all pass"], groups, note=note),
+        Picture("Errors over limits", lambda: figures.points.shares_of_limits(content), caption),
+        Table("Groups", ["tests", "number", "all pass", share], groups, note=note),
         *table_of(
             "The hardest tests", ranked, "name=test", "error_um", "expanded_um=U (k = 2)", "limit_um", "passes",
             marked=lambda t: not predicted and t.passes < 1,
@@ -92,8 +88,12 @@ def _acceptance(content: AcceptanceFile, folder: Path) -> Section:
     ]  # fmt: skip
     worst = content.worst_passing
     if worst is not None:
-        constants = ", ".join(f"{name} {number(value, 2)}" for name, value in worst.constants.items())
-        text = (
+        constants = ", ".join(
+            f"{name} {number(value, 2)}" for name, value in worst.constants.items() if abs(value) > NOTHING
+        )
+        blind = [s.name for s in content.sensitivities if s.smallest_failing is None]
+        text = f"No test sees {', '.join(blind)}. " if blind else ""
+        text += (
             f"An instrument with {constants} passes every test and places points 1.5 to 9 m away by {worst.rms_um:.0f} "
             f"um (root mean square; {worst.largest_um:.0f} um at most) off."
         )
@@ -108,21 +108,13 @@ def _acceptance(content: AcceptanceFile, folder: Path) -> Section:
     return Section(title, "Acceptance", sentence(content.sentence), good, facts, blocks)
 
 
-def _uncertainty(content: UncertaintyFile, folder: Path) -> Section:
+def uncertainty_section(content: UncertaintyFile, _: Beside) -> Section:
+    """What tasks are worth."""
     told = [r for r in content.results if r.conformity is not None]
-    rows, sentences = [], []
-    for r in content.results:
-        value = expanded(r.value, r.expanded_uncertainty, r.unit, r.coverage_factor)
-        low, high = (number(end, 6) for end in r.monte_carlo.symmetric)
-        agrees = "" if r.monte_carlo.agrees else "take this interval (JCGM 101, clause 8)"
-        top = f"{r.budget[0].source} ({100 * r.budget[0].share:.0f} %)" if r.budget else ""
-        rows.append([r.task, r.name, value, f"{low} to {high}", agrees, top])
-        sentences.append(f"{r.task}, {r.name}: {value}")
-    header = ["task", "result", "value, expanded uncertainty", "Monte Carlo interval", "not normal", "improve first"]
-    kept = [i for i in range(6) if i != 4 or any(row[4] for row in rows)]
-    blocks: list[Block] = [
-        Table("Results", [header[i] for i in kept], [[row[i] for i in kept] for row in rows], 2, folds=False)
-    ]
+    results = content.tables()["results"]().only(
+        "task result unit value U mc_low mc_high agrees judgement largest_source"
+    )
+    blocks: list[Block] = [*table_block("Results", results, note=UNITED, folds=False)]
     judged = [[r.task, r.name, *(number(x, 6) for x in (c.lower, c.upper, c.guard_band)), r.unit,
                f"{100 * c.probability:.1f} %", c.judgement] for r in told if (c := r.conformity)]  # fmt: skip
     header = ["task", "result", "lower", "upper", "guard band", "unit", "conforms with", "judgement"]
@@ -130,8 +122,9 @@ def _uncertainty(content: UncertaintyFile, folder: Path) -> Section:
     shown = content.results[:MOST_BARS]
     sources = dict.fromkeys(part.source for r in shown for part in r.budget)
     shares = {name: [next((p.share for p in r.budget if p.source == name), 0.0) for r in shown] for name in sources}
-    figure = budget_figure([f"{r.task}, {r.name}" for r in shown], shares)
-    blocks.append(picture("Budget", figure, "Where each result's variance comes from; improve the widest bar first."))
+    names = [f"{r.task}, {r.name}" for r in shown]
+    caption = "Where each result's variance comes from; improve the widest bar first."
+    blocks.append(Picture("Budget", lambda: figures.parameters.budget_figure(names, shares), caption))
     blocks += [Points("What to mind", content.warnings)] if content.warnings else []
     fields = ("source", "type", "standard_uncertainty=sigma", "share=share of the variance")
     for r in content.results:
@@ -139,7 +132,10 @@ def _uncertainty(content: UncertaintyFile, folder: Path) -> Section:
         blocks += table_of(head, [part for part in r.budget if part.share > 1e-3], *fields)
     by_word = {w: [f"{r.task}, {r.name}" for r in told if r.conformity and r.conformity.judgement == w]
                for w in ("accepted", "rejected", "undecided")}  # fmt: skip
-    answer = "; ".join(f"{word}: {listing(names, 3)}" for word, names in by_word.items() if names) or sentences[0]
+    answer = (
+        "; ".join(f"{word}: {listing(names, 3)}" for word, names in by_word.items() if names)
+        or content.results[0].words
+    )
     facts = [Fact("results", str(len(content.results))), Fact("coverage", f"{100 * content.coverage:g} %")]
     facts += [] if content.sigma0 is None else [Fact("sigma0 of the adjustment", number(content.sigma0))]
     title = content.title or "Uncertainty of tasks"
@@ -148,7 +144,8 @@ def _uncertainty(content: UncertaintyFile, folder: Path) -> Section:
     )
 
 
-def _next(content: NextFile, folder: Path) -> Section:
+def next_section(content: NextFile, _: Beside) -> Section:
+    """What to measure next."""
     best = content.proposals[0]
     decided = mood(best.decides) if content.between else "plain"
     saved = [100 * (1 - factor) for factor in (best.sharper, best.serves_factor)]
@@ -159,30 +156,31 @@ def _next(content: NextFile, folder: Path) -> Section:
              f"{p.serves} ({100 * (1 - p.serves_factor):.0f} %)"] for p in content.proposals]  # fmt: skip
     header = ["do", "time [min]", "sharper by", "most for"]
     note = "'Sharper' is the mean fall of the standard deviations of the instrument's parameters."
-    first, rest = rows[:MOST_PROPOSALS], rows[MOST_PROPOSALS:]
-    blocks: list[Block] = [Table("Further measurements, the best first", header, first, note=note)]
+    blocks: list[Block] = [Table("Further measurements, the best first", header, rows, note=note)]
     if content.between:
         rivals = content.between[1:]
         now = ["as it is now", *(number(content.evidence_now.get(name, 0.0)) for name in rivals), ""]
         seen = [[p.do, *(number(p.evidence.get(name, 0.0)) for name in rivals), "yes" if p.decides else "no"]
                 for p in content.proposals if p.evidence]  # fmt: skip
         told = f"The larger, the more surely {content.between[0]} is told from it."
-        heads = ["measurement", *(f"χ² against {name}" for name in rivals), "decides"]
+        heads = ["measurement", *(f"chi2 against {name}" for name in rivals), "decides"]
         blocks.append(Table("What would decide", heads, [now, *seen], note=told))
     blocks += [Note("What the diagnosis of the recording said", content.diagnosis)] if content.diagnosis else []
-    blocks += [Table("All further proposals", header, rest)] if rest else []
     facts = [Fact("time for it", duration(60 * best.minutes)), Fact("instrument sharper by", f"{saved[0]:.0f} %")]
-    return Section("What to measure next", "Next measurement", answer, decided, facts, blocks)
+    actions = [sentence(proposal.do) for proposal in content.proposals[:2]]
+    return Section("What to measure next", "Next measurement", answer, decided, facts, blocks, actions=actions)
 
 
-def _history(content: HistoryFile, folder: Path) -> Section:
+def history_section(content: HistoryFile, _: Beside) -> Section:
+    """Whether an instrument has changed."""
     labels = [c.label for c in content.calibrations]
     short = dict(zip(labels, told_apart(labels), strict=True))
     since, usual = content.since_first, len(labels) > ENOUGH_STEPS
     changed = bool(content.events) if usual else since.p_value < LEVEL
     known = [p for p in content.parameters if p.constant.dof]
-    text = "Estimates with 95 % intervals; the band is the mean ± the spread of the true values between calibrations."
-    drawn = [picture("Course of the parameters", history_figure(labels, known), text)] if known else []
+    text = "Estimates with 95 % intervals; the band is the mean +- the spread of the true values between calibrations."
+    course = Picture("Course of the parameters", lambda: figures.parameters.history_figure(labels, known), text)
+    drawn = [course] if known else []
     ends: dict[str, Callable[[Any], str]] = {
         "from_": lambda e: short.get(e.from_, e.from_),
         "to": lambda e: short.get(e.to, e.to),
@@ -192,15 +190,18 @@ def _history(content: HistoryFile, folder: Path) -> Section:
     rows = [[ends["from_"](c), ends["to"](c), listing(c.changed) or ("no single one" if c.p_value < LEVEL else ""),
              f"{c.chi2:.1f} / {c.dof}", p_text(c.p_value)] for c in every]  # fmt: skip
     marked = frozenset(i for i, c in enumerate(every) if c.p_value < LEVEL)
+    few = "no event can be told" if len(labels) <= LEAST_STEPS else "only a gross event stands out"
+    hardly = f" {len(labels)} calibrations hardly tell how the instrument moves from one to the next: {few}."
     blocks: list[Block] = [
-        Table("Has it changed?", ["from", "to", "above all", "χ² / parameters", "p"], rows, 3,
-              "Marked where the chance of such differences without a change is under 1 %.", marked),
+        Table("Has it changed?", ["from", "to", "above all", "chi2 / parameters", "p"], rows, 3,
+              "Marked where the chance of such differences without a change is under 1 %." + hardly * (not usual),
+              marked),
         *drawn,
         *table_of("Events: steps that stand out", named, "from_=from", "to", "name=parameter", "difference+-sigma=step",
                   "usual=its usual step", "unit", "p_value"),
         Table("Parameters", ["parameter", "last", "mean", "spread", "p constant"],
               [[p.name, _last(p), number(p.mean), number(p.spread), p_text(p.constant.p_value)] for p in known]),
-        Table("Fits of the calibrations", ["calibration", "χ²", "degrees of freedom", "sigma0"],
+        Table("Fits of the calibrations", ["calibration", "chi2", "degrees of freedom", "sigma0"],
               [[short[c.label], number(c.fit.chi2), str(c.fit.dof), number(c.fit.sigma0)]
                for c in content.calibrations],
               note="Where sigma0 is far above 1 the sigmas are too small, and changes look too certain."),
@@ -221,7 +222,7 @@ def _last(course: Any) -> str:
 
 def _course_words(content: HistoryFile, events: Sequence[Any], usual: bool, ends: dict[str, Any]) -> str:
     since = content.since_first
-    tested = f"(χ² {since.chi2:.0f} for {since.dof}, {p_is(since.p_value)})"
+    tested = f"(chi2 {since.chi2:.0f} for {since.dof}, {p_is(since.p_value)})"
     if events:
         steps = listing(list(dict.fromkeys(f"between {e.from_} and {e.to}" for e in events)))
         return f"had an event (a service, a blow) {steps}, in {listing(list(dict.fromkeys(e.name for e in events)))}."
@@ -234,15 +235,3 @@ def _course_words(content: HistoryFile, events: Sequence[Any], usual: bool, ends
         return f"moved no more than it does from one calibration to the next {tested}."
     which = f", above all in {listing(since.changed)}" if since.changed else ", in no single parameter for certain"
     return f"has changed since the first{which} {tested}."
-
-
-_WRITERS: dict[type[ResultFile], Callable[[Any, Path], Section]] = {
-    HistoryFile: _history,
-    UncertaintyFile: _uncertainty,
-    CheckFile: _check,
-    Comparison: _comparison,
-    AcceptanceFile: _acceptance,
-    NextFile: _next,
-}
-PLAIN: dict[str, type[ResultFile]] = {model.FILE: model for model in _WRITERS}
-"""Models of these files by name."""

@@ -3,56 +3,46 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
+from functools import partial
 
 import numpy as np
 
-from ltsim.pages import style
-from ltsim.pages.document import Block, Detail, Fact, Listing, Note, Points, Section, Table, mood, picture, table_of
-from ltsim.pages.figures.floor_plan import floor_plan
-from ltsim.pages.figures.parameters import SigmaRow, sigma_figure
-from ltsim.pages.figures.plan import Layout, reflector_changes, trade_off, visibility_figure
+from ltsim.notation import NONE, fixed, number
+from ltsim.pages import figures
+from ltsim.pages.document import Beside, Block, Fact, Listing, Note, Picture, Points, Section, Table, mood, table_of
 from ltsim.pages.sections.network import scene, undetermined
-from ltsim.pages.words import count, duration
-from ltsim.pages.workshop import from_scenario
+from ltsim.pages.words import QUALITY, count, duration
 from ltsim.planning.floor import Floor
-from ltsim.planning.schema import LayoutEntry, OptionEntry, PlanResult
-from ltsim.recording.result_file import companion, read_result
-from ltsim.simulation.scenario import load_scenario
-from ltsim.simulation.workshop import planned, visibility_of
+from ltsim.planning.schema import LayoutEntry, PlanResult
 from ltsim.units import MILLIMETRE
 
-QUALITY = {
-    "instrument": ("instrument: σ / prior σ", 1.0),
-    "targets": ("targets: rms σ [µm]", 1e6),
-    "diagnosis": ("effects: found / plausible size", 1.0),
-}
 
-
-def plan_section(folder: Path, *, detail: Detail = "turn") -> Section:
-    """The section of a folder with `plan.json` (and `scenario.toml`, for the pictures).
+def plan_section(content: PlanResult, beside: Beside) -> Section:
+    """The section of a `plan.json` (and of the `scenario.toml` beside it, for the pictures).
 
     Raises
     ------
     RecordError, SetupError
         When a file is malformed.
     """
-    content = read_result(folder, PlanResult)
     blocks: list[Block] = [_stations(content)]
-    blocks += _pictures(folder, content, detail)
+    drawn, changed = _pictures(content, beside)
+    blocks += drawn
+    if content.not_seen:
+        blocks.append(Table("Who does not see whom", ["sight"], [[words] for words in content.not_seen]))
     if content.reasons:
         blocks.append(Points("Why this plan", content.reasons))
-    blocks += _tolerances(content) + _changes(folder, content)
+    blocks += _tolerances(content) + _changes(content) + changed
     blocks += _curve(content) + _parameters(content) + _expected(content)
     blocks += undetermined("Not determined by this layout", content.undetermined, decimals=0)
     blocks += _effects(content)
     if content.reflectors:
         rows = [
-            [r.name, *(style.fixed(v, 3) for v in r.position_mm), *(style.number(v, 2) for v in r.u_um),
+            [r.name, *(fixed(v, 3) for v in r.position_mm), *(number(v, 2) for v in r.u_um),
              " ".join(r.seen_from)]
             for r in content.reflectors
         ]  # fmt: skip
-        header = ["point", "x [mm]", "y [mm]", "z [mm]", "U x [µm]", "U y [µm]", "U z [µm]", "seen from"]
+        header = ["point", "x [mm]", "y [mm]", "z [mm]", "U x [um]", "U y [um]", "U z [um]", "seen from"]
         note = "U: expanded uncertainty, k = 2, in the frame that all points define together."
         blocks.append(Table("Points", header, rows, note=note))
     if content.bodies:
@@ -60,7 +50,7 @@ def plan_section(folder: Path, *, detail: Detail = "turn") -> Section:
     blocks.append(Listing("Settings of the plan", json.dumps(content.settings, indent=1)))
     good = mood(content.allowed and content.reached is not False)
     return Section(
-        title=content.title or folder.name, kind="Plan", answer=content.summary, mood=good,
+        title=content.title or "Plan of a network", kind="Plan", answer=content.summary, mood=good,
         facts=_facts(content), blocks=blocks, seed="" if content.seed is None else str(content.seed),
     )  # fmt: skip
 
@@ -68,7 +58,7 @@ def plan_section(folder: Path, *, detail: Detail = "turn") -> Section:
 def _tolerances(content: PlanResult) -> list[Block]:
     """Points against their tolerances, and what remains after a loss."""
     rows = [
-        [r.name, style.number(r.within_mm), style.number(r.tolerance_mm), f"{100 * r.within_mm / r.tolerance_mm:.0f} %"]
+        [r.name, number(r.within_mm), number(r.tolerance_mm), f"{100 * r.within_mm / r.tolerance_mm:.0f} %"]
         for r in content.reflectors
         if r.within_mm is not None and r.tolerance_mm
     ]  # fmt: skip
@@ -80,7 +70,7 @@ def _tolerances(content: PlanResult) -> list[Block]:
     blocks: list[Block] = [Table(f"Points against their tolerances, at {level:g} %", header, rows, marked=over)]
     lost = [
         [loss.lost, "yes" if loss.kept else "no", loss.worst,
-         "–" if loss.ratio is None else f"{100 * loss.ratio:.0f} %", " ".join(loss.unseen)]
+         NONE if loss.ratio is None else f"{100 * loss.ratio:.0f} %", " ".join(loss.unseen)]
         for loss in sorted(content.losses, key=lambda loss: loss.kept)
     ]  # fmt: skip
     header = ["lost", "tolerances kept", "worst point", "of its tolerance", "seen from nowhere"]
@@ -90,7 +80,7 @@ def _tolerances(content: PlanResult) -> list[Block]:
 DEEDS = {"move": "move {0} to {1}", "add": "add one at {1}", "remove": "leave out {0}"}
 
 
-def _changes(folder: Path, content: PlanResult) -> list[Block]:
+def _changes(content: PlanResult) -> list[Block]:
     """Which reflector to move, to add, to leave out."""
     changes = content.reflector_changes
     if not changes:
@@ -98,21 +88,14 @@ def _changes(folder: Path, content: PlanResult) -> list[Block]:
             [Note("Reflectors to move, to add, to leave out", content.changes_tried)] if content.changes_tried else []
         )
     rows = [
-        [f"{i}: {DEEDS[c.do].format(c.reflector, c.place)}", *(style.fixed(v, 0) for v in c.position_mm or ()),
+        [f"{i}: {DEEDS[c.do].format(c.reflector, c.place)}", *(fixed(v, 0) for v in c.position_mm or ()),
          *[""] * (0 if c.position_mm else 3), f"{c.gain_um:+.2f}", f"{100 * (1 - c.quality):+.1f} %",
-         f"{c.serves} (σ {100 * (c.serves_factor - 1):+.1f} %)"]
+         f"{c.serves} (sigma {100 * (c.serves_factor - 1):+.1f} %)"]
         for i, c in enumerate(changes, 1)
     ]  # fmt: skip
-    header = ["one reflector", "x [mm]", "y [mm]", "z [mm]", "gain of the others [µm]", "better", "changes most"]
+    header = ["one reflector", "x [mm]", "y [mm]", "z [mm]", "gain of the others [um]", "better", "changes most"]
     note = f"Gain: by how much the point error of all other points falls, root mean square. {content.changes_tried}"
-    blocks: list[Block] = [Table("Reflectors to move, to add, to leave out", header, rows, 1, note)]
-    file = companion(folder, "scenario.toml", content)
-    if file is not None:
-        ground = Floor.model_validate(content.settings.get("floor", {}))
-        figure = reflector_changes(from_scenario(load_scenario(file)), changes, ground)
-        text = "Numbers are those of the table: at the new places, with an arrow from where a reflector is; crosses go."
-        blocks.append(picture("Where these reflectors are", figure, text))
-    return blocks
+    return [Table("Reflectors to move, to add, to leave out", header, rows, 1, note)]
 
 
 def _facts(content: PlanResult) -> list[Fact]:
@@ -130,69 +113,58 @@ def _facts(content: PlanResult) -> list[Fact]:
             label, factor = QUALITY.get(name, (name, 1.0))
             other = content.reference.quality.get(name) if content.reference else None
             better = "plain" if other is None else mood(value <= other)
-            text = style.number(factor * value) + (f" (was {style.number(factor * other)})" if other else "")
+            text = number(factor * value) + (f" (was {number(factor * other)})" if other else "")
             facts.append(Fact(label, text, better))
     return facts
 
 
 def _stations(content: PlanResult) -> Table:
     rows = [
-        [s.name, *(style.fixed(v, 0) for v in s.position_mm), f"{s.yaw_deg:.0f}",
-         " ".join(style.number(v, 2) for v in s.sigma_position_um), str(s.reflectors_seen)]
+        [s.name, *(fixed(v, 0) for v in s.position_mm), f"{s.yaw_deg:.0f}",
+         " ".join(number(v, 2) for v in s.sigma_position_um), str(s.reflectors_seen)]
         for s in content.stations
     ]  # fmt: skip
-    header = ["station", "x [mm]", "y [mm]", "z [mm]", "azimuth zero looks to [°]", "σ x y z [µm]", "reflectors seen"]
+    header = ["station", "x [mm]", "y [mm]", "z [mm]", "azimuth zero [deg]", "sigma x y z [um]", "reflectors"]
     frame = content.frame[:1].upper() + content.frame[1:]
     return Table("Where to put the tripod", header, rows, note=f"{frame}." if frame else "")
 
 
-def _pictures(folder: Path, content: PlanResult, detail: Detail) -> list[Block]:
-    """Floor plan, 3D view and who sees whom, from the plan's own scenario."""
-    file = companion(folder, "scenario.toml", content)
+def _pictures(content: PlanResult, beside: Beside) -> tuple[list[Block], list[Block]]:
+    """Floor plan, 3D view and who sees whom, from the plan's own scenario; where reflectors may change."""
+    file = beside.file("scenario.toml", content)
     if file is None:
-        return []
-    scenario = load_scenario(file)
-    workshop = from_scenario(scenario)
+        return [], []
+    from ltsim.pages.workshop import from_scenario
+    from ltsim.simulation.scenario import load_scenario
+
+    workshop = from_scenario(load_scenario(file))
     reference = content.reference.stations if content.reference else ()
     places = np.array([s.position_mm for s in reference], dtype=np.float64).reshape(-1, 3) * MILLIMETRE
     text = "Seen from above; x and y in metres. Inside the circles the elevation limit hides the floor." + (
         " Hollow: the stations of the reference layout." if len(places) else ""
     )
     ground = Floor.model_validate(content.settings.get("floor", {}))
-    floor = floor_plan(workshop, reference=places, ground=ground)
-    blocks: list[Block] = [picture("Floor plan", floor, text)]
-    if detail != "none":
-        blocks += [scene(workshop)] if detail == "turn" else []
-    layout = planned(scenario)
-    table = visibility_of(scenario, layout)
-    figure = visibility_figure(layout.stations, layout.targets, table.words())
-    blocks.append(picture("Who sees whom", figure, "A coloured cell with a letter says why a station misses a target."))
-    return blocks
+    floor = figures.floor_plan
+    drawn: list[Block] = [
+        Picture("Floor plan", lambda: floor.floor_plan(workshop, reference=places, ground=ground), text)
+    ]
+    drawn += [scene(workshop)] if beside.detail == "turn" else []
+    text = "Numbers are those of the table: at the new places, with an arrow from where a reflector is; crosses go."
+    changes = partial(figures.plan.reflector_changes, workshop, content.reflector_changes, ground)
+    return drawn, [Picture("Where these reflectors are", changes, text)] if content.reflector_changes else []
 
 
 def _curve(content: PlanResult) -> list[Block]:
-    blocks: list[Block] = []
-    for name in content.quality:
-        label, factor = QUALITY.get(name, (name, 1.0))
-        layouts = [
-            Layout(_way(o), o.hours, factor * q, "best" if o.efficient else "tried")
-            for o in content.tradeoff
-            if (q := o.quality.get(name)) is not None
-        ]
-        own = content.quality[name]
-        if len(layouts) < 2 or own is None:
-            continue
-        layouts.append(Layout("the plan", content.hours, factor * own, "chosen"))
-        reference = content.reference
-        if reference is not None and reference.quality.get(name) is not None:
-            layouts.append(Layout("reference", reference.hours, factor * (reference.quality[name] or 0.0), "reference"))
-        figure = trade_off(layouts, cost="time on the floor [h]", quality=label)
-        text = "s: stations, f: faces, r: rounds. Every dot is the best layout found for its way of working."
-        blocks.append(picture(f"Cost against quality: {name}", figure, text))
+    text = "s: stations, f: faces, r: rounds. Every dot is the best layout found for its way of working."
+    blocks: list[Block] = [
+        Picture(f"Cost against quality: {name}", partial(figures.plan.trade_off, content, name), text)
+        for name, own in content.quality.items()
+        if own is not None and sum(option.quality.get(name) is not None for option in content.tradeoff) > 1
+    ]
     factor, unit = content.value_unit
     rows = [
         [count(o.stations, "station"), str(o.faces), str(o.repeats), str(o.pointings), f"{o.hours:.2f}",
-         style.number(None if o.value is None else factor * o.value), "yes" if o.efficient else ""]
+         number(None if o.value is None else factor * o.value), "yes" if o.efficient else ""]
         for o in content.tradeoff
     ]  # fmt: skip
     if rows:
@@ -202,30 +174,23 @@ def _curve(content: PlanResult) -> list[Block]:
     return blocks
 
 
-def _way(option: OptionEntry) -> str:
-    return f"{option.stations}s {option.faces}f {option.repeats}r"
-
-
 def _parameters(content: PlanResult) -> list[Block]:
     other = {p.name: p.sigma for p in content.reference.parameters} if content.reference else {}
-    rows = [
-        SigmaRow(p.name, p.unit, p.sigma, p.prior_sigma, other.get(p.name))
-        for p in content.parameters
-        if p.prior_sigma and p.sigma > 0
-    ]
+    rows = [p for p in content.parameters if p.prior_sigma and p.sigma > 0]
     text = "Predicted before any measurement; on the dashed line the recording would teach nothing."
-    return [picture("What will be known of the instrument", sigma_figure(rows), text)] if rows else []
+    figure = partial(figures.parameters.sigma_figure, rows, other)
+    return [Picture("What will be known of the instrument", figure, text)] if rows else []
 
 
 def _expected(content: PlanResult) -> list[Block]:
     named: list[tuple[str, LayoutEntry | None]] = [("this plan", content), ("reference layout", content.reference)]
     rows = [
-        [layout, name, style.number(e.before_um), style.number(e.after_um), f"{e.improvement_percent:.1f} %"]
+        [layout, name, number(e.before_um), number(e.after_um), f"{e.improvement_percent:.1f} %"]
         for layout, entry in named
         if entry is not None and entry.expected_improvement
         for name, e in entry.expected_improvement.items()
     ]
-    header = ["layout", "criterion", "before [µm]", "after [µm]", "improvement"]
+    header = ["layout", "criterion", "before [um]", "after [um]", "improvement"]
     return [Table("Expected by the paper's criteria", header, rows, text_columns=2)] if rows else []
 
 

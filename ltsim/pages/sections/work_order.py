@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from ltsim.pages.document import Block, Document, Note, Points, Section, Table, picture
-from ltsim.pages.figures.floor_plan import floor_plan
+from ltsim.pages.document import Block, Document, Note, Picture, Points, Section, Table
 from ltsim.pages.page import render, versions
 from ltsim.pages.words import duration
-from ltsim.pages.workshop import from_scenario
-from ltsim.planning.files import planned_scenario
 from ltsim.planning.planner import Plan
 from ltsim.planning.work_order import checks, settings_of
 from ltsim.units import MILLIMETRE
@@ -26,7 +23,6 @@ def work_order_page(plan: Plan) -> str:
 def _blocks(plan: Plan) -> list[Block]:
     stations = settings_of(plan)
     survey = plan.chosen.survey
-    floor = floor_plan(from_scenario(planned_scenario(plan)), coordinates=True, ground=plan.file.floor)
     rows = [
         [s.name, f"{s.height:.2f}", *(f"{t.metres:.2f} m to {t.to}{'' if t.floor else ' (straight)'}" for t in s.tapes),
          s.towards]
@@ -39,8 +35,8 @@ def _blocks(plan: Plan) -> list[Block]:
     )
     blocks: list[Block] = [
         Table("Where the tripods go", header, rows, 6, note),
-        picture(
-            "Floor plan", floor, "Seen from above; x and y in metres. Inside the circles the floor is out of sight."
+        Picture(
+            "Floor plan", plan.plot, "Seen from above; x and y in metres. Inside the circles the floor is out of sight."
         ),
         Points("What to check, and when", checks(plan)),
     ]
