@@ -158,12 +158,13 @@ def _explain(case: Case, threshold: float, compared: Compared) -> Found:
     Whichever explains more alone comes first: a law that is sought while the stated noise is wrong explains noise, and
     noise that is fitted before a law hides it; so with constants.
     """
-    found = case.searcher.search(threshold, something=True)
-    if _noise_alone(case, threshold, found.score):
+    if _noise_alone(case, threshold, case.searcher.first_look(threshold).score):
         found = case.searcher.search(threshold, something=False)
         if found.members:
             case.settle_with(found.effects)
             found = case.searcher.search(threshold, something=False)
+    else:
+        found = case.searcher.search(threshold, something=True)
     apart = compared(case.refit((), case.sigma).adjustment, LEAST_GAIN)
     if apart and sum(one.evidence for one in apart) > found.score:
         case.free(apart)

@@ -270,18 +270,22 @@ class Searcher:
             best = max(made, key=lambda s: s.score - threshold * len(s.members))
         return self._renamed(best, threshold)
 
-    def _grown(self, best: Found, threshold: float, *, something: bool) -> Found:
-        """A set with findings added one at a time."""
+    def first_look(self, threshold: float) -> Found:
+        """What a search finds at least: findings added one at a time, none of them examined again."""
+        return self._grown(self.empty, threshold, something=True, again=False)
+
+    def _grown(self, best: Found, threshold: float, *, something: bool, again: bool = True) -> Found:
+        """A set with findings added one at a time, those before examined `again` beside each."""
         for depth in range(len(best.members), MOST_MEMBERS):
             ranking, least = self.rank(best), threshold + best.misfit
             if ranking.total < least and (depth or not something):
                 break
             grown = max((self.with_members((*best.members, h)) for h in ranking.entries[:3]), key=lambda s: s.score)
-            grown = grown if self.large else self.reexamined(grown)
+            grown = self.reexamined(grown) if again and not self.large else grown
             if depth and grown.score < best.score + threshold:
                 break
             best = grown
-        return self.reexamined(best) if self.large else best
+        return self.reexamined(best) if again and self.large else best
 
     def _renamed(self, found: Found, threshold: float) -> Found:
         """Members that the others leave nothing to are dropped; the likeliest name beside the others stays."""

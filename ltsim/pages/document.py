@@ -162,7 +162,8 @@ class Section:
     """One folder's part of the report; `answer` is one sentence that stands first.
 
     `title` says what a page of this section alone is about; `kind` and `folder` head it among others. The first
-    `shown` blocks stand open, the others are details; `lead` of them stand side by side in the head of the page.
+    `shown` blocks stand open, the others are details; `lead` of them stand side by side in the head of the page. A
+    terminal prints the first `told`, or all.
     """
 
     title: str
@@ -179,11 +180,12 @@ class Section:
     measured: str = ""
     shown: int = 3
     lead: int = 0
+    told: int | None = None
 
     def text(self) -> str:
-        """What a terminal says: the answer, the facts, every sentence and table, what to do next."""
+        """What a terminal says: the answer, the facts, sentences and tables, what to do next."""
         facts = "; ".join(f"{fact.name}: {fact.value}" for fact in self.facts)
-        said = [self.answer, facts, *map(_told, self.blocks)]
+        said = [self.answer, facts, *map(_told, self.blocks[: self.told])]
         said += ["\n".join(["What to do next:", *(f"- {line}" for line in self.actions)])] if self.actions else []
         return "\n\n".join(filter(None, said))
 

@@ -73,6 +73,7 @@ def diagnosis_section(content: DiagnosisFile, beside: Beside) -> Section:
         blocks.append(
             Note("The clearest constants of the instruments, with the findings modelled", f"{'; '.join(constants)}.")
         )
+    blocks += _hidden(content)
     shown = len(blocks)
     blocks += _fit(content)
     if after is not None and pair is not None:
@@ -82,7 +83,7 @@ def diagnosis_section(content: DiagnosisFile, beside: Beside) -> Section:
         title = f"Constants{name}, with the findings modelled"
         blocks += table_of(title, entry.parameters, "name=constant", "value+-sigma", "unit")
         blocks += combined(f"What the recording determines{name} in combination", entry.determined)
-    blocks += _limits(content)
+    blocks += _found_from(content)
     blocks += target_table(beside.file(TARGETS.file, content), note="Adjusted with the findings modelled.")
     named = (recording.setup.title if recording else "") or (content.recording.title if content.recording else "")
     answer = sentence(content.summary)
@@ -91,7 +92,7 @@ def diagnosis_section(content: DiagnosisFile, beside: Beside) -> Section:
         answer = f"On purpose, {what} was hidden in this simulated recording. The diagnosis, not told of it: {answer}"
     return Section(
         f"Diagnosis: {named}" if named else "Diagnosis of a tracker network", "Diagnosis", answer,
-        mood(content.verdict == "consistent"), _facts(content), blocks, shown=shown, lead=lead,
+        mood(content.verdict == "consistent"), _facts(content), blocks, shown=shown, lead=lead, told=shown,
         actions=_actions(content),
     )  # fmt: skip
 
@@ -233,25 +234,28 @@ def _fit(content: DiagnosisFile) -> list[Block]:
     return [Table("Fit before and after", header, rows, note=note)]
 
 
-def _limits(content: DiagnosisFile) -> list[Block]:
-    """What could not be seen at all, worst first, and how small the rest may be."""
+def _hidden(content: DiagnosisFile) -> list[Block]:
+    """What could not be seen, worst first, as far as it matters."""
     worst = sorted(content.undetectable, key=lambda u: -(u.hides_um or 0.0))
-    rows = [[u.effect, u.reason, u.cure, _hidden(u.hides_um)] for u in worst]
-    header = ["effect", "why it leaves no residual", "what would show it", "may hide"]
-    blocks: list[Block] = [Table("What this network cannot see", header, rows, text_columns=3)] if rows else []
+    rows = [
+        [u.effect, number(u.hides_um, 2), number(u.shows_at, 2) if u.shows_at else "never", u.cure]
+        for u in worst
+        if u.hides_um and u.hides_um >= LEAST_UM
+    ]
+    header = ["effect", "hides of the targets [um]", "shows at times that size", "what would show it"]
+    note = "At a bad but plausible size poses, targets and constants of the instrument absorb these."
+    return [Table("Not to be seen in this recording", header, rows, note=note)] if rows else []
+
+
+def _found_from(content: DiagnosisFile) -> list[Block]:
+    """How small an effect may be to be found."""
     note = (
         "About 80 % of recordings of this network are told as a mismatch if an effect at a middling place is this "
         "large; to be named it may have to be larger."
     )
-    title = "Smallest size that is found"
-    return blocks + table_of(title, content.detectable, "effect", "parameter", "size", "unit", note=note)
-
-
-def _hidden(size: float | None) -> str:
-    """How far an effect may move targets unseen [um]."""
-    if size is None:
-        return NONE
-    return f"{number(size, 2)} um" if size >= LEAST_UM else f"under {LEAST_UM:g} um"
+    return [
+        *table_of("Smallest size that is found", content.detectable, "effect", "parameter", "size", "unit", note=note)
+    ]
 
 
 def _beside_truth(content: DiagnosisFile, truth: Truth, pair: Pair | None) -> list[Block]:
