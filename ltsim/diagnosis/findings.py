@@ -234,7 +234,8 @@ def noise_finding(hypothesis: NoiseHypothesis, sightings: Sightings, detection: 
     more, sentence = {}, ""
     if isinstance(effect, NoisePattern):
         more = {"formula": effect.law, "carrier": effect.carrier, "driver": effect.driver}
-        most = f", most at {' and '.join(e.name.partition(' at ')[2] for e in rows[:2])}" if effect.each else ""
+        worst = list(dict.fromkeys(e.name.partition(" at ")[2] for e in rows))[:2]
+        most = f", most at {' and '.join(worst)}" if effect.each else ""
         sentence = outside_sentence(where, effect.law + most)
     return Finding(
         effect=effect.name,
