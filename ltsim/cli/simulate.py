@@ -75,7 +75,7 @@ def simulate(
     Example: ltsim simulate paper-workshop --out my-recording --truth truth.json --seed 7
     """
     if show:
-        print(builtin_text(scenario) if scenario in builtin_names() else _spelled_out(scenario), end="")
+        print(_whole(scenario), end="")
         return
     if out is None:
         raise SetupError("give a folder for the recording with --out REC, or print the scenario with --show")
@@ -97,7 +97,11 @@ def simulate(
     terminal.say(f"written to {out}" + (f", its truth to {truth}" if truth else ""))
 
 
-def _spelled_out(scenario: str) -> str:
+def _whole(scenario: str) -> str:
+    """A scenario as a file that says all there is to edit: a commented one as it stands, any other spelled out."""
+    text = builtin_text(scenario) if scenario in builtin_names() else ""
+    if text and "\nbase = " not in text:
+        return text
     from ltsim.simulation.scenario import load_scenario, scenario_to_toml
 
     return scenario_to_toml(load_scenario(scenario))
