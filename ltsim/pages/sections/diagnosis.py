@@ -236,14 +236,13 @@ def _fit(content: DiagnosisFile) -> list[Block]:
 
 def _hidden(content: DiagnosisFile) -> list[Block]:
     """What could not be seen, worst first, as far as it matters."""
-    worst = sorted(content.undetectable, key=lambda u: -(u.hides_um or 0.0))
-    rows = [
-        [u.effect, number(u.hides_um, 2), number(u.shows_at, 2) if u.shows_at else "never", u.cure]
-        for u in worst
-        if u.hides_um and u.hides_um >= LEAST_UM
-    ]
-    header = ["effect", "hides of the targets [um]", "shows at times that size", "what would show it"]
-    note = "At a bad but plausible size poses, targets and constants of the instrument absorb these."
+    felt = [u for u in content.undetectable if u.hides_um and u.hides_um >= LEAST_UM]
+    worst = sorted(felt, key=lambda u: -(u.hides_um or 0.0))
+    rows = [[u.effect, number(u.hides_um, 2), number(u.shows_at, 2) if u.shows_at else "never"] for u in worst]
+    header = ["effect", "hides of the targets [um]", "shows at times that size"]
+    cures = " or ".join(dict.fromkeys(u.cure for u in worst if u.cure))
+    note = "At a bad but plausible size poses, targets and constants of the instrument absorb these"
+    note += f"; what would show them: {cures}." if cures else "."
     return [Table("Not to be seen in this recording", header, rows, note=note)] if rows else []
 
 
