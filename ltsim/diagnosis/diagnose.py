@@ -147,7 +147,7 @@ def _apart(case: Case, found: Found, settled: Adjustment, compared: Compared) ->
     beside = compared(settled, LEAST_GAIN)
     if not found.members:
         return beside
-    alone = compared(case.refit((), case.sigma).adjustment, LEAST_GAIN)
+    alone = compared(case.space.adjustment, LEAST_GAIN)
     size = {(one.instruments, one.parameter.name): abs(one.difference) for one in alone}
     return [c for c in beside if abs(c.difference) > LEFT_OF * size.get((c.instruments, c.parameter.name), np.inf)]
 
@@ -165,7 +165,7 @@ def _explain(case: Case, threshold: float, compared: Compared) -> Found:
             found = case.searcher.search(threshold, something=False)
     else:
         found = case.searcher.search(threshold, something=True)
-    apart = compared(case.refit((), case.sigma).adjustment, LEAST_GAIN)
+    apart = compared(case.space.adjustment, LEAST_GAIN)
     if apart and sum(one.evidence for one in apart) > found.score:
         case.free(apart)
         found = case.searcher.search(threshold, something=False)
