@@ -114,6 +114,15 @@ def _summed(logs: Singles, axis: int | tuple[int, ...]) -> Singles:
     return found
 
 
+def restricted(squares: Floats, share: Floats, factor: Floats) -> Floats:
+    """Log restricted likelihood ratio of variances `factor` times as large, in its diagonal form, reading by reading.
+
+    By squares of whitened residuals and the redundancies of the readings, or by sums of both over readings alike.
+    """
+    ratio: Floats = 0.5 * (squares * (1.0 - 1.0 / factor) - share * np.log(factor))
+    return ratio
+
+
 def log_means(values: Floats, groups: Ints, count: int) -> Floats:
     """Log of the mean of exp(values) of each of `count` groups, none of them empty; (k,) or (k, trials) values."""
     order = np.argsort(groups, kind="stable")

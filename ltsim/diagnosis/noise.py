@@ -20,7 +20,7 @@ from scipy.special import expit
 
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.arrays import Floats, Ints
-from ltsim.diagnosis.evidence import log_average, log_means, shares
+from ltsim.diagnosis.evidence import log_average, log_means, restricted, shares
 from ltsim.diagnosis.prior import log_share
 from ltsim.diagnosis.schema import Equivalent
 from ltsim.effects import CATALOGUE
@@ -107,16 +107,6 @@ def noise_hypotheses(sightings: Sightings, instruments: Sequence[str] = ()) -> l
     return found
 
 
-def gains(squares: Floats, share: Floats, factors: Floats) -> Floats:
-    """Log restricted likelihood ratios (f, g, trials) of variances `factors` (f,) times as large.
-
-    By sums of squares (g, trials) and of redundancies (g,) of the readings that have them.
-    """
-    factor = factors[:, None, None]
-    ratio: Floats = 0.5 * (squares * (1.0 - 1.0 / factor) - share[:, None] * np.log(factor))
-    return ratio
-
-
 @dataclass(frozen=True)
 class Amounts:
     """A change of the noise that has an amount for each of many readings; `members` (g, m): one where a row has one."""
@@ -132,7 +122,8 @@ class Amounts:
 
     def averaged(self, residual: Floats, redundancy: Floats) -> Floats:
         """Log evidence (g, trials) of each amount, sizes averaged."""
-        found = log_average(gains(self.members @ residual**2, self.members @ redundancy, self.factors))
+        squares, share = self.members @ residual**2, self.members @ redundancy
+        found = log_average(restricted(squares, share[:, None], self.factors[:, None, None]))
         return found - np.log(len(self.factors))
 
     def evidence(self, residual: Floats, redundancy: Floats) -> Floats:
@@ -355,7 +346,7 @@ def most_likely(space: ResidualSpace, stated: Floats, hypothesis: NoiseHypothesi
     def gained(values: Floats) -> Floats:
         factor = factors(values)
         with np.errstate(invalid="ignore", divide="ignore"):
-            each = np.where(factor > 0.0, squares * (1 - 1 / factor) - share * np.log(factor), -np.inf)
+            each = np.where(factor > 0.0, restricted(squares, share, factor), -np.inf)
         return np.asarray(np.bincount(own, each, minlength=len(scale)), dtype=np.float64)
 
     least, most = np.full(len(scale), np.log1p(effect.least)), np.full(len(scale), np.log1p(LARGEST))
@@ -363,15 +354,15 @@ def most_likely(space: ResidualSpace, stated: Floats, hypothesis: NoiseHypothesi
     for _ in range(ZOOMS):
         points = np.linspace(low, high, GRID)
         sizes = scale * np.expm1(points)
-        weight = shares(0.5 * np.array([gained(one) for one in sizes]))
+        weight = shares(np.array([gained(one) for one in sizes]))
         mean = np.sum(weight * points, axis=0)
         spread = np.sqrt(np.sum(weight * (points - mean) ** 2, axis=0))
         spread = np.maximum(spread, 0.4 * (high - low) / (GRID - 1))
         low, high = np.maximum(least, mean - REACH * spread), np.minimum(most, mean + REACH * spread)
     values = np.sum(weight * sizes, axis=0)
     sigma = np.sqrt(np.sum(weight * (sizes - values) ** 2, axis=0))
-    drops = gained(values) - gained(0.0 * scale)
+    gain = gained(values) - gained(0.0 * scale)
     if getattr(effect, "each", ""):  # most have none: an amount counts by the chance that there is one
-        values = values * expit(0.5 * drops + np.log(LOUDER.min() / (1.0 - LOUDER.min())))
-    drop = float(drops.sum())
+        values = values * expit(gain + np.log(LOUDER.min() / (1.0 - LOUDER.min())))
+    drop = 2.0 * float(gain.sum())
     return replace(hypothesis, values=tuple(values.tolist()), drop=drop, sigma=tuple(sigma.tolist()))

@@ -14,7 +14,7 @@ import numpy as np
 
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.arrays import Floats
-from ltsim.diagnosis.evidence import log_average
+from ltsim.diagnosis.evidence import log_average, restricted
 
 SHARES = np.geomspace(0.05, 1.0, 9)
 """Shares of its shift by which a law may be a mere likeness: from what no network of this kind sees to all of it."""
@@ -36,5 +36,5 @@ def log_likeness(space: ResidualSpace, shift: Floats, residual: Floats, redundan
     count = np.maximum(np.bincount(kind, minlength=3), 1)
     size = (np.bincount(kind, shift[rows] ** 2, minlength=3) / count)[kind]
     variance = 1.0 + SHARES[:, None] ** 2 * size
-    logs = 0.5 * np.sum(square * (1.0 - 1.0 / variance) - share * np.log(variance), axis=1)
+    logs = restricted(square, share, variance).sum(axis=1)
     return float(log_average(logs) - np.log(len(SHARES)))
