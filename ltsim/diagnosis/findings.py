@@ -97,8 +97,7 @@ class Explained:
         effect = self.refit.effects[member]
         sizes = (one for one in self.refit.told[member] if one.parameter in effect.parameters)
         sized = isinstance(effect, Law) or any(abs(one.value) > SURE * one.sigma for one in sizes)
-        others = self.case.searcher.without(self.found, member)
-        gain = others.residual**2 - self.found.residual**2
+        gain = self._gain(member)
         carried = float(gain.sum() ** 2 / max(float(np.sum(gain**2)), TINY))
         return self.probability(member) if sized and carried >= constants_of(effect) else 0.0
 
@@ -110,7 +109,7 @@ class Explained:
         effect, name = hypothesis.effect, hypothesis.name
         probability, rivals = self.probability(member), among(ranking.probabilities(), name)[1]
         shown = self._shown(found.members[member].effect, ranking)
-        gain = others.residual**2 - found.residual**2
+        gain = self._gain(member)
         where = self._where(effect, carried_by(space.use, gain[: int(space.use.sum())]))
         told = self._estimates(member, hypothesis, others)
         more: dict[str, Any] = {}
@@ -153,6 +152,11 @@ class Explained:
             equivalents=rivals,
             **_told(more),
         )
+
+    def _gain(self, member: int) -> Floats:
+        """By how much a member, beside the others, takes the squares (m,) of what is left down."""
+        gain: Floats = self.case.searcher.without(self.found, member).residual ** 2 - self.found.residual**2
+        return gain
 
     def _readings(self, gain: Floats) -> str:
         """A sentence on the readings that carry a gain (m,), where they are few."""

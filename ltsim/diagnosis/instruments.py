@@ -173,26 +173,26 @@ def compared(adjustment: Adjustment, expected: Expected, least: float) -> list[C
     score, weight = change_seen(said.information, surprise, expected.covariance)
     covariance = np.linalg.inv(ways[told] @ weight @ ways[told].T)
     gap, sigma = covariance @ ways[told] @ score, np.sqrt(np.diag(covariance))
+    units = [unit[expected.changes[k].owners[0], expected.changes[k].constant] for k in told]
     chance = np.minimum(len(ways) * erfc(np.abs(gap) / sigma / np.sqrt(2.0)), 1.0)
     return [
-        _contradiction(adjustment, expected.changes, found[k], k, float(g), float(s), float(c))
-        for k, g, s, c in zip(told, gap, sigma, chance, strict=True)
+        _contradiction(adjustment, expected.changes, found[k], k, float(g * u), float(s * u), float(c))
+        for k, g, s, c, u in zip(told, gap, sigma, chance, units, strict=True)
     ]
 
 
 def _contradiction(
     adjustment: Adjustment, changes: Sequence[Change], logs: Floats, k: int, gap: float, sigma: float, chance: float
 ) -> Contradiction:
-    """A change in the words of the instruments, its gap and deviation in guarantees, beside what rivals it."""
+    """A change in the words of the instruments, its gap and deviation [SI], beside what rivals it."""
     change, parameters = changes[k], adjustment.construction.parameters
-    unit = prior_sigmas(adjustment.recording, adjustment.construction)[change.owners[0], change.constant]
     rivals = [i for i, one in enumerate(changes) if one.owners == change.owners]
     share = shares(logs[rivals])
     return Contradiction(
         instruments=tuple(adjustment.recording.instruments[i] for i in change.owners),
         parameter=parameters[change.constant],
-        difference=gap * float(unit),
-        sigma=sigma * float(unit),
+        difference=gap,
+        sigma=sigma,
         evidence=float(logs[k]),
         p_value=chance,
         against=change.words,

@@ -97,7 +97,7 @@ def _at(where: Where) -> str:
     return f" {place(where)}" if confined else ""
 
 
-SURE, MOST_CONSTANTS = 5.0, 5
+CLEAR, MOST_CONSTANTS = 5.0, 5
 """Standard deviations from which a constant is named in the answer, and how many are."""
 
 
@@ -120,7 +120,7 @@ def clear_constants(instruments: Sequence[InstrumentEntry]) -> list[str]:
             plain = f"{name.replace('-', ' ')}{used} of {of}: {with_sigma(value, sigma)} {unit}"
             found.append((abs(value) / max(sigma, 1e-300), plain))
     found.sort(key=lambda one: -one[0])
-    return [words for times, words in found if times > SURE][:MOST_CONSTANTS]
+    return [words for times, words in found if times > CLEAR][:MOST_CONSTANTS]
 
 
 WITHOUT_CLOCK = {"s": ("rows", 1.0), "min": ("rows", 60.0), "h": ("rows", 3600.0)}

@@ -12,16 +12,15 @@ from ltsim.laws.columns import MEMORY
 from ltsim.recording.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 
+REPEATS = EACH_FACE, BOTH_FACES = ("in each face", "in both faces")
+"""How amounts may repeat: what errs on the way to a target is in the ranges of both faces."""
+
 
 def owners_of(sightings: Sightings, each: str) -> tuple[tuple[str, ...], Ints]:
     """Names of all targets, or of all stations, and that (n,) of each pointing."""
     if each == "station":
         return tuple(sightings.station_names), sightings.station
     return tuple(sightings.target_names), sightings.target
-
-
-REPEATS = EACH_FACE, BOTH_FACES = ("in each face", "in both faces")
-"""How amounts may repeat: what errs on the way to a target is in the ranges of both faces."""
 
 
 @dataclass(frozen=True)
