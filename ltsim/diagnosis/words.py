@@ -8,7 +8,7 @@ import numpy as np
 
 from ltsim.diagnosis.schema import Estimate, Finding, Fit, InstrumentEntry, Where
 from ltsim.effects import card_of, find_effect
-from ltsim.notation import with_sigma
+from ltsim.notation import listing, with_sigma
 
 MOST_NAMED = 4
 """Estimates that a sentence names at most."""
@@ -42,16 +42,10 @@ def _estimate(parameter: Estimate) -> str:
 def place(where: Where) -> str:
     """Where, in a phrase."""
     kinds = ("at station", where.stations), ("of instrument", where.instruments), ("at target", where.targets)
-    parts = [f"{kind}{'s' if len(names) > 1 else ''} {_list(names)}" for kind, names in kinds if names]
+    parts = [f"{kind}{'s' if len(names) > 1 else ''} {listing(names)}" for kind, names in kinds if names]
     if where.observables:
-        parts.append(f"in {_list(where.observables)}")
+        parts.append(f"in {listing(where.observables)}")
     return " ".join(parts) or "in the whole recording"
-
-
-def _list(names: Sequence[str]) -> str:
-    few = list(names[:6])
-    more = len(names) - len(few)
-    return ", ".join(few) + (f" and {more} more" if more else "")
 
 
 def percent(probability: float) -> str:
@@ -87,7 +81,7 @@ def law_sentence(where: Where, parameters: Sequence[Estimate], shown: float, law
 
 def outside_sentence(where: Where, law: str) -> str:
     """What no card names, in one sentence: where, what it depends on, the law that fits."""
-    on = f", depending on {_list([COVARIATES.get(c, c) for c in where.covariates])}" if where.covariates else ""
+    on = f", depending on {listing([COVARIATES.get(c, c) for c in where.covariates])}" if where.covariates else ""
     return f"Physics outside the catalogue{_at(where)}{on}; what fits: {law}."
 
 
