@@ -10,7 +10,7 @@ import typer
 import ltsim as lt
 from ltsim.cli.options import CalibrationFile, FramedReading, OptionalCalibrationFile, Reading, Source
 from ltsim.cli.places import Force, claim_recording
-from ltsim.cli.terminal import Results, Terminal
+from ltsim.cli.terminal import ResultTerminal, Terminal
 from ltsim.units import ARCSECOND, MICROMETRE
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ def adjust(
     source: Source,
     *,
     reading: FramedReading,
-    terminal: Results,
+    terminal: ResultTerminal,
     **options: Any,
 ) -> None:
     """Adjust the network of a recording without instrument parameters: targets, stations, outliers.
@@ -46,7 +46,7 @@ def calibrate(
     source: Source,
     *,
     reading: FramedReading,
-    terminal: Results,
+    terminal: ResultTerminal,
     **options: Any,
 ) -> None:
     """Find the instrument's parameters from a recording, with uncertainty, and say what it cannot tell.
@@ -105,7 +105,7 @@ def evaluate(
     calibration: OptionalCalibrationFile = None,
     *,
     reading: Reading,
-    terminal: Results,
+    terminal: ResultTerminal,
 ) -> None:
     """How far the stations disagree about distances and coordinates, before and after a calibration.
 
@@ -132,7 +132,7 @@ def verify(
     calibration: CalibrationFile,
     *,
     reading: Reading,
-    terminal: Results,
+    terminal: ResultTerminal,
 ) -> None:
     """Apply a calibration to another recording and compare with nominal points, before and after (eq. 13, 14).
 
@@ -149,7 +149,11 @@ def verify(
 
 
 def _fitted(
-    verb: Callable[..., Calibration], source: Path, reading: FramedReading, terminal: Results, options: dict[str, Any]
+    verb: Callable[..., Calibration],
+    source: Path,
+    reading: FramedReading,
+    terminal: ResultTerminal,
+    options: dict[str, Any],
 ) -> None:
     """Fit, write, show; a calibration replaces a calibration alone, an adjustment an adjustment."""
     from ltsim.calibration.files import calibration_file, write_calibration
@@ -165,7 +169,7 @@ def _fitted(
     terminal.result(content, notes=found.notes)
 
 
-def _judged(terminal: Results, criteria: Criteria, recording: Recording) -> None:
+def _judged(terminal: ResultTerminal, criteria: Criteria, recording: Recording) -> None:
     """Write and print criteria."""
     from ltsim.evaluation.criteria import CriteriaFile
     from ltsim.recording.result_file import SourceEntry

@@ -16,7 +16,7 @@ import ltsim as lt
 from ltsim.campaigns import require_packages
 from ltsim.cli.places import Force, claim_file
 from ltsim.cli.simulate import ScenarioName
-from ltsim.cli.terminal import Results as ResultsOut, Terminal
+from ltsim.cli.terminal import ResultTerminal, Terminal
 from ltsim.errors import SetupError, StoppedError
 from ltsim.recording.files import write_text
 from ltsim.workers import MOST
@@ -147,7 +147,7 @@ def recover(
     jobs: RecoverJobs = None,
     junit: JunitFile = None,
     *,
-    terminal: ResultsOut,
+    terminal: ResultTerminal,
     **options: Any,
 ) -> None:
     """Make an instrument with errors, measure, calibrate, compare with the truth; many times.

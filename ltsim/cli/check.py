@@ -12,7 +12,7 @@ import typer
 
 import ltsim as lt
 from ltsim.cli.options import Reading, Source
-from ltsim.cli.terminal import Results, Terminal
+from ltsim.cli.terminal import ResultTerminal, Terminal
 from ltsim.errors import NetworkError, RecordError
 from ltsim.recording.files import is_number
 
@@ -41,7 +41,7 @@ def check(
     watch: Watch = False,
     *,
     reading: Reading,
-    terminal: Results,
+    terminal: ResultTerminal,
     **options: Any,
 ) -> int:
     """Go or no-go: two-face differences, gross pointings, bumps, drift, level and scatter; status 1 for no-go.
@@ -138,7 +138,7 @@ def _key(item: Item) -> tuple[str, str, tuple[str, ...]]:
     return item.station, item.kind, item.targets
 
 
-def accept(file: AcceptFile, *, terminal: Results) -> int:
+def accept(file: AcceptFile, *, terminal: ResultTerminal) -> int:
     """Predict acceptance tests of a tracker, or judge errors that were found, against its maker's limits.
 
     Writes accept.json and accept.csv to --out. Exit status 1 when an error that was found is over its limit.
@@ -155,7 +155,7 @@ def accept(file: AcceptFile, *, terminal: Results) -> int:
     return int(content.kind != "predicted" and content.passes < 1)
 
 
-def bench(file: BenchTable, *, terminal: Results, **options: Any) -> None:
+def bench(file: BenchTable, *, terminal: ResultTerminal, **options: Any) -> None:
     """Find a reflector's range error against incidence from its bench test, with uncertainty.
 
     The table turns the reflector; the probe's first harmonic is the eccentricity, which is taken off the lengths.

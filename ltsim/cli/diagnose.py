@@ -10,7 +10,7 @@ import typer
 import ltsim as lt
 from ltsim.cli.adjustment import calibration_of
 from ltsim.cli.options import FramedReading, Reading, Source
-from ltsim.cli.terminal import Results, Terminal
+from ltsim.cli.terminal import ResultTerminal, Terminal
 
 if TYPE_CHECKING:
     from ltsim.calibration import Calibration
@@ -35,7 +35,7 @@ def diagnose(
     fail_on_mismatch: FailOnMismatch = False,
     *,
     reading: FramedReading,
-    terminal: Results,
+    terminal: ResultTerminal,
     **options: Any,
 ) -> int:
     """Say whether recording and model agree; where not: where, why, how sure, and what to measure next.
@@ -80,7 +80,7 @@ def history(
     fail_on_change: FailOnChange = False,
     *,
     reading: Reading,
-    terminal: Results,
+    terminal: ResultTerminal,
     **options: Annotated[Any, "history", "adjust robust noise_from_data"],
 ) -> int:
     """Follow an instrument's parameters over calibrations: course, uncertainty, and whether it has changed since.

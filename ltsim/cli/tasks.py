@@ -9,7 +9,7 @@ import typer
 
 import ltsim as lt
 from ltsim.cli.options import Reading, Source
-from ltsim.cli.terminal import Results, Terminal, table
+from ltsim.cli.terminal import ResultTerminal, Terminal, table
 from ltsim.errors import SetupError
 from ltsim.simulation.builtin import builtin_names
 
@@ -34,7 +34,7 @@ def compare(
     second: Second,
     *,
     reading: Reading,
-    terminal: Results,
+    terminal: ResultTerminal,
     **options: Any,
 ) -> int:
     """Say which points moved between two recordings, by how much, and which motion could not have been seen.
@@ -76,7 +76,7 @@ def uncertainty(
     source: TaskSource = None,
     against: Against = None,
     *,
-    terminal: Results,
+    terminal: ResultTerminal,
     **options: Any,
 ) -> int:
     """Say how well the tasks of a file are known: GUM and Monte Carlo, budget, verdict.

@@ -126,7 +126,7 @@ class Terminal:
 
 
 @dataclass(frozen=True)
-class Results(Terminal):
+class ResultTerminal(Terminal):
     """A terminal, and the folder that a verb writes to what it finds."""
 
     out: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Folder to write the results to.")] = None
