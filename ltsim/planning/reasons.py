@@ -8,10 +8,11 @@ from itertools import groupby
 import numpy as np
 
 from ltsim.errors import NetworkError
+from ltsim.notation import listing
 from ltsim.planning.information import LayoutInformation
 from ltsim.planning.objective import DIAGNOSIS, INSTRUMENT, TARGETS, Objective
 from ltsim.planning.planner import Evaluated, Option, Plan, Tried, measure
-from ltsim.planning.site import some_of
+from ltsim.planning.site import MOST_NAMED
 from ltsim.planning.tolerances import sentences, verdict
 from ltsim.planning.workshop import objective_of
 from ltsim.units import MICROMETRE, MILLIMETRE
@@ -187,7 +188,7 @@ def _limits(plan: Plan) -> list[str]:
         if under := [name for name, d in zip(survey.target_names, depth, strict=True) if d]:
             found.append(
                 f"Up to {depth.max() / MILLIMETRE:.2g} mm under the triangles of a curved body, within what they leave "
-                f"open, and taken to be on it: {some_of(under)}."
+                f"open, and taken to be on it: {listing(under, MOST_NAMED)}."
             )
     lost = plan.chosen.table.lost(names, survey.target_names)
     if lost:

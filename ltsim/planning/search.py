@@ -16,9 +16,10 @@ import numpy as np
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.errors import SetupError
 from ltsim.model.construction import Construction, misalignment
+from ltsim.notation import listing
 from ltsim.planning.fast import Reducer, StationBlocks
 from ltsim.planning.objective import LEAST_IMPROVEMENT, Objective
-from ltsim.planning.site import Placement, Site, some_of
+from ltsim.planning.site import MOST_NAMED, Placement, Site
 from ltsim.randomness import stream
 from ltsim.remedies.next_measurement import quiet
 
@@ -243,7 +244,7 @@ class Searcher:
             return ""
         count = self.placement.counted + self.placement.seen[list(chosen)].sum(axis=0)
         names = [n for n, k in zip(self.site.survey.target_names, count, strict=True) if k < self.site.least]
-        return f" (the nearest one lacks {some_of(names)})" if names else ""
+        return f" (the nearest one lacks {listing(names, MOST_NAMED)})" if names else ""
 
     def from_start(self, seed: int, start: int) -> Layout:
         """One start: number 0 begins at the site's own layout where that is allowed, the others at random."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -11,6 +10,7 @@ import scipy.sparse as sp
 from scipy.optimize import Bounds, LinearConstraint, milp
 
 from ltsim.arrays import Bools, Floats, Ints
+from ltsim.notation import listing
 from ltsim.planning.floor import Area, KeepOut, may_stand, over
 from ltsim.planning.survey import Survey
 from ltsim.scene.meshes import Obstacles
@@ -118,10 +118,9 @@ class Site:
         low, high = (1e3 * height for height in self.heights)
         cure = "let them stand higher (floor.height_mm), widen the floor, or move what is hidden"
         if within:
-            cure = (
-                f"{some_of(within)} {'lies' if len(within) == 1 else 'lie'} inside an obstacle: move points or bodies"
-            )
-        return f"no place on the floor sees {some_of(names)}, from heads at {low:g} to {high:g} mm; {cure}"
+            lie = "lies" if len(within) == 1 else "lie"
+            cure = f"{listing(within, MOST_NAMED)} {lie} inside an obstacle: move points or bodies"
+        return f"no place on the floor sees {listing(names, MOST_NAMED)}, from heads at {low:g} to {high:g} mm; {cure}"
 
     def places(self, step: float, heights: int) -> Floats:
         """Places (N, 3) of a grid where a tripod may stand."""
@@ -205,8 +204,3 @@ class Placement:
             options={"node_limit": NODES},
         )
         return [] if found.x is None else np.flatnonzero(found.x[:places] > 0.5).tolist()
-
-
-def some_of(names: Sequence[str]) -> str:
-    """The first names of a list, and how many more there are."""
-    return ", ".join(names[:MOST_NAMED]) + (f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else "")

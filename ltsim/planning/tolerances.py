@@ -11,6 +11,7 @@ from scipy.special import gammaincinv
 from ltsim.arrays import Bools, Floats
 from ltsim.errors import NetworkError
 from ltsim.model.construction import Construction
+from ltsim.notation import listing
 from ltsim.planning.information import LayoutInformation
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import Survey
@@ -124,8 +125,7 @@ class Kept:
         """What remains of the tolerances."""
         if self.good:
             return f"all tolerances hold; {self.worst_words} comes nearest"
-        verb, more = "is" if len(self.unseen) == 1 else "are", len(self.unseen) - MOST_NAMED
-        named = ", ".join(self.unseen[:MOST_NAMED]) + (f" and {more} more" if more > 0 else "")
+        verb, named = "is" if len(self.unseen) == 1 else "are", listing(self.unseen, MOST_NAMED)
         unseen = [f"{named} {verb} seen from nowhere"] if self.unseen else []
         if not self.over:
             return unseen[0] if unseen else "nothing is determined"

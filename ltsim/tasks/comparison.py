@@ -20,6 +20,7 @@ from scipy import special
 from ltsim.adjustment.reliability import noncentrality
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.chances import p_is
+from ltsim.notation import listing
 from ltsim.recording.result_file import Entry, Finite, Known, ResultFile, SourceEntry, Vector
 from ltsim.results import Column, Result, Table, numbers
 from ltsim.units import MICROMETRE, MILLIMETRE, PPM
@@ -257,6 +258,5 @@ def _sentence(displacements: Sequence[Displacement]) -> str:
         sure = max(d.visible_um[1] for d in displacements)
         return f"no point moved; a motion of {sure:.0f} um would have been found anywhere in 4 of 5 cases"
     worst = sorted(size, key=lambda name: -size[name])
-    names = ", ".join(f"{name} by {size[name]:.0f} um" for name in worst[:MOST_NAMED])
-    more = f" and {len(worst) - MOST_NAMED} more" if len(worst) > MOST_NAMED else ""
-    return f"{len(worst)} of {len(displacements)} points moved: {names}{more}"
+    names = listing([f"{name} by {size[name]:.0f} um" for name in worst], MOST_NAMED)
+    return f"{len(worst)} of {len(displacements)} points moved: {names}"
