@@ -210,7 +210,7 @@ class NetworkProblem:
         used = recording.measured if use is None else recording.measured & use
         gauge, control, levels = GaugeRows.of(recording), ControlRows.of(recording), LevelRows.of(recording, used)
         known_marks = ControlRows.of_stations(recording, marks)
-        plausible = [p.prior_sigma for effect in model.effects for p in effect.parameters]
+        plausible = [size for effect in model.effects for size in effect.spread]
         return cls(
             model=model,
             sigma=recording.sigma() if sigma is None else sigma,

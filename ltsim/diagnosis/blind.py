@@ -50,8 +50,7 @@ def _seen(places: Sequence[tuple[Effect, Floats, Floats]]) -> list[tuple[Effect,
     for effect, own, gram in thinned(places):
         norm = np.sqrt(np.diag(own))
         unit = np.where(norm > 0, norm, 1.0)
-        sizes = np.array([p.prior_sigma for p in effect.parameters])
-        told = information_left(gram / np.outer(unit, unit), norm / sizes, SINGLE)
+        told = information_left(gram / np.outer(unit, unit), norm / effect.spread, SINGLE)
         found.append((effect, *told, np.zeros((0, 0))))
     return found
 

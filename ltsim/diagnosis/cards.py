@@ -15,10 +15,10 @@ import scipy.sparse as sp
 
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.arrays import Floats, Ints, Singles
-from ltsim.diagnosis.evidence import log_evidence, log_means, simulated_evidence
+from ltsim.diagnosis.evidence import log_evidence, log_means, simulated_evidence, times_to_noise
 from ltsim.diagnosis.probe import Probe, square
 from ltsim.effects import BASELINE, CATALOGUE
-from ltsim.effects.effect import Effect, NoiseEffect
+from ltsim.effects.effect import Effect, NoiseEffect, Stage
 from ltsim.effects.signature import Tunable
 from ltsim.laws.places import trackers_of
 from ltsim.recording.recording import OBSERVABLES
@@ -98,9 +98,11 @@ class Cards:
         kept: list[Tunable] = []
         alike: dict[tuple[int, tuple[bool, ...]], list[tuple[int, Ints, Singles]]] = {}
         kind = np.append(np.nonzero(space.use)[1], np.full(space.size - int(space.use.sum()), len(OBSERVABLES)))
+        pointing = np.append(np.nonzero(space.use)[0], np.full(int((kind == len(OBSERVABLES)).sum()), len(space.use)))
         for effect in effects:
-            sizes = np.array([p.prior_sigma for p in effect.parameters])
             signature = space.signature(effect)
+            effect = _felt(effect, signature, pointing)
+            sizes = effect.spread
             places = np.flatnonzero(np.logical_or.reduce(np.not_equal(signature.T, 0.0, order="C")))
             if len(places):
                 rows = np.ascontiguousarray((signature[places] * sizes).T, dtype=np.float32)
@@ -161,6 +163,17 @@ class Cards:
     def family_evidence(self, values: Floats) -> Floats:
         """Log evidence (families, ...) with places and shapes averaged, of that of each card (h, ...)."""
         return log_means(values, self.family, len(self.families)) if self.effects else values
+
+
+def _felt(effect: Tunable, signature: Floats, pointing: Ints) -> Tunable:
+    """A card with a plausible size that at least reaches the noise, as carriers have; air is the same for all.
+
+    By its whitened signature (m, q), and the pointing (m,) of each row.
+    """
+    if not isinstance(effect, Effect) or type(effect) in ORDINARY or effect.stage == Stage.AIR:
+        return effect
+    squares = np.bincount(pointing, np.mean((signature * effect.spread) ** 2, axis=1))
+    return replace(effect, coarse=times_to_noise(np.sqrt(squares)))
 
 
 def _dense(size: int, made: Sequence[tuple[int, Ints, Singles]], places: Ints) -> Group:

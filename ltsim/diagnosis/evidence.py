@@ -183,13 +183,22 @@ def sign_weight(mean: float, sigma: float) -> float:
 
 def evidence_of(effect: Tunable, gram: Floats, score: Floats) -> float:
     """Log marginal likelihood ratio of an effect from its Gram matrix (k, k) and score (k,), sizes averaged."""
-    spread = np.array([p.prior_sigma for p in effect.parameters])
+    spread = effect.spread
     if not any(p.positive for p in effect.parameters):
         return float(evidence_with(gram, score, spread))
     mean, covariance, total = posterior(gram, score, spread)
     for p, m, v in zip(effect.parameters, mean, np.diag(covariance), strict=True):
         total += sign_weight(float(m), float(np.sqrt(v))) if p.positive else 0.0
     return total
+
+
+def times_to_noise(strength: Floats) -> float:
+    """Times a plausible size that reaches the noise, one at least: nobody models what no reading feels.
+
+    By what that size does to each pointing (n,), in units of the noise: the median of those that it touches counts.
+    """
+    touched = strength[strength > 0]
+    return max(1.0, 1.0 / float(np.median(touched))) if len(touched) else 1.0
 
 
 MAINLY = 0.8

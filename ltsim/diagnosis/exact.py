@@ -68,7 +68,7 @@ class Exact:
             else:
                 alike.setdefault(len(score), []).append(i)
         for some in alike.values():
-            spreads = np.array([[p.prior_sigma for p in effects[i].parameters] for i in some])
+            spreads = np.stack([effects[i].spread for i in some])
             grams, scores = (np.stack([moments[i][j] for i in some]) for j in (0, 1))
             values[some] = evidence_with(grams, scores, spreads)
         return values

@@ -260,7 +260,7 @@ def noise_finding(hypothesis: NoiseHypothesis, sightings: Sightings, detection: 
 
 def _scattering(hypothesis: NoiseHypothesis, sightings: Sightings) -> tuple[str, ...]:
     """The observables whose noise is beyond doubt larger than stated, or smaller where that is what was found."""
-    sizes = np.array([p.prior_sigma for p in hypothesis.effect.parameters])
+    sizes = hypothesis.effect.spread
     found = np.array(hypothesis.values) / sizes
     sure = found * np.sign(found[np.argmax(np.abs(found))]) > SURE * np.array(hypothesis.sigma) / sizes
     one = np.ones((len(sightings), len(OBSERVABLES)))
@@ -311,6 +311,7 @@ def _told(more: Mapping[str, Any]) -> dict[str, Any]:
 
 def _implausible(effect: Tunable, estimates: Sequence[Estimate]) -> bool:
     """Whether some size is far beyond a bad but plausible one, or negative where none can be."""
-    told = [(e, p) for p in effect.parameters for e in estimates if e.name == p.name]
-    large = any(abs(e.value) - 2 * e.sigma > IMPLAUSIBLE * p.prior_sigma / p.factor for e, p in told)
-    return large or any(p.positive and e.value + 2 * e.sigma < 0.0 for e, p in told)
+    sizes = zip(effect.parameters, effect.spread.tolist(), strict=True)
+    told = [(e, p, size) for p, size in sizes for e in estimates if e.name == p.name]
+    large = any(abs(e.value) - 2 * e.sigma > IMPLAUSIBLE * size / p.factor for e, p, size in told)
+    return large or any(p.positive and e.value + 2 * e.sigma < 0.0 for e, p, _ in told)

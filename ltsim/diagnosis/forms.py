@@ -49,7 +49,7 @@ def _forms(exact: Exact, law: Law, prior: float, base: Found) -> list[Hypothesis
     found = [(share, *best) for (share, _), best in zip(single, climbed, strict=True)]
     moments = exact.moments([scales[0] for _, scales in several], base)
     for (share, scales), (gram, score) in zip(several, moments, strict=True):
-        spreads = np.array([[p.prior_sigma for p in one.parameters] for one in scales])
+        spreads = np.stack([one.spread for one in scales])
         logs = evidence_with(gram, score[None], spreads)
         found.append((share, scales[int(np.argmax(logs))], float(log_average(logs) - np.log(len(logs)))))
     return [Hypothesis(best, share, value + share, name_of(best)) for share, best, value in found]
@@ -62,7 +62,7 @@ def _in_pieces(exact: Exact, law: Law, prior: float, base: Found) -> list[Hypoth
         return []
     whole = law.in_pieces(atoms)
     gram, score = exact.moments([whole], base)[0]
-    spread = np.array([p.prior_sigma for p in whole.parameters])
+    spread = whole.spread
     places = np.arange(len(score)).reshape(len(whole.carrier.ways), len(atoms), -1)
     chosen: list[int] = []
     taken, best, price = 0, -np.inf, float(np.log(2 * len(atoms)))  # which one, and that there is a further one

@@ -39,7 +39,7 @@ class Hypothesis:
     @property
     def spread(self) -> Floats:
         """Plausible sizes (k,) of its coefficients [SI]."""
-        return np.array([p.prior_sigma for p in self.effect.parameters])
+        return self.effect.spread
 
     @property
     def known(self) -> bool:

@@ -340,7 +340,7 @@ def most_likely(space: ResidualSpace, stated: Floats, hypothesis: NoiseHypothesi
         factor = (effect.variance(space.sightings, stated, values) / space.sigma**2)[used]
         return factor if means is None else _grown(means, factor)
 
-    scale = np.array([p.prior_sigma for p in effect.parameters])
+    scale = effect.spread
     own = np.argmax([factors(one) != factors(0.0 * scale) for one in np.diag(scale)], axis=0)
 
     def gained(values: Floats) -> Floats:

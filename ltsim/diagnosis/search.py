@@ -233,7 +233,7 @@ class Searcher:
     def coefficients(self, law: Law, others: Found) -> tuple[Floats, Floats]:
         """Mean (k,) and covariance (k, k) of a law's coefficients beside a set."""
         gram, score = self.exact.moments([law], others)[0]
-        return posterior(gram, score, np.array([p.prior_sigma for p in law.parameters]))[:2]
+        return posterior(gram, score, law.spread)[:2]
 
     def with_members(self, members: Sequence[Hypothesis]) -> Found:
         """The set of some hypotheses, scored together."""

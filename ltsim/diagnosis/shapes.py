@@ -91,7 +91,7 @@ def all_shapes(
         return []
     count = 33 if len(shapes) == 1 and not near else 15
     axes = [_fine(s, float(vars(effect)[s.name]), spread.get(s.name, 0.0), count) for s in shapes]
-    sizes = np.array([p.prior_sigma for p in effect.parameters])
+    sizes = effect.spread
     gaps = _gaps([effect, *near])
     points = [
         (one, {s.name: float(value) for s, (value, _) in zip(shapes, point, strict=True)}, [w for _, w in point])

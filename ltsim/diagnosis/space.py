@@ -13,6 +13,7 @@ import numpy as np
 
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.arrays import Floats
+from ltsim.diagnosis.evidence import times_to_noise
 from ltsim.diagnosis.panel import Cells, Panel
 from ltsim.diagnosis.prior import AT_TARGETS, KINDS, PLACES, PRIOR
 from ltsim.laws.carriers import Carrier, carrier_designs
@@ -154,7 +155,6 @@ def _swings(kind: str, wave: Driver) -> bool:
 
 
 def at_noise(carrier: Carrier, weights: Floats) -> Carrier:
-    """The carrier with a plausible size that at least reaches the noise: nobody models what no reading feels."""
-    strength = np.sqrt(np.mean(np.sum(weights**2, axis=1), axis=1))
-    felt = float(np.median(strength[strength > 0])) if (strength > 0).any() else 0.0
-    return replace(carrier, size=max(carrier.size, 1.0 / felt)) if felt > 0 else carrier
+    """The carrier with a plausible size that at least reaches the noise; `weights` (n, 3, c) are of its unit."""
+    strength = carrier.size * np.sqrt(np.mean(np.sum(weights**2, axis=1), axis=1))
+    return replace(carrier, size=carrier.size * times_to_noise(strength))

@@ -19,7 +19,7 @@ are lengths along the beam, to its left and upward: Delta_d, d cos(el) Delta_azi
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntEnum
 from itertools import product
 from typing import Any, ClassVar, Literal, Self
@@ -64,6 +64,8 @@ class Effect(Tunable):
 
     stations: tuple[str, ...] = ()
     targets: tuple[str, ...] = ()
+    coarse: float = field(default=1.0, kw_only=True)
+    """Times its usual size that is plausible where the instrument is coarser than a laser tracker."""
 
     name: ClassVar[str]
     stage: ClassVar[Stage]
@@ -73,6 +75,11 @@ class Effect(Tunable):
     scope: ClassVar[Scope] = "all"
     plural: ClassVar[bool] = False
     """Several of them in one recording are nothing unusual: bad readings, nests and targets."""
+
+    @property
+    def spread(self) -> Floats:
+        """Plausible sizes (p,) of its parameters [SI]."""
+        return self.coarse * super().spread
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:

@@ -115,6 +115,11 @@ class Signature(Protocol):
         """Change (n, 3, p) of the raw readings (range [m], azimuth, elevation [rad]) per unit of each parameter."""
 
     @property
+    def spread(self) -> Floats:
+        """Plausible sizes (p,) of its parameters [SI]."""
+        return np.array([p.prior_sigma for p in self.parameters], dtype=np.float64)
+
+    @property
     def stations(self) -> tuple[str, ...]:
         """Names of the stations where it acts; empty for all."""
         return ()
@@ -205,8 +210,7 @@ class NoiseSignature(Tunable, Protocol):
         """Parameter values [SI] that a diagnosis tries: each parameter alone and all together, in several sizes."""
         count = len(self.parameters)
         subsets = [*np.eye(count), *([np.ones(count)] if count > 1 else [])]
-        prior = np.array([p.prior_sigma for p in self.parameters])
-        return [tuple(size * subset * prior) for subset in subsets for size in (0.05, 0.15, 0.4, 1.0, 3.0, 10.0)]
+        return [tuple(size * subset * self.spread) for subset in subsets for size in (0.05, 0.15, 0.4, 1.0, 3.0, 10.0)]
 
     def design(self, sightings: Sightings) -> Floats:
         """No mean shift: zeros (n, 3, p)."""
@@ -245,7 +249,8 @@ def by_displacement(sightings: Sightings, displacement: Floats) -> Floats:
 
 def constants_of(effect: Tunable) -> int:
     """How many numbers say what an effect does: its parameters, and those of its shape and place."""
-    return len(effect.parameters) + sum(np.size(v) for v in vars(effect).values() if _is_number(v))
+    own = (value for name, value in vars(effect).items() if name != "coarse")
+    return len(effect.parameters) + sum(np.size(value) for value in own if _is_number(value))
 
 
 def _is_number(value: object) -> bool:

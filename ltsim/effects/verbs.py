@@ -13,7 +13,7 @@ from ltsim.errors import ModelError
 from ltsim.results import Columns, Result
 from ltsim.units import FACTOR
 
-PLACES = ("stations", "targets")
+PLACES, COMMON = ("stations", "targets"), ("stations", "targets", "coarse")
 WIDER = 100.0
 """Times beyond the bounds of a search that a length or a time constant may be simulated."""
 
@@ -87,7 +87,7 @@ def effect_from(name: str, places: Mapping[str, tuple[str, ...]], shape: Mapping
         When there is no such effect or constant, or a value does not fit.
     """
     kind = find_effect(name)
-    fields = {f.name: f.default for f in dataclasses.fields(kind) if f.name not in PLACES}
+    fields = {f.name: f.default for f in dataclasses.fields(kind) if f.name not in COMMON}
     units = {s.name: FACTOR[s.unit] for s in kind.shape}
     constants: dict[str, Any] = {}
     for key, value in shape.items():
@@ -95,7 +95,7 @@ def effect_from(name: str, places: Mapping[str, tuple[str, ...]], shape: Mapping
             known = ", ".join(sorted(fields)) or "none"
             raise ModelError(f"{name} has no constant called '{key}'; constants: {known}")
         constants[key] = _fitted(f"{name}.{key}", value, fields[key], units.get(key, 1.0))
-    effect = kind(**places, **constants)
+    effect = kind(**{**places, **constants})
     _check_constants(effect)
     return effect
 
@@ -135,7 +135,7 @@ def _fitted(key: str, value: Any, default: Any, unit: float) -> Any:
 def shape_of(effect: AnyEffect) -> dict[str, Any]:
     """The constants of an effect, as `effect_from` takes them."""
     units = {s.name: FACTOR[s.unit] for s in effect.shape}
-    names = [f.name for f in dataclasses.fields(effect) if f.name not in PLACES]
+    names = [f.name for f in dataclasses.fields(effect) if f.name not in COMMON]
     values = {name: getattr(effect, name) for name in names}
     return {name: value / units[name] if name in units else value for name, value in values.items()}
 
