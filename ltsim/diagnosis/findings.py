@@ -24,7 +24,7 @@ from ltsim.diagnosis.outside import log_likeness
 from ltsim.diagnosis.prior import SAME_OBSERVABLE
 from ltsim.diagnosis.schema import Equivalent, Estimate, Evidence, Finding, Where
 from ltsim.diagnosis.separate import separating_measurement
-from ltsim.diagnosis.words import card_sentence, law_sentence, outside_sentence, without_clock
+from ltsim.diagnosis.words import LIKELY, card_sentence, law_sentence, outside_sentence, without_clock
 from ltsim.effects import BASELINE
 from ltsim.effects.effect import Effect, NoiseEffect, SlotEffect
 from ltsim.effects.signature import Tunable, constants_of
@@ -92,14 +92,15 @@ class Explained:
         """Probability of a member's name if it has a size, and no more constants than readings that carry it.
 
         So many readings alike would carry its gain (participation ratio). Coefficients of a law may each be in doubt
-        where the law is not.
+        where the law is not; one of no known form, at no place and in no observable, says nothing beside others.
         """
         effect = self.refit.effects[member]
         sizes = (one for one in self.refit.told[member] if one.parameter in effect.parameters)
         sized = isinstance(effect, Law) or any(abs(one.value) > SURE * one.sigma for one in sizes)
         gain = self._gain(member)
         carried = float(gain.sum() ** 2 / max(float(np.sum(gain**2)), TINY))
-        return self.probability(member) if sized and carried >= constants_of(effect) else 0.0
+        says = self._where(effect) != Where(covariates=words_of(effect.covariates)) or self._shown(member) >= LIKELY
+        return self.probability(member) if sized and says and carried >= constants_of(effect) else 0.0
 
     def finding(self, member: int) -> Finding:
         """The finding of a member, a mean shift, beside the others."""
@@ -108,7 +109,7 @@ class Explained:
         hypothesis = replace(found.members[member], effect=self.refit.effects[member])
         effect, name = hypothesis.effect, hypothesis.name
         probability, rivals = self.probability(member), among(ranking.probabilities(), name)[1]
-        shown = self._shown(found.members[member].effect, ranking)
+        shown = self._shown(member)
         gain = self._gain(member)
         where = self._where(effect, carried_by(space.use, gain[: int(space.use.sum())]))
         told = self._estimates(member, hypothesis, others)
@@ -176,13 +177,14 @@ class Explained:
         )
         return f" Most of it lies in the {', the '.join(told)}."
 
-    def _shown(self, effect: Tunable, ranking: Ranking) -> float:
-        """Probability of all explanations that act on the same, at the same place, and follow the same."""
+    def _shown(self, member: int) -> float:
+        """Probability of all explanations that act on the same as a member, at its place, and follow the same."""
+        effect = self.found.members[member].effect
 
         def seen(one: Tunable) -> Where:
             return self._where(one).model_copy(update={"observables": tuple(sorted(one.observables))})
 
-        return ranking.share(lambda h: seen(h.effect) == seen(effect))
+        return self.rankings[member].share(lambda h: seen(h.effect) == seen(effect))
 
     def _where(self, effect: Tunable, carried: tuple[str, ...] = ()) -> Where:
         """Where an effect acts; the set-ups of one of several instruments are that instrument."""
@@ -234,12 +236,16 @@ def noise_finding(hypothesis: NoiseHypothesis, sightings: Sightings, detection: 
     effect, probability = hypothesis.effect, hypothesis.probability
     where = where_of(effect, _scattering(hypothesis, sightings))
     rows = [Estimate.of(*told) for told in zip(effect.parameters, hypothesis.values, hypothesis.sigma, strict=True)]
-    rows = sorted(rows, key=lambda e: -e.value)[:MOST_ESTIMATES] if len(rows) > MOST_ESTIMATES else rows
     more, sentence = {}, ""
     if isinstance(effect, NoisePattern):
         more = {"formula": effect.law, "carrier": effect.carrier, "driver": effect.driver}
-        worst = list(dict.fromkeys(e.name.partition(" at ")[2] for e in rows))[:2]
-        most = f", most at {' and '.join(worst)}" if effect.each else ""
+        most = ""
+        if effect.each:
+            rows = sorted(rows, key=lambda e: -e.value)[:MOST_ESTIMATES]
+            sure = [e for e in rows if e.value > SURE * e.sigma] or rows
+            worst = {e.name.partition(" at ")[2]: number(np.sqrt(1.0 + e.value), 2) for e in reversed(sure)}
+            told = [f"{name} ({times})" for name, times in reversed(worst.items())][:2]
+            most = f", most at {' and '.join(told)}, in times the stated deviation"
         sentence = outside_sentence(where, effect.law + most)
     return Finding(
         effect=effect.name,

@@ -61,6 +61,9 @@ def card_sentence(
     at = place(where).removeprefix("at ").removeprefix("in the ")
     title = card.title if probability >= LIKELY else f"Perhaps {card.title[0].lower()}{card.title[1:]}"
     told = estimates(parameters)
+    if max(probability, shown or 0.0) < LIKELY:
+        perhaps = f"{title[0].lower()}{title[1:]}{f' ({told})' if told else ''}, {percent(probability)}"
+        return f"Something is off ({at}) that these readings do not tell: {perhaps}."
     seen = "" if shown is None else f"such a change here: {percent(shown)}; "
     cause = f"usual cause: {card.cause} (probability of this name {percent(probability)})"
     return f"{title} ({at}){f': {told}' if told else ''}; {seen}{cause}."
