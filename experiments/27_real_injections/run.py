@@ -36,6 +36,8 @@ from ltsim.errors import LtsimError, ModelError
 from ltsim.laws.law import Law
 from ltsim.pages.figures.campaign import Swept, by_factor
 from ltsim.recording import Hints, Recording
+from ltsim.recording.recording import SIGMA_COLUMNS
+from ltsim.units import ARCSECOND, MILLIMETRE
 
 MEASURES = {"found": "found", "placed": "place right", "right": "told rightly"}
 DRAWN = (*MEASURES.values(), "reliability")
@@ -44,10 +46,13 @@ SAME = 0.5
 
 
 @cache
-def background(file: str, clockwise: bool) -> tuple[Recording, tuple[Finding, ...]]:
-    """A recording, and what is told of it as it is."""
+def background(file: str, clockwise: bool) -> tuple[Recording, Recording, tuple[Finding, ...]]:
+    """A recording, the same with the noise that it has instead of the stated one, and what is told of it as it is."""
     recording = lt.read(DATA / file, hints=Hints(azimuth="clockwise") if clockwise else None)
-    return recording, tuple(lt.diagnose(recording, held_out=False).findings)
+    told = lt.diagnose(recording, held_out=False)
+    sigma = told.adjusted.problem.sigma / [MILLIMETRE, ARCSECOND, ARCSECOND]
+    columns = dict(zip(SIGMA_COLUMNS, sigma.T, strict=True))
+    return recording, recording.replace(covariates={**recording.covariates, **columns}), tuple(told.findings)
 
 
 def place(one: Any, recording: Recording) -> tuple[set[str], set[str]]:
@@ -87,17 +92,17 @@ def key(told: Finding) -> Any:
 
 def one(network: Row, kind: str, strength: float, trial: int, seed: int) -> Row:
     """One injection, diagnosed once by the default settings; `hidden` where the network shows no such cause."""
-    recording, before = background(network["file"], network.get("clockwise", False))
+    recording, weighted, before = background(network["file"], network.get("clockwise", False))
     rng = np.random.default_rng([seed, *map(ord, network["file"] + kind), int(strength), trial])
     words = kind.format(station=rng.choice(recording.stations), unit="min" if recording.has_clock else "rows")
     row = {"site": network["site"], "file": network["file"], "kind": kind, "strength": strength, "trial": trial}
     try:
-        made, truth = lt.inject(recording, words, noncentrality=strength, seed=int(rng.integers(2**31)))
+        drawn, truth = lt.inject(weighted, words, noncentrality=strength, seed=int(rng.integers(2**31)))
     except ModelError:
         return row | {"hidden": True}
     start, cause = time.perf_counter(), truth.causes[0].cause
     try:
-        told = lt.diagnose(made, held_out=False).findings
+        told = lt.diagnose(recording.with_readings(drawn.readings), held_out=False).findings
     except (ArithmeticError, ValueError, LtsimError) as error:  # a diagnosis that breaks down has found nothing
         told, row["failed"] = (), f"{type(error).__name__}: {error}"
     fresh = [f for f in told if new(f, before, strength)]

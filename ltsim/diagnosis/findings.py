@@ -17,7 +17,7 @@ from ltsim.diagnosis.case import Case
 from ltsim.diagnosis.curve import curve_of
 from ltsim.diagnosis.detect import Detection
 from ltsim.diagnosis.evidence import carried_by, posterior
-from ltsim.diagnosis.hypotheses import Found, Hypothesis, Ranking
+from ltsim.diagnosis.hypotheses import Found, Hypothesis, Ranking, carrying
 from ltsim.diagnosis.instruments import TINY
 from ltsim.diagnosis.noise import NoiseHypothesis
 from ltsim.diagnosis.outside import log_likeness
@@ -91,16 +91,16 @@ class Explained:
     def chance(self, member: int) -> float:
         """Probability of a member's name if it has a size, and no more constants than readings that carry it.
 
-        So many readings alike would carry its gain (participation ratio). Coefficients of a law may each be in doubt
-        where the law is not; one of no known form, at no place and in no observable, says nothing beside others.
+        Coefficients of a law may each be in doubt where the law is not; one of no known form, at no place and in no
+        observable, says nothing beside others.
         """
         effect = self.refit.effects[member]
         sizes = (one for one in self.refit.told[member] if one.parameter in effect.parameters)
         sized = isinstance(effect, Law) or any(abs(one.value) > SURE * one.sigma for one in sizes)
-        gain = self._gain(member)
-        carried = float(gain.sum() ** 2 / max(float(np.sum(gain**2)), TINY))
         says = self._where(effect) != Where(covariates=words_of(effect.covariates)) or self._shown(member) >= LIKELY
-        return self.probability(member) if sized and says and carried >= constants_of(effect) else 0.0
+        return (
+            self.probability(member) if sized and says and carrying(self._gain(member)) >= constants_of(effect) else 0.0
+        )
 
     def finding(self, member: int) -> Finding:
         """The finding of a member, a mean shift, beside the others."""
