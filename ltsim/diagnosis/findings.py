@@ -98,9 +98,8 @@ class Explained:
         sizes = (one for one in self.refit.told[member] if one.parameter in effect.parameters)
         sized = isinstance(effect, Law) or any(abs(one.value) > SURE * one.sigma for one in sizes)
         says = self._where(effect) != Where(covariates=words_of(effect.covariates)) or self._shown(member) >= LIKELY
-        return (
-            self.probability(member) if sized and says and carrying(self._gain(member)) >= constants_of(effect) else 0.0
-        )
+        carried = carrying(self._gain(member)) >= constants_of(effect)
+        return self.probability(member) if sized and says and carried else 0.0
 
     def finding(self, member: int) -> Finding:
         """The finding of a member, a mean shift, beside the others."""
