@@ -34,6 +34,7 @@ from ltsim.diagnosis.schema import Finding, Fit
 from ltsim.diagnosis.search import MOST_MEMBERS
 from ltsim.diagnosis.stray import stray_readings
 from ltsim.diagnosis.words import LIKELY, summarise
+from ltsim.effects.noise_level import NoiseLevel
 from ltsim.effects.signature import Tunable
 from ltsim.errors import RecordError
 from ltsim.laws.carriers import VARIED, constants_in
@@ -107,7 +108,7 @@ def diagnose(
     mistaken += [known_finding(test, baseline) for test in wrong]
     apart = _apart(case, found, settled, compared)
     odd = [instrument_finding(c) for c in apart if not _varies(c.parameter.name, found.effects)][:MOST_MEMBERS]
-    explained = _likely(Explained(case, detection, found, fitted), bool(mistaken or odd or case.noise))
+    explained = _likely(Explained(case, detection, found, fitted), bool(mistaken or odd or _beyond_level(case.noise)))
     repeated = not case.searcher.large if held_out is None else held_out
     errors = HeldOut() if case.searcher.large and not repeated else _held_out(explained, threshold, repeated)
     return _told(explained, sight, [*mistaken, *odd], settled, errors, mismatch=mismatch)
@@ -237,6 +238,11 @@ def _refitted(case: Case, found: Found) -> tuple[Found, Refit]:
     return found, fitted
 
 
+def _beyond_level(noise: Sequence[NoiseHypothesis]) -> bool:
+    """Whether the noise is other than stated beyond its level, which is one line and no finding."""
+    return any(not isinstance(one.effect, NoiseLevel) for one in noise)
+
+
 def _likely(explained: Explained, besides: bool) -> Explained:
     """Without findings whose name has little chance, the least likely first, as long as something is told `besides`."""
     case, found, told = explained.case, explained.found, explained
@@ -262,10 +268,12 @@ def _told(
     """The verdict, put together from what the search explains, and findings that are `certain` without it."""
     case, found, detection = explained.case, explained.found, explained.detection
     baseline, adjusted = case.baseline, explained.refit.adjustment
-    likely = [explained.finding(i) for i in range(len(found.members))]
-    likely += [noise_finding(one, baseline.sightings, detection) for one in case.noise]
-    sure = [one for one in likely if one.evidence.probability >= LIKELY]
-    likely = sorted(sure if certain else sure or likely, key=lambda finding: -finding.evidence.chi2_drop)
+    shifts = [explained.finding(i) for i in range(len(found.members))]
+    noises = [noise_finding(one, baseline.sightings, detection) for one in case.noise]
+    sure = [one for one in (*shifts, *noises) if one.evidence.probability >= LIKELY]
+    alone = not certain and all(one.effect == NoiseLevel.name for one in sure)
+    likely = (sure + [one for one in shifts if one not in sure] or noises) if alone else sure
+    likely = sorted(likely, key=lambda finding: -finding.evidence.chi2_drop)
     room = max(MOST_TOLD - len(certain), 0)
     findings = sorted([*certain, *likely[:room]], key=lambda finding: -finding.evidence.chi2_drop)
     before = after = Fit(chi2=baseline.chi2, dof=baseline.dof, held_out_rms=errors.before)

@@ -94,12 +94,12 @@ class Explained:
         Coefficients of a law may each be in doubt where the law is not; one of no known form, at no place and in no
         observable, says nothing beside others.
         """
-        effect = self.refit.effects[member]
-        sizes = (one for one in self.refit.told[member] if one.parameter in effect.parameters)
-        sized = isinstance(effect, Law) or any(abs(one.value) > SURE * one.sigma for one in sizes)
+        effect, gain = self.refit.effects[member], self._gain(member)
+        sizes = [one for one in self.refit.told[member] if one.parameter in effect.parameters]
+        together = len(sizes) > 1 and float(gain.sum()) > SURE**2 * constants_of(effect)
+        sized = isinstance(effect, Law) or together or any(abs(one.value) > SURE * one.sigma for one in sizes)
         says = self._where(effect) != Where(covariates=words_of(effect.covariates)) or self._shown(member) >= LIKELY
-        carried = carrying(self._gain(member)) >= constants_of(effect)
-        return self.probability(member) if sized and says and carried else 0.0
+        return self.probability(member) if sized and says and carrying(gain) >= constants_of(effect) else 0.0
 
     def finding(self, member: int) -> Finding:
         """The finding of a member, a mean shift, beside the others."""

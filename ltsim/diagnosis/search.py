@@ -30,7 +30,7 @@ from ltsim.diagnosis.probe import Probe
 from ltsim.diagnosis.schema import Estimate
 from ltsim.diagnosis.shapes import apart, between, shape_posterior
 from ltsim.diagnosis.space import panels
-from ltsim.effects.signature import ShapeParameter, Tunable, constants_of
+from ltsim.effects.signature import ShapeParameter, Tunable
 from ltsim.laws.law import Law
 from ltsim.laws.names import name_of
 from ltsim.laws.sizes import sizes_of
@@ -152,7 +152,7 @@ class Searcher:
         if len(hypothesis.spread) <= FLEXIBLE:
             return True
         with_it = self.with_members((*base.members, hypothesis))
-        return carrying(base.residual**2 - with_it.residual**2) >= constants_of(hypothesis.effect)
+        return carrying(base.residual**2 - with_it.residual**2) >= self.exact.determined(hypothesis.effect, base)
 
     def _card(self, family: int, values: Floats, total: float, base: Found, *, refine: bool) -> Hypothesis:
         """The best of a family of cards, with the evidence of the family; computed exactly if it is to be refined."""
