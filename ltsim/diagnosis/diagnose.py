@@ -247,11 +247,10 @@ def _likely(explained: Explained, besides: bool) -> Explained:
     """Without findings whose name has little chance, the least likely first, as long as something is told `besides`."""
     case, found, told = explained.case, explained.found, explained
     while len(found.members) + besides > 1:
-        chances = [told.chance(i) for i in range(len(found.members))]
-        least = int(np.argmin(chances)) if chances else 0
-        if not chances or chances[least] >= LIKELY:
+        chances = [(told.chance(i), told.probability(i), i) for i in range(len(found.members))]
+        if not chances or min(chances)[0] >= LIKELY:
             break
-        found = case.searcher.without(found, least)
+        found = case.searcher.without(found, min(chances)[2])
         told = replace(explained, found=found, refit=case.refit(found.effects, case.sigma))
     return told
 
