@@ -244,13 +244,17 @@ def _beyond_level(noise: Sequence[NoiseHypothesis]) -> bool:
 
 
 def _likely(explained: Explained, besides: bool) -> Explained:
-    """Without findings whose name has little chance, the least likely first, as long as something is told `besides`."""
+    """Without findings whose name has little chance, the least likely first.
+
+    What explains most stays, unless something is told `besides`.
+    """
     case, found, told = explained.case, explained.found, explained
     while len(found.members) + besides > 1:
-        chances = [(told.chance(i), told.probability(i), i) for i in range(len(found.members))]
+        gains = [told.gain(i).sum() for i in range(len(found.members))]
+        chances = [(told.chance(i), i) for i, gain in enumerate(gains) if besides or gain < max(gains)]
         if not chances or min(chances)[0] >= LIKELY:
             break
-        found = case.searcher.without(found, min(chances)[2])
+        found = case.searcher.without(found, min(chances)[1])
         told = replace(explained, found=found, refit=case.refit(found.effects, case.sigma))
     return told
 

@@ -94,7 +94,7 @@ class Explained:
         Coefficients of a law may each be in doubt where the law is not; one of no known form, at no place and in no
         observable, says nothing beside others.
         """
-        effect, gain = self.refit.effects[member], self._gain(member)
+        effect, gain = self.refit.effects[member], self.gain(member)
         sizes = [one for one in self.refit.told[member] if one.parameter in effect.parameters]
         together = len(sizes) > 1 and float(gain.sum()) > SURE**2 * constants_of(effect)
         sized = isinstance(effect, Law) or together or any(abs(one.value) > SURE * one.sigma for one in sizes)
@@ -109,7 +109,7 @@ class Explained:
         effect, name = hypothesis.effect, hypothesis.name
         probability, rivals = self.probability(member), among(ranking.probabilities(), name)[1]
         shown = self._shown(member)
-        gain = self._gain(member)
+        gain = self.gain(member)
         where = self._where(effect, carried_by(space.use, gain[: int(space.use.sum())]))
         told = self._estimates(member, hypothesis, others)
         more: dict[str, Any] = {}
@@ -153,7 +153,7 @@ class Explained:
             **_told(more),
         )
 
-    def _gain(self, member: int) -> Floats:
+    def gain(self, member: int) -> Floats:
         """By how much a member, beside the others, takes the squares (m,) of what is left down."""
         gain: Floats = self.case.searcher.without(self.found, member).residual ** 2 - self.found.residual**2
         return gain
