@@ -21,7 +21,7 @@ from ltsim.diagnosis.case import Case
 from ltsim.diagnosis.certain import gross_finding, instrument_finding, known_finding
 from ltsim.diagnosis.detect import detect
 from ltsim.diagnosis.diagnosis import Diagnosis
-from ltsim.diagnosis.evidence import log_average
+from ltsim.diagnosis.evidence import log_average, restricted
 from ltsim.diagnosis.findings import Explained, among, noise_finding
 from ltsim.diagnosis.held_out import HeldOut, held_out as left_out
 from ltsim.diagnosis.history import History
@@ -160,10 +160,7 @@ def _explain(case: Case, threshold: float, compared: Compared) -> Found:
     noise that is fitted before a law hides it; so with constants.
     """
     if _noise_alone(case, threshold, case.searcher.first_look(threshold).score):
-        found = case.searcher.search(threshold, something=False)
-        if found.members:
-            case.settle_with(found.effects)
-            found = case.searcher.search(threshold, something=False)
+        found = _beside_noise(case, threshold)
     else:
         found = case.searcher.search(threshold, something=True)
     apart = compared(case.space.adjustment, LEAST_GAIN)
@@ -182,6 +179,24 @@ def _noise_alone(case: Case, threshold: float, least: float) -> bool:
         case.add_noise(most_likely(case.space, case.space.sigma, _with_probability(ranked, 0.0)))
         case.weigh(case.settle_noise(()))
     return bool(case.noise)
+
+
+def _beside_noise(case: Case, threshold: float) -> Found:
+    """What shifts readings beside a change of the noise, if that gains.
+
+    Noise that was settled alone hides a shift: it is settled again beside the best that there is, and both together are
+    compared with noise alone by their restricted likelihood.
+    """
+    alone, sigma = list(case.noise), case.sigma
+    case.settle_with(case.searcher.search(threshold, something=True).effects)
+    found, space = case.searcher.search(threshold, something=False), case.space
+    factor = (sigma / case.sigma)[space.use] ** 2
+    squares, share = (rows[: len(factor)] for rows in (space.residual**2, space.redundancy))
+    if found.members and found.score - restricted(squares, share, factor).sum() > threshold:
+        return found
+    case.noise, case.sigma = alone, sigma
+    case.weigh(case.refit((), sigma).adjustment)
+    return case.empty
 
 
 def _in_turn(case: Case, found: Found, threshold: float) -> Found:
@@ -273,7 +288,7 @@ def _told(
     baseline, adjusted = case.baseline, explained.refit.adjustment
     shifts = [explained.finding(i) for i in range(len(found.members))]
     noises = [noise_finding(one, baseline.sightings, detection) for one in case.noise]
-    sure = [one for one in (*shifts, *noises) if one.evidence.probability >= LIKELY]
+    sure = [one for one in (*shifts, *noises) if one.evidence.chance >= LIKELY]
     alone = not certain and all(one.effect == NoiseLevel.name for one in sure)
     likely = (sure + [one for one in shifts if one not in sure] or noises) if alone else sure
     likely = sorted(likely, key=lambda finding: -finding.evidence.chi2_drop)

@@ -89,7 +89,7 @@ class Explained:
         return [self._ranking(i) for i in range(len(self.found.members))]
 
     def chance(self, member: int) -> float:
-        """Probability of a member's name if it has a size, and no more constants than readings that carry it.
+        """Probability of a member, whatever it is called, if it has a size and no more constants than readings carry.
 
         Coefficients of a law may each be in doubt where the law is not; one of no known form, at no place and in no
         observable, says nothing beside others.
@@ -99,7 +99,8 @@ class Explained:
         together = len(sizes) > 1 and float(gain.sum()) > SURE**2 * constants_of(effect)
         sized = isinstance(effect, Law) or together or any(abs(one.value) > SURE * one.sigma for one in sizes)
         says = self._where(effect) != Where(covariates=words_of(effect.covariates)) or self._shown(member) >= LIKELY
-        return self.probability(member) if sized and says and carrying(gain) >= constants_of(effect) else 0.0
+        chance = max(self.probability(member), self._shown(member))
+        return chance if sized and says and carrying(gain) >= constants_of(effect) else 0.0
 
     def finding(self, member: int) -> Finding:
         """The finding of a member, a mean shift, beside the others."""
@@ -177,11 +178,17 @@ class Explained:
         return f" Most of it lies in the {', the '.join(told)}."
 
     def _shown(self, member: int) -> float:
-        """Probability of all explanations that act on the same as a member, at its place, and follow the same."""
+        """Probability of all explanations that act on the same as a member, at its place, and follow the same.
+
+        A target may be off as one that moved, sat badly or was read wrongly: what acts on it alone is the same change.
+        """
         effect = self.found.members[member].effect
 
         def seen(one: Tunable) -> Where:
-            return self._where(one).model_copy(update={"observables": tuple(sorted(one.observables))})
+            where = self._where(one)
+            if where.targets and not isinstance(effect, Law):
+                return Where(targets=where.targets)
+            return where.model_copy(update={"observables": tuple(sorted(one.observables))})
 
         return self.rankings[member].share(lambda h: seen(h.effect) == seen(effect))
 

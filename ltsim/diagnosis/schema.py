@@ -51,6 +51,11 @@ class Evidence(Entry):
     shown: Known = None
     """Probability that it acts on this, here, and follows this, whatever the cause is called."""
 
+    @property
+    def chance(self) -> float:
+        """Probability of its name, or of such a change whatever it is called."""
+        return max(self.probability, self.shown or 0.0)
+
 
 class Equivalent(Entry):
     """Another effect that cannot be excluded."""
