@@ -15,7 +15,7 @@ from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.arrays import Floats, Ints
 from ltsim.diagnosis.evidence import evidence_of, evidence_with, log_average
 from ltsim.diagnosis.hypotheses import Found
-from ltsim.effects.signature import Tunable, constants_of
+from ltsim.effects.signature import Tunable
 from ltsim.laws.carriers import CARRIERS
 from ltsim.laws.law import Law
 
@@ -72,12 +72,6 @@ class Exact:
             grams, scores = (np.stack([moments[i][j] for i in some]) for j in (0, 1))
             values[some] = evidence_with(grams, scores, spreads)
         return values
-
-    def determined(self, effect: Tunable, base: Found) -> float:
-        """How many constants of an effect the readings determine beside a set, each against its plausible size."""
-        gram, _ = self.moments([effect], base)[0]
-        strength = np.maximum(np.linalg.eigvalsh(gram * np.outer(effect.spread, effect.spread)), 0.0)
-        return constants_of(effect) - len(strength) + float(np.sum(strength / (1.0 + strength)))
 
     def uphill(self, effects: Sequence[T], base: Found) -> list[tuple[T, float]]:
         """Uphill from each effect over what it offers near itself; its evidence is the mean over where it ends."""

@@ -23,7 +23,7 @@ from ltsim.diagnosis.cards import ORDINARY, Cards, card_hypotheses
 from ltsim.diagnosis.evidence import log_average, posterior
 from ltsim.diagnosis.exact import Exact
 from ltsim.diagnosis.forms import in_all_forms
-from ltsim.diagnosis.hypotheses import Found, Hypothesis, Ranking, alike, carrying
+from ltsim.diagnosis.hypotheses import Found, Hypothesis, Ranking, alike
 from ltsim.diagnosis.panel import Hit, Panel
 from ltsim.diagnosis.prior import log_share
 from ltsim.diagnosis.probe import Probe
@@ -39,8 +39,6 @@ MOST_MEMBERS = 5
 """Findings that are told at most, and as many constants of instruments; the tables have all of these."""
 FLEXIBLE = 10
 """Coefficients of a curve in one quantity, `MODES` and a slope; what has more can imitate several effects."""
-LOOKED = 6
-"""Of what ranks first, so many are looked at again."""
 REFINED, FEW = 7, 3
 """Cards, and laws, computed exactly in a round; in a large network, where each costs a solution of the whole."""
 GRID, FINER, ZOOMS = 11, 9, 2
@@ -144,15 +142,7 @@ class Searcher:
             entries.append(self._card(int(family), values, float(families[family]), base, refine=i < self._most))
         entries = [replace(h, value=h.value + alike(h, base.members)) for h in entries]
         entries.sort(key=lambda h: -h.value)
-        entries = [h for h in entries[:LOOKED] if self._carried(h, base)] + entries[LOOKED:]
         return Ranking(tuple(entries), float(log_average(np.array([h.value for h in entries]))))
-
-    def _carried(self, hypothesis: Hypothesis, base: Found) -> bool:
-        """Whether a curve has no more constants than readings that carry what it explains beside a set."""
-        if len(hypothesis.spread) <= FLEXIBLE:
-            return True
-        with_it = self.with_members((*base.members, hypothesis))
-        return carrying(base.residual**2 - with_it.residual**2) >= self.exact.determined(hypothesis.effect, base)
 
     def _card(self, family: int, values: Floats, total: float, base: Found, *, refine: bool) -> Hypothesis:
         """The best of a family of cards, with the evidence of the family; computed exactly if it is to be refined."""
@@ -319,7 +309,7 @@ class Searcher:
                         continue
                     others = tuple(h for i, h in enumerate(found.members) if i not in some)
                     rest = self.with_members(others)
-                    made = [self.with_members((*others, h)) for h in self.rank(rest).entries[: 2 if others else LOOKED]]
+                    made = [self.with_members((*others, h)) for h in self.rank(rest).entries[: 2 if others else 6]]
                     found = max([found, *made, *([rest] if others else [])], key=lambda s: s.score)
             if found.score <= before + 1e-6:
                 break
