@@ -10,8 +10,6 @@ by an error e of which s tells nothing; taking off t s makes the sum of squares 
 normal variable.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

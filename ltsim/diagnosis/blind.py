@@ -1,7 +1,5 @@
 """What a network cannot see: effects that leave no residual, and the smallest size of all others."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The recording under examination, and what is known of it so far."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial

@@ -1,7 +1,5 @@
 """Findings that need no search: mistakes, known values and constants that contradict what else is known."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment

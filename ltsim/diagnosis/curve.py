@@ -1,7 +1,5 @@
 """The curve of a law, as a diagnosis writes it down: what its carrier does over the covariate that it follows."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ltsim.arrays import Floats

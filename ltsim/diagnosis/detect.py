@@ -5,8 +5,6 @@ the noise. Its distribution without any effect comes from the same sums over sim
 so the false-alarm rate is what it says however many hypotheses there are.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """From a recording to a verdict: detect, locate, name, model, show."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from math import ceil

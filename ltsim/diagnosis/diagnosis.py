@@ -1,7 +1,5 @@
 """A diagnosis as an object: what it says, and the networks and coordinates that it says it of."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

@@ -15,8 +15,6 @@ MacKay, Information theory, inference and learning algorithms (2003), chapter 28
 Rasmussen and Williams, Gaussian processes for machine learning (2006), section 5.4.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

@@ -4,8 +4,6 @@ Residuals and the columns of a set lie in the residual space: a projection is ne
 itself alone, and these are the same beside every set.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple, TypeVar
 

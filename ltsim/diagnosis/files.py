@@ -1,7 +1,5 @@
 """diagnosis.json, targets.csv, residuals and the recording of a diagnosis, written whole or not at all."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

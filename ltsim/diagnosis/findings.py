@@ -1,7 +1,5 @@
 """Findings from what a search found: where, how large, how sure, in which words."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property

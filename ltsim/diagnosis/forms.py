@@ -3,8 +3,6 @@
 What is scored at once is a rough sight of a law; here the few that stand out are computed exactly.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

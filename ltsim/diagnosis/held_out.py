@@ -11,8 +11,6 @@ the network extended by the unit columns of its readings. Only the weights of th
 them, are those of the whole recording.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import NamedTuple
 

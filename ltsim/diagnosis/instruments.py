@@ -1,7 +1,5 @@
 """What a recording says of each instrument: its constants, and the combinations of them that are determined."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 

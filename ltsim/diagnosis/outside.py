@@ -8,8 +8,6 @@ leaves no residual to see it by, and the doubt stays what it was before; a stron
 ends it.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from ltsim.adjustment.residual_space import ResidualSpace

@@ -7,8 +7,6 @@ prints it. None of the numbers is fitted to anything: they say what a service en
 residuals, and a factor of two in one of them is 0.7 of log evidence.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

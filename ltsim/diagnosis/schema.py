@@ -1,7 +1,5 @@
 """What a diagnosis says, in the models that stand in diagnosis.json as they are; the tables beside it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import ClassVar, Literal, Self
 

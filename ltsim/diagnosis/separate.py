@@ -1,7 +1,5 @@
 """The question that a finding leaves open, and the measurement that answers it."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 
 from ltsim.adjustment.adjustment import Adjustment

@@ -1,7 +1,5 @@
 """Posterior of an effect's parameters and shape constants over all its shapes and near places."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from itertools import product
 from typing import NamedTuple

@@ -4,8 +4,6 @@ A law has the odds of its place, of the kind of its carrier and of its driver, m
 all of its kind that the recording offers, and the whole is normalised to the prior of laws without a card.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 

@@ -5,8 +5,6 @@ too large for chance, and when without it no other reading of its target is off.
 wrong reading is the plainer cause than a target that has moved.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from ltsim.adjustment.gross import GrossFinding

@@ -1,7 +1,5 @@
 """From a recording to the physics that was left out."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from ltsim.calibration import Calibration

@@ -1,7 +1,5 @@
 """Sentences for people."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -5,8 +5,6 @@ moves, of the targets' coordinates, of the air, of the reflector; and, when noth
 reading itself. What moves in space does so in any direction, which is one carrier and not three.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial

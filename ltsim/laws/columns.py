@@ -6,8 +6,6 @@ Sarkka 2020, Hilbert space methods for reduced-rank Gaussian process regression,
 waves. Several length scales share the columns and differ in the variances; so does a random walk.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import cache
 from itertools import combinations_with_replacement

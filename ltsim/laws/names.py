@@ -1,7 +1,5 @@
 """Names that the catalogue has for laws: a vertical index that decays is `index-drift`; laws that look like cards."""
 
-from __future__ import annotations
-
 from ltsim.laws.drivers import CLOCKS
 from ltsim.laws.law import Law
 

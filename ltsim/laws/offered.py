@@ -5,8 +5,6 @@ value before, the change since, the sum of changes or of their sizes; what lags 
 or each target that was measured before. Each operator costs a constant of prior odds (`COST`), and so does a product.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import combinations
 

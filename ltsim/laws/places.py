@@ -1,7 +1,5 @@
 """Places where a law may act: set-ups, targets, and targets that belong together."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 

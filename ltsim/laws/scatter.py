@@ -1,7 +1,5 @@
 """Noise that no card describes: where it grows, and amounts that repeat; its carrier is the noise."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

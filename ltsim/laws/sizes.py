@@ -1,7 +1,5 @@
 """What a person asks of a law: how large, how sure, in which unit."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Laws in words: ``exp(-station-time / 8 min)``, ``a smooth function of time``; what is told can be read."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from dataclasses import replace

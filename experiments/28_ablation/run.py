@@ -1,0 +1,91 @@
+"""What does each part of the searched space give? Power of the search without it, beside the plain chi-square test."""
+
+import json
+from importlib import import_module
+
+import numpy as np
+
+import ltsim as lt
+from experiments.common import ROOT, Made, Options, Row, spread_out, write_figure, write_table
+from experiments.intervals import share
+from ltsim.adjustment import adjust
+from ltsim.arrays import Floats
+from ltsim.diagnosis.case import Case
+from ltsim.diagnosis.detect import detect
+from ltsim.diagnosis.evidence import log_average
+from ltsim.laws.drivers import Driver, base_of
+from ltsim.model.construction import stated_construction
+from ltsim.pages.figures.campaign import Swept, by_factor
+
+make = import_module("experiments.20_concealed_physics.make")
+WORK, LEVEL = ROOT / "build" / "ablation", 0.05
+WHOLE, CHI2, CARDS, NOISE = "the whole search", "chi-square alone", "cards", "noise"
+Part = tuple[str, str]
+Scored = tuple[float, Floats]
+
+
+def part_of(driver: Driver) -> str:
+    """A driver's operator, or how it is made of others; what has neither is a curve, a wave or a formula."""
+    if driver.kind == "product":
+        return "across the room" if any(f.kind == "field" for f in driver.factors) else "product"
+    memory = any(base_of(name) != name or name == "lapse" for name in driver.covariates)
+    return "memory" if memory and driver.kind != "lagging" else driver.kind
+
+
+def parts_of(case: Case) -> dict[Part, list[Scored]]:
+    """Log evidence of each part of the space, in the recording and in simulated ones (trials,)."""
+    searcher, space, bank = case.searcher, case.space, case.bank
+    values, chance = searcher.cards.score(searcher.probe)
+    own = np.append(bank.family_evidence(space.residual[:, None], space.redundancy)[:, 0], -np.inf)
+    drawn = bank.family_evidence(searcher.probe.trials.astype(np.float64), space.redundancy)
+    share, families = searcher.of_a_card, searcher.cards.family_evidence(values)
+    found = {(CARDS, CARDS): [(float(log_average(families + share)), log_average(chance + share))],
+             (NOISE, NOISE): [(float(log_average(own)), log_average(drawn))]}  # fmt: skip
+    for panel in searcher.panels:
+        part = panel.carriers[0].kind, part_of(panel.drivers[0])
+        found.setdefault(part, []).append(panel.score(searcher.probe)[1:])
+    return found
+
+
+def p_value(parts: list[Scored]) -> float:
+    """Chance of as much evidence in a clean recording: its rank among simulated ones."""
+    own, null = log_average(np.array([one for one, _ in parts])), log_average(np.stack([n for _, n in parts]))
+    return float((np.sum(null >= own) + 1) / (len(null) + 1))
+
+
+def chances(name: str) -> dict[str, float]:
+    """The p-value of the search, whole and without each part, and of chi-square alone."""
+    recording = lt.read(WORK / make.RECORDINGS / name)
+    adjusted = adjust(recording, stated_construction(recording))
+    case = Case(adjusted, adjusted.problem.use, seed=0)
+    parts = parts_of(case)
+    told = {
+        CHI2: detect(case.searcher, case.bank).chi2_p_value,
+        WHOLE: p_value([s for some in parts.values() for s in some]),
+    }
+    for at, words in ((0, "carrier"), (1, "driver")):
+        for dropped in sorted({part[at] for part in parts}):
+            what = dropped if dropped in (CARDS, NOISE) else f"{words} {dropped}"
+            told[f"without {what}"] = p_value([s for k, some in parts.items() if k[at] != dropped for s in some])
+    return told
+
+
+def run(given: Options) -> Made:
+    cases = make.read_plan(given.here / "plan.toml")
+    seal = make.make(cases, WORK, given.jobs)
+    truth = json.loads((WORK / make.TRUTH).read_text(encoding="utf-8"))
+    told = spread_out(chances, [(name,) for name in truth], given.jobs)
+    rows: list[Row] = []
+    for what in dict.fromkeys(key for one in told for key in one):
+        for strength in sorted({t["strength"] for t in truth.values()}):
+            some = [(one.get(what, one[WHOLE]) <= LEVEL, t["law"] or t["name"])
+                    for one, t in zip(told, truth.values(), strict=True) if t["strength"] == strength]  # fmt: skip
+            rows.append({"search": what, "strength": strength} | share(*zip(*some, strict=True)))
+    write_table(given.out / "power.csv", rows)
+    power = {what: sum(r["share"] for r in rows if r["search"] == what and r["strength"]) for what in told[0]}
+    drawn = [WHOLE, CHI2, *sorted((w for w in power if w not in (WHOLE, CHI2)), key=power.__getitem__)[:3]]
+    lines = [Swept(r["strength"], r["search"], "", *(100 * r[k] for k in ("share", "low", "high", "share", "share")))
+             for r in rows if r["search"] in drawn and r["strength"]]  # fmt: skip
+    axis = "strength: noncentrality left by least squares"
+    write_figure(given.out / "power.svg", by_factor(lines, label="share of laws found at 5 % [%]", axis=axis))
+    return Made(cases[0].seed, more={"truth_sha256": seal})
