@@ -35,6 +35,8 @@ def parallel(
 ) -> Iterator[Result]:
     """Results of a function, call by call, from `jobs` processes; in this one where that is one.
 
+    Raises WorkerError when a process ends before its work.
+
     Parameters
     ----------
     function : callable
@@ -46,11 +48,6 @@ def parallel(
         In the order of the calls; else as they come.
     batch : int
         Calls that travel together.
-
-    Raises
-    ------
-    WorkerError
-        When a process ends before its work.
     """
     if jobs == 1:
         return (function(*arguments) for arguments in calls)

@@ -34,10 +34,7 @@ def entry(name: str, group: str, error: float, limit: float, expanded: float = f
 def read_measured(file: Path, tests: Sequence[Test], limits: Floats) -> list[TestEntry]:
     """Errors of a CSV with the columns ``test``, ``error_um`` and, where it is known, ``U_um``.
 
-    Raises
-    ------
-    SetupError
-        When a test is none of the plan or stands there twice, or a field is no number.
+    Raises SetupError when a test is none of the plan or stands there twice, or a field is no number.
     """
     place = {test.name: i for i, test in enumerate(tests)}
     found: dict[str, TestEntry] = {}
@@ -62,13 +59,9 @@ def read_measured(file: Path, tests: Sequence[Test], limits: Floats) -> list[Tes
 def by_network(recording: Recording, specification: Specification) -> list[TestEntry]:
     """Lengths of a network as each station reads them, against the network's own, and differences of two faces.
 
-    The network is adjusted together with the instrument's constants, which gives lengths that are free of them; what
-    a station reads between two targets, as read and in one face, is then compared with these.
-
-    Raises
-    ------
-    NetworkError
-        When the network has one station only (nothing is known apart from the readings), or cannot be adjusted.
+    The network is adjusted together with the instrument's constants, which gives lengths that are free of them; what a
+    station reads between two targets, as read and in one face, is then compared with these. Raises NetworkError when
+    the network has one station only (nothing is known apart from the readings), or cannot be adjusted.
 
     References
     ----------

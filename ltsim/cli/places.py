@@ -38,7 +38,7 @@ def claim(
 ) -> None:
     """Make sure that a result and the files beside it replace nothing but an older result of the same verb.
 
-    The folder is new, empty or holds what commands of ltsim wrote, and folders.
+    The folder is new, empty or holds what commands of ltsim wrote, and folders. Raises RecordError.
 
     Parameters
     ----------
@@ -51,10 +51,6 @@ def claim(
         Replace whatever is there.
     own : callable
         Whether a result that is there comes from this verb, where several verbs write the same file.
-
-    Raises
-    ------
-    RecordError
     """
     if folder is None or force:
         return

@@ -1,5 +1,3 @@
-"""Beam offset."""
-
 from ltsim.effects.effect import Parameter, SlotEffect, Stage, Term
 from ltsim.units import MICROMETRE
 

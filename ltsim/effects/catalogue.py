@@ -154,13 +154,7 @@ class Catalogue(Sequence[type[Effect]]):
         return tuple(entry.kind for entry in self.entries.values() if entry.group == SESSION)
 
     def find(self, name: str) -> type[Effect]:
-        """The effect called `name`.
-
-        Raises
-        ------
-        ModelError
-            When there is none; the message names the closest ones.
-        """
+        """The effect called `name`; raises ModelError when there is none; the message names the closest ones."""
         entry = self._shipped.get(name) or self.entries.get(name)
         if entry is None:
             raise unknown_name("effect", name, self.entries)

@@ -47,10 +47,7 @@ class Frame:
 def frame_of(gauge: Gauge) -> Frame:
     """The frame that has the gauge's lengths.
 
-    Raises
-    ------
-    SetupError
-        When a length is missing, twice there, or no frame in space has these lengths.
+    Raises SetupError when a length is missing, twice there, or no frame in space has these lengths.
     """
     names = gauge.targets
     pairs = list(combinations(range(len(names)), 2))

@@ -41,10 +41,7 @@ def planned_construction(scenario: Scenario) -> Construction:
 def instrument_law(scenario: Scenario, construction: Construction) -> tuple[Floats, Floats]:
     """Mean and standard deviation (I, p) [SI] from which each tracker's errors are drawn; those stated have none.
 
-    Raises
-    ------
-    SetupError
-        When an error is stated that the construction does not have.
+    Raises SetupError when an error is stated that the construction does not have.
     """
     laws = [_law(tracker, construction, name) for name, tracker in scenario.trackers.items()]
     return np.array([mean for mean, _ in laws]), np.array([sigma for _, sigma in laws])
@@ -87,10 +84,7 @@ def incidence_effect(smr: Smr) -> SmrIncidence:
 def effects_of(scenario: Scenario) -> tuple[Effect, ...]:
     """The scenario's effects in the order of its file; the reflectors' incidence error, if it is on, is the last.
 
-    Raises
-    ------
-    SetupError
-        Naming the entry and what would be right.
+    Raises SetupError, naming the entry and what would be right.
     """
     effects = [_effect_of(entry, i + 1) for i, entry in enumerate(scenario.effects)]
     if scenario.smr.incidence_error:

@@ -283,10 +283,7 @@ def read_truth(path: Path) -> Truth:
 def nominal_csv(truth: Truth) -> str:
     """The table ``target,x_mm,y_mm,z_mm`` of the measuring machine's points, which verification reads.
 
-    Raises
-    ------
-    ModelError
-        When the scenario has no measuring machine.
+    Raises ModelError when the scenario has no measuring machine.
     """
     if truth.nominal is None:
         raise ModelError("the scenario measured no nominal points; set nominal = true in its table [cmm]")

@@ -44,10 +44,7 @@ class Layout:
 def planned(scenario: Scenario) -> Layout:
     """The layout of a scenario, exactly as its file says; reflectors of the mesh first, then the gauge's.
 
-    Raises
-    ------
-    SetupError
-        When no gauge has the stated lengths.
+    Raises SetupError when no gauge has the stated lengths.
     """
     stations = scenario.stations.values()
     position = np.array([s.position_mm for s in stations], dtype=np.float64) * MILLIMETRE
@@ -125,10 +122,7 @@ def obstacles_of(scenario: Scenario) -> Obstacles | None:
 def bodies_of(scenario: Scenario) -> list[Body]:
     """Each obstacle in its place.
 
-    Raises
-    ------
-    SetupError
-        For a CAD file that cannot be read, or whose size or place has to be asked about.
+    Raises SetupError for a CAD file that cannot be read, or whose size or place has to be asked about.
     """
     room = np.array(scenario.workshop.size_mm) * MILLIMETRE
     parts = []

@@ -50,6 +50,8 @@ LEAST = {"line": 2, "plane": 3, "circle": 3, "sphere": 4, "cylinder": 5}
 def fit(kind: str, points: Floats, near: Feature | None = None) -> Feature:
     """The element of a kind that fits points (..., n, 3) [m] best.
 
+    Raises ModelError when the points do not determine the element.
+
     Parameters
     ----------
     kind : str
@@ -57,11 +59,6 @@ def fit(kind: str, points: Floats, near: Feature | None = None) -> Feature:
     points : (..., n, 3) float, [m]
     near : Feature, optional
         An element to start from, of one set of points; a cylinder is otherwise started from many axes.
-
-    Raises
-    ------
-    ModelError
-        When the points do not determine the element.
     """
     points = np.asarray(points, dtype=np.float64)
     if points.shape[-2] < LEAST[kind]:

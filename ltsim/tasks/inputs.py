@@ -69,12 +69,8 @@ class Inputs:
     def of(cls, recording: Recording, tasks: Tasks) -> Inputs:
         """Adjust a recording and trace the points of the tasks back to their sources.
 
-        Raises
-        ------
-        NetworkError, ConvergenceError
-            When the network cannot be solved.
-        ModelError, SetupError
-            When a target or an effect does not exist.
+        Raises NetworkError, ConvergenceError when the network cannot be solved; ModelError, SetupError when a target or
+        an effect does not exist.
         """
         construction = stated_construction(recording) if tasks.calibrate else ideal()
         found = adjust(recording, construction, robust=tasks.robust, datum=tasks.datum or None)

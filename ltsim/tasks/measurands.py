@@ -49,10 +49,7 @@ class Measurand:
     def of(cls, task: Task, targets: Sequence[str], points: Floats) -> Measurand:
         """The task on targets of a network at points (T, 3) [m].
 
-        Raises
-        ------
-        ModelError
-            When a target does not exist, was not determined, or the points do not determine the feature.
+        Raises ModelError when a target does not exist, was not determined, or the points do not determine the feature.
         """
         for name in task.targets:
             if name not in targets:

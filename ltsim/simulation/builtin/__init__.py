@@ -19,10 +19,7 @@ def builtin_names() -> tuple[str, ...]:
 def builtin_path(name: str) -> Path:
     """The file of a built-in scenario.
 
-    Raises
-    ------
-    SetupError
-        When there is none of this name; the message names the closest ones.
+    Raises SetupError when there is none of this name; the message names the closest ones.
     """
     known = builtin_names()
     if name not in known:
