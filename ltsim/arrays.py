@@ -1,7 +1,5 @@
 """Array aliases and the checks made at the doors of a room."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 

@@ -5,8 +5,6 @@ written as an expanded uncertainty with its factor, `U = b (k = 2)`, or as an in
 `um` into their signs.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """Work in several processes of this machine that end with the one that started them, however that ends."""
 
-from __future__ import annotations
-
 import os
 import struct
 import tempfile

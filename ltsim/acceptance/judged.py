@@ -1,7 +1,5 @@
 """Errors that were measured, against the maker's limits: of calibrated lengths, or of one's own network."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import combinations
 from pathlib import Path

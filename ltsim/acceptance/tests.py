@@ -1,7 +1,5 @@
 """Test plans: which lengths and which two-face targets stand where, in the instrument's frame (z up, its head at 0)."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path

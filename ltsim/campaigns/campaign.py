@@ -5,8 +5,6 @@ the same versions: the compiler and the matrix library choose their instructions
 bit of a sum. The manifest names type and versions.
 """
 
-from __future__ import annotations
-
 import platform
 import subprocess
 from collections.abc import Callable, Iterator, Mapping, Sequence

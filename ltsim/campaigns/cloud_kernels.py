@@ -4,8 +4,6 @@ The same quantities as in `ltsim.evaluation`, trials last. Rigid fits start from
 errors, so Newton's method on the rotation replaces the singular value decomposition: three steps reach rounding.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from ltsim.arrays import Bools, Floats, Ints

@@ -1,7 +1,5 @@
 """The columns of a campaign's rows: the settings of the cell beside the results, each with its unit in the file."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

@@ -9,8 +9,6 @@ the program may be longer than what the matrices of two trials differ by. Equati
 zero that changes a compared distance at all; weak ones move far, so each step takes the trial's own matrix too.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 

@@ -3,8 +3,6 @@
 The same quantities as in `ltsim.evaluation`, which judges one recording at a time and is what this is tested against.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property

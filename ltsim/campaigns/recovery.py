@@ -16,8 +16,6 @@ A calibrator of one's own is not known to use a prior: with drawn errors its z-s
 stated ones its intervals have to hold them. Chi-square, targets and stations are checked of ltsim's own alone.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """The rows of a shard: trials drawn, calibrated by every method on the same draws, judged."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator, Sequence
 from contextlib import suppress

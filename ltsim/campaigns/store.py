@@ -11,8 +11,6 @@ depend on settings and versions alone. Every reader compares its digest first; w
 the checksums of its pages and its label are compared.
 """
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import fcntl

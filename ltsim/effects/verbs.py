@@ -1,7 +1,5 @@
 """The catalogue of physical effects, to look at and add to; an effect from its name, its places and its constants."""
 
-from __future__ import annotations
-
 import dataclasses
 import inspect
 from collections.abc import Callable, Mapping, Sequence

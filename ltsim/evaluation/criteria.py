@@ -5,8 +5,6 @@ while section 3.2.1 takes deviations from the mean over stations; both are here,
 the mean-based one behind the paper's Table 3, `distance_to_first` the other.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import pairwise

@@ -6,8 +6,6 @@ true parameters would remove, the correctable one. In mean squares they add, so 
 for a calibrator that found the truth, 0 for one that did nothing, negative for one that did harm.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

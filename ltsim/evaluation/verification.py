@@ -6,8 +6,6 @@ coordinates in the CMM's frame after a rigid fit of each station. Before: an ide
 parameters of a calibration.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -4,8 +4,6 @@ glTF states metres and y up; STEP and IGES state their unit; STL, OBJ and PLY st
 with z up. What a file was taken for is told, and a body of an unlikely size or place is a question, not a body.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import tempfile

@@ -1,7 +1,5 @@
 """Where everything truly stands, and the pointings in the order of the work: the part of a trial that may be kept."""
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import dataclass, replace
 from functools import cached_property

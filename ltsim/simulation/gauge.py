@@ -1,7 +1,5 @@
 """The gauge: points of a rigid frame from the lengths between them, and what a measuring machine says of it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import combinations
 from types import MappingProxyType

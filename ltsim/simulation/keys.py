@@ -1,7 +1,5 @@
 """Dotted keys of a scenario: what kind of value each takes and in which unit, and values that carry their unit."""
 
-from __future__ import annotations
-
 from typing import Any, Literal
 
 from ltsim.effects import find_effect

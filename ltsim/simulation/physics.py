@@ -1,7 +1,5 @@
 """What is wrong with the instrument and the surroundings of a scenario: constructions, effects, and their laws."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ltsim.arrays import Floats

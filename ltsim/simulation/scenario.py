@@ -1,7 +1,5 @@
 """A scenario: everything a simulation needs but the seed, as a file a person can read and edit."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from itertools import chain
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The simulator: a scenario, a seed and a trial's number give a recording, and apart from it the truth."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from itertools import combinations
 from typing import Any, Literal

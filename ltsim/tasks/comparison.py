@@ -6,8 +6,6 @@ Pelzer, Zur Analyse geodaetischer Deformationsmessungen (1971): the congruence t
 Baarda, A testing procedure for use in geodetic networks (1968): the single hypotheses and their smallest visible size.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property

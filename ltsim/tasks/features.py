@@ -9,8 +9,6 @@ Forbes, Least-squares best-fit geometric elements, NPL report DITC 140/89 (1989)
 Shakarji, J. Res. NIST 103 (1998) 633: objective functions and Gauss-Newton iterations of the same elements.
 """
 
-from __future__ import annotations
-
 from dataclasses import astuple, dataclass
 
 import numpy as np

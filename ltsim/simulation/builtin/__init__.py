@@ -1,7 +1,5 @@
 """The scenarios that come with ltsim: their names and files, without loading what reads them."""
 
-from __future__ import annotations
-
 import difflib
 from importlib.resources import files
 from pathlib import Path
