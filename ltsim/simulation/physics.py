@@ -5,13 +5,13 @@ import numpy as np
 from ltsim.arrays import Floats
 from ltsim.effects import BASELINE
 from ltsim.effects.effect import Effect
-from ltsim.effects.noise import white_noise_sigma
 from ltsim.effects.smr_incidence import SmrIncidence
 from ltsim.errors import ModelError, SetupError
 from ltsim.model.construction import Construction, construction, dh, misalignment
+from ltsim.recording.recording import noise_sigma
 from ltsim.scene.sightings import Sightings
 from ltsim.simulation.scenario import Scenario, table_name
-from ltsim.simulation.sections import EffectEntry, Instrument, Smr
+from ltsim.simulation.sections import EffectEntry, Instrument
 from ltsim.units import ARCSECOND, DEGREE, MICROMETRE
 
 
@@ -63,7 +63,8 @@ def stated_noise(scenario: Scenario, sightings: Sightings) -> Floats:
     """True standard deviation (n, 3) [m, rad, rad] of the white noise: what each maker states, times the factor."""
     trackers = scenario.trackers.values()
     factor = np.array([tracker.noise_factor for tracker in trackers])[sightings.instrument]
-    return factor[:, None] * white_noise_sigma(sightings, [tracker.noise for tracker in trackers])
+    noise = [tracker.noise for tracker in trackers]
+    return factor[:, None] * noise_sigma(noise, sightings.instrument, sightings.range_, sightings.elevation)
 
 
 def resolution_of(scenario: Scenario) -> Floats:
@@ -73,10 +74,10 @@ def resolution_of(scenario: Scenario) -> Floats:
     return np.array([[step.distance_um, step.angle_arcsec, step.angle_arcsec] for step in steps]) * units
 
 
-def incidence_effect(smr: Smr) -> SmrIncidence:
-    """The reflectors' error against incidence, by the scenario's table."""
-    table = tuple(x * MICROMETRE for x in smr.table_um)
-    return SmrIncidence(table=table, direction=smr.direction_deg * DEGREE)
+def quantised(readings: Floats, step: Floats) -> Floats:
+    """Readings (n, 3) rounded to whole steps (3,) or (n, 3) [m, rad, rad]; a step of 0 leaves them."""
+    step = np.broadcast_to(step, readings.shape)
+    return np.where(step > 0.0, step * np.round(readings / np.where(step > 0.0, step, 1.0)), readings)
 
 
 def effects_of(scenario: Scenario) -> tuple[Effect, ...]:
@@ -85,8 +86,9 @@ def effects_of(scenario: Scenario) -> tuple[Effect, ...]:
     Raises SetupError, naming the entry and what would be right.
     """
     effects = [_effect_of(entry, i + 1) for i, entry in enumerate(scenario.effects)]
-    if scenario.smr.incidence_error:
-        effects.append(incidence_effect(scenario.smr))
+    if (smr := scenario.smr).incidence_error:
+        table = tuple(x * MICROMETRE for x in smr.table_um)
+        effects.append(SmrIncidence(table=table, direction=smr.direction_deg * DEGREE))
     return tuple(effects)
 
 

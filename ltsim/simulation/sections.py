@@ -8,7 +8,6 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Field, StrictBool, model_validator
 
 from ltsim.effects.effect import Effect
-from ltsim.effects.noise import PAPER_ANGLE_ARCSEC, PAPER_DISTANCE_UM
 from ltsim.effects.smr_incidence import PAPER_TABLE, TABLE_ANGLES
 from ltsim.effects.verbs import Sized, effect_from, shape_of
 from ltsim.errors import ModelError, SetupError
@@ -129,11 +128,11 @@ class Placing(Section):
 
 
 class Resolution(Section):
-    """Smallest steps of the readings; 0 for none."""
+    """Smallest steps of the readings; 0 for none, by default the paper's (section 2.1.1)."""
 
-    distance_um: NonNegative = PAPER_DISTANCE_UM
+    distance_um: NonNegative = 0.1
     """Of a range."""
-    angle_arcsec: NonNegative = PAPER_ANGLE_ARCSEC
+    angle_arcsec: NonNegative = 0.018
     """Of both angles."""
 
 

@@ -8,7 +8,6 @@ import numpy as np
 
 from ltsim.arrays import Floats
 from ltsim.effects.effect import Effect, Mistake, NoiseEffect
-from ltsim.effects.noise import quantised
 from ltsim.geometry.polar import wrap
 from ltsim.recording.lengths import KnownLengths
 from ltsim.recording.recording import OBSERVABLES, REFLECTOR_COLUMN, Recording
@@ -27,7 +26,7 @@ from ltsim.recording.setup import (
 from ltsim.simulation.draws import Normal, Population, effect_laws
 from ltsim.simulation.fieldwork import Fieldwork, balls_of, fieldwork
 from ltsim.simulation.gauge import length_sigma, nominal_points
-from ltsim.simulation.physics import instrument_law, resolution_of, stated_noise
+from ltsim.simulation.physics import instrument_law, quantised, resolution_of, stated_noise
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.sections import Instrument as Tracker
 from ltsim.simulation.truth import AppliedEffect, TrackerTruth, Truth
