@@ -95,8 +95,8 @@ class BatchDistance(Engine):
     @cached_property
     def _membership(self) -> tuple[Ints, Bools, Floats, Ints]:
         """Set of each pointing, what each set saw, each pointing's share in its mean, pairs of the gauge."""
-        recording, gauge, sets = self.truth.recording, self.problem.gauge, self.problem.sets
-        seen, share = members(sets, recording, recording.measured.all(axis=1))
+        gauge, sets = self.problem.gauge, self.problem.sets
+        seen, share = members(self.truth, sets)
         return sets, seen, share, np.stack([gauge.first, gauge.second], axis=1).reshape(-1, 2)
 
     def together(self, block: Block, wanted: Ints) -> tuple[Calibrated, Bools]:

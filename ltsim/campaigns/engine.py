@@ -113,9 +113,10 @@ def placed_on(adjustment: Adjustment, goal: Floats) -> Floats:
     return min(hands, key=lambda moved: float(np.nansum((moved - goal) ** 2)))
 
 
-def members(sets: Ints, recording: Recording, whole: Bools) -> tuple[Bools, Floats]:
+def members(truth: Truth, sets: Ints) -> tuple[Bools, Floats]:
     """Which set (O, T) of the pointings (n,) saw which target whole, and the share (n,) of each in its set's mean."""
-    targets = len(recording.targets)
+    recording, targets = truth.recording, len(truth.recording.targets)
+    whole = np.asarray(recording.measured.all(axis=1) & truth.recorded.all())
     key = sets * targets + recording.target
     count = np.bincount(key[whole], minlength=(int(sets.max()) + 1) * targets)
     return count.reshape(-1, targets) > 0, np.where(whole, 1.0 / np.maximum(count[key], 1), 0.0)

@@ -43,8 +43,7 @@ class Judge:
 
     @cached_property
     def _means(self) -> tuple[Bools, Floats]:
-        recording = self.truth.recording
-        return members(recording.station, recording, recording.measured.all(axis=1) & self.truth.recorded.all())
+        return members(self.truth, self.truth.recording.station)
 
     @property
     def seen(self) -> Bools:

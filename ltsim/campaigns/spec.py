@@ -1,14 +1,12 @@
 """The campaign file (ltsim-campaign/1): a base scenario, what varies, what is compared, how many trials."""
 
-from __future__ import annotations
-
 import hashlib
 import itertools
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -60,7 +58,7 @@ class Method(Section):
         return self.name or self.method
 
     @model_validator(mode="after")
-    def _effects_need_the_network(self) -> Method:
+    def _effects_need_the_network(self) -> Self:
         if self.effects and self.method != "network":
             raise ValueError(f"it should have no effects: method {self.method} estimates instrument parameters only")
         if self.applied and (self.effects or self.method != "network" or self.solver != "single"):
@@ -133,7 +131,7 @@ class Campaign(Section):
     """The calibrators to compare, tables `[[methods]]`."""
 
     @model_validator(mode="after")
-    def _names_differ(self) -> Campaign:
+    def _names_differ(self) -> Self:
         titles = [method.title for method in self.methods]
         if not titles or len(set(titles)) < len(titles):
             raise ValueError(f"it should hold methods with different names, found {', '.join(titles) or 'none'}")
@@ -142,7 +140,7 @@ class Campaign(Section):
         return self
 
     @model_validator(mode="after")
-    def _stops_by_what_rows_hold(self) -> Campaign:
+    def _stops_by_what_rows_hold(self) -> Self:
         known = column_of(self.stop.statistic) if self.stop else None
         wanted = known and known.group
         if self.stop and wanted and wanted not in self.statistics:
@@ -150,7 +148,7 @@ class Campaign(Section):
         return self
 
     @model_validator(mode="after")
-    def _each_key_once(self) -> Campaign:
+    def _each_key_once(self) -> Self:
         places = [*self.grid, *(self.design.ranges if self.design else ())]
         keys = [key for name in places for key in self.link.get(name, (name,))]
         twice = next((key for key in keys if keys.count(key) > 1), None)
@@ -159,7 +157,7 @@ class Campaign(Section):
         return self
 
     @model_validator(mode="after")
-    def _of_a_size_that_can_be_kept(self) -> Campaign:
+    def _of_a_size_that_can_be_kept(self) -> Self:
         cells = max(len(self.cells), 1) * math.prod(len(values) for values in self.grid.values())
         cells *= self.design.cells if self.design else 1
         if cells > MOST_CELLS:

@@ -1,9 +1,8 @@
 """Scene, construction and effects give predicted readings and their derivatives."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 
@@ -35,9 +34,9 @@ class State:
     extra: Floats = field(default_factory=lambda: np.zeros(0))
     """(q,): parameters of the further effects."""
 
-    def moved(self, pose: Floats, points: Floats, instrument: Floats, extra: Floats) -> State:
+    def moved(self, pose: Floats, points: Floats, instrument: Floats, extra: Floats) -> Self:
         """The state after increments; `pose` (S, 6) is translation, then rotation vector in the network frame."""
-        return State(
+        return type(self)(
             self.position + pose[:, :3],
             from_rotation_vector(pose[:, 3:]) @ self.rotation,
             self.points + points,

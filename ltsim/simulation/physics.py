@@ -7,7 +7,7 @@ from ltsim.effects import BASELINE
 from ltsim.effects.effect import Effect
 from ltsim.effects.smr_incidence import SmrIncidence
 from ltsim.errors import ModelError, SetupError
-from ltsim.model.construction import Construction, construction, dh, misalignment
+from ltsim.model.construction import Construction, built_as, misalignment
 from ltsim.recording.recording import noise_sigma
 from ltsim.scene.sightings import Sightings
 from ltsim.simulation.scenario import Scenario, table_name
@@ -18,9 +18,7 @@ from ltsim.units import ARCSECOND, DEGREE, MICROMETRE
 def construction_of(scenario: Scenario) -> Construction:
     """The construction of the scenario's trackers, which is one for all."""
     instrument = next(iter(scenario.trackers.values()))
-    if instrument.construction == "dh":
-        return dh(instrument.harmonics, instrument.degree)
-    return construction(instrument.construction)
+    return built_as(instrument.construction, instrument.harmonics, instrument.degree)
 
 
 def planned_construction(scenario: Scenario) -> Construction:

@@ -1,9 +1,8 @@
 """The workshop as planned: poses, points, nests, obstacles, and who sees whom."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -36,7 +35,7 @@ class Layout:
     reaimed: Bools
     """(T,)."""
 
-    def at(self, position: Floats, rotation: Floats, points: Floats) -> Layout:
+    def at(self, position: Floats, rotation: Floats, points: Floats) -> Self:
         """The same layout with everything where it truly stands."""
         return replace(self, position=position, rotation=rotation, points=points)
 

@@ -128,11 +128,11 @@ def test_verification_against_nominal_points_in_another_frame() -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("target,x_mm,y_mm\nT1,1,2\n", "there is no column z_mm"),
-        ("target,x_mm,y_mm,z_mm\nT1,1,2,abc\n", "row 1, column z_mm: 'abc' is no number"),
-        ("target,x_mm,y_mm,z_mm\nT1,1,2\n", "row 1: a coordinate is missing"),
-        ("target,x_mm,y_mm,z_mm\nT1,1,2,3\nT1,1,2,3\n", "row 2, column target: target 'T1'"),
-        ("target,x_mm,y_mm,z_mm\n", "no nominal points"),
+        ("target,x_mm,y_mm\nT1,1,2\n", "row 2: a coordinate is missing"),
+        ("target,x_mm,y_mm,z_mm\nT1,1,2,abc\n", "row 2, column z_mm: found 'abc', expected a number"),
+        ("target,x_mm,y_mm,z_mm\nT1,1,2,\n", "row 2: a coordinate is missing"),
+        ("target,x_mm,y_mm,z_mm\nT1,1,2,3\nT1,1,2,4\n", "row 3: the point T1"),
+        ("target,x_mm,y_mm,z_mm\n", "holds no points"),
         (None, "there is no such file"),
     ],
 )
