@@ -101,12 +101,7 @@ def installed() -> list[EntryPoint]:
 class Catalogue(Sequence[type[Effect]]):
     """Every effect: those of `shipped` in their order, then the added ones in the order of their names.
 
-    Parameters
-    ----------
-    shipped : mapping of str to tuple of type
-        Effects by group.
-    points : callable
-        Gives the entry points of packages.
+    `shipped` are effects by group, `points` gives the entry points of packages.
     """
 
     def __init__(

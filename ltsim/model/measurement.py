@@ -235,13 +235,7 @@ def plan_rotation(recording: Recording, position: Floats, rotation: Floats) -> F
 
     The stations' rough positions (three or more, off one line) say it; otherwise their yaws. With control points both
     frames are one, and nothing better is known where the set-up is silent: then it is the identity.
-
-    Parameters
-    ----------
-    recording : Recording
-    position : (S, 3) float, [m]
-    rotation : (S, 3, 3) float
-        Instrument frame to network frame.
+    Stations stand at `position` (S, 3) [m], `rotation` (S, 3, 3) turns their frames into the network's.
     """
     if any(recording.target_setup(name).known_mm is not None for name in recording.targets):
         return np.eye(3)

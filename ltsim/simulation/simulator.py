@@ -92,14 +92,8 @@ def population_of(work: Fieldwork, blank: Recording) -> Population:
 def simulate_readings(work: Fieldwork, instrument: Floats, values: tuple[Floats, ...], noise: Floats) -> Floats:
     """Raw readings (n, 3) of the fieldwork: exact, with noise, rounded; NaN for what is not recorded.
 
-    Parameters
-    ----------
-    work : Fieldwork
-    instrument : (I, p) float, [SI]
-        Of the trackers of the scenario.
-    values : tuple of (q,) float, [SI]
-        One an effect of `work.effects`.
-    noise : (n, 3) float, [m, rad, rad]
+    `instrument` (I, p) [SI] is of the scenario's trackers, `values` (q,) [SI] one an effect of `work.effects`, `noise`
+    (n, 3) [m, rad, rad] of the readings.
     """
     readings = exact_readings(work, instrument, values) + noise
     readings[:, 1] = wrap(readings[:, 1])

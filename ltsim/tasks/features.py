@@ -46,17 +46,10 @@ LEAST = {"line": 2, "plane": 3, "circle": 3, "sphere": 4, "cylinder": 5}
 
 
 def fit(kind: str, points: Floats, near: Feature | None = None) -> Feature:
-    """The element of a kind that fits points (..., n, 3) [m] best.
+    """The element that fits points (..., n, 3) [m] best: line, plane, circle, sphere or cylinder.
 
-    Raises ModelError when the points do not determine the element.
-
-    Parameters
-    ----------
-    kind : str
-        ``line``, ``plane``, ``circle``, ``sphere`` or ``cylinder``.
-    points : (..., n, 3) float, [m]
-    near : Feature, optional
-        An element to start from, of one set of points; a cylinder is otherwise started from many axes.
+    It is started `near` an element of one set of points; a cylinder without one from many axes. Raises ModelError when
+    the points do not determine the element.
     """
     points = np.asarray(points, dtype=np.float64)
     if points.shape[-2] < LEAST[kind]:
