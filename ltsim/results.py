@@ -366,7 +366,6 @@ def _kind_of(column: Sequence[Any]) -> Kind:
 
 
 def _value(column: Column, cell: str, file: object, row: int) -> Any:
-    """What a cell of a CSV file says."""
     if column.kind == "text":
         return plain(cell)
     if column.kind == "flag":

@@ -205,7 +205,6 @@ def _check_same(store: Store) -> list[str]:
 
 
 def _versions() -> dict[str, str]:
-    """Versions of everything that decides a row's bytes."""
     return {"python": platform.python_version()} | {name: version(name) for name in DECIDING}
 
 

@@ -30,7 +30,6 @@ def parameter_units(campaign: Campaign, true: Construction, effects: Sequence[Ef
 
 
 def _metadata(name: str, parameters: Mapping[str, str]) -> dict[str, str]:
-    """Unit and meaning of a column of the rows."""
     known = column_of(name)
     if known is None:
         return {"unit": "", "meaning": ""}

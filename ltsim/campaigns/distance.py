@@ -171,7 +171,6 @@ class BatchDistance(Engine):
         return rows.residual[:, None] + rows.compare @ change + by_gauge @ stated
 
     def _adjusted(self, block: Block, values: Floats) -> BatchFit:
-        """The network of the corrected readings."""
         deviation = block.deviation
         points = np.empty(deviation.shape)
         points_of(self._program, self.truth.recording.instrument, deviation, values, points)

@@ -168,7 +168,6 @@ class Recovery(Result):
         return found if self.tolerance else found + self._whole(level)
 
     def _whole(self, level: float) -> list[Check]:
-        """Checks of the whole network."""
         parts, found = [trial.network for trial in self.converged], []
         if all(np.isfinite(part.expected) for part in parts):
             chi2, expected, spread = (np.array([getattr(p, n) for p in parts]) for n in ("chi2", "expected", "spread"))

@@ -240,7 +240,6 @@ class Work:
         return columns
 
     def _elsewhere(self, found: Calibrated, calibrator: Calibrator) -> Columns:
-        """Errors of new points."""
         if self.new_points is None:
             return {}
         there, block, before = self.new_points

@@ -203,14 +203,22 @@ class Campaign(Section):
 
 
 def load_campaign(path: Path, changes: Mapping[str, Any] | None = None) -> tuple[Campaign, tuple[Scenario, ...]]:
-    """A campaign file, and the scenario of each of its cells; raises SetupError.
+    """A campaign file, and the scenario of each of its cells, of a file beside it; raises SetupError.
 
     `changes` are new values of keys of the file (`trials`) or dotted keys of the scenario, which then do not vary.
     """
     campaign = load_settings(path, Campaign, "campaign")
     if changes:
         campaign = overridden(campaign, changes, path)
-    return campaign, scenarios_of(campaign, path)
+    base = load_scenario(beside(campaign.scenario, path) or campaign.scenario)
+    common = {key: quantity(base, key, value, str(path)) for key, value in campaign.by_key(campaign.settings).items()}
+    units = changed(base, common, path)  # with the effects that the settings add
+    made = []
+    for number, own in enumerate(campaign.combinations(), start=1):
+        where = f"{path}: cell {number}"
+        inside = {key: quantity(units, key, value, where) for key, value in own.items()}
+        made.append(changed(base, inside, path, where))
+    return campaign, tuple(made)
 
 
 def overridden(campaign: Campaign, changes: Mapping[str, Any], path: Path) -> Campaign:
@@ -227,19 +235,6 @@ def overridden(campaign: Campaign, changes: Mapping[str, Any], path: Path) -> Ca
             tables["settings"][key] = value
     with as_setup_error():
         return checked(tables, Campaign, "campaign", path)
-
-
-def scenarios_of(campaign: Campaign, path: Path) -> tuple[Scenario, ...]:
-    """The scenario of each cell; a scenario that is a file is looked for beside the campaign's."""
-    base = load_scenario(beside(campaign.scenario, path) or campaign.scenario)
-    common = {key: quantity(base, key, value, str(path)) for key, value in campaign.by_key(campaign.settings).items()}
-    units = changed(base, common, path)  # with the effects that the settings add
-    made = []
-    for number, changes in enumerate(campaign.combinations(), start=1):
-        where = f"{path}: cell {number}"
-        inside = {key: quantity(units, key, value, where) for key, value in changes.items()}
-        made.append(changed(base, inside, path, where))
-    return tuple(made)
 
 
 @dataclass(frozen=True)
@@ -261,8 +256,9 @@ def cells_of(
     campaign: Campaign, scenarios: Sequence[Scenario], path: Path
 ) -> tuple[tuple[Factor, ...], tuple[Cell, ...]]:
     """What differs between cells, and the cells; raises SetupError."""
-    factors, common = campaign.factors(scenarios[0]), _deciding(campaign)
-    cells = []
+    factors, cells = campaign.factors(scenarios[0]), []
+    deciding = {"seed", "shard", "geometry", "verify", "methods", "judge_drift"}
+    common = campaign.model_dump_json(include=deciding, by_alias=True)
     for scenario, settings in zip(scenarios, campaign.combinations(), strict=True):
         tables = scenario.model_dump(mode="json", by_alias=True)
         judge = judge_of(campaign.judge_in, scenario, path) if campaign.judge_in else None
@@ -271,13 +267,6 @@ def cells_of(
         mark = hashlib.sha256("\n".join([common, *places]).encode()).hexdigest()
         cells.append(Cell(scenario, judge, settings, levels, mark))
     return factors, tuple(cells)
-
-
-def _deciding(campaign: Campaign) -> str:
-    """The settings that decide the rows of every cell."""
-    return campaign.model_dump_json(
-        include={"seed", "shard", "geometry", "verify", "methods", "judge_drift"}, by_alias=True
-    )
 
 
 def judge_of(name: str, scenario: Scenario, path: Path) -> Scenario:

@@ -208,7 +208,6 @@ class Store:
 
 
 def _label(table: pa.Table) -> dict[str, str]:
-    """What a shard says of itself."""
     return json.loads((table.schema.metadata or {}).get(b"ltsim", b"{}"))
 
 

@@ -187,7 +187,6 @@ def catalogue(*names: str) -> Catalogue:
 
 
 def _meaning(effect: type[AnyEffect]) -> str:
-    """What the effect is, in a sentence."""
     return (inspect.getdoc(effect) or "").partition("\n")[0]
 
 

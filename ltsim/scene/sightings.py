@@ -280,7 +280,6 @@ class Sightings:
 
 
 def _places(names: Sequence[str]) -> dict[str, list[int]]:
-    """Where each name stands."""
     found: dict[str, list[int]] = {}
     for i, name in enumerate(names):
         found.setdefault(name, []).append(i)

@@ -67,7 +67,21 @@ def measure(
 
 def error_free(work: Fieldwork) -> Recording:
     """The recording of an ideal tracker and of exact certificates, with all that is stated."""
-    blank = exact_lengths(_without_lengths(work, work.sightings.raw), work)
+    s = work.sightings
+    bare = Recording(
+        setup=_setup(work),
+        stations=s.station_names,
+        targets=s.target_names,
+        station=s.station,
+        target=s.target,
+        face=s.face,
+        repeat=s.repeat,
+        time=s.time,
+        readings=s.raw,
+        covariates=s.covariates,
+        labels=_balls(work),
+    )
+    blank = exact_lengths(bare, work)
     return blank.replace(notes=(*work.notes, *_idle(work, KnownLengths.of(blank))))
 
 
@@ -123,23 +137,6 @@ def exact_readings(work: Fieldwork, instrument: Floats, values: tuple[Floats, ..
 def mistakes(effects: Sequence[Effect], values: Sequence[Floats]) -> list[Mistake]:
     """Blunders that were made: their one parameter is not 0."""
     return [e for e, made in zip(effects, values, strict=True) if isinstance(e, Mistake) and np.any(made[0])]
-
-
-def _without_lengths(work: Fieldwork, readings: Floats) -> Recording:
-    s = work.sightings
-    return Recording(
-        setup=_setup(work),
-        stations=s.station_names,
-        targets=s.target_names,
-        station=s.station,
-        target=s.target,
-        face=s.face,
-        repeat=s.repeat,
-        time=s.time,
-        readings=readings,
-        covariates=s.covariates,
-        labels=_balls(work),
-    )
 
 
 def _balls(work: Fieldwork) -> dict[str, tuple[str, ...]]:

@@ -153,7 +153,7 @@ def _place_question(entry: Obstacle, body: Body, cad: Cad, room: Floats) -> str:
     if entry.beyond_room or inside(body.triangles, room):
         return ""
     other = "z" if cad.up == "y" else "y"
-    turned = _in_place(entry, cad.of_other(up=other))
+    turned = _in_place(entry, cad.turned)
     size = " x ".join(f"{v:g}" for v in room)
     what = "reaches below the floor" if body.triangles[..., 2].min() < 0 else "reaches beyond the room"
     fits = f'with up = "{other}" it would stand in it' if inside(turned, room) else "move it by position_mm"

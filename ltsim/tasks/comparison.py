@@ -250,7 +250,6 @@ def _displacement(gap: Gap, i: int, name: str, moved: list[int], tested: int, le
 
 
 def _sentence(displacements: Sequence[Displacement]) -> str:
-    """The verdict."""
     size = {d.target: float(np.linalg.norm(d.shift_um)) for d in displacements if d.moved}
     if not size:
         sure = max(d.visible_um[1] for d in displacements)
