@@ -1,7 +1,5 @@
 """Array aliases and the checks made at the doors of a room."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -24,10 +22,7 @@ def side_by_side(*columns: Floats) -> Floats:
 def as_floats(values: ArrayLike, shape: tuple[int, ...], name: str) -> Floats:
     """Give `values` as a finite float array of `shape` (-1 stands for any length).
 
-    Raises
-    ------
-    ModelError
-        When the shape differs or a value is not finite; the message names the array.
+    Raises ModelError when the shape differs or a value is not finite; the message names the array.
     """
     array = np.asarray(values, dtype=np.float64)
     fits = array.ndim == len(shape) and all(want in (-1, have) for want, have in zip(shape, array.shape, strict=True))

@@ -1,7 +1,5 @@
 """Chances of tests: of both sides together, and as a person reads them."""
 
-from __future__ import annotations
-
 import math
 
 LEAST = 1e-6

@@ -11,8 +11,6 @@ A solver that does not converge raises nothing: it returns a `Solution` whose st
 and `Solution.require_success()` raises `ConvergenceError` for callers who want an exception.
 """
 
-from __future__ import annotations
-
 import difflib
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager

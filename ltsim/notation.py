@@ -5,8 +5,6 @@ written as an expanded uncertainty with its factor, `U = b (k = 2)`, or as an in
 `um` into their signs.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 
@@ -59,10 +57,7 @@ def decimals(sigma: float) -> int:
 def aligned(header: Sequence[str], rows: Sequence[Sequence[str]], left: int = 1) -> str:
     """Rows as aligned text, the first `left` columns to the left, the others to the right.
 
-    Raises
-    ------
-    ModelError
-        When a row is not as long as the header.
+    Raises ModelError when a row is not as long as the header.
     """
     if any(len(row) != len(header) for row in rows):
         raise ModelError("a row of a table is not as long as its header")

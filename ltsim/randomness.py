@@ -4,8 +4,6 @@ Whoever draws asks for a stream by what the draw is for: ``stream(seed, "truth",
 depends on its key alone, so neither the number of workers nor the list of effects can change it.
 """
 
-from __future__ import annotations
-
 import zlib
 from functools import lru_cache
 

@@ -133,13 +133,8 @@ def flags(**columns: str) -> tuple[Column, ...]:
 def columns_of(model: type[BaseModel], names: str = "", **more: Mapping[str, str]) -> tuple[Column, ...]:
     """The columns of a model whose fields are numbers, texts and flags, with what the model says of them.
 
-    Parameters
-    ----------
-    model : type of BaseModel
-    names : str
-        The fields in their order, with blanks between; default all.
-    **more
-        By a field's name what else its `Column` is to know: ``value={"sigma": "sigma"}``.
+    `names` are the fields in their order, with blanks between; default all. What else the `Column` of a field is to
+    know is said by its name: ``value={"sigma": "sigma"}``.
     """
     made = []
     for name in names.split() or model.model_fields:
@@ -371,7 +366,6 @@ def _kind_of(column: Sequence[Any]) -> Kind:
 
 
 def _value(column: Column, cell: str, file: object, row: int) -> Any:
-    """What a cell of a CSV file says."""
     if column.kind == "text":
         return plain(cell)
     if column.kind == "flag":

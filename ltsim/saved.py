@@ -4,8 +4,6 @@ The file is a ZIP archive: `result.json` holds the tree of objects, numpy's own 
 that the file names: only data classes, models and enumerations of modules that are loaded are filled in.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import io
 import json

@@ -4,8 +4,6 @@ A parameter declares the unit a person reads it in; `FACTOR[unit]` is that unit 
 ``shown = value / FACTOR[unit]``.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 import re

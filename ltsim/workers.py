@@ -1,7 +1,5 @@
 """Work in several processes of this machine that end with the one that started them, however that ends."""
 
-from __future__ import annotations
-
 import os
 import struct
 import tempfile
@@ -35,37 +33,19 @@ def parallel(
 ) -> Iterator[Result]:
     """Results of a function, call by call, from `jobs` processes; in this one where that is one.
 
-    Parameters
-    ----------
-    function : callable
-        Of a module: it travels by name.
-    calls : iterable of tuple
-        Arguments.
-    jobs : int
-    ordered : bool
-        In the order of the calls; else as they come.
-    batch : int
-        Calls that travel together.
-
-    Raises
-    ------
-    WorkerError
-        When a process ends before its work.
+    The function is one of a module: it travels by name. Results come in the order of the calls, or where they are not
+    to be `ordered` as they are ready; `batch` calls travel together. Raises WorkerError when a process ends before its
+    work.
     """
     if jobs == 1:
-        return (function(*arguments) for arguments in calls)
-    return _parallel(function, calls, min(jobs, MOST), ordered=ordered, batch=batch)
-
-
-def _parallel(
-    function: Callable[..., Result], calls: Iterable[tuple[Any, ...]], jobs: int, *, ordered: bool, batch: int
-) -> Iterator[Result]:
+        yield from (function(*arguments) for arguments in calls)
+        return
     from joblib import Parallel, delayed, parallel_config  # most runs need one process
     from joblib.externals.loky.process_executor import TerminatedWorkerError
 
     how = "generator" if ordered else "generator_unordered"
     with parallel_config(backend="loky", inner_max_num_threads=1):
-        pool = Parallel(n_jobs=jobs, return_as=how, batch_size=batch)
+        pool = Parallel(n_jobs=min(jobs, MOST), return_as=how, batch_size=batch)
     try:
         yield from pool(delayed(_watched)(os.getpid(), function, *arguments) for arguments in calls)
     except TerminatedWorkerError:

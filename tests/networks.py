@@ -8,7 +8,7 @@ import numpy as np
 
 from ltsim.arrays import Floats
 from ltsim.effects.effect import Effect
-from ltsim.evaluation.clouds import measured_points
+from ltsim.evaluation.clouds import measured_points, on_points
 from ltsim.evaluation.share_removed import ShareRemoved, cloud_error
 from ltsim.geometry.rotations import about_z
 from ltsim.model.construction import Construction, misalignment
@@ -128,3 +128,9 @@ def share_removed(
     """Errors of what the stations measured against true points (T, 3): raw, calibrated, with the true parameters."""
     sizes = (None, calibrated, true_parameters)
     return ShareRemoved(*(cloud_error(recording, measured_points(recording, construction, v), points) for v in sizes))
+
+
+def target_error(points: Floats, true_points: Floats) -> float:
+    """Rms [m] over targets (T, 3) of the distance of adjusted targets to the truth, after one rigid fit."""
+    gap = on_points(points, true_points) - true_points
+    return float(np.sqrt(np.nanmean(np.sum(gap**2, axis=1))))

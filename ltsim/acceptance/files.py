@@ -1,7 +1,5 @@
 """accept.json and accept.csv: what acceptance tests will find, or found."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from typing import ClassVar, Literal
 

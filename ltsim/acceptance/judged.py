@@ -1,7 +1,5 @@
 """Errors that were measured, against the maker's limits: of calibrated lengths, or of one's own network."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import combinations
 from pathlib import Path
@@ -34,10 +32,7 @@ def entry(name: str, group: str, error: float, limit: float, expanded: float = f
 def read_measured(file: Path, tests: Sequence[Test], limits: Floats) -> list[TestEntry]:
     """Errors of a CSV with the columns ``test``, ``error_um`` and, where it is known, ``U_um``.
 
-    Raises
-    ------
-    SetupError
-        When a test is none of the plan or stands there twice, or a field is no number.
+    Raises SetupError when a test is none of the plan or stands there twice, or a field is no number.
     """
     place = {test.name: i for i, test in enumerate(tests)}
     found: dict[str, TestEntry] = {}
@@ -62,13 +57,9 @@ def read_measured(file: Path, tests: Sequence[Test], limits: Floats) -> list[Tes
 def by_network(recording: Recording, specification: Specification) -> list[TestEntry]:
     """Lengths of a network as each station reads them, against the network's own, and differences of two faces.
 
-    The network is adjusted together with the instrument's constants, which gives lengths that are free of them; what
-    a station reads between two targets, as read and in one face, is then compared with these.
-
-    Raises
-    ------
-    NetworkError
-        When the network has one station only (nothing is known apart from the readings), or cannot be adjusted.
+    The network is adjusted together with the instrument's constants, which gives lengths that are free of them; what a
+    station reads between two targets, as read and in one face, is then compared with these. Raises NetworkError when
+    the network has one station only (nothing is known apart from the readings), or cannot be adjusted.
 
     References
     ----------

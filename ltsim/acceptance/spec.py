@@ -1,10 +1,8 @@
 """An acceptance file (ltsim-acceptance/1): which tests, what the maker permits, what is known of the instrument."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -59,7 +57,7 @@ class Acceptance(Section):
     """Root of the draws."""
 
     @model_validator(mode="after")
-    def _whole(self) -> Acceptance:
+    def _whole(self) -> Self:
         if self.instrument is None and self.specification is None:
             raise ValueError("it should give instrument or the table [specification]")
         if self.recording is None and (self.standard is None) == (self.tests is None):

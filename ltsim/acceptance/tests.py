@@ -1,7 +1,5 @@
 """Test plans: which lengths and which two-face targets stand where, in the instrument's frame (z up, its head at 0)."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -113,10 +111,7 @@ def builtin(standard: Standard, height: float, ranges: Sequence[float]) -> list[
 def read_tests(file: Path) -> list[Test]:
     """A plan of one's own: a table with the columns `COLUMNS`; a two-face test leaves its second point empty.
 
-    Raises
-    ------
-    SetupError
-        One sentence: row, column, what was found, what would be right.
+    Raises SetupError: one sentence: row, column, what was found, what would be right.
     """
     tests = [_test(row, line, file) for line, row in rows_of(file, COLUMNS)]
     if not tests:

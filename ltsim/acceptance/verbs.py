@@ -1,7 +1,5 @@
 """The public function of acceptance tests."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

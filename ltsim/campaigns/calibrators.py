@@ -5,11 +5,10 @@ everything else does. What is large is done for all of them at once (exact readi
 criteria); each has its own normal matrix, which sets its steps.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, fields
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 
@@ -24,16 +23,14 @@ from ltsim.campaigns.spec import Method
 from ltsim.campaigns.truth import Block, Truth
 from ltsim.effects.effect import Effect
 from ltsim.errors import NetworkError, SetupError
-from ltsim.model.construction import Construction, construction, dh
+from ltsim.model.construction import Construction, built_as
 from ltsim.model.measurement import State
 from ltsim.simulation.draws import Normal
 
 
 def fitted_construction(method: Method) -> Construction:
     """The construction whose parameters a method estimates."""
-    if method.construction == "dh":
-        return dh(method.harmonics, method.degree)
-    return construction(method.construction)
+    return built_as(method.construction, method.harmonics, method.degree)
 
 
 def fitted_effects(method: Method) -> tuple[Effect, ...]:
@@ -63,7 +60,7 @@ class Stack(Truth):
     """(n, B): where the pointings of the first are in each trial, which may take them in another order."""
 
     @classmethod
-    def of(cls, truths: tuple[Truth, ...]) -> Stack:
+    def of(cls, truths: tuple[Truth, ...]) -> Self:
         """The stack of truths of one pattern."""
         first = truths[0]
         shared = {f.name: getattr(first, f.name) for f in fields(Truth) if f.name != "state"}
@@ -164,7 +161,7 @@ class StackCalibrator(Calibrator):
     asked: Method = field(default_factory=Method)
 
     @classmethod
-    def of(cls, method: Method, stack: Stack) -> StackCalibrator:
+    def of(cls, method: Method, stack: Stack) -> Self:
         """What a campaign file asks for."""
         first = calibrator_of(method, stack.truths[0])
         return cls(stack, first.construction, first.effects, method.method, method)

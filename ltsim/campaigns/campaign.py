@@ -5,8 +5,6 @@ the same versions: the compiler and the matrix library choose their instructions
 bit of a sum. The manifest names type and versions.
 """
 
-from __future__ import annotations
-
 import platform
 import subprocess
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -207,7 +205,6 @@ def _check_same(store: Store) -> list[str]:
 
 
 def _versions() -> dict[str, str]:
-    """Versions of everything that decides a row's bytes."""
     return {"python": platform.python_version()} | {name: version(name) for name in DECIDING}
 
 

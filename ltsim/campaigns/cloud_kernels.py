@@ -4,8 +4,6 @@ The same quantities as in `ltsim.evaluation`, trials last. Rigid fits start from
 errors, so Newton's method on the rotation replaces the singular value decomposition: three steps reach rounding.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from ltsim.arrays import Bools, Floats, Ints
@@ -246,15 +244,8 @@ def _known(gauge: Ints, i: int, j: int) -> int:
 def distance_forces(clouds: Floats, seen: Bools, gauge: Ints, length: Floats, forces: Floats, cost: Floats) -> None:
     """Half the objective's derivative by the points of all sets, and the objective.
 
-    Parameters
-    ----------
-    clouds : (O, T, 3, B) float, [m]
-        Points of each set (a station and a face).
-    seen : (O, T) bool
-    gauge : (g, 2) int
-        Pairs of targets with known lengths (g, B).
-    forces : (O, T, 3, B), cost : (B,)
-        Outputs, added to.
+    Of `clouds` (O, T, 3, B) [m], the points of each set (a station and a face), some are `seen` (O, T); pairs of
+    targets `gauge` (g, 2) have known lengths (g, B). `forces` (O, T, 3, B) and `cost` (B,) are added to.
     """
     sets, targets, _, trials = clouds.shape
     own, middle = np.empty((sets, trials)), np.empty(trials)

@@ -1,7 +1,5 @@
 """The columns of a campaign's rows: the settings of the cell beside the results, each with its unit in the file."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -32,7 +30,6 @@ def parameter_units(campaign: Campaign, true: Construction, effects: Sequence[Ef
 
 
 def _metadata(name: str, parameters: Mapping[str, str]) -> dict[str, str]:
-    """Unit and meaning of a column of the rows."""
     known = column_of(name)
     if known is None:
         return {"unit": "", "meaning": ""}

@@ -1,7 +1,5 @@
 """The one way in which this room compiles a function."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import TypeVar, cast
 

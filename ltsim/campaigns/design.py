@@ -1,11 +1,9 @@
 """What a campaign varies: its factors, points spread over ranges, and the names and values that rows carry."""
 
-from __future__ import annotations
-
 import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -40,7 +38,7 @@ class Range(Section):
     """Evenly in the value, or in its logarithm."""
 
     @model_validator(mode="after")
-    def _upward(self) -> Range:
+    def _upward(self) -> Self:
         if self.low >= self.high or (self.scale == "log" and self.low <= 0):
             raise ValueError("it should have low below high, and low above 0 where the scale is log")
         return self
@@ -63,7 +61,7 @@ class Design(Section):
     """By dotted key or name of `[link]`, tables `[design.ranges.KEY]`."""
 
     @model_validator(mode="after")
-    def _balanced(self) -> Design:
+    def _balanced(self) -> Self:
         if self.kind == "sobol" and self.cells & (self.cells - 1):
             near = 2 ** round(float(np.log2(self.cells)))
             raise ValueError(f"it should have a power of two as cells for a Sobol sequence, such as {near}")

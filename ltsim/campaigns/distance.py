@@ -9,8 +9,6 @@ the program may be longer than what the matrices of two trials differ by. Equati
 zero that changes a compared distance at all; weak ones move far, so each step takes the trial's own matrix too.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -22,7 +20,7 @@ from ltsim.calibration.distance import METHODS
 from ltsim.calibration.distance_solver import Estimate, Rows, mean_rows, pair_rows, solve_distances, solve_equation_9
 from ltsim.calibration.objective import DistanceProblem, Distances
 from ltsim.campaigns.cloud_kernels import distance_forces, station_means
-from ltsim.campaigns.engine import Batch, Calibrated
+from ltsim.campaigns.engine import Calibrated, Engine, members
 from ltsim.campaigns.kernels import points_of, pull_points
 from ltsim.campaigns.network import BatchFit
 from ltsim.campaigns.program import ChainProgram
@@ -37,7 +35,7 @@ CLOSED = 3e-5
 
 
 @dataclass(frozen=True)
-class BatchDistance(Batch):
+class BatchDistance(Engine):
     """Batched distance calibration: `distance` or `equation-9`, by least squares; with `-l1` by least absolute ones."""
 
     method: str = "distance"
@@ -97,14 +95,8 @@ class BatchDistance(Batch):
     @cached_property
     def _membership(self) -> tuple[Ints, Bools, Floats, Ints]:
         """Set of each pointing, what each set saw, each pointing's share in its mean, pairs of the gauge."""
-        recording, gauge = self.truth.recording, self.problem.gauge
-        sets = self.problem.sets
-        seen = np.zeros((int(sets.max()) + 1, len(recording.targets)), dtype=np.bool_)
-        whole = recording.measured.all(axis=1)
-        seen[sets[whole], recording.target[whole]] = True
-        key = sets * len(recording.targets) + recording.target
-        count = np.bincount(key[whole], minlength=seen.size)[key]
-        share = np.where(whole, 1.0 / np.maximum(count, 1), 0.0)
+        gauge, sets = self.problem.gauge, self.problem.sets
+        seen, share = members(self.truth, sets)
         return sets, seen, share, np.stack([gauge.first, gauge.second], axis=1).reshape(-1, 2)
 
     def together(self, block: Block, wanted: Ints) -> tuple[Calibrated, Bools]:
@@ -179,7 +171,6 @@ class BatchDistance(Batch):
         return rows.residual[:, None] + rows.compare @ change + by_gauge @ stated
 
     def _adjusted(self, block: Block, values: Floats) -> BatchFit:
-        """The network of the corrected readings."""
         deviation = block.deviation
         points = np.empty(deviation.shape)
         points_of(self._program, self.truth.recording.instrument, deviation, values, points)

@@ -113,6 +113,15 @@ def placed_on(adjustment: Adjustment, goal: Floats) -> Floats:
     return min(hands, key=lambda moved: float(np.nansum((moved - goal) ** 2)))
 
 
+def members(truth: Truth, sets: Ints) -> tuple[Bools, Floats]:
+    """Which set (O, T) of the pointings (n,) saw which target whole, and the share (n,) of each in its set's mean."""
+    recording, targets = truth.recording, len(truth.recording.targets)
+    whole = np.asarray(recording.measured.all(axis=1) & truth.recorded.all())
+    key = sets * targets + recording.target
+    count = np.bincount(key[whole], minlength=(int(sets.max()) + 1) * targets)
+    return count.reshape(-1, targets) > 0, np.where(whole, 1.0 / np.maximum(count[key], 1), 0.0)
+
+
 def suspects(deviation: Floats, local: Floats) -> Bools:
     """(B,) trials with a pointing so far off that the full solver's screening must decide about it.
 
@@ -168,8 +177,11 @@ class Single(Calibrator):
 
 
 @dataclass(frozen=True)
-class Batch(Calibrator):
-    """Calibrates a block whole; trials for which that is not enough go to the calibrator that users have."""
+class Engine(Calibrator):
+    """Network calibrations of trials that share a geometry, a block at once.
+
+    Trials for which that is not enough go to the calibrator that users have.
+    """
 
     @cached_property
     def single(self) -> Single:
@@ -185,7 +197,10 @@ class Batch(Calibrator):
 
     def together(self, block: Block, wanted: Ints) -> tuple[Calibrated, Bools]:
         """The block by the batch, and which of its trials (B,) have converged."""
-        raise NotImplementedError
+        network, fit = self.network, self.network.fit(block.deviation, block.gauge_error)
+        status, sigma = np.zeros(len(fit.chi2), dtype=np.int64), network.sigma_values
+        extra = np.sqrt(np.diag(network.covariance)[network.sizes[2] :, None]) if self.effects else np.zeros((0, 1))
+        return Calibrated(fit.values, sigma, fit.points, fit.chi2, status, fit.extra, extra), fit.converged
 
     def calibrate(self, block: Block, wanted: Ints | None = None) -> Calibrated:
         """Calibrate a block; the wanted trials, by default all, are those that the single calibrator is asked for."""
@@ -223,15 +238,3 @@ class Batch(Calibrator):
         datum = InnerDatum.tied_to(rigid_motion(points, points.mean(axis=0)), columns, covariance.__matmul__)
         blocks = datum.transformed(covariance[columns[:, :, None], columns[:, None, :]], columns)
         return np.sqrt(np.einsum("tii->ti", blocks))
-
-
-@dataclass(frozen=True)
-class Engine(Batch):
-    """Network calibrations of trials that share a geometry."""
-
-    def together(self, block: Block, wanted: Ints) -> tuple[Calibrated, Bools]:
-        """The block by one factorised network."""
-        network, fit = self.network, self.network.fit(block.deviation, block.gauge_error)
-        status, sigma = np.zeros(len(fit.chi2), dtype=np.int64), network.sigma_values
-        spread = network.sigma_extra[:, None]
-        return Calibrated(fit.values, sigma, fit.points, fit.chi2, status, fit.extra, spread), fit.converged

@@ -200,7 +200,6 @@ def injection_curve(
 
 
 def _called(cause: str | Tunable | Sized) -> str:
-    """What a person called a cause."""
     return cause if isinstance(cause, str) else cause.effect.name if isinstance(cause, Sized) else cause.name
 
 

@@ -3,8 +3,6 @@
 The same quantities as in `ltsim.evaluation`, which judges one recording at a time and is what this is tested against.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -23,10 +21,11 @@ from ltsim.campaigns.cloud_kernels import (
     station_means,
     to_network,
 )
-from ltsim.campaigns.engine import Calibrated
+from ltsim.campaigns.engine import Calibrated, members
 from ltsim.campaigns.kernels import points_of
 from ltsim.campaigns.truth import Block, Truth
 from ltsim.effects.effect import Effect
+from ltsim.geometry.rigid import holds_pose
 from ltsim.model.construction import Construction, ideal
 
 FLAT = 1e-3
@@ -43,12 +42,13 @@ class Judge:
     truth: Truth
 
     @cached_property
+    def _means(self) -> tuple[Bools, Floats]:
+        return members(self.truth, self.truth.recording.station)
+
+    @property
     def seen(self) -> Bools:
         """(S, T) which station measured which target whole."""
-        seen = np.zeros((len(self.truth.state.position), len(self.truth.state.points)), dtype=np.bool_)
-        whole = self._whole
-        seen[self.truth.recording.station[whole], self.truth.recording.target[whole]] = True
-        return seen
+        return self._means[0]
 
     @cached_property
     def comparable(self) -> bool:
@@ -61,25 +61,8 @@ class Judge:
         return self._fixed(self.seen)
 
     def _fixed(self, use: Bools) -> Bools:
-        """Whether each set of targets (k, T) fixes a frame: three off one line."""
-        count, points = use.sum(axis=1), self._truth(1)[:, :, 0]
-        centre = use @ points / np.maximum(count, 1)[:, None]
-        arms = np.where(use[:, :, None], points - centre[:, None], 0.0)
-        spread = np.linalg.eigvalsh(np.swapaxes(arms, 1, 2) @ arms)
-        return np.asarray((count >= 3) & (spread[:, 1] > FLAT**2 * spread[:, 2]))
-
-    @property
-    def _whole(self) -> Bools:
-        """(n,) pointings with all three readings."""
-        return np.asarray(self.truth.recording.measured.all(axis=1) & self.truth.recorded.all())
-
-    @cached_property
-    def _share(self) -> Floats:
-        """One over the number of pointings that a pointing's mean is taken over; 0 for one not whole."""
-        whole = self._whole
-        key = self.truth.recording.station * len(self.truth.state.points) + self.truth.recording.target
-        count = np.bincount(key[whole], minlength=self.seen.size)[key]
-        return np.where(whole, 1.0 / np.maximum(count, 1), 0.0)
+        """Whether each set of targets (k, T) fixes a frame."""
+        return holds_pose(self._truth(1)[:, :, 0], use, flat=FLAT)
 
     def clouds(
         self, deviation: Floats, construction: Construction | None = None, values: Floats | None = None
@@ -93,7 +76,7 @@ class Judge:
             construction, values = ideal(), np.zeros((len(recording.instruments), 0, trials))
         points, clouds = np.empty(deviation.shape), np.zeros((*self.seen.shape, 3, trials))
         points_of(self.truth.program_of(construction), recording.instrument, deviation, values, points)
-        station_means(points, recording.station, recording.target, self._share, clouds)
+        station_means(points, recording.station, recording.target, self._means[1], clouds)
         to_network(clouds, np.ascontiguousarray(self.truth.state.rotation), self.truth.state.position)
         return clouds
 

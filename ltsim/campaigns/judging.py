@@ -1,7 +1,5 @@
 """Calibrations of one recording held against each other by the error of points that none of them has seen."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path

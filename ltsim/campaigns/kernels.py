@@ -6,8 +6,6 @@ for either. Small angles enter by power series (exact to rounding below 0.01 rad
 Kernels live in one file because the compiler's cache watches only the file of the function it compiles.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -182,11 +182,6 @@ class BatchNetwork:
         own = np.sqrt(np.diag(last)[: end - start]) * scale[start:end]
         return own.reshape(self.problem.unknowns.instrument.shape)
 
-    @cached_property
-    def sigma_extra(self) -> Floats:
-        """Standard deviation (q,) [SI] of the parameters of further effects."""
-        return np.sqrt(np.diag(self.covariance)[self.sizes[2] :]) if self.effects else np.zeros(0)
-
     def step(self, gradient: Floats) -> Floats:
         """The Gauss-Newton step (K, B) down a gradient (K, B)."""
         return self.covariance @ gradient

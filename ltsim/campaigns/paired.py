@@ -116,12 +116,8 @@ def _pairs(results: Results, along: str, first: Any, second: Any) -> Iterator[tu
 
 def _values(results: Results, statistic: str, cell: int, method: str) -> tuple[Floats, Floats]:
     """Trials (N,) of a place and what is averaged of each, (1, N), or (2, N) of a share."""
-    terms, words = terms_of(statistic), method.replace("'", "''")
-    rows = results.query(
-        f"SELECT trial, {', '.join(terms)} FROM rows WHERE cell = {cell} AND method = '{words}' "
-        f"AND {terms[0]} IS NOT NULL ORDER BY trial"
-    )
-    table = np.array(rows, dtype=np.float64).reshape(len(rows), 1 + len(terms)).T
+    terms = terms_of(statistic)
+    table = results.of_trials(("trial", *terms), cell, method, f"{terms[0]} IS NOT NULL")
     return table[0], table[1:]
 
 

@@ -6,9 +6,7 @@ that leaves out is half a second derivative times deviation squared times parame
 parameters of 10 urad, 1e-12 m at 5 m for 100 um and 100 urad.
 """
 
-from __future__ import annotations
-
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -45,7 +43,7 @@ class ChainProgram(NamedTuple):
     """(p, n, 3): derivative of the basis by the readings."""
 
     @classmethod
-    def of(cls, construction: Construction, raw: Floats) -> ChainProgram:
+    def of(cls, construction: Construction, raw: Floats) -> Self:
         """The program of a construction around raw readings (n, 3); motions that nothing moves are dropped."""
         slots = [term.slot for term in construction.terms]
         fed = {m.slot: [k for k, slot in enumerate(slots) if slot == m.slot] for m in construction.chain if m.slot}
@@ -65,7 +63,7 @@ class ChainProgram(NamedTuple):
             slope=slope,
         )
 
-    def spread(self, trials: int) -> ChainProgram:
+    def spread(self, trials: int) -> Self:
         """Of rows that are all trials of a pointing after each other: the same with a last index for the trial."""
 
         def apart(rows: Floats) -> Floats:

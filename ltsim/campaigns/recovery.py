@@ -16,8 +16,6 @@ A calibrator of one's own is not known to use a prior: with drawn errors its z-s
 stated ones its intervals have to hold them. Chi-square, targets and stations are checked of ltsim's own alone.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -170,7 +168,6 @@ class Recovery(Result):
         return found if self.tolerance else found + self._whole(level)
 
     def _whole(self, level: float) -> list[Check]:
-        """Checks of the whole network."""
         parts, found = [trial.network for trial in self.converged], []
         if all(np.isfinite(part.expected) for part in parts):
             chi2, expected, spread = (np.array([getattr(p, n) for p in parts]) for n in ("chi2", "expected", "spread"))

@@ -5,9 +5,8 @@ specification (mean within 0.1, standard deviation within 5 %, coverage within 1
 trials make chance wider: a correct model fails any of them in one run of a hundred.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
+from typing import Self
 
 import numpy as np
 from scipy import stats
@@ -42,7 +41,7 @@ class Check(Entry):
     """It lies between."""
 
     @classmethod
-    def of(cls, what: str, statistic: str, value: float, low: float, high: float) -> Check:
+    def of(cls, what: str, statistic: str, value: float, low: float, high: float) -> Self:
         """The check of a number; NaN fails."""
         passed = bool(low <= value <= high)
         return cls(what=what, statistic=statistic, value=value, low=low, high=high, passed=passed)

@@ -1,7 +1,5 @@
 """The rows of a shard: trials drawn, calibrated by every method on the same draws, judged."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
@@ -242,7 +240,6 @@ class Work:
         return columns
 
     def _elsewhere(self, found: Calibrated, calibrator: Calibrator) -> Columns:
-        """Errors of new points."""
         if self.new_points is None:
             return {}
         there, block, before = self.new_points

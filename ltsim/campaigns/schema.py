@@ -1,7 +1,5 @@
 """manifest.json, recovery.json and the tables beside them: what stands in them, for writers and readers."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, Literal

@@ -1,14 +1,12 @@
 """The campaign file (ltsim-campaign/1): a base scenario, what varies, what is compared, how many trials."""
 
-from __future__ import annotations
-
 import hashlib
 import itertools
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -60,7 +58,7 @@ class Method(Section):
         return self.name or self.method
 
     @model_validator(mode="after")
-    def _effects_need_the_network(self) -> Method:
+    def _effects_need_the_network(self) -> Self:
         if self.effects and self.method != "network":
             raise ValueError(f"it should have no effects: method {self.method} estimates instrument parameters only")
         if self.applied and (self.effects or self.method != "network" or self.solver != "single"):
@@ -133,7 +131,7 @@ class Campaign(Section):
     """The calibrators to compare, tables `[[methods]]`."""
 
     @model_validator(mode="after")
-    def _names_differ(self) -> Campaign:
+    def _names_differ(self) -> Self:
         titles = [method.title for method in self.methods]
         if not titles or len(set(titles)) < len(titles):
             raise ValueError(f"it should hold methods with different names, found {', '.join(titles) or 'none'}")
@@ -142,7 +140,7 @@ class Campaign(Section):
         return self
 
     @model_validator(mode="after")
-    def _stops_by_what_rows_hold(self) -> Campaign:
+    def _stops_by_what_rows_hold(self) -> Self:
         known = column_of(self.stop.statistic) if self.stop else None
         wanted = known and known.group
         if self.stop and wanted and wanted not in self.statistics:
@@ -150,7 +148,7 @@ class Campaign(Section):
         return self
 
     @model_validator(mode="after")
-    def _each_key_once(self) -> Campaign:
+    def _each_key_once(self) -> Self:
         places = [*self.grid, *(self.design.ranges if self.design else ())]
         keys = [key for name in places for key in self.link.get(name, (name,))]
         twice = next((key for key in keys if keys.count(key) > 1), None)
@@ -159,7 +157,7 @@ class Campaign(Section):
         return self
 
     @model_validator(mode="after")
-    def _of_a_size_that_can_be_kept(self) -> Campaign:
+    def _of_a_size_that_can_be_kept(self) -> Self:
         cells = max(len(self.cells), 1) * math.prod(len(values) for values in self.grid.values())
         cells *= self.design.cells if self.design else 1
         if cells > MOST_CELLS:
@@ -205,14 +203,22 @@ class Campaign(Section):
 
 
 def load_campaign(path: Path, changes: Mapping[str, Any] | None = None) -> tuple[Campaign, tuple[Scenario, ...]]:
-    """A campaign file, and the scenario of each of its cells; raises SetupError.
+    """A campaign file, and the scenario of each of its cells, of a file beside it; raises SetupError.
 
     `changes` are new values of keys of the file (`trials`) or dotted keys of the scenario, which then do not vary.
     """
     campaign = load_settings(path, Campaign, "campaign")
     if changes:
         campaign = overridden(campaign, changes, path)
-    return campaign, scenarios_of(campaign, path)
+    base = load_scenario(beside(campaign.scenario, path) or campaign.scenario)
+    common = {key: quantity(base, key, value, str(path)) for key, value in campaign.by_key(campaign.settings).items()}
+    units = changed(base, common, path)  # with the effects that the settings add
+    made = []
+    for number, own in enumerate(campaign.combinations(), start=1):
+        where = f"{path}: cell {number}"
+        inside = {key: quantity(units, key, value, where) for key, value in own.items()}
+        made.append(changed(base, inside, path, where))
+    return campaign, tuple(made)
 
 
 def overridden(campaign: Campaign, changes: Mapping[str, Any], path: Path) -> Campaign:
@@ -229,19 +235,6 @@ def overridden(campaign: Campaign, changes: Mapping[str, Any], path: Path) -> Ca
             tables["settings"][key] = value
     with as_setup_error():
         return checked(tables, Campaign, "campaign", path)
-
-
-def scenarios_of(campaign: Campaign, path: Path) -> tuple[Scenario, ...]:
-    """The scenario of each cell; a scenario that is a file is looked for beside the campaign's."""
-    base = load_scenario(beside(campaign.scenario, path) or campaign.scenario)
-    common = {key: quantity(base, key, value, str(path)) for key, value in campaign.by_key(campaign.settings).items()}
-    units = changed(base, common, path)  # with the effects that the settings add
-    made = []
-    for number, changes in enumerate(campaign.combinations(), start=1):
-        where = f"{path}: cell {number}"
-        inside = {key: quantity(units, key, value, where) for key, value in changes.items()}
-        made.append(changed(base, inside, path, where))
-    return tuple(made)
 
 
 @dataclass(frozen=True)
@@ -263,8 +256,9 @@ def cells_of(
     campaign: Campaign, scenarios: Sequence[Scenario], path: Path
 ) -> tuple[tuple[Factor, ...], tuple[Cell, ...]]:
     """What differs between cells, and the cells; raises SetupError."""
-    factors, common = campaign.factors(scenarios[0]), _deciding(campaign)
-    cells = []
+    factors, cells = campaign.factors(scenarios[0]), []
+    deciding = {"seed", "shard", "geometry", "verify", "methods", "judge_drift"}
+    common = campaign.model_dump_json(include=deciding, by_alias=True)
     for scenario, settings in zip(scenarios, campaign.combinations(), strict=True):
         tables = scenario.model_dump(mode="json", by_alias=True)
         judge = judge_of(campaign.judge_in, scenario, path) if campaign.judge_in else None
@@ -273,13 +267,6 @@ def cells_of(
         mark = hashlib.sha256("\n".join([common, *places]).encode()).hexdigest()
         cells.append(Cell(scenario, judge, settings, levels, mark))
     return factors, tuple(cells)
-
-
-def _deciding(campaign: Campaign) -> str:
-    """The settings that decide the rows of every cell."""
-    return campaign.model_dump_json(
-        include={"seed", "shard", "geometry", "verify", "methods", "judge_drift"}, by_alias=True
-    )
 
 
 def judge_of(name: str, scenario: Scenario, path: Path) -> Scenario:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -247,12 +247,17 @@ class Results(Result):
 
     def values(self, column: str, cell: int, method: str, *, most: int) -> Floats:
         """Finite values (n,) of a column in a cell for a method, of the first `most` trials."""
-        name, word = self._known(column), method.replace("'", "''")
+        name = self._known(column)
+        return self.of_trials((name,), cell, method, f"isfinite({name}) AND trial < {int(most)}")[0]
+
+    def of_trials(self, terms: Sequence[str], cell: int, method: str, where: str) -> Floats:
+        """Numbers (k, n) of the trials of a cell and method, in their order: terms of SQL where something holds."""
+        word = method.replace("'", "''")
         rows = self.query(
-            f"SELECT {name} FROM rows WHERE cell = {int(cell)} AND method = '{word}' AND isfinite({name}) "
-            f"AND trial < {int(most)} ORDER BY trial"
+            f"SELECT {', '.join(terms)} FROM rows WHERE cell = {int(cell)} AND method = '{word}' AND {where} "
+            "ORDER BY trial"
         )
-        return np.array(rows, dtype=np.float64).reshape(-1)
+        return np.array(rows, dtype=np.float64).reshape(len(rows), len(terms)).T
 
     def z_scores(self) -> list[Scores]:
         """Mean, spread and coverage of the z-scores of every parameter."""

@@ -9,8 +9,6 @@ hold the mean with 95 %, and so does the one at which a cell stops. The first lo
 variance is known and a mean of skewed values is near normal.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass

@@ -11,8 +11,6 @@ depend on settings and versions alone. Every reader compares its digest first; w
 the checksums of its pages and its label are compared.
 """
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import fcntl
@@ -210,7 +208,6 @@ class Store:
 
 
 def _label(table: pa.Table) -> dict[str, str]:
-    """What a shard says of itself."""
     return json.loads((table.schema.metadata or {}).get(b"ltsim", b"{}"))
 
 

@@ -170,7 +170,6 @@ def _fitted(
 
 
 def _judged(terminal: ResultTerminal, criteria: Criteria, recording: Recording) -> None:
-    """Write and print criteria."""
     from ltsim.evaluation.criteria import CriteriaFile
     from ltsim.recording.result_file import SourceEntry
 

@@ -164,7 +164,10 @@ def recover(
     terminal.claim(RecoveryFile, TRIALS.file)
     claim_file(junit, force=terminal.force)
     if junit is not None:
-        _make_folder(junit.parent)
+        try:
+            junit.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as problem:
+            raise SetupError(f"{junit.parent}: cannot be made ({problem.strerror})") from None
     workers = jobs or (1 if options["trials"] < FEW else os.cpu_count() or 1)
     with terminal.progress("trials", options["trials"]) as step:
         result = lt.recover(scenario, progress=step, jobs=workers, **options)
@@ -182,14 +185,6 @@ def recover(
     rate = "" if result.tolerance else f" (a correct model fails this check in {100 * FALSE_ALARM:.0f} % of runs)"
     done = f"{len(result.trials)} trials, errors {MODES[result.errors]}"
     terminal.say(f"{done}: everything is recovered within {result.what}{rate}")
-
-
-def _make_folder(folder: Path) -> None:
-    """The folder of a file that is written after all trials."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as problem:
-        raise SetupError(f"{folder}: cannot be made ({problem.strerror})") from None
 
 
 def recovery_file(result: Recovery, seed: int) -> RecoveryFile:
@@ -211,12 +206,7 @@ def junit_xml(result: Recovery, suite: str) -> str:
     """The checks as JUnit XML: a test case each, with value and limits; they share the time of all trials."""
     checks = result.checks()
     failed, each = str(sum(not check.passed for check in checks)), f"{result.seconds / len(checks):.3f}"
-    counts: dict[str, str] = {
-        "tests": str(len(checks)),
-        "failures": failed,
-        "errors": "0",
-        "time": f"{result.seconds:.3f}",
-    }
+    counts = {"tests": str(len(checks)), "failures": failed, "errors": "0", "time": f"{result.seconds:.3f}"}
     root = Element("testsuite", {"name": f"ltsim recover {suite}", **counts})
     for check in checks:
         case = SubElement(root, "testcase", classname=f"recover.{check.what}", name=check.statistic, time=each)

@@ -1,7 +1,5 @@
 """`ltsim convert`: between formats of recordings."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

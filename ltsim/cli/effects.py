@@ -1,7 +1,5 @@
 """`ltsim effects`: the catalogue, printed from the effects themselves."""
 
-from __future__ import annotations
-
 import inspect
 import textwrap
 from typing import Annotated, Any

@@ -1,7 +1,5 @@
 """The command `ltsim`: which verbs there are, and what an error looks like."""
 
-from __future__ import annotations
-
 import errno
 import os
 import sys

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ltsim.errors import RecordError
+from ltsim.notation import listing
 from ltsim.recording.files import is_device
 
 if TYPE_CHECKING:
@@ -38,23 +39,9 @@ def claim(
 ) -> None:
     """Make sure that a result and the files beside it replace nothing but an older result of the same verb.
 
-    The folder is new, empty or holds what commands of ltsim wrote, and folders.
-
-    Parameters
-    ----------
-    folder : Path or None
-        None where nothing is to be written.
-    model : type of ResultFile
-    names : iterable of str
-        Of the files beside the result.
-    force : bool
-        Replace whatever is there.
-    own : callable
-        Whether a result that is there comes from this verb, where several verbs write the same file.
-
-    Raises
-    ------
-    RecordError
+    The folder (None where nothing is to be written) is new, empty or holds what commands of ltsim wrote, and folders;
+    `force` replaces whatever is there. `own` says whether a result that is there comes from this verb, where several
+    verbs write the same file. Raises RecordError.
     """
     if folder is None or force:
         return
@@ -115,7 +102,7 @@ def _refuse_foreign(folder: Path) -> None:
     foreign = sorted({p.name for p in files} - own)
     if foreign:
         raise RecordError(
-            f"holds {_listed(foreign)}, which ltsim did not write: it is somebody's own folder; "
+            f"holds {listing(foreign, 3)}, which ltsim did not write: it is somebody's own folder; "
             "name another place, or write into it with --force",
             file=folder,
         )
@@ -133,13 +120,9 @@ def _answered_for(file: Path) -> set[str]:
     return {file.name, *beside}
 
 
-def _listed(names: list[str]) -> str:
-    return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
-
-
 def _refuse(folder: Path, taken: list[str]) -> None:
     raise RecordError(
-        f"holds {_listed(taken)}, which this command did not write or which was changed since; "
+        f"holds {listing(taken, 3)}, which this command did not write or which was changed since; "
         "name another place, or replace them with --force",
         file=folder,
     )

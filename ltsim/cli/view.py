@@ -1,7 +1,5 @@
 """`ltsim view`, `report`: the workshop in 3D, and the page a person reads."""
 
-from __future__ import annotations
-
 import os
 import sys
 import webbrowser

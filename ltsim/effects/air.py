@@ -6,8 +6,6 @@ variance of C d^3 across the beam). At 10 m the sizes below are 5 um along and 1
 110 um, under what makers guarantee across the beam there (15 um + 6 um/m).
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from ltsim.arrays import Floats

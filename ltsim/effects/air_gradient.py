@@ -1,5 +1,3 @@
-"""Uniform vertical gradient of the air's temperature."""
-
 from dataclasses import dataclass
 from typing import Literal, Self
 
@@ -51,7 +49,6 @@ class AirGradient(WarmAir):
         return np.full(len(sightings), float(sightings.points[:, 2].mean()))
 
     def design(self, sightings: Sightings) -> Floats:
-        """Change (n, 3, 1) of the raw readings per unit of gradient, first order."""
         steep = bending() * self.mask(sightings) * sightings.range_
         heights = sightings.position[sightings.station, 2] + sightings.points[sightings.target, 2]
         _, left, up = sightings.unit_vectors

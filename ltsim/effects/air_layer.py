@@ -1,5 +1,3 @@
-"""Layered room."""
-
 from dataclasses import dataclass
 from typing import Self
 

@@ -1,13 +1,8 @@
-"""Drift of the azimuth zero."""
-
-from dataclasses import dataclass
-
 from ltsim.effects.effect import Parameter, Stage
 from ltsim.effects.places import Drift
 from ltsim.units import FACTOR, MICRORADIAN
 
 
-@dataclass(frozen=True)
 class AzimuthDrift(Drift):
     """Drift of the azimuth zero: the base or the tripod's head turns, the circle warms.
 

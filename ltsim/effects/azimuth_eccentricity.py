@@ -1,5 +1,3 @@
-"""Eccentricity of the azimuth circle."""
-
 from ltsim.effects.circles import lobes, waves
 from ltsim.effects.effect import SlotEffect, Stage
 from ltsim.units import ARCSECOND

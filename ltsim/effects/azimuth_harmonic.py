@@ -1,13 +1,8 @@
-"""Higher graduation harmonic of the azimuth circle."""
-
-from dataclasses import dataclass
-
 from ltsim.effects.circles import Harmonic, lobes
 from ltsim.effects.effect import Stage
 from ltsim.units import MICRORADIAN
 
 
-@dataclass(frozen=True)
 class AzimuthHarmonic(Harmonic):
     """Higher graduation harmonic of the azimuth circle: lines of the scale are off, as its read heads see them.
 

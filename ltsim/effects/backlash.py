@@ -1,7 +1,3 @@
-"""Backlash."""
-
-from dataclasses import dataclass
-
 import numpy as np
 
 from ltsim.arrays import Floats
@@ -10,7 +6,6 @@ from ltsim.scene.sightings import Sightings
 from ltsim.units import MICRORADIAN
 
 
-@dataclass(frozen=True)
 class Backlash(Effect):
     """Backlash: what an axis reads depends on the side it came from (hysteresis).
 
@@ -36,7 +31,6 @@ class Backlash(Effect):
     )
 
     def design(self, sightings: Sightings) -> Floats:
-        """Change (n, 3, 2) of the raw readings per unit of width."""
         half = -0.5 * sightings.approach * self.mask(sightings)[:, None]
         columns = [sightings.slot_responses[slot] * half[:, [i]] for i, slot in enumerate(("azimuth", "elevation"))]
         return np.stack(columns, axis=2)

@@ -1,5 +1,3 @@
-"""Beam offset."""
-
 from ltsim.effects.effect import Parameter, SlotEffect, Stage, Term
 from ltsim.units import MICROMETRE
 
@@ -24,15 +22,8 @@ class BeamOffset(SlotEffect):
     observables = ("azimuth", "elevation")
     parameters = (
         Parameter(
-            "beam-offset-lateral",
-            "um",
-            "beam left of the centre, along the transit axis",
-            20 * MICROMETRE,
-            "offset",
+            "beam-offset-lateral", "um", "beam left of the centre, along the transit axis", 20 * MICROMETRE, "offset"
         ),
         Parameter("beam-offset-vertical", "um", "beam above the centre", 20 * MICROMETRE, "offset"),
     )
-    terms = (
-        Term("beam-lateral"),
-        Term("beam-vertical"),
-    )
+    terms = (Term("beam-lateral"), Term("beam-vertical"))

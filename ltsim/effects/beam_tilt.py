@@ -1,5 +1,3 @@
-"""Beam tilt."""
-
 from ltsim.effects.effect import Parameter, SlotEffect, Stage, Term
 from ltsim.units import ARCSECOND
 

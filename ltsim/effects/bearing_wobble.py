@@ -1,5 +1,3 @@
-"""Bearing error motion."""
-
 from dataclasses import dataclass
 from typing import Literal, Self
 
@@ -76,7 +74,6 @@ class BearingWobble(Effect):
         return [cls(kind=kind, order=order) for kind, order in TRIED]
 
     def design(self, sightings: Sightings) -> Floats:
-        """Change (n, 3, 2) of the raw readings per unit of either amplitude, first order."""
         acts, response = self.mask(sightings)[:, None], sightings.slot_responses
         phase = self.order * sightings.read[:, 2 if self.kind == "transit" else 1]
         c, s = np.cos(phase)[:, None], np.sin(phase)[:, None]

@@ -101,12 +101,7 @@ def installed() -> list[EntryPoint]:
 class Catalogue(Sequence[type[Effect]]):
     """Every effect: those of `shipped` in their order, then the added ones in the order of their names.
 
-    Parameters
-    ----------
-    shipped : mapping of str to tuple of type
-        Effects by group.
-    points : callable
-        Gives the entry points of packages.
+    `shipped` are effects by group, `points` gives the entry points of packages.
     """
 
     def __init__(
@@ -154,13 +149,7 @@ class Catalogue(Sequence[type[Effect]]):
         return tuple(entry.kind for entry in self.entries.values() if entry.group == SESSION)
 
     def find(self, name: str) -> type[Effect]:
-        """The effect called `name`.
-
-        Raises
-        ------
-        ModelError
-            When there is none; the message names the closest ones.
-        """
+        """The effect called `name`; raises ModelError when there is none; the message names the closest ones."""
         entry = self._shipped.get(name) or self.entries.get(name)
         if entry is None:
             raise unknown_name("effect", name, self.entries)

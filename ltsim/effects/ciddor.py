@@ -39,10 +39,9 @@ def refractivity(
     *,
     pressure: float = 101_325.0,
     humidity: float = 50.0,
-    carbon_dioxide: float = 450.0,
     wavelength: float = HELIUM_NEON,
 ) -> Floats:
-    """Phase index of air, less one.
+    """Phase index of air with 450 umol/mol of carbon dioxide, less one.
 
     Parameters
     ----------
@@ -50,18 +49,16 @@ def refractivity(
     pressure : float, [Pa]
     humidity : float, [%]
         Relative.
-    carbon_dioxide : float, [umol/mol]
     wavelength : float, [m]
         In vacuum.
     """
     temperature = np.asarray(temperature, dtype=np.float64)
     wave = (1e-6 / wavelength) ** 2
     dry = 1e-8 * (5_792_105.0 / (238.0185 - wave) + 167_917.0 / (57.362 - wave))
-    dry *= 1.0 + 5.34e-7 * (carbon_dioxide - 450.0)
     vapour = 1.022e-8 * (295.235 + 2.6422 * wave - 0.032380 * wave**2 + 0.004028 * wave**3)
     enhancement = 1.00062 + 3.14e-8 * pressure + 5.6e-7 * temperature**2
     share = humidity / 100.0 * enhancement * vapour_pressure(temperature) / pressure
-    mass = 1e-3 * (28.9635 + 12.011e-6 * (carbon_dioxide - 400.0))
+    mass = 1e-3 * (28.9635 + 12.011e-6 * 50.0)
 
     def density(t: Floats, p: float, x: Floats) -> Floats:
         """P M / (Z R T), with the molar mass left out."""

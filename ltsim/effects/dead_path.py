@@ -1,6 +1,3 @@
-"""Dead path."""
-
-from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
@@ -15,7 +12,6 @@ STEADY = 0.05
 """[K] span of temperature below which nothing can be learnt."""
 
 
-@dataclass(frozen=True)
 class DeadPath(Effect):
     """Dead path: a part of the reference path inside the head warms with the air, and nobody corrects it.
 
@@ -44,7 +40,6 @@ class DeadPath(Effect):
         return [cls()] if varies else []
 
     def design(self, sightings: Sightings) -> Floats:
-        """Change (n, 3, 1) of the raw readings per unit of the coefficient."""
         temperature = sightings.covariates.get(COLUMN, np.full(len(sightings), np.nan))
         ordered = temperature[sightings.order]
         known = ordered[np.isfinite(ordered)]

@@ -1,5 +1,3 @@
-"""Null offset of the tracking detector."""
-
 import numpy as np
 
 from ltsim.arrays import Floats

@@ -1,13 +1,8 @@
-"""Higher graduation harmonic of the elevation circle."""
-
-from dataclasses import dataclass
-
 from ltsim.effects.circles import Harmonic, lobes
 from ltsim.effects.effect import Stage
 from ltsim.units import MICRORADIAN
 
 
-@dataclass(frozen=True)
 class ElevationHarmonic(Harmonic):
     """Higher graduation harmonic of the elevation circle: lines of the scale are off, as its read heads see them.
 

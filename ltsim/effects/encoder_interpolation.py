@@ -1,5 +1,3 @@
-"""Interpolation error of an encoder."""
-
 from dataclasses import dataclass
 from typing import Literal, Self
 
@@ -46,7 +44,6 @@ class EncoderInterpolation(SlotEffect):
 
     @property
     def terms(self) -> tuple[Term, ...]:  # type: ignore[override]
-        """The slot and the two waves."""
         return waves(self.circle, self.periods)
 
     @classmethod

@@ -1,5 +1,3 @@
-"""Confused faces."""
-
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -46,7 +44,6 @@ class FaceConfusion(Mistake):
         return replace(sightings, face=np.where(confused, 3 - sightings.face, sightings.face))
 
     def design(self, sightings: Sightings) -> Floats:
-        """Change (n, 3, 1) of the raw readings when the faces are confused, exact."""
         acts = self.mask(sightings) * (sightings.face == self.face)
         azimuth, elevation = sightings.raw[:, 1], sightings.raw[:, 2]
         turned = np.where(azimuth > 0, -np.pi, np.pi)

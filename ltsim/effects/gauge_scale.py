@@ -1,7 +1,3 @@
-"""Scale of the gauge."""
-
-from dataclasses import dataclass
-
 import numpy as np
 
 from ltsim.arrays import Floats, Ints
@@ -10,7 +6,6 @@ from ltsim.scene.sightings import Sightings
 from ltsim.units import PPM
 
 
-@dataclass(frozen=True)
 class GaugeScale(Effect):
     """Scale of the gauge: its temperature or its coefficient of expansion is wrong.
 
@@ -32,10 +27,8 @@ class GaugeScale(Effect):
     parameters = (Parameter("gauge-scale", "ppm", "share missing from every known length", 20 * PPM),)
 
     def design(self, sightings: Sightings) -> Floats:
-        """No reading changes: zeros (n, 3, 1)."""
         return np.zeros((len(sightings), 3, 1))
 
     def gauge_design(self, first: Ints, second: Ints, points: Floats) -> Floats:
-        """Change (g, 1) of the stated lengths per unit of scale."""
         lengths: Floats = np.linalg.norm(points[first] - points[second], axis=1)
         return -lengths[:, None]

@@ -1,5 +1,3 @@
-"""Shape of the gauge."""
-
 from dataclasses import dataclass
 from typing import Self
 
@@ -45,11 +43,9 @@ class GaugeShape(Effect):
         return [cls((), (name,), i) for i, name in enumerate(sightings.target_names)]
 
     def design(self, sightings: Sightings) -> Floats:
-        """No reading changes: zeros (n, 3, 3)."""
         return np.zeros((len(sightings), 3, 3))
 
     def gauge_design(self, first: Ints, second: Ints, points: Floats) -> Floats:
-        """Change (g, 3) of the stated lengths per unit of the nest's motion."""
         gap = points[first] - points[second]
         unit = gap / np.linalg.norm(gap, axis=1, keepdims=True)
         ends = (second == self.index).astype(float) - (first == self.index)

@@ -1,14 +1,9 @@
-"""Gravity sag of the head."""
-
-from dataclasses import dataclass
-
 from ltsim.arrays import Floats
 from ltsim.effects.effect import Effect, Parameter, Stage, on_readings
 from ltsim.scene.sightings import Sightings
 from ltsim.units import MICRORADIAN
 
 
-@dataclass(frozen=True)
 class HeadSag(Effect):
     """Gravity sag of the head: the scope bends under its own weight.
 
@@ -31,6 +26,5 @@ class HeadSag(Effect):
     parameters = (Parameter("sag", "urad", "droop of a level beam", 5 * MICRORADIAN),)
 
     def design(self, sightings: Sightings) -> Floats:
-        """Change (n, 3, 1) of the raw readings per unit of sag."""
         upright = sightings.unit_vectors[2][:, 2]
         return on_readings(sightings, elevation=-self.mask(sightings) * upright)[:, :, None]

@@ -1,5 +1,3 @@
-"""Heat plume."""
-
 from dataclasses import dataclass
 from typing import Self
 

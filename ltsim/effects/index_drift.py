@@ -1,13 +1,8 @@
-"""Drift of the vertical index."""
-
-from dataclasses import dataclass
-
 from ltsim.effects.effect import Parameter, Stage
 from ltsim.effects.places import Drift
 from ltsim.units import FACTOR, MICRORADIAN
 
 
-@dataclass(frozen=True)
 class IndexDrift(Drift):
     """Drift of the vertical index: the head warms up and the zero of the elevation circle moves.
 

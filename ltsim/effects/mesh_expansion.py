@@ -1,5 +1,3 @@
-"""Thermal expansion of the mesh."""
-
 from dataclasses import dataclass
 from typing import Literal, Self
 
@@ -46,7 +44,6 @@ class MeshExpansion(TargetMotion):
         return [cls(mode="uniform"), cls(mode="vertical")]
 
     def displacement(self, sightings: Sightings) -> Floats:
-        """Motion (n, 3, 1) of each pointing's target per unit of the rate."""
         since = self.mask(sightings) * (sightings.time - start_time(sightings))
         arm = sightings.points[sightings.target] - sightings.points.mean(axis=0)
         return (since[:, None] * arm * MODES[self.mode])[:, :, None]

@@ -1,5 +1,3 @@
-"""Badly seated reflector."""
-
 from dataclasses import dataclass
 from typing import Literal, Self
 
@@ -60,7 +58,6 @@ class NestLift(TargetMotion):
         return [*along, *(cls((s,), (t,), "free") for s, t in pairs)]
 
     def displacement(self, sightings: Sightings) -> Floats:
-        """Motion (n, 3, p) of each pointing's reflector per unit."""
         acts = self.mask(sightings)[:, None, None]
         if self.kind == "free":
             return acts * np.eye(3)

@@ -1,7 +1,3 @@
-"""Noise level."""
-
-from dataclasses import dataclass
-
 import numpy as np
 
 from ltsim.arrays import Floats
@@ -12,7 +8,6 @@ LEAST = 0.01
 """Smallest factor on a variance."""
 
 
-@dataclass(frozen=True)
 class NoiseLevel(NoiseEffect):
     """Noise level: all readings of a kind scatter more, or less, than the set-up states.
 
@@ -36,6 +31,5 @@ class NoiseLevel(NoiseEffect):
     )
 
     def variance(self, sightings: Sightings, sigma: Floats, values: Floats) -> Floats:
-        """Variance (n, 3) of the readings."""
         factor = 1.0 + self.mask(sightings)[:, None] * values
         return sigma**2 * np.maximum(factor, LEAST)

@@ -1,5 +1,3 @@
-"""Outlier."""
-
 from dataclasses import dataclass
 from typing import Literal, Self
 
@@ -59,7 +57,6 @@ class Outlier(Effect):
         return [cls(*place, row, o) for o in COLUMN for row, place in enumerate(places)]
 
     def design(self, sightings: Sightings) -> Floats:
-        """Change (n, 3, 1) of the raw readings per unit of correction."""
         design = np.zeros((len(sightings), 3, 1))
         if self.row < len(sightings):
             design[self.row, COLUMN[self.observable], 0] = -self.mask(sightings)[self.row]

@@ -1,5 +1,3 @@
-"""Cyclic range error."""
-
 from dataclasses import dataclass
 from typing import Self
 
@@ -54,7 +52,6 @@ class RangeCyclic(Effect):
         return [cls(wavelength=float(1 / f)) for f in np.arange(1 / LONGEST, highest, step)]
 
     def design(self, sightings: Sightings) -> Floats:
-        """Change (n, 3, 2) of the raw readings per unit of either amplitude."""
         phase = 2 * np.pi * sightings.range_ / self.wavelength
         acts = self.mask(sightings)
         columns = [on_readings(sightings, distance=acts * wave(phase)) for wave in (np.cos, np.sin)]

@@ -1,13 +1,8 @@
-"""Drift of the range zero."""
-
-from dataclasses import dataclass
-
 from ltsim.effects.effect import Parameter, Stage
 from ltsim.effects.places import Drift
 from ltsim.units import FACTOR, MICROMETRE
 
 
-@dataclass(frozen=True)
 class RangeDrift(Drift):
     """Drift of the range zero: the electronics and the head warm up.
 

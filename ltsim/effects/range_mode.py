@@ -1,6 +1,3 @@
-"""Range zero by mode."""
-
-from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
@@ -12,7 +9,6 @@ from ltsim.scene.sightings import Sightings
 from ltsim.units import MICROMETRE
 
 
-@dataclass(frozen=True)
 class RangeMode(Effect):
     """Range zero by mode: the interferometer starts from another zero than the absolute distance meter.
 
@@ -39,6 +35,5 @@ class RangeMode(Effect):
         return [cls()] if MODE_COLUMN in sightings.covariates else []
 
     def design(self, sightings: Sightings) -> Floats:
-        """Change (n, 3, 1) of the raw readings per unit of the difference."""
         interferometer = sightings.covariates.get(MODE_COLUMN, np.zeros(len(sightings)))
         return on_readings(sightings, distance=self.mask(sightings) * interferometer)[:, :, None]

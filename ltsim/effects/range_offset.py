@@ -1,5 +1,3 @@
-"""Range zero."""
-
 from ltsim.effects.effect import Parameter, SlotEffect, Stage, Term
 from ltsim.units import MICROMETRE
 

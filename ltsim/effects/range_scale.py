@@ -1,5 +1,3 @@
-"""Range scale."""
-
 from ltsim.effects.effect import Parameter, Power, SlotEffect, Stage, Term
 from ltsim.units import PPM
 

@@ -1,5 +1,3 @@
-"""Step of the range zero."""
-
 from dataclasses import dataclass
 from typing import Self
 
@@ -50,6 +48,5 @@ class RangeStep(Effect):
         return [self.reshaped(time=t) for t in gaps_near(times, self.time)]
 
     def design(self, sightings: Sightings) -> Floats:
-        """Change (n, 3, 1) of the raw readings per unit of step."""
         after = self.mask(sightings) * (sightings.time >= self.time)
         return on_readings(sightings, distance=after)[:, :, None]

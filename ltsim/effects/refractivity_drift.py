@@ -1,7 +1,3 @@
-"""Drift of the air's index."""
-
-from dataclasses import dataclass
-
 from ltsim.arrays import Floats
 from ltsim.effects.effect import Effect, Parameter, Stage, on_readings
 from ltsim.effects.places import start_time
@@ -9,7 +5,6 @@ from ltsim.scene.sightings import Sightings
 from ltsim.units import FACTOR
 
 
-@dataclass(frozen=True)
 class RefractivityDrift(Effect):
     """Drift of the air's index: the hall warms up, the weather entered in the morning is kept.
 
@@ -33,6 +28,5 @@ class RefractivityDrift(Effect):
     )
 
     def design(self, sightings: Sightings) -> Floats:
-        """Change (n, 3, 1) of the raw readings per unit of the rate."""
         since = sightings.time - start_time(sightings)
         return on_readings(sightings, distance=self.mask(sightings) * sightings.range_ * since)[:, :, None]

@@ -254,7 +254,6 @@ def constants_of(effect: Tunable) -> int:
 
 
 def _is_number(value: object) -> bool:
-    """Whether a value is a number, or several."""
     return isinstance(value, float) or (
         isinstance(value, tuple) and all(isinstance(v, float) for v in value) and value != ()
     )

@@ -1,6 +1,3 @@
-"""Centring of a reflector."""
-
-from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
@@ -28,7 +25,6 @@ def reflector_axes(sightings: Sightings) -> Floats:
     return np.stack([axial, side, np.cross(axial, side)], axis=2)
 
 
-@dataclass(frozen=True)
 class SmrCentring(Effect):
     """Centring of a reflector: the vertex of its mirrors is not the centre of its sphere.
 
@@ -64,5 +60,4 @@ class SmrCentring(Effect):
         return [cls(), *(cls((), (name,)) for name in sightings.target_names)]
 
     def design(self, sightings: Sightings) -> Floats:
-        """Change (n, 3, 3) of the raw readings per unit of offset."""
         return by_displacement(sightings, reflector_axes(sightings) * self.mask(sightings)[:, None, None])

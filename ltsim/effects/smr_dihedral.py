@@ -1,7 +1,3 @@
-"""Dihedral error of a reflector."""
-
-from dataclasses import dataclass
-
 import numpy as np
 
 from ltsim.arrays import Floats
@@ -10,7 +6,6 @@ from ltsim.scene.sightings import Sightings
 from ltsim.units import MICRORADIAN
 
 
-@dataclass(frozen=True)
 class SmrDihedral(Effect):
     """Dihedral error of a reflector: two mirrors do not meet at a right angle, and the return spot splits.
 
@@ -38,7 +33,6 @@ class SmrDihedral(Effect):
     )
 
     def design(self, sightings: Sightings) -> Floats:
-        """Change (n, 3, 2) of the raw readings per unit of direction."""
         acts = self.mask(sightings)
         left = on_readings(sightings, azimuth=acts / np.cos(sightings.elevation))
         return np.stack([left, on_readings(sightings, elevation=acts)], axis=2)

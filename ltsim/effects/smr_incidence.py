@@ -1,5 +1,3 @@
-"""Error of the reflector by the direction from which it is seen."""
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -89,7 +87,6 @@ class SmrIncidence(Effect):
         return angle, direction
 
     def design(self, sightings: Sightings) -> Floats:
-        """Change (n, 3, 5) of the raw readings per unit of each parameter, first order."""
         angle, direction = self.incidence(sightings)
         slope, cubed = np.sin(angle) / np.sin(EDGE), (np.sin(angle) / np.sin(EDGE)) ** 3
         terms = (

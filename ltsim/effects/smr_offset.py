@@ -1,6 +1,3 @@
-"""Another reflector or adaptor."""
-
-from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
@@ -12,7 +9,6 @@ from ltsim.scene.sightings import Sightings
 from ltsim.units import MILLIMETRE
 
 
-@dataclass(frozen=True)
 class SmrOffset(TargetMotion):
     """Another reflector or adaptor: at one station a ball of another radius was used, and the old constant kept.
 
@@ -40,6 +36,5 @@ class SmrOffset(TargetMotion):
         return [cls((name,)) for name in sightings.station_names] if known else []
 
     def displacement(self, sightings: Sightings) -> Floats:
-        """Motion (n, 3, 1) of each pointing's sphere per unit of radius."""
         normal = np.nan_to_num(sightings.nest_normal[sightings.target])
         return (normal * self.mask(sightings)[:, None])[:, :, None]

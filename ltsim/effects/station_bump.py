@@ -1,5 +1,3 @@
-"""Station bumped."""
-
 from dataclasses import dataclass
 from typing import Self
 
@@ -50,5 +48,4 @@ class StationBump(StationMotion):
         return [self.reshaped(time=t) for t in gaps_near(times, self.time)]
 
     def motion(self, sightings: Sightings) -> Floats:
-        """Motion (n, 6, 6): none before the bump, the whole after it."""
         return (self.mask(sightings) * (sightings.time >= self.time))[:, None, None] * np.eye(6)

@@ -1,6 +1,3 @@
-"""Levelling error."""
-
-from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
@@ -12,7 +9,6 @@ from ltsim.scene.sightings import Sightings
 from ltsim.units import MICRORADIAN
 
 
-@dataclass(frozen=True)
 class StationLevelling(StationMotion):
     """Levelling error: the level is wrong, and the station's axis leans although it was levelled.
 
@@ -44,6 +40,5 @@ class StationLevelling(StationMotion):
         return [cls(), *(cls((name,)) for name in sightings.station_names)]
 
     def motion(self, sightings: Sightings) -> Floats:
-        """Turn (n, 6, 2) about the instrument's x and y axes per unit of lean."""
         axes = sightings.rotation[sightings.station][:, :, :2] * self.mask(sightings)[:, None, None]
         return np.concatenate([np.zeros_like(axes), axes], axis=1)

@@ -1,11 +1,6 @@
-"""Noise of one station."""
-
-from dataclasses import dataclass
-
 from ltsim.effects.noise_level import NoiseLevel
 
 
-@dataclass(frozen=True)
 class StationNoise(NoiseLevel):
     """Noise of one station: an unsteady stand, a fan or the sun makes its readings scatter more than stated.
 

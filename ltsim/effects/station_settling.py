@@ -1,5 +1,3 @@
-"""Settling of a station."""
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -49,6 +47,5 @@ class StationSettling(StationMotion):
     )
 
     def motion(self, sightings: Sightings) -> Floats:
-        """Motion (n, 6, 3) already made, per unit of the final one."""
         settled = self.mask(sightings) * (1.0 - np.exp(-sightings.station_time / self.time_constant))
         return settled[:, None, None] * np.eye(6)[:, MOVES]

@@ -1,14 +1,9 @@
-"""Wrong weather at one station."""
-
-from dataclasses import dataclass
-
 from ltsim.arrays import Floats
 from ltsim.effects.effect import Effect, Parameter, Stage, on_readings
 from ltsim.scene.sightings import Sightings
 from ltsim.units import PPM
 
 
-@dataclass(frozen=True)
 class StationWeather(Effect):
     """Wrong weather at one station: a thermometer in the sun, a pressure in another unit.
 
@@ -31,5 +26,4 @@ class StationWeather(Effect):
     parameters = (Parameter("station-weather", "ppm", "share missing from every range of the station", 5 * PPM),)
 
     def design(self, sightings: Sightings) -> Floats:
-        """Change (n, 3, 1) of the raw readings per unit of scale."""
         return on_readings(sightings, distance=self.mask(sightings) * sightings.range_)[:, :, None]

@@ -1,5 +1,3 @@
-"""Moved target."""
-
 from dataclasses import dataclass
 from typing import Literal, Self
 
@@ -63,6 +61,5 @@ class TargetMoved(TargetMotion):
         return [self.reshaped(time=t) for t in gaps_near(times, self.time)] if self.kind == "step" else []
 
     def displacement(self, sightings: Sightings) -> Floats:
-        """Share (n, 3, 3) of the motion that each pointing's target has made, or time [s] since the start."""
         made = sightings.time >= self.time if self.kind == "step" else sightings.time - start_time(sightings)
         return (self.mask(sightings) * made)[:, None, None] * np.eye(3)

@@ -1,6 +1,4 @@
-"""Swapped targets."""
-
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import combinations
 from typing import Self
 
@@ -12,7 +10,6 @@ from ltsim.effects.motions import exact_target_change
 from ltsim.scene.sightings import Sightings
 
 
-@dataclass(frozen=True)
 class TargetSwap(Mistake):
     """Swapped targets: two reflectors carry each other's name at a station.
 
@@ -48,7 +45,6 @@ class TargetSwap(Mistake):
         return replace(sightings, target=np.where(self.mask(sightings) > 0, other, sightings.target))
 
     def design(self, sightings: Sightings) -> Floats:
-        """Change (n, 3, 1) of the raw readings when the two are exchanged, exact."""
         if len(self.targets) != 2:
             return np.zeros((len(sightings), 3, 1))
         a, b = (sightings.target_names.index(name) for name in self.targets)

@@ -1,7 +1,3 @@
-"""Timing lag."""
-
-from dataclasses import dataclass
-
 import numpy as np
 
 from ltsim.arrays import Floats
@@ -18,7 +14,6 @@ def approach_rate(sightings: Sightings) -> Floats:
     return rate
 
 
-@dataclass(frozen=True)
 class TimingLag(Effect):
     """Timing lag: a reading is taken before the axis has come to rest, or a channel is late.
 
@@ -44,6 +39,5 @@ class TimingLag(Effect):
     )
 
     def design(self, sightings: Sightings) -> Floats:
-        """Change (n, 3, 3) of the raw readings per unit of lag."""
         late = approach_rate(sightings) * self.mask(sightings)[:, None]
         return -late[:, :, None] * np.eye(3)

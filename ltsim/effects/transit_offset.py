@@ -1,5 +1,3 @@
-"""Transit offset."""
-
 from ltsim.effects.effect import Parameter, SlotEffect, Stage, Term
 from ltsim.units import MICROMETRE
 

@@ -1,7 +1,3 @@
-"""Turbulence."""
-
-from dataclasses import dataclass
-
 import numpy as np
 
 from ltsim.arrays import Floats
@@ -10,7 +6,6 @@ from ltsim.scene.sightings import Sightings
 from ltsim.units import MICROMETRE
 
 
-@dataclass(frozen=True)
 class Turbulence(NoiseEffect):
     """Turbulence: the air boils, and readings scatter more the farther they reach.
 
@@ -36,7 +31,6 @@ class Turbulence(NoiseEffect):
     )
 
     def variance(self, sightings: Sightings, sigma: Floats, values: Floats) -> Floats:
-        """Variance (n, 3) of the readings."""
         range_, acts = sightings.range_, self.mask(sightings)
         across = values[0] * range_  # C d^3 over d^2: an angle
         added = np.stack([values[1] * range_, across / np.cos(sightings.elevation) ** 2, across], axis=1)

@@ -1,7 +1,5 @@
 """The catalogue of physical effects, to look at and add to; an effect from its name, its places and its constants."""
 
-from __future__ import annotations
-
 import dataclasses
 import inspect
 from collections.abc import Callable, Mapping, Sequence
@@ -81,10 +79,7 @@ def each_of(given: str | S | Sequence[str | S]) -> tuple[str | S, ...]:
 def effect_from(name: str, places: Mapping[str, tuple[str, ...]], shape: Mapping[str, Any]) -> AnyEffect:
     """An effect of the catalogue with its places and constants (in display units where it declares one, else SI).
 
-    Raises
-    ------
-    ModelError
-        When there is no such effect or constant, or a value does not fit.
+    Raises ModelError when there is no such effect or constant, or a value does not fit.
     """
     kind = find_effect(name)
     fields = {f.name: f.default for f in dataclasses.fields(kind) if f.name not in COMMON}
@@ -103,10 +98,7 @@ def effect_from(name: str, places: Mapping[str, tuple[str, ...]], shape: Mapping
 def _check_constants(effect: AnyEffect) -> None:
     """Refuse a word that is none of those a constant knows, and a length or time far outside what is searched.
 
-    Raises
-    ------
-    ModelError
-        Naming the constant and what would do.
+    Raises ModelError, naming the constant and what would do.
     """
     hints = get_type_hints(type(effect))
     for field in dataclasses.fields(effect):
@@ -195,7 +187,6 @@ def catalogue(*names: str) -> Catalogue:
 
 
 def _meaning(effect: type[AnyEffect]) -> str:
-    """What the effect is, in a sentence."""
     return (inspect.getdoc(effect) or "").partition("\n")[0]
 
 

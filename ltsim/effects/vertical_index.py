@@ -1,5 +1,3 @@
-"""Vertical index."""
-
 from ltsim.effects.effect import Parameter, SlotEffect, Stage, Term
 from ltsim.units import ARCSECOND
 

@@ -1,5 +1,3 @@
-"""Window in the path."""
-
 from dataclasses import dataclass
 from typing import Self
 
@@ -88,7 +86,6 @@ class Window(TargetMotion):
         return found + [self.reshaped(normal=(float(np.cos(a)), float(np.sin(a)), 0.0)) for a in turned]
 
     def displacement(self, sightings: Sightings) -> Floats:
-        """Displacement (n, 3, 1) of the target that the readings describe, per unit of thickness."""
         beam = sightings.unit_vectors[0]
         normal = np.broadcast_to(np.asarray(self.normal), beam.shape) if any(self.normal) else beam
         cosine = np.sum(beam * normal, axis=1)[:, None]

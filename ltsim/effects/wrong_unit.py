@@ -1,5 +1,3 @@
-"""Wrong unit."""
-
 from dataclasses import dataclass
 from typing import Self
 
@@ -63,5 +61,4 @@ class WrongUnit(Mistake):
         return np.where(self.mask(sightings)[:, None] > 0, self.slip.written(readings), readings)
 
     def design(self, sightings: Sightings) -> Floats:
-        """Change (n, 3, 1) of the raw readings when the unit is wrong, exact."""
         return (self.written(sightings, sightings.raw) - sightings.raw)[:, :, None]

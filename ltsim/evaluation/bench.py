@@ -7,8 +7,6 @@ range offset takes up.
 Source: Sensors 2021, 21, 7479, sections 2.2 and 3.1.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Each station's targets as points in its own frame, and all stations brought into one frame."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ltsim.arrays import Bools, Floats

@@ -5,11 +5,8 @@ while section 3.2.1 takes deviations from the mean over stations; both are here,
 the mean-based one behind the paper's Table 3, `distance_to_first` the other.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -26,8 +23,6 @@ from ltsim.units import MICROMETRE
 
 MOST_PLACES = 20_000_000
 """Stations times targets whose clouds (0.5 GB then) are compared."""
-AT_ONCE = 2_000_000
-"""Sights of pairs of targets that are held in memory at once."""
 
 
 @dataclass(frozen=True)
@@ -171,45 +166,17 @@ def pair_distances(cloud: Floats) -> Floats:
     return np.linalg.norm(cloud[..., first, :] - cloud[..., second, :], axis=-1)
 
 
-@dataclass(frozen=True)
-class Sights:
-    """Every observer's distance (q,) [m] between two points that it sees, of some pairs of points."""
+def lengths_of_pairs(clouds: Floats, least: int = 1) -> Iterator[tuple[Ints, Floats]]:
+    """For each point the k observers that see it, and its distances (k, m) [m] to later points as they see them.
 
-    pairs: int
-    place: Ints
-    observer: Ints
-    """(q,): which pair, and who sees it, in ascending order."""
-    length: Floats
-
-    def sum(self, values: Floats, which: Bools) -> tuple[Floats, Ints]:
-        """Sum (p,) and number (p,) of some of the values (q,), pair by pair."""
-        place = self.place[which]
-        total = np.bincount(place, values[which], self.pairs).astype(np.float64)
-        return total, np.bincount(place, minlength=self.pairs)
-
-
-def sights_of_pairs(clouds: Floats) -> Iterator[Sights]:
-    """All pairs of points that some observer sees, block by block: memory follows what is seen, not all pairs.
-
-    `clouds` (S, T, 3) [m] are each observer's points, NaN where not seen; pairs come in the order of `np.triu_indices`.
+    `clouds` (S, T, 3) [m] are each observer's points, NaN where not seen. Pairs that fewer than the least number of
+    observers see are left out: memory follows what is seen, not all pairs.
     """
     seen = np.isfinite(clouds[:, :, 0])
-    later = seen[:, ::-1].cumsum(axis=1)[:, ::-1] - seen
-    edges = np.searchsorted(np.cumsum((seen * later).sum(axis=0)), np.arange(0, (seen * later).sum() + 1, AT_ONCE))
-    for low, high in pairwise([*np.unique(edges).tolist(), seen.shape[1]]):
-        first, second, observer = [], [], []
-        for station in np.flatnonzero(seen[:, low:high].any(axis=1)).tolist():
-            own = np.flatnonzero(seen[station, low:])
-            rows, columns = np.nonzero(own[None] > own[own < high - low][:, None])
-            first.append(low + own[rows])
-            second.append(low + own[columns])
-            observer.append(np.full(len(rows), station))
-        if not first:
-            continue
-        a, b, s = (np.concatenate(part) for part in (first, second, observer))
-        pairs, place = np.unique(a * seen.shape[1] + b, return_inverse=True)
-        length = np.linalg.norm(clouds[s, a] - clouds[s, b], axis=1)
-        yield Sights(len(pairs), place, s, length)
+    for point in range(clouds.shape[1]):
+        observers = np.flatnonzero(seen[:, point])
+        others = point + 1 + np.flatnonzero(seen[observers, point + 1 :].sum(axis=0) >= least)
+        yield observers, np.linalg.norm(clouds[observers[:, None], others] - clouds[observers, point, None], axis=2)
 
 
 def distance_differences(clouds: Floats) -> Differences:
@@ -218,28 +185,15 @@ def distance_differences(clouds: Floats) -> Differences:
     `clouds` (S, T, 3) [m] are each station's targets in its own frame; NaN where not seen. Pairs seen by one station
     are left out.
     """
-    found = []
-    for sights in sights_of_pairs(clouds):
-        everywhere = np.ones(len(sights.place), dtype=bool)
-        total, count = sights.sum(sights.length, everywhere)
-        off, _ = sights.sum(np.abs(sights.length - (total / count)[sights.place]), everywhere)
-        found.append((off / count)[count >= 2])
-    return _joined(found)
+    lengths = (length for _, length in lengths_of_pairs(clouds, 2))
+    found = [np.nanmean(np.abs(length - np.nanmean(length, axis=0)), axis=0) for length in lengths if length.size]
+    return Differences(np.concatenate([np.zeros(0), *found]))
 
 
 def distance_differences_to_first(clouds: Floats) -> Differences:
     """Per pair of targets, the mean over the others of |distance from station 1 - from them| (eq. 11)."""
-    found = []
-    for sights in sights_of_pairs(clouds[:, np.isfinite(clouds[0, :, 0])]):
-        others = sights.observer > 0
-        own = np.zeros(sights.pairs)
-        own[sights.place[~others]] = sights.length[~others]
-        total, count = sights.sum(np.abs(sights.length - own[sights.place]), others)
-        found.append(total[count >= 1] / count[count >= 1])
-    return _joined(found)
-
-
-def _joined(found: list[Floats]) -> Differences:
+    lengths = (length for _, length in lengths_of_pairs(clouds[:, np.isfinite(clouds[0, :, 0])], 2))
+    found = [np.nanmean(np.abs(length[1:] - length[0]), axis=0) for length in lengths if length.size]
     return Differences(np.concatenate([np.zeros(0), *found]))
 
 
@@ -249,9 +203,9 @@ def coordinate_differences(placed: Floats) -> Differences:
     `placed` (S, T, 3) [m] are all stations' targets in one frame; NaN where not seen.
     """
     total, count = np.zeros(placed.shape[1]), np.zeros(placed.shape[1])
-    for sights in sights_of_pairs(np.swapaxes(placed, 0, 1)):
-        total += np.bincount(sights.observer, sights.length, len(total))
-        count += np.bincount(sights.observer, minlength=len(total))
+    for targets, gap in lengths_of_pairs(np.swapaxes(placed, 0, 1)):
+        total[targets] += np.nansum(gap, axis=1)
+        count[targets] += np.isfinite(gap).sum(axis=1)
     shared = count >= 1
     return Differences(total[shared] / count[shared])
 

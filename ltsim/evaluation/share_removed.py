@@ -6,8 +6,6 @@ true parameters would remove, the correctable one. In mean squares they add, so 
 for a calibrator that found the truth, 0 for one that did nothing, negative for one that did harm.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,9 +45,3 @@ def cloud_error(recording: Recording, points: Floats, true_points: Floats) -> fl
     clouds = station_means(recording, points)
     gap = np.stack([on_points(cloud, true_points) - true_points for cloud in clouds])
     return float(np.sqrt(np.nanmean(np.sum(gap**2, axis=2))))
-
-
-def target_error(points: Floats, true_points: Floats) -> float:
-    """Rms [m] over targets (T, 3) of the distance of adjusted targets to the truth, after one rigid fit."""
-    gap = on_points(points, true_points) - true_points
-    return float(np.sqrt(np.nanmean(np.sum(gap**2, axis=1))))

@@ -4,9 +4,8 @@ The difference between faces needs no network, no nominal and no second station:
 it, doubled. Parameters found elsewhere that make it smaller are right about the instrument.
 """
 
-from __future__ import annotations
-
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 
@@ -43,9 +42,9 @@ class TwoFace:
         """(3,) median of the absolute half differences, which a few gross errors do not move."""
         return np.median(np.abs(self.half), axis=0)
 
-    def only(self, pairs: Bools) -> TwoFace:
+    def only(self, pairs: Bools) -> Self:
         """Some of the pairs, (m,) bool."""
-        return TwoFace(self.rows[pairs], self.place[pairs], self.half[pairs])
+        return replace(self, rows=self.rows[pairs], place=self.place[pairs], half=self.half[pairs])
 
 
 def face_pairs(recording: Recording) -> Ints:

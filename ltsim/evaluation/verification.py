@@ -6,8 +6,6 @@ coordinates in the CMM's frame after a rigid fit of each station. Before: an ide
 parameters of a calibration.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -17,10 +15,9 @@ from ltsim.errors import NetworkError, RecordError
 from ltsim.evaluation.clouds import measured_points, on_points, station_means
 from ltsim.evaluation.criteria import Comparison, Criteria, Differences, pair_distances
 from ltsim.model.construction import Construction
-from ltsim.recording.files import read_text, shown
+from ltsim.recording.coordinates import read_points
 from ltsim.recording.recording import Recording
 from ltsim.results import Table, numbers, texts
-from ltsim.units import MILLIMETRE
 
 NOMINAL = Table(
     "nominal.csv",
@@ -30,20 +27,12 @@ NOMINAL = Table(
 
 
 def read_nominal(path: Path) -> dict[str, Floats]:
-    """Nominal points (3,) [m] by target, from a table ``target,x_mm,y_mm,z_mm``; raises RecordError."""
-    table = NOMINAL.parsed(read_text(path), path)
-    points: dict[str, Floats] = {}
-    places = table.numbers(*NOMINAL.header[1:]) * MILLIMETRE
-    for number, (name, place) in enumerate(zip(map(str.strip, table.column("target")), places, strict=True), start=1):
-        if not name or name in points:
-            found = f"target '{shown(name)}' stands here a second time" if name else "the target has no name"
-            raise RecordError(f"{found}; expected one row a target", file=path, row=number, column="target")
+    """Nominal points (3,) [m] by target, from a list such as ``target,x_mm,y_mm,z_mm``; raises RecordError."""
+    found = read_points(path)
+    for line, place in zip(found.lines, found.points, strict=True):
         if not np.isfinite(place).all():
-            raise RecordError("a coordinate is missing, expected a number in mm", file=path, row=number)
-        points[name] = place
-    if not points:
-        raise RecordError("holds no nominal points", file=path)
-    return points
+            raise RecordError("a coordinate is missing, expected a number in mm", file=path, row=line)
+    return found.by_name
 
 
 def distance_errors(clouds: Floats, nominal: Floats) -> Differences:

@@ -40,7 +40,7 @@ def pose_design(by_target: Floats, arm: Floats) -> Floats:
     return np.concatenate([-by_target, by_target @ cross_matrix(arm)], axis=2)
 
 
-def holds_pose(points: Floats, seen: Bools, vertical: Floats | None = None) -> Bools:
+def holds_pose(points: Floats, seen: Bools, vertical: Floats | None = None, *, flat: float = ON_A_LINE) -> Bools:
     """Whether (...) the targets that each station sees hold its six motions, as geometry alone decides.
 
     Three targets off one line do; a levelled station needs two that are not above one another.
@@ -52,15 +52,17 @@ def holds_pose(points: Floats, seen: Bools, vertical: Floats | None = None) -> B
         Targets that each station measures whole.
     vertical : (..., 3) float, optional
         Unit vector of the plumb line that a level holds at each station, NaN without a level.
+    flat : float
+        Share of their extent by which targets on a line may be off it.
     """
     count = np.maximum(seen.sum(axis=-1), 1)
     centre = (seen @ points) / count[..., None]
     arms = (points - centre[..., None, :]) * seen[..., None]
     scatter = np.swapaxes(arms, -1, -2) @ arms
     spread = np.linalg.eigvalsh(scatter)
-    held: Bools = spread[..., 1] > ON_A_LINE**2 * spread[..., 2]
+    held: Bools = spread[..., 1] > flat**2 * spread[..., 2]
     if vertical is not None:
         extent = spread.sum(axis=-1)
         across = extent - np.einsum("...i,...ij,...j->...", vertical, scatter, vertical)
-        held |= across > ON_A_LINE**2 * extent
+        held |= across > flat**2 * extent
     return held

@@ -1,10 +1,9 @@
 """A tracker construction: a kinematic chain with its error parameters, exact in both directions."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
+from typing import Self
 
 import numpy as np
 
@@ -65,11 +64,11 @@ class Construction:
             raise unknown_name("instrument parameter", name, self.names)
         return self.names.index(name)
 
-    def only(self, places: Iterable[int]) -> Construction:
+    def only(self, places: Iterable[int]) -> Self:
         """The same chain with some of the parameters."""
         kept = [int(k) for k in places]
         parameters, terms = tuple(self.parameters[k] for k in kept), tuple(self.terms[k] for k in kept)
-        return Construction(self.name, self.chain, parameters, terms)
+        return replace(self, parameters=parameters, terms=terms)
 
     @cached_property
     def _moving(self) -> tuple[Chain, tuple[str, ...]]:
@@ -317,6 +316,11 @@ def construction(name: str, harmonics: int | None = None, degree: int | None = N
         if order is not None and not 0 <= order <= highest:
             raise ModelError(f"{what} is {order}, expected 0 to {highest}")
     return dh(2 if harmonics is None else harmonics, 2 if degree is None else degree)
+
+
+def built_as(name: str, harmonics: int, degree: int) -> Construction:
+    """Give a construction by its name, with the orders where it is the D-H chain."""
+    return dh(harmonics, degree) if name == "dh" else construction(name)
 
 
 def with_parameters(name: str, parameters: Iterable[str]) -> Construction:

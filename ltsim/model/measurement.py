@@ -1,9 +1,8 @@
 """Scene, construction and effects give predicted readings and their derivatives."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 
@@ -35,9 +34,9 @@ class State:
     extra: Floats = field(default_factory=lambda: np.zeros(0))
     """(q,): parameters of the further effects."""
 
-    def moved(self, pose: Floats, points: Floats, instrument: Floats, extra: Floats) -> State:
+    def moved(self, pose: Floats, points: Floats, instrument: Floats, extra: Floats) -> Self:
         """The state after increments; `pose` (S, 6) is translation, then rotation vector in the network frame."""
-        return State(
+        return type(self)(
             self.position + pose[:, :3],
             from_rotation_vector(pose[:, 3:]) @ self.rotation,
             self.points + points,
@@ -236,13 +235,7 @@ def plan_rotation(recording: Recording, position: Floats, rotation: Floats) -> F
 
     The stations' rough positions (three or more, off one line) say it; otherwise their yaws. With control points both
     frames are one, and nothing better is known where the set-up is silent: then it is the identity.
-
-    Parameters
-    ----------
-    recording : Recording
-    position : (S, 3) float, [m]
-    rotation : (S, 3, 3) float
-        Instrument frame to network frame.
+    Stations stand at `position` (S, 3) [m], `rotation` (S, 3, 3) turns their frames into the network's.
     """
     if any(recording.target_setup(name).known_mm is not None for name in recording.targets):
         return np.eye(3)

@@ -11,9 +11,9 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from ltsim.arrays import Bools, Floats
-from ltsim.effects.noise import white_noise_sigma
 from ltsim.model.measurement import sightings_of
 from ltsim.planning.planner import Plan
+from ltsim.recording.recording import noise_sigma
 from ltsim.units import DEGREE, MILLIMETRE
 
 REACH = 2.2
@@ -79,7 +79,10 @@ def settings_of(plan: Plan) -> tuple[Setting, ...]:
     survey, built = plan.chosen.survey, plan.chosen.information.construction
     recording = survey.recording(built)
     sightings = sightings_of(recording, survey.state(built))
-    sigma = white_noise_sigma(sightings, [survey.setup.instrument.noise]) * survey.used
+    sigma = (
+        noise_sigma([survey.setup.instrument.noise], sightings.instrument, sightings.range_, sightings.elevation)
+        * survey.used
+    )
     flat = sightings.range_ * np.cos(sightings.elevation)
     error = np.linalg.norm(sigma * np.stack([np.ones_like(flat), flat, sightings.range_], axis=1), axis=1)
     found = []

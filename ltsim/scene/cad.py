@@ -4,8 +4,6 @@ glTF states metres and y up; STEP and IGES state their unit; STL, OBJ and PLY st
 with z up. What a file was taken for is told, and a body of an unlikely size or place is a question, not a body.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import tempfile
@@ -62,12 +60,10 @@ class Cad:
         unit = f"numbers taken for {WORDS[self.unit]}" if self.unit else f"in the unit that {kind} states"
         return f"{unit}, {self.up} up"
 
-    def of_other(self, *, unit: str = "", up: str = "") -> Floats:
-        """The triangles (m, 3, 3) as another unit or another axis that points up would have them."""
-        triangles = self.triangles * (FACTOR[unit] / FACTOR[self.unit] if unit else 1.0)
-        if up and up != self.up:
-            triangles = triangles @ (UPRIGHT.T if up == "y" else UPRIGHT)
-        return triangles
+    @property
+    def turned(self) -> Floats:
+        """The triangles (m, 3, 3) as they would be if the other one of y and z pointed up."""
+        return self.triangles @ (UPRIGHT if self.up == "y" else UPRIGHT.T)
 
 
 def read_mesh(path: Path, unit: str | None = None, up: str | None = None) -> Cad:

@@ -4,8 +4,6 @@ Embree (the extra `cad`) casts the rays in single precision; rays that pass clos
 way, are cast again here in double precision. Without it all are, which takes long only for large CAD files.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property

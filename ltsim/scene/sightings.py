@@ -1,10 +1,9 @@
 """Sightings: the geometry of every pointing, computed once and handed to every effect."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 
@@ -57,7 +56,7 @@ class Sightings:
     def __len__(self) -> int:
         return len(self.station)
 
-    def at(self, position: Floats, rotation: Floats, points: Floats) -> Sightings:
+    def at(self, position: Floats, rotation: Floats, points: Floats) -> Self:
         """The same pointings with stations and targets elsewhere."""
         return replace(self, position=position, rotation=rotation, points=points, encoder=None)
 
@@ -281,7 +280,6 @@ class Sightings:
 
 
 def _places(names: Sequence[str]) -> dict[str, list[int]]:
-    """Where each name stands."""
     found: dict[str, list[int]] = {}
     for i, name in enumerate(names):
         found.setdefault(name, []).append(i)

@@ -130,14 +130,9 @@ def visibility(
 ) -> Visibility:
     """Tables of who sees whom, from origins of instruments (S, 3) [m] to points (T, 3) [m].
 
-    Parameters
-    ----------
-    rotation : (S, 3, 3) float, optional
-        Instrument frames to the network frame; upright where not given.
-    nest_normal : (T, 3) float, optional
-        Where open faces look; rows of NaN are unknown and accept every beam.
-    reaimed : (T,) bool, optional
-        Reflectors that are turned to the station; all are where not given.
+    Instruments stand upright where no `rotation` (S, 3, 3), instrument frames to the network frame, is given. Open
+    faces look along `nest_normal` (T, 3), rows of NaN are unknown and accept every beam; reflectors are turned to the
+    station where `reaimed` (T,) says so, all where it is not given.
     """
     position, points = as_floats(position, (-1, 3), "position"), as_floats(points, (-1, 3), "points")
     sight = points - position[:, None, :]

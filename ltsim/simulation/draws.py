@@ -62,26 +62,19 @@ def effect_laws(scenario: Scenario, effects: tuple[Effect, ...]) -> tuple[Effect
 
 @dataclass(frozen=True)
 class Normal:
-    """Standard normal numbers (size, B) of trials (B,) of a seed, by what they are for.
-
-    `key` tells them from others of the same seed and trials.
-    """
+    """Standard normal numbers (size, B) of trials (B,) of a seed, by what they are for."""
 
     seed: int
     trials: Ints
-    key: tuple[str | int, ...] = ()
 
     def __call__(self, size: int, *what: str | int) -> Floats:
         """The numbers (size, B) that are for something."""
-        return trials_normal(self.seed, self.trials, size, *self.key, *what)
+        return trials_normal(self.seed, self.trials, size, *what)
 
     def one_by_one(self) -> list[Normal]:
         """Those of each trial by itself; what they have in common is drawn once."""
         together = lru_cache(maxsize=None)(self.__call__)
-        return [
-            _Column(self.seed, own, self.key, together, k)
-            for k, own in enumerate(np.split(self.trials, len(self.trials)))
-        ]
+        return [_Column(self.seed, self.trials[[k]], together, k) for k in range(len(self.trials))]
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,5 @@
 """Where everything truly stands, and the pointings in the order of the work: the part of a trial that may be kept."""
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -51,11 +49,8 @@ class Fieldwork:
 def fieldwork(scenario: Scenario, seed: int, *key: str | int, plan: Layout | None = None) -> Fieldwork:
     """Place everything, leave out what is not seen, and order the work; `plan` as in `placed`.
 
-    Raises
-    ------
-    SetupError
-        When a station sees nothing, a file of an obstacle is damaged, an effect does not exist, or a ball
-        stands off along a normal that is not known.
+    Raises SetupError when a station sees nothing, a file of an obstacle is damaged, an effect does not exist, or a ball
+    stands off along a normal that is not known.
     """
     layout = placed(scenario, seed, *key, plan=plan)
     table = visibility_of(scenario, layout)
@@ -198,11 +193,8 @@ def balls_of(scenario: Scenario, sightings: Sightings) -> tuple[str, ...]:
 def true_lift(scenario: Scenario, sightings: Sightings, seed: int, *key: str | int) -> Floats | None:
     """Where (n, 3) [m] each ball's centre stands from its target; None in a scenario of one ball.
 
-    Raises
-    ------
-    SetupError
-        When a pointing uses a ball without a table, one of another radius has no normal to lie along, or the reference
-        is not stated.
+    Raises SetupError when a pointing uses a ball without a table, one of another radius has no normal to lie along, or
+    the reference is not stated.
     """
     reflectors = scenario.reflectors
     if not reflectors:

@@ -1,7 +1,5 @@
 """The gauge: points of a rigid frame from the lengths between them, and what a measuring machine says of it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import combinations
 from types import MappingProxyType
@@ -47,10 +45,7 @@ class Frame:
 def frame_of(gauge: Gauge) -> Frame:
     """The frame that has the gauge's lengths.
 
-    Raises
-    ------
-    SetupError
-        When a length is missing, twice there, or no frame in space has these lengths.
+    Raises SetupError when a length is missing, twice there, or no frame in space has these lengths.
     """
     names = gauge.targets
     pairs = list(combinations(range(len(names)), 2))

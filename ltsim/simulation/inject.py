@@ -5,10 +5,8 @@ pointings as the adjustment of the recording has them; how far these are from th
 range, 1e-4 for 1 mm in 10 m.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -157,6 +155,6 @@ class Injector:
         told = dict(zip(("distance_um", "azimuth_urad", "elevation_urad"), largest.tolist(), strict=True))
         return made, Injected(cause, words, values, self.noncentrality(cause, values), told)
 
-    def after(self, recording: Recording) -> Injector:
+    def after(self, recording: Recording) -> Self:
         """The same for a recording that something was put into already."""
         return replace(self, recording=recording)

@@ -1,7 +1,5 @@
 """Dotted keys of a scenario: what kind of value each takes and in which unit, and values that carry their unit."""
 
-from __future__ import annotations
-
 from typing import Any, Literal
 
 from ltsim.effects import find_effect
@@ -52,10 +50,7 @@ def unit_of(scenario: Scenario, key: str) -> str:
 def quantity(scenario: Scenario, key: str, value: Any, where: str) -> Any:
     """A value as the key takes it: a text such as ``2 urad`` becomes a number in the key's unit.
 
-    Raises
-    ------
-    SetupError
-        When the text is no quantity of this kind; `where` is named.
+    Raises SetupError when the text is no quantity of this kind; `where` is named.
     """
     if not isinstance(value, str) or not value or value[0] not in "+-.0123456789":
         return value

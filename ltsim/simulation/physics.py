@@ -1,28 +1,24 @@
 """What is wrong with the instrument and the surroundings of a scenario: constructions, effects, and their laws."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ltsim.arrays import Floats
 from ltsim.effects import BASELINE
 from ltsim.effects.effect import Effect
-from ltsim.effects.noise import white_noise_sigma
 from ltsim.effects.smr_incidence import SmrIncidence
 from ltsim.errors import ModelError, SetupError
-from ltsim.model.construction import Construction, construction, dh, misalignment
+from ltsim.model.construction import Construction, built_as, misalignment
+from ltsim.recording.recording import noise_sigma
 from ltsim.scene.sightings import Sightings
 from ltsim.simulation.scenario import Scenario, table_name
-from ltsim.simulation.sections import EffectEntry, Instrument, Smr
+from ltsim.simulation.sections import EffectEntry, Instrument
 from ltsim.units import ARCSECOND, DEGREE, MICROMETRE
 
 
 def construction_of(scenario: Scenario) -> Construction:
     """The construction of the scenario's trackers, which is one for all."""
     instrument = next(iter(scenario.trackers.values()))
-    if instrument.construction == "dh":
-        return dh(instrument.harmonics, instrument.degree)
-    return construction(instrument.construction)
+    return built_as(instrument.construction, instrument.harmonics, instrument.degree)
 
 
 def planned_construction(scenario: Scenario) -> Construction:
@@ -41,10 +37,7 @@ def planned_construction(scenario: Scenario) -> Construction:
 def instrument_law(scenario: Scenario, construction: Construction) -> tuple[Floats, Floats]:
     """Mean and standard deviation (I, p) [SI] from which each tracker's errors are drawn; those stated have none.
 
-    Raises
-    ------
-    SetupError
-        When an error is stated that the construction does not have.
+    Raises SetupError when an error is stated that the construction does not have.
     """
     laws = [_law(tracker, construction, name) for name, tracker in scenario.trackers.items()]
     return np.array([mean for mean, _ in laws]), np.array([sigma for _, sigma in laws])
@@ -68,7 +61,8 @@ def stated_noise(scenario: Scenario, sightings: Sightings) -> Floats:
     """True standard deviation (n, 3) [m, rad, rad] of the white noise: what each maker states, times the factor."""
     trackers = scenario.trackers.values()
     factor = np.array([tracker.noise_factor for tracker in trackers])[sightings.instrument]
-    return factor[:, None] * white_noise_sigma(sightings, [tracker.noise for tracker in trackers])
+    noise = [tracker.noise for tracker in trackers]
+    return factor[:, None] * noise_sigma(noise, sightings.instrument, sightings.range_, sightings.elevation)
 
 
 def resolution_of(scenario: Scenario) -> Floats:
@@ -78,23 +72,21 @@ def resolution_of(scenario: Scenario) -> Floats:
     return np.array([[step.distance_um, step.angle_arcsec, step.angle_arcsec] for step in steps]) * units
 
 
-def incidence_effect(smr: Smr) -> SmrIncidence:
-    """The reflectors' error against incidence, by the scenario's table."""
-    table = tuple(x * MICROMETRE for x in smr.table_um)
-    return SmrIncidence(table=table, direction=smr.direction_deg * DEGREE)
+def quantised(readings: Floats, step: Floats) -> Floats:
+    """Readings (n, 3) rounded to whole steps (3,) or (n, 3) [m, rad, rad]; a step of 0 leaves them."""
+    step = np.broadcast_to(step, readings.shape)
+    return np.where(step > 0.0, step * np.round(readings / np.where(step > 0.0, step, 1.0)), readings)
 
 
 def effects_of(scenario: Scenario) -> tuple[Effect, ...]:
     """The scenario's effects in the order of its file; the reflectors' incidence error, if it is on, is the last.
 
-    Raises
-    ------
-    SetupError
-        Naming the entry and what would be right.
+    Raises SetupError, naming the entry and what would be right.
     """
     effects = [_effect_of(entry, i + 1) for i, entry in enumerate(scenario.effects)]
-    if scenario.smr.incidence_error:
-        effects.append(incidence_effect(scenario.smr))
+    if (smr := scenario.smr).incidence_error:
+        table = tuple(x * MICROMETRE for x in smr.table_um)
+        effects.append(SmrIncidence(table=table, direction=smr.direction_deg * DEGREE))
     return tuple(effects)
 
 

@@ -1,7 +1,5 @@
 """A scenario: everything a simulation needs but the seed, as a file a person can read and edit."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from itertools import chain
 from pathlib import Path
@@ -142,12 +140,8 @@ def scenario_from(data: Mapping[str, Any], file: Path) -> Scenario:
 def changed(scenario: Scenario, changes: Mapping[str, Any], file: Path, where: str = "") -> Scenario:
     """A scenario with some values changed, by dotted key, and checked again; `file` and `where` are named in errors.
 
-    A tracker's `preset` brings its noise and prior with it, and its limits or the question for them.
-
-    Raises
-    ------
-    SetupError
-        When a key or value is one that no scenario can have.
+    A tracker's `preset` brings its noise and prior with it, and its limits or the question for them. Raises SetupError
+    when a key or value is one that no scenario can have.
     """
     # Checked twice: as tables with the changes, and as what a file of it would say.
     table = scenario.model_dump(mode="json", by_alias=True, exclude_none=True)
@@ -215,12 +209,8 @@ def _with_preset(instrument: Any, file: Path) -> Any:
 def _in_use(scenario: Scenario, file: Path) -> Scenario:
     """The scenario without the stations and reflectors that ``work.stations`` and ``work.targets`` leave out.
 
-    Effects lose the places that are left out, trackers that then stand nowhere go too.
-
-    Raises
-    ------
-    SetupError
-        When more is asked for than there is, or fewer than three targets are left.
+    Effects lose the places that are left out, trackers that then stand nowhere go too. Raises SetupError when more is
+    asked for than there is, or fewer than three targets are left.
     """
     work = scenario.work
     for key in ("stations", "targets"):

@@ -1,14 +1,11 @@
 """The tables of a scenario file (ltsim-scenario/1). Keys carry their units; whoever needs SI converts at the door."""
 
-from __future__ import annotations
-
 from types import MappingProxyType
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, Field, StrictBool, model_validator
 
 from ltsim.effects.effect import Effect
-from ltsim.effects.noise import PAPER_ANGLE_ARCSEC, PAPER_DISTANCE_UM
 from ltsim.effects.smr_incidence import PAPER_TABLE, TABLE_ANGLES
 from ltsim.effects.verbs import Sized, effect_from, shape_of
 from ltsim.errors import ModelError, SetupError
@@ -83,7 +80,7 @@ class Obstacle(Section):
     """Turn about the vertical."""
 
     @model_validator(mode="after")
-    def _one_shape(self) -> Obstacle:
+    def _one_shape(self) -> Self:
         if sum(shape is not None for shape in (self.file, self.box_mm, self.cylinder_mm)) != 1:
             raise ValueError("it should have one of file, box_mm and cylinder_mm")
         return self
@@ -129,11 +126,11 @@ class Placing(Section):
 
 
 class Resolution(Section):
-    """Smallest steps of the readings; 0 for none."""
+    """Smallest steps of the readings; 0 for none, by default the paper's (section 2.1.1)."""
 
-    distance_um: NonNegative = PAPER_DISTANCE_UM
+    distance_um: NonNegative = 0.1
     """Of a range."""
-    angle_arcsec: NonNegative = PAPER_ANGLE_ARCSEC
+    angle_arcsec: NonNegative = 0.018
     """Of both angles."""
 
 
@@ -146,7 +143,7 @@ class Limits(ElevationLimits):
     """Longest one."""
 
     @model_validator(mode="after")
-    def _outward(self) -> Limits:
+    def _outward(self) -> Self:
         if self.range_min_mm >= self.range_max_mm:
             raise ValueError("it should have range_min_mm below range_max_mm")
         return self
@@ -189,7 +186,7 @@ class Instrument(Section):
     """How many times the prior the recording states: a maker's figures that are wrong."""
 
     @model_validator(mode="after")
-    def _draw_is_a_switch(self) -> Instrument:
+    def _draw_is_a_switch(self) -> Self:
         for name, value in self.errors.items():
             if isinstance(value, bool) != (name == "draw"):
                 raise ValueError("it should hold numbers, and true or false for draw only")
@@ -381,7 +378,7 @@ class EffectEntry(PlacedEffect):
     """Parameters by name, in display units."""
 
     @classmethod
-    def of(cls, given: Effect | Sized) -> EffectEntry:
+    def of(cls, given: Effect | Sized) -> Self:
         """An effect with its places and constants, and the sizes of its parameters; drawn where none is given."""
         effect, sizes = (given.effect, dict(given.sizes)) if isinstance(given, Sized) else (given, {})
         places = {"stations": effect.stations, "targets": effect.targets}

@@ -1,7 +1,5 @@
 """The simulator: a scenario, a seed and a trial's number give a recording, and apart from it the truth."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from itertools import combinations
 from typing import Any, Literal
@@ -10,7 +8,6 @@ import numpy as np
 
 from ltsim.arrays import Floats
 from ltsim.effects.effect import Effect, Mistake, NoiseEffect
-from ltsim.effects.noise import quantised
 from ltsim.geometry.polar import wrap
 from ltsim.recording.lengths import KnownLengths
 from ltsim.recording.recording import OBSERVABLES, REFLECTOR_COLUMN, Recording
@@ -29,7 +26,7 @@ from ltsim.recording.setup import (
 from ltsim.simulation.draws import Normal, Population, effect_laws
 from ltsim.simulation.fieldwork import Fieldwork, balls_of, fieldwork
 from ltsim.simulation.gauge import length_sigma, nominal_points
-from ltsim.simulation.physics import instrument_law, resolution_of, stated_noise
+from ltsim.simulation.physics import instrument_law, quantised, resolution_of, stated_noise
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.sections import Instrument as Tracker
 from ltsim.simulation.truth import AppliedEffect, TrackerTruth, Truth
@@ -70,7 +67,21 @@ def measure(
 
 def error_free(work: Fieldwork) -> Recording:
     """The recording of an ideal tracker and of exact certificates, with all that is stated."""
-    blank = exact_lengths(_without_lengths(work, work.sightings.raw), work)
+    s = work.sightings
+    bare = Recording(
+        setup=_setup(work),
+        stations=s.station_names,
+        targets=s.target_names,
+        station=s.station,
+        target=s.target,
+        face=s.face,
+        repeat=s.repeat,
+        time=s.time,
+        readings=s.raw,
+        covariates=s.covariates,
+        labels=_balls(work),
+    )
+    blank = exact_lengths(bare, work)
     return blank.replace(notes=(*work.notes, *_idle(work, KnownLengths.of(blank))))
 
 
@@ -95,14 +106,8 @@ def population_of(work: Fieldwork, blank: Recording) -> Population:
 def simulate_readings(work: Fieldwork, instrument: Floats, values: tuple[Floats, ...], noise: Floats) -> Floats:
     """Raw readings (n, 3) of the fieldwork: exact, with noise, rounded; NaN for what is not recorded.
 
-    Parameters
-    ----------
-    work : Fieldwork
-    instrument : (I, p) float, [SI]
-        Of the trackers of the scenario.
-    values : tuple of (q,) float, [SI]
-        One an effect of `work.effects`.
-    noise : (n, 3) float, [m, rad, rad]
+    `instrument` (I, p) [SI] is of the scenario's trackers, `values` (q,) [SI] one an effect of `work.effects`, `noise`
+    (n, 3) [m, rad, rad] of the readings.
     """
     readings = exact_readings(work, instrument, values) + noise
     readings[:, 1] = wrap(readings[:, 1])
@@ -132,23 +137,6 @@ def exact_readings(work: Fieldwork, instrument: Floats, values: tuple[Floats, ..
 def mistakes(effects: Sequence[Effect], values: Sequence[Floats]) -> list[Mistake]:
     """Blunders that were made: their one parameter is not 0."""
     return [e for e, made in zip(effects, values, strict=True) if isinstance(e, Mistake) and np.any(made[0])]
-
-
-def _without_lengths(work: Fieldwork, readings: Floats) -> Recording:
-    s = work.sightings
-    return Recording(
-        setup=_setup(work),
-        stations=s.station_names,
-        targets=s.target_names,
-        station=s.station,
-        target=s.target,
-        face=s.face,
-        repeat=s.repeat,
-        time=s.time,
-        readings=readings,
-        covariates=s.covariates,
-        labels=_balls(work),
-    )
 
 
 def _balls(work: Fieldwork) -> dict[str, tuple[str, ...]]:

@@ -1,12 +1,10 @@
 """The truth of a simulated recording: kept in a file of its own (ltsim-truth/1), which no calibrator opens."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal, Self, get_args
 
 import numpy as np
 from pydantic import Field, ValidationError
@@ -18,7 +16,8 @@ from ltsim.effects.verbs import effect_from, shape_of
 from ltsim.errors import ModelError, RecordError
 from ltsim.evaluation.verification import NOMINAL
 from ltsim.geometry.rotations import quaternion
-from ltsim.recording.files import read_text, write_text
+from ltsim.recording.files import write_text
+from ltsim.recording.result_file import read_json
 from ltsim.recording.settings import sentence
 from ltsim.recording.setup import Finite, Section, Vector
 from ltsim.results import Columns, Result
@@ -118,7 +117,7 @@ class Truth(Result):
         return content
 
     @classmethod
-    def from_json(cls, content: Mapping[str, Any], file: object = "truth") -> Truth:
+    def from_json(cls, content: Mapping[str, Any], file: object = "truth") -> Self:
         """The truth of a truth file's contents; raises RecordError."""
         try:
             table = TruthFile.model_validate_json(json.dumps(content), strict=True)
@@ -271,22 +270,13 @@ def write_truth(truth: Truth, path: Path) -> None:
 
 def read_truth(path: Path) -> Truth:
     """Read a truth file; raises RecordError."""
-    try:
-        content = json.loads(read_text(path))
-    except ValueError as problem:
-        raise RecordError(f"is not JSON ({' '.join(str(problem).split())})", file=path) from None
-    if not isinstance(content, dict):
-        raise RecordError("holds no table, expected a truth file", file=path)
-    return Truth.from_json(content, path)
+    return Truth.from_json(read_json(path, "truth file"), path)
 
 
 def nominal_csv(truth: Truth) -> str:
     """The table ``target,x_mm,y_mm,z_mm`` of the measuring machine's points, which verification reads.
 
-    Raises
-    ------
-    ModelError
-        When the scenario has no measuring machine.
+    Raises ModelError when the scenario has no measuring machine.
     """
     if truth.nominal is None:
         raise ModelError("the scenario measured no nominal points; set nominal = true in its table [cmm]")

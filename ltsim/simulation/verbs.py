@@ -1,7 +1,5 @@
 """Virtual workshops: scenarios, and recordings made from them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple

@@ -1,9 +1,8 @@
 """The workshop as planned: poses, points, nests, obstacles, and who sees whom."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -36,7 +35,7 @@ class Layout:
     reaimed: Bools
     """(T,)."""
 
-    def at(self, position: Floats, rotation: Floats, points: Floats) -> Layout:
+    def at(self, position: Floats, rotation: Floats, points: Floats) -> Self:
         """The same layout with everything where it truly stands."""
         return replace(self, position=position, rotation=rotation, points=points)
 
@@ -44,10 +43,7 @@ class Layout:
 def planned(scenario: Scenario) -> Layout:
     """The layout of a scenario, exactly as its file says; reflectors of the mesh first, then the gauge's.
 
-    Raises
-    ------
-    SetupError
-        When no gauge has the stated lengths.
+    Raises SetupError when no gauge has the stated lengths.
     """
     stations = scenario.stations.values()
     position = np.array([s.position_mm for s in stations], dtype=np.float64) * MILLIMETRE
@@ -125,10 +121,7 @@ def obstacles_of(scenario: Scenario) -> Obstacles | None:
 def bodies_of(scenario: Scenario) -> list[Body]:
     """Each obstacle in its place.
 
-    Raises
-    ------
-    SetupError
-        For a CAD file that cannot be read, or whose size or place has to be asked about.
+    Raises SetupError for a CAD file that cannot be read, or whose size or place has to be asked about.
     """
     room = np.array(scenario.workshop.size_mm) * MILLIMETRE
     parts = []
@@ -160,7 +153,7 @@ def _place_question(entry: Obstacle, body: Body, cad: Cad, room: Floats) -> str:
     if entry.beyond_room or inside(body.triangles, room):
         return ""
     other = "z" if cad.up == "y" else "y"
-    turned = _in_place(entry, cad.of_other(up=other))
+    turned = _in_place(entry, cad.turned)
     size = " x ".join(f"{v:g}" for v in room)
     what = "reaches below the floor" if body.triangles[..., 2].min() < 0 else "reaches beyond the room"
     fits = f'with up = "{other}" it would stand in it' if inside(turned, room) else "move it by position_mm"

@@ -6,8 +6,6 @@ Pelzer, Zur Analyse geodaetischer Deformationsmessungen (1971): the congruence t
 Baarda, A testing procedure for use in geodetic networks (1968): the single hypotheses and their smallest visible size.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -252,7 +250,6 @@ def _displacement(gap: Gap, i: int, name: str, moved: list[int], tested: int, le
 
 
 def _sentence(displacements: Sequence[Displacement]) -> str:
-    """The verdict."""
     size = {d.target: float(np.linalg.norm(d.shift_um)) for d in displacements if d.moved}
     if not size:
         sure = max(d.visible_um[1] for d in displacements)

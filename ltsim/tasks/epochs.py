@@ -5,10 +5,9 @@ Each epoch is adjusted by itself; the second is brought onto the first by the ri
 by one: whichever explains most of what is left, until the rest is congruent; each is then tested beside the others.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 import scipy.linalg
@@ -99,14 +98,14 @@ class _Epoch:
     free: Floats
 
     @classmethod
-    def of(cls, adjustment: Adjustment, at: Ints, common: Sequence[str]) -> _Epoch:
+    def of(cls, adjustment: Adjustment, at: Ints, common: Sequence[str]) -> Self:
         reach = reach_of(adjustment, at)
         groups = {source.name: source.response for source in observed_sources(adjustment, reach)}
         given = [np.zeros((reach.shape[1], 0)), *(groups[name] for name in common if name in groups)]
         return cls(adjustment.state.points[at], reach.T @ reach, np.hstack(given), adjustment.problem.free)
 
     @classmethod
-    def listed(cls, found: Coordinates, common: Sequence[str], free: bool) -> _Epoch:
+    def listed(cls, found: Coordinates, common: Sequence[str], free: bool) -> Self:
         """Points of a list."""
         at = np.array([found.names.index(name) for name in common])
         rows = rows_of(at, len(found.axes))

@@ -1,7 +1,5 @@
 """The whole evaluation: readings to results, uncertainty twice, budget, verdicts."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property

@@ -9,8 +9,6 @@ Forbes, Least-squares best-fit geometric elements, NPL report DITC 140/89 (1989)
 Shakarji, J. Res. NIST 103 (1998) 633: objective functions and Gauss-Newton iterations of the same elements.
 """
 
-from __future__ import annotations
-
 from dataclasses import astuple, dataclass
 
 import numpy as np
@@ -48,20 +46,10 @@ LEAST = {"line": 2, "plane": 3, "circle": 3, "sphere": 4, "cylinder": 5}
 
 
 def fit(kind: str, points: Floats, near: Feature | None = None) -> Feature:
-    """The element of a kind that fits points (..., n, 3) [m] best.
+    """The element that fits points (..., n, 3) [m] best: line, plane, circle, sphere or cylinder.
 
-    Parameters
-    ----------
-    kind : str
-        ``line``, ``plane``, ``circle``, ``sphere`` or ``cylinder``.
-    points : (..., n, 3) float, [m]
-    near : Feature, optional
-        An element to start from, of one set of points; a cylinder is otherwise started from many axes.
-
-    Raises
-    ------
-    ModelError
-        When the points do not determine the element.
+    It is started `near` an element of one set of points; a cylinder without one from many axes. Raises ModelError when
+    the points do not determine the element.
     """
     points = np.asarray(points, dtype=np.float64)
     if points.shape[-2] < LEAST[kind]:

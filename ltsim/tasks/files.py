@@ -1,7 +1,5 @@
 """uncertainty.json, uncertainty.csv and budget.csv: what the tasks of a file are worth."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from typing import Any, ClassVar, Literal
 

@@ -5,10 +5,8 @@ the errors of any group of observations, and any effect that shifts readings, re
 the covariance of the points falls apart into the shares of its sources, which add up to the whole.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, Self
 
 import numpy as np
 
@@ -66,15 +64,11 @@ class Inputs:
     """What the sources hold of the air, in words; empty where ranges are short."""
 
     @classmethod
-    def of(cls, recording: Recording, tasks: Tasks) -> Inputs:
+    def of(cls, recording: Recording, tasks: Tasks) -> Self:
         """Adjust a recording and trace the points of the tasks back to their sources.
 
-        Raises
-        ------
-        NetworkError, ConvergenceError
-            When the network cannot be solved.
-        ModelError, SetupError
-            When a target or an effect does not exist.
+        Raises NetworkError, ConvergenceError when the network cannot be solved; ModelError, SetupError when a target or
+        an effect does not exist.
         """
         construction = stated_construction(recording) if tasks.calibrate else ideal()
         found = adjust(recording, construction, robust=tasks.robust, datum=tasks.datum or None)

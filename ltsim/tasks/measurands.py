@@ -1,9 +1,8 @@
 """From points to results: what each kind of task reports, in units a person reads, for one or many sets of points."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Self
 
 import numpy as np
 
@@ -46,13 +45,10 @@ class Measurand:
     """The element fitted to the estimated points: start of every further fit and side of every direction."""
 
     @classmethod
-    def of(cls, task: Task, targets: Sequence[str], points: Floats) -> Measurand:
+    def of(cls, task: Task, targets: Sequence[str], points: Floats) -> Self:
         """The task on targets of a network at points (T, 3) [m].
 
-        Raises
-        ------
-        ModelError
-            When a target does not exist, was not determined, or the points do not determine the feature.
+        Raises ModelError when a target does not exist, was not determined, or the points do not determine the feature.
         """
         for name in task.targets:
             if name not in targets:

@@ -7,8 +7,6 @@ which for a nearly linear task takes few trials and for a linear one none. Trial
 batches are known to a fifth of the tolerance, as a comparison with the linear interval asks for (clause 8.2).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 

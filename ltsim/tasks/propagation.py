@@ -1,7 +1,5 @@
 """The law of propagation: uncertainty of each result, its budget, joint covariance of all tasks (JCGM 100, 102)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal

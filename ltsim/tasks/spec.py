@@ -1,10 +1,8 @@
 """A task file (ltsim-tasks/1): what is measured, how well it has to be known, and what the readings do not tell."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -43,7 +41,7 @@ class Tolerance(Section):
     """Upper limit."""
 
     @model_validator(mode="after")
-    def _some_room(self) -> Tolerance:
+    def _some_room(self) -> Self:
         if self.lower is None and self.upper is None:
             raise ValueError("it should give lower, upper or both")
         if self.lower is not None and self.upper is not None and self.lower >= self.upper:
@@ -81,7 +79,7 @@ class Task(Section):
     """Limits by result, tables `[task.tolerances.RESULT]`."""
 
     @model_validator(mode="after")
-    def _whole(self) -> Task:
+    def _whole(self) -> Self:
         wanted = POINTS.get(self.kind)
         if wanted is not None and len(self.targets) != wanted:
             raise ValueError(f"it should name {wanted} targets for a {self.kind}")
@@ -188,7 +186,7 @@ class Tasks(Section):
     """How conformity is decided."""
 
     @model_validator(mode="after")
-    def _names_once(self) -> Tasks:
+    def _names_once(self) -> Self:
         names = [task.name for task in self.task]
         twice = next((name for name in names if names.count(name) > 1), None)
         if twice is not None:

@@ -1,7 +1,5 @@
 """The public functions of what measured points are worth: tasks, and two epochs."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any

@@ -15,11 +15,10 @@ from ltsim.campaigns.truth import BLOCK, Truth
 from ltsim.effects.effect import Effect, Parameter, Stage, on_readings
 from ltsim.effects.gauge_scale import GaugeScale
 from ltsim.evaluation.criteria import evaluate
-from ltsim.evaluation.share_removed import target_error
 from ltsim.model.construction import dh, misalignment
 from ltsim.scene.sightings import Sightings
 from ltsim.simulation.draws import EffectLaw
-from tests.networks import share_removed
+from tests.networks import share_removed, target_error
 
 
 @dataclass(frozen=True)

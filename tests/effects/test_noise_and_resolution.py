@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 from hypothesis import given, strategies as st
 
-from ltsim.effects.noise import quantised, white_noise_sigma
+from ltsim.simulation.physics import quantised, stated_noise
 from ltsim.simulation.scenario import load_scenario
 from ltsim.simulation.simulator import fieldwork, measure
 from ltsim.units import ARCSECOND
@@ -12,8 +12,7 @@ from ltsim.units import ARCSECOND
 def test_sigma_is_that_of_a_recording() -> None:
     work = fieldwork(load_scenario("paper-workshop-two-face"), 3)
     recording, _ = measure(work, 3)
-    noise = work.scenario.instrument.noise
-    np.testing.assert_allclose(white_noise_sigma(work.sightings, [noise]), recording.sigma(), rtol=1e-3)
+    np.testing.assert_allclose(stated_noise(work.scenario, work.sightings), recording.sigma(), rtol=1e-3)
 
 
 @given(st.floats(-10, 10), st.sampled_from([1e-7, 0.018 * ARCSECOND, 0.5]))

@@ -14,11 +14,11 @@ from ltsim.calibration import calibrate_network
 from ltsim.campaigns.recovery import How, Recovery, from_prior, run_trials
 from ltsim.campaigns.recovery_checks import FALSE_ALARM, mean_check, parameter_checks
 from ltsim.campaigns.scoring import Network, Trial
-from ltsim.evaluation.share_removed import target_error
 from ltsim.model.construction import Construction, misalignment
 from ltsim.simulation.fieldwork import fieldwork
 from ltsim.simulation.scenario import Scenario, changed, load_scenario
 from ltsim.simulation.simulator import measure
+from tests.networks import target_error
 
 
 def run_recovery(name: str, trials: int, **settings) -> Recovery:

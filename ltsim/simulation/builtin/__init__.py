@@ -1,7 +1,5 @@
 """The scenarios that come with ltsim: their names and files, without loading what reads them."""
 
-from __future__ import annotations
-
 import difflib
 from importlib.resources import files
 from pathlib import Path
@@ -19,10 +17,7 @@ def builtin_names() -> tuple[str, ...]:
 def builtin_path(name: str) -> Path:
     """The file of a built-in scenario.
 
-    Raises
-    ------
-    SetupError
-        When there is none of this name; the message names the closest ones.
+    Raises SetupError when there is none of this name; the message names the closest ones.
     """
     known = builtin_names()
     if name not in known:
