@@ -191,7 +191,9 @@ def render(content: Document) -> str:
     loader = PackageLoader("ltsim.pages")
     environment = Environment(loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True)
     environment.filters["print"] = typeset
-    palette, style, script = (loader.get_source(environment, file)[0] for file in ("palette.css", "page.css", "page.js"))
+    palette, style, script = (
+        loader.get_source(environment, file)[0] for file in ("palette.css", "page.css", "page.js")
+    )
     own = {"style": Markup(palette + style), "script": Markup(script)}
     return environment.get_template("page.html.j2").render(document=content, policy=POLICY, **own)
 
