@@ -18,6 +18,7 @@ import scipy.sparse as sp
 from matplotlib.figure import Figure
 
 import ltsim as lt
+from ltsim.adjustment import Adjustment
 from ltsim.campaigns.injecting import InjectionCurve
 from ltsim.errors import ModelError, RecordError
 from ltsim.pages.verbs import View
@@ -251,7 +252,7 @@ def test_every_result_is_drawn_with_what_its_axes_mean_and_has_a_table(drawn: li
             assert ax.lines or ax.collections or ax.patches or ax.texts, "no panel is empty without a word"
         told = [words for ax in figure.axes for words in (ax.get_xlabel(), ax.get_ylabel(), ax.get_title("left"))]
         assert any(told) or figure.get_supxlabel(), type(result)
-        assert isinstance(result, View | Scenario) or len(result.to_dataframe()), type(result)
+        assert isinstance(result, View | Scenario | Adjustment) or len(result.to_dataframe().columns), type(result)
 
 
 def test_what_has_no_picture_says_so(kept):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from textwrap import fill
+from textwrap import wrap
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -217,7 +217,7 @@ def values_figure(
     rows: Mapping[str, Interval], label: str, *, marks: Mapping[str, Sequence[float]] | None = None
 ) -> Figure:
     """A row a name: its value, its interval where it has one; dashed lines are the `marks` to compare with."""
-    lines = [fill(name, 34) for name in rows]
+    lines = ["\n".join(wrap(name, 34)) for name in rows]
     figure = style.new_figure(0.9 + 0.15 * sum(1.4 + name.count("\n") for name in lines))
     ax = figure.subplots()
     places = style.category_rows(ax, lines)
