@@ -7,7 +7,9 @@ import json
 import pickle
 import zipfile
 from dataclasses import dataclass, replace
+from importlib import import_module
 from pathlib import Path
+from pkgutil import walk_packages
 from typing import Any
 
 import numpy as np
@@ -16,9 +18,13 @@ import scipy.sparse as sp
 from matplotlib.figure import Figure
 
 import ltsim as lt
+from ltsim.adjustment import Adjustment
+from ltsim.campaigns.injecting import InjectionCurve
 from ltsim.errors import ModelError, RecordError
+from ltsim.pages.verbs import View
 from ltsim.results import Column, Result, Table, flags, numbers, texts
 from ltsim.saved import Valued, load, same, save
+from ltsim.simulation.scenario import Scenario
 
 POINTS = Table(
     "points.csv",
@@ -198,14 +204,55 @@ def test_every_result_can_be_copied_pickled_saved_and_compared(name: str, kept, 
     assert all(other is result or other != result for other in kept.values())
 
 
-@pytest.mark.parametrize("name", ["calibration", "dh", "criteria", "check", "comparison", "history", "diagnosis"])
-def test_results_are_drawn_with_what_their_axes_mean(name: str, kept):
-    figure = kept[name].plot()
-    assert isinstance(figure, Figure)
-    for ax in figure.axes:
-        assert ax.lines or ax.collections or ax.patches or ax.texts, "no panel is empty without a word"
-    labels = [words for ax in figure.axes for words in (ax.get_xlabel(), ax.get_ylabel(), ax.get_title("left"))]
-    assert any(labels)
+@pytest.fixture(scope="module")
+def drawn(kept: dict[str, Any], tmp_path_factory: pytest.TempPathFactory) -> list[Any]:
+    """One of every result, or more."""
+    recording, calibration, folder = kept["recording"], kept["calibration"], tmp_path_factory.mktemp("results")
+    small = {
+        "format": "ltsim-campaign/1",
+        "scenario": "paper-workshop",
+        "trials": 3,
+        "methods": [{"method": "network"}, {"method": "distance"}],
+    }
+    campaign = lt.campaign({**small, "statistics": ["errors"]}, out=folder / "campaign")
+    row = {"noncentrality": 25.0, "injections": 5} | {f"{n}{e}": 1.0 for n in CHANCES for e in ("", "_low", "_high")}
+    plan = folder / "plan.toml"
+    plan.write_text('format = "ltsim-plan/1"\n[search]\nstarts = 1\ngrid_mm = 3000\nyaws = 1\nheights = 1\n')
+    return [
+        *(result for name, result in kept.items() if name not in ("truth", "catalogue")),
+        lt.adjust(recording),
+        lt.next_measurement(recording),
+        lt.recover("paper-workshop", trials=3),
+        lt.uncertainty(recording, {"task": [{"kind": "distance", "name": "d", "targets": ["T01", "T02"]}]}),
+        lt.accept({"standard": "asme-b89.4.19-2006", "instrument": "leica-at500"}),
+        lt.bench(Path(__file__).parents[1] / "docs" / "how-to" / "reflector.csv"),
+        InjectionCurve("range-step", (), (row, row | {"noncentrality": 100.0})),
+        lt.judge("paper-workshop", {"network": calibration}, "paper-laboratory", seed=7),
+        lt.view("paper-workshop"),
+        lt.plan(plan),
+        campaign,
+        campaign.paired("target_error_um", method=("network", "distance")),
+    ]
+
+
+CHANCES = ("found", "placed", "named")
+WITHOUT = {"Catalogue", "Truth", "Injected", "InjectionTruth"}
+"""What is a list of words and sizes: no picture says more."""
+
+
+def test_every_result_is_drawn_with_what_its_axes_mean_and_has_a_table(drawn: list[Any]):
+    for module in walk_packages(lt.__path__, "ltsim."):
+        import_module(module.name)
+    kinds = {kind.__name__ for kind in Result.__subclasses__() if kind.__module__.startswith("ltsim.")}
+    assert kinds - WITHOUT == {type(result).__name__ for result in drawn}
+    for result in drawn:
+        figure = result.plot()
+        assert isinstance(figure, Figure)
+        for ax in figure.axes:
+            assert ax.lines or ax.collections or ax.patches or ax.texts, "no panel is empty without a word"
+        told = [words for ax in figure.axes for words in (ax.get_xlabel(), ax.get_ylabel(), ax.get_title("left"))]
+        assert any(told) or figure.get_supxlabel(), type(result)
+        assert isinstance(result, View | Scenario | Adjustment) or len(result.to_dataframe().columns), type(result)
 
 
 def test_what_has_no_picture_says_so(kept):

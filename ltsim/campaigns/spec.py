@@ -90,7 +90,7 @@ class Campaign(Section):
     unit (``"2 urad"``). Truth and fit are apart: the scenario says what is true, `methods` what is estimated.
     """
 
-    format: Literal["ltsim-campaign/1"]
+    format: Literal["ltsim-campaign/1"] = "ltsim-campaign/1"
     """Which format and version this file is in."""
     title: str = ""
     """Free text."""

@@ -177,6 +177,7 @@ class Section:
     seed: str = ""
     versions: Sequence[tuple[str, str]] = ()
     axes: str = ""
+    instrument: str = ""
     measured: str = ""
     shown: int = 3
     lead: int = 0

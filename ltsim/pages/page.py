@@ -84,7 +84,7 @@ def section(part: Part, detail: Detail = "none") -> Section:
     content = content_of(part.folder, part.kind)
     recording = read(part.recording) if part.recording else None
     made = section_of(content, Beside(part.folder, recording, detail, part.brief))
-    return replace(made, measured=(content.recording and content.recording.measured) or "")
+    return replace(made, measured=(content.recording and content.recording.measured) or made.measured)
 
 
 def document(
@@ -120,7 +120,7 @@ def _about(parts: list[Part], sections: list[Section], given: About) -> list[tup
     folders = dict.fromkeys(part.recording for part in parts if part.recording)
     setups = [read_setup(place / SETUP) for place in folders if (place / SETUP).is_file()]
     stated = [setup.report for setup in setups if setup.report is not None]
-    instruments = "; ".join(dict.fromkeys(filter(None, (s.instruments_in_words for s in setups))))
+    instruments = "; ".join(dict.fromkeys(filter(None, [*(s.instruments_in_words for s in setups), *(s.instrument for s in sections)])))
     days = ", ".join(dict.fromkeys(s.measured[:10] for s in sections if s.measured))
     fallback = {"instrument": instruments, "date": days}
     said = []
@@ -191,8 +191,10 @@ def render(content: Document) -> str:
     loader = PackageLoader("ltsim.pages")
     environment = Environment(loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True)
     environment.filters["print"] = typeset
-    files = (("style", "page.css"), ("script", "page.js"))
-    own = {name: Markup(loader.get_source(environment, file)[0]) for name, file in files}
+    palette, style, script = (
+        loader.get_source(environment, file)[0] for file in ("palette.css", "page.css", "page.js")
+    )
+    own = {"style": Markup(palette + style), "script": Markup(script)}
     return environment.get_template("page.html.j2").render(document=content, policy=POLICY, **own)
 
 

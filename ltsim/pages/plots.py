@@ -5,26 +5,49 @@ from __future__ import annotations
 from functools import singledispatch
 from typing import Any, cast
 
+import numpy as np
 from matplotlib.figure import Figure
 
+from ltsim.acceptance.files import AcceptanceFile
+from ltsim.adjustment import Adjustment
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.files import history_file
 from ltsim.calibration.history import History
+from ltsim.campaigns.injecting import InjectionCurve
+from ltsim.campaigns.judging import Judged
+from ltsim.campaigns.paired import Paired
+from ltsim.campaigns.recovery import Recovery
 from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.errors import ModelError
+from ltsim.evaluation.bench import BenchFile
 from ltsim.evaluation.criteria import Criteria
 from ltsim.fieldcheck.check import Check
 from ltsim.pages.figures.floor_plan import floor_plan
-from ltsim.pages.figures.parameters import criteria_figure, history_figure, parameter_figure
-from ltsim.pages.figures.points import check_figure, displacement_figure
-from ltsim.pages.figures.residuals import residuals_by_covariate
+from ltsim.pages.figures.parameters import (
+    criteria_figure,
+    history_figure,
+    lines_figure,
+    parameter_figure,
+    values_figure,
+)
+from ltsim.pages.figures.points import check_figure, displacement_figure, shares_of_limits
+from ltsim.pages.figures.residuals import residuals_by_covariate, residuals_by_station
 from ltsim.pages.residuals import Residuals
 from ltsim.pages.sections.diagnosis import finding_drawing
-from ltsim.pages.workshop import from_scenario
+from ltsim.pages.sections.plain import budget_of
+from ltsim.pages.verbs import View
+from ltsim.pages.workshop import from_recording, from_scenario
 from ltsim.planning.files import planned_scenario
 from ltsim.planning.planner import Plan
+from ltsim.recording import Recording
+from ltsim.remedies.next_measurement import NextMeasurement
 from ltsim.results import Result
+from ltsim.simulation.scenario import Scenario
 from ltsim.tasks.comparison import Comparison
+from ltsim.tasks.evaluation import Evaluation
+from ltsim.units import MICROMETRE
+
+MOST_PROPOSALS = 12
 
 
 @singledispatch
@@ -39,9 +62,7 @@ def figure_of(result: Result) -> Figure:
 
 @figure_of.register
 def _(result: Calibration) -> Figure:
-    if not result.names:
-        raise ModelError("an adjustment without instrument parameters has no picture; lt.report makes a page of it")
-    return parameter_figure(result.parameters)
+    return parameter_figure(result.parameters) if result.names else figure_of(result.adjustment)
 
 
 @figure_of.register
@@ -85,3 +106,102 @@ def _(result: History) -> Figure:
 def _(result: Plan) -> Figure:
     """The floor with the chosen layout, as floor.png of a plan's folder."""
     return floor_plan(from_scenario(planned_scenario(result)), coordinates=True, ground=result.file.floor)
+
+
+@figure_of.register
+def _(result: Scenario) -> Figure:
+    return floor_plan(from_scenario(result))
+
+
+@figure_of.register
+def _(result: Recording) -> Figure:
+    """The floor as it was measured."""
+    return floor_plan(from_recording(result))
+
+
+@figure_of.register
+def _(result: View) -> Figure:
+    return floor_plan(result.workshop)
+
+
+@figure_of.register
+def _(result: Adjustment) -> Figure:
+    return residuals_by_station(Residuals.from_adjustment(result))
+
+
+@figure_of.register
+def _(result: Evaluation) -> Figure:
+    return budget_of(result.content)
+
+
+@figure_of.register
+def _(result: AcceptanceFile) -> Figure:
+    return shares_of_limits(result)
+
+
+@figure_of.register
+def _(result: BenchFile) -> Figure:
+    """The reflector's range error with two sigmas, and the lengths as they were read."""
+    lines = {
+        "as read": [(row.as_read_um,) * 3 for row in result.angles],
+        "range error, ± 2 sigma": [
+            (row.error_um, row.error_um - 2 * row.sigma_um, row.error_um + 2 * row.sigma_um) for row in result.angles
+        ],
+    }
+    return lines_figure([row.angle_deg for row in result.angles], lines, "incidence [deg]", "range error [um]")
+
+
+@figure_of.register
+def _(result: InjectionCurve) -> Figure:
+    """The share of injections that was found, placed and named, with 95 % intervals."""
+    lines = {
+        name: [(row[name] / row["injections"], row[f"{name}_low"], row[f"{name}_high"]) for row in result.rows]
+        for name in ("found", "placed", "named")
+    }
+    strengths = [row["noncentrality"] for row in result.rows]
+    return lines_figure(strengths, lines, "noncentrality", "share, 95 % interval")
+
+
+@figure_of.register
+def _(result: Recovery) -> Figure:
+    """The errors of each parameter over their stated sigmas, those of a calibrator without sigmas over their rms."""
+    if not result.converged:
+        raise ModelError("no trial of this recovery converged; there is nothing to draw")
+    error = np.array([trial.estimate - trial.truth for trial in result.converged])
+    stated = np.isfinite(result.z).all()
+    shown = result.z if stated else error / np.sqrt(np.mean(error**2, axis=0))
+    ends = np.percentile(shown, [50, 2.5, 97.5], axis=0).T.tolist()
+    rows = {name: (middle, low, high) for name, (middle, low, high) in zip(result.names, ends, strict=True)}
+    label = f"error / {'stated sigma' if stated else 'its rms'}: median, middle 95 % of the trials"
+    return values_figure(rows, label, marks={"95 % of right ones": (-1.96, 1.96)} if stated else {})
+
+
+@figure_of.register
+def _(result: NextMeasurement) -> Figure:
+    """What each of the first proposals does for the instrument's parameters."""
+    shares = {p.remedy.words: (100 * (1 - p.sharper),) * 3 for p in result.proposals[:MOST_PROPOSALS]}
+    return values_figure(shares, "sigmas of the instrument's parameters fall by [%]")
+
+
+@figure_of.register
+def _(result: Judged) -> Figure:
+    found = next(iter(result.errors.values()))
+    rows = {name: (error.calibrated / MICROMETRE,) * 3 for name, error in result.errors.items()}
+    ends = {"as read": [found.raw / MICROMETRE], "by the true parameters": [found.true_parameters / MICROMETRE]}
+    return values_figure(rows, "error of a new point [um]", marks=ends)
+
+
+@figure_of.register
+def _(result: Paired) -> Figure:
+    """Differences with their 95 % intervals."""
+    rows = {
+        ", ".join([e.statistic, *(f"{name} {value}" for name, value in e.settings.items())]): (
+            e.difference,
+            e.low,
+            e.high,
+        )
+        for e in result.entries
+    }
+    one = result.entries[0]
+    unit = f" [{one.unit}]" if one.unit else ""
+    return values_figure(rows, f"{one.first} less {one.second}{unit}, 95 % interval", marks={"no difference": [0.0]})

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from itertools import takewhile
 
 from ltsim.chances import AGREES, p_is, two_sided
@@ -32,6 +32,11 @@ def duration(seconds: float) -> str:
         return f"{minutes:.0f} min"
     hours, rest = divmod(round(minutes), 60)
     return f"{hours} h {rest:02d} min"
+
+
+def of_presets(names: Iterable[str]) -> str:
+    """Trackers of a scenario by the presets or data sheets that state them."""
+    return ", ".join(f"preset {name}" for name in dict.fromkeys(names))
 
 
 def count(number: int, one: str, many: str = "") -> str:

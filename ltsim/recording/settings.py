@@ -7,7 +7,7 @@ import json
 import re
 import tomllib
 from collections.abc import Callable, Iterable, Mapping
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -144,16 +144,20 @@ def sentence(error: ErrorDetails, root: type[BaseModel]) -> str:
     key = ".".join(str(p + 1) if isinstance(p, int) else p for p in place)
     found = shown(json.dumps(error["input"], default=str), 60)
     if error["type"] == "extra_forbidden":
-        known = [
-            key for _, nodes in schemas_at(root, place[:-1]) for node in nodes for key in node.get("properties", {})
-        ]
-        near = ", ".join(_close(str(place[-1]), known))
-        return f"unknown key {shown(key, 100)}; did you mean {near}?"
+        known = _keys_at(root, place[:-1])
+        inside = {name: f"{table}.{name}" for table in known for name in _keys_at(root, [*place[:-1], table])}
+        alike = partial(difflib.get_close_matches, str(place[-1]), cutoff=0.7)
+        near = alike(known) or [inside[name] for name in alike(inside)] or _close(str(place[-1]), known)
+        return f"unknown key {shown(key, 100)}; did you mean {', '.join(near)}?"
     if error["type"] == "missing":
         return f"the key {shown(key, 100)} is missing"
     wanted = error["msg"][0].lower() + error["msg"][1:]
     said = shown(_expected(wanted), 120)
     return f"{shown(key, 100)} is {found}, but {said}" if key else said
+
+
+def _keys_at(root: type[BaseModel], path: Iterable[object]) -> list[str]:
+    return [key for _, nodes in schemas_at(root, path) for node in nodes for key in node.get("properties", {})]
 
 
 _COUNT = re.compile(r"^(?:tuple|list) should have (at most|at least) (\d+) items? after validation, not \d+")

@@ -51,7 +51,8 @@ class Door:
         hall = json.dumps(self.board.hall() | {"folder": str(self.folder)}).replace("<", "\\u003c")
         text = (files("ltsim.viewer") / "page.html").read_text(encoding="utf-8")
         policy = POLICY.replace("connect-src", "connect-src 'self'")
-        return text.replace("POLICY", policy, 1).replace("HALL", hall, 1)
+        palette = (files("ltsim.pages") / "templates" / "palette.css").read_text(encoding="utf-8")
+        return text.replace("POLICY", policy, 1).replace("PALETTE", palette, 1).replace("HALL", hall, 1)
 
     def answer(self, path: str, body: bytes) -> Answer | None:
         """What a path gives; None where there is nothing, or the word is missing."""

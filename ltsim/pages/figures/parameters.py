@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from textwrap import wrap
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -12,7 +13,7 @@ from ltsim.calibration.history_schema import CourseEntry
 from ltsim.calibration.schema import ParameterEntry
 from ltsim.notation import number, with_sigma
 from ltsim.pages import style
-from ltsim.pages.words import is_determined, told_apart
+from ltsim.pages.words import is_determined, told_apart, typeset
 from ltsim.planning.schema import ParameterEntry as PlannedEntry
 from ltsim.results import Table
 
@@ -204,4 +205,44 @@ def budget_figure(names: Sequence[str], shares: Mapping[str, Sequence[float]]) -
     ax.set_xlabel("share of the variance [%]")
     ax.grid(visible=False, axis="y")
     figure.legend(*ax.get_legend_handles_labels(), loc="outside upper left", ncols=2)
+    return figure
+
+
+Interval = tuple[float, float, float]
+"""A value, and the ends of its interval."""
+
+
+@style.styled
+def values_figure(
+    rows: Mapping[str, Interval], label: str, *, marks: Mapping[str, Sequence[float]] | None = None
+) -> Figure:
+    """A row a name: its value, its interval where it has one; dashed lines are the `marks` to compare with."""
+    lines = ["\n".join(wrap(name, 34)) for name in rows]
+    figure = style.new_figure(0.9 + 0.15 * sum(1.4 + name.count("\n") for name in lines))
+    ax = figure.subplots()
+    places = style.category_rows(ax, lines)
+    ax.set_yticks(places, lines)
+    value, low, high = np.array(list(rows.values())).T
+    ax.hlines(places, low, high, color=style.AFTER, linewidth=1.8)
+    ax.plot(value, places, "o", ms=4.5, color=style.AFTER)
+    for colour, (word, ends) in zip((style.INK, style.RED, style.GREY), (marks or {}).items(), strict=False):
+        for at in ends:
+            ax.axvline(at, color=colour, linewidth=1.0, linestyle=(0, (4, 2)), label=word)
+    figure.supxlabel(typeset(label), fontsize=8.5)
+    style.legend_of(figure, [ax])
+    return figure
+
+
+@style.styled
+def lines_figure(at: Sequence[float], lines: Mapping[str, Sequence[Interval]], axis: str, label: str) -> Figure:
+    """Lines over a quantity `at` (n,), each a value with its interval at every place."""
+    figure = style.new_figure(2.7)
+    ax = figure.subplots()
+    for name, rows, colour, marker in zip(lines, lines.values(), style.CYCLE, style.MARKERS, strict=False):
+        value, low, high = np.array(rows).T
+        ax.errorbar(at, value, [value - low, high - value], color=colour, marker=marker, ms=4.0, lw=1.2, label=name)
+    ax.set_xlabel(typeset(axis))
+    ax.set_ylabel(typeset(label))
+    style.quiet_axis(ax, grid="both")
+    style.legend_of(figure, [ax])
     return figure

@@ -30,7 +30,7 @@ from ltsim.pages.figures.campaign import (
     distributions,
     uncovered,
 )
-from ltsim.pages.words import count, sentence, typeset
+from ltsim.pages.words import count, of_presets, sentence, typeset
 from ltsim.results import Table as TableOf
 from ltsim.simulation.keys import meaning_of
 from ltsim.units import BY_ENDING
@@ -85,8 +85,15 @@ def campaign_section(folder: Path) -> Section:
         seed=str(manifest.seed),
         versions=versions,
         axes="those of the scenario",
+        instrument=of_presets(t["preset"] for s in manifest.scenarios for t in trackers_of(s)),
+        measured="simulated",
         shown=min(len(shown), MOST_SHOWN),
     )
+
+
+def trackers_of(scenario: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """The trackers of a scenario as a manifest holds it."""
+    return [*scenario.get("instruments", {}).values()] or [scenario["instrument"]]
 
 
 def _mean(s: Spread, level: str = "95 %: ") -> str:

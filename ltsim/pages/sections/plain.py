@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ltsim.acceptance.files import AcceptanceFile, passes_words
 from ltsim.calibration.events import ENOUGH_STEPS, LEAST_STEPS
@@ -17,6 +17,9 @@ from ltsim.pages.words import count, duration, listing, natural, sentence, told_
 from ltsim.planning.schema import NextFile
 from ltsim.tasks.comparison import DISPLACEMENTS, Comparison
 from ltsim.tasks.files import UncertaintyFile
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 LEVEL, LIKELY, NOTHING = 0.01, 0.5, 1e-6
 UNITED = (
@@ -119,12 +122,8 @@ def uncertainty_section(content: UncertaintyFile, _: Beside) -> Section:
                f"{100 * c.probability:.1f} %", c.judgement] for r in told if (c := r.conformity)]  # fmt: skip
     header = ["task", "result", "lower", "upper", "guard band", "unit", "conforms with", "judgement"]
     blocks += [Table("Conformity (JCGM 106)", header, judged, 2)] if judged else []
-    shown = content.results[:MOST_BARS]
-    sources = dict.fromkeys(part.source for r in shown for part in r.budget)
-    shares = {name: [next((p.share for p in r.budget if p.source == name), 0.0) for r in shown] for name in sources}
-    names = [f"{r.task}, {r.name}" for r in shown]
     caption = "Where each result's variance comes from; improve the widest bar first."
-    blocks.append(Picture("Budget", lambda: figures.parameters.budget_figure(names, shares), caption))
+    blocks.append(Picture("Budget", lambda: budget_of(content), caption))
     blocks += [Points("What to mind", content.warnings)] if content.warnings else []
     fields = ("source", "type", "standard_uncertainty=sigma", "share=share of the variance")
     for r in content.results:
@@ -142,6 +141,14 @@ def uncertainty_section(content: UncertaintyFile, _: Beside) -> Section:
     return Section(
         title, "Uncertainty", sentence(answer), mood(not by_word["rejected"]), facts, blocks, axes=content.frame
     )
+
+
+def budget_of(content: UncertaintyFile) -> Figure:
+    """The budgets of the first results side by side."""
+    shown = content.results[:MOST_BARS]
+    sources = dict.fromkeys(part.source for r in shown for part in r.budget)
+    shares = {name: [next((p.share for p in r.budget if p.source == name), 0.0) for r in shown] for name in sources}
+    return figures.parameters.budget_figure([f"{r.task}, {r.name}" for r in shown], shares)
 
 
 def next_section(content: NextFile, _: Beside) -> Section:

@@ -11,9 +11,10 @@ from ltsim.notation import NONE, fixed, number
 from ltsim.pages import figures
 from ltsim.pages.document import Beside, Block, Fact, Listing, Note, Picture, Points, Section, Table, mood, table_of
 from ltsim.pages.sections.network import scene, undetermined
-from ltsim.pages.words import QUALITY, count, duration
+from ltsim.pages.words import QUALITY, count, duration, of_presets
 from ltsim.planning.floor import Floor
 from ltsim.planning.schema import LayoutEntry, PlanResult
+from ltsim.simulation.scenario import Scenario, load_scenario
 from ltsim.units import MILLIMETRE
 
 
@@ -26,7 +27,9 @@ def plan_section(content: PlanResult, beside: Beside) -> Section:
         When a file is malformed.
     """
     blocks: list[Block] = [_stations(content)]
-    drawn, changed = _pictures(content, beside)
+    file = beside.file("scenario.toml", content)
+    scenario = None if file is None else load_scenario(file)
+    drawn, changed = _pictures(content, scenario, turn=beside.detail == "turn")
     blocks += drawn
     if content.not_seen:
         blocks.append(Table("Who does not see whom", ["sight"], [[words] for words in content.not_seen]))
@@ -52,6 +55,8 @@ def plan_section(content: PlanResult, beside: Beside) -> Section:
     return Section(
         title=content.title or "Plan of a network", kind="Plan", answer=content.summary, mood=good,
         facts=_facts(content), blocks=blocks, seed="" if content.seed is None else str(content.seed),
+        instrument=of_presets(t.preset for t in scenario.trackers.values()) if scenario else "", measured="planned",
+        axes="the workshop's",
     )  # fmt: skip
 
 
@@ -129,15 +134,13 @@ def _stations(content: PlanResult) -> Table:
     return Table("Where to put the tripod", header, rows, note=f"{frame}." if frame else "")
 
 
-def _pictures(content: PlanResult, beside: Beside) -> tuple[list[Block], list[Block]]:
+def _pictures(content: PlanResult, scenario: Scenario | None, *, turn: bool) -> tuple[list[Block], list[Block]]:
     """Floor plan, 3D view and who sees whom, from the plan's own scenario; where reflectors may change."""
-    file = beside.file("scenario.toml", content)
-    if file is None:
+    if scenario is None:
         return [], []
     from ltsim.pages.workshop import from_scenario
-    from ltsim.simulation.scenario import load_scenario
 
-    workshop = from_scenario(load_scenario(file))
+    workshop = from_scenario(scenario)
     reference = content.reference.stations if content.reference else ()
     places = np.array([s.position_mm for s in reference], dtype=np.float64).reshape(-1, 3) * MILLIMETRE
     text = "Seen from above; x and y in metres. Inside the circles the elevation limit hides the floor." + (
@@ -148,7 +151,7 @@ def _pictures(content: PlanResult, beside: Beside) -> tuple[list[Block], list[Bl
     drawn: list[Block] = [
         Picture("Floor plan", lambda: floor.floor_plan(workshop, reference=places, ground=ground), text)
     ]
-    drawn += [scene(workshop)] if beside.detail == "turn" else []
+    drawn += [scene(workshop)] if turn else []
     text = "Numbers are those of the table: at the new places, with an arrow from where a reflector is; crosses go."
     changes = partial(figures.plan.reflector_changes, workshop, content.reflector_changes, ground)
     return drawn, [Picture("Where these reflectors are", changes, text)] if content.reflector_changes else []
