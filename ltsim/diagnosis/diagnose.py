@@ -26,7 +26,6 @@ from ltsim.diagnosis.history import History
 from ltsim.diagnosis.hypotheses import Found
 from ltsim.diagnosis.instruments import Contradiction, contradictions, instrument_entries
 from ltsim.diagnosis.noise import NoiseHypothesis, most_likely
-from ltsim.diagnosis.prior import PLAIN
 from ltsim.diagnosis.probe import TRIALS
 from ltsim.diagnosis.schema import Finding, Fit
 from ltsim.diagnosis.search import MOST_MEMBERS
@@ -228,7 +227,7 @@ def _with_probability(ranked: Sequence[tuple[float, NoiseHypothesis]], rest: flo
         named[one.effect.name] = named.get(one.effect.name, 0.0) + weight
     value, best = ranked[0]
     probability, rivals = among(named, best.effect.name)
-    return replace(best, evidence=value, probability=PLAIN * probability, equivalents=rivals)
+    return replace(best, evidence=value, probability=probability, equivalents=rivals)
 
 
 def _refitted(case: Case, found: Found) -> tuple[Found, Refit]:

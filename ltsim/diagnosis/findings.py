@@ -19,7 +19,7 @@ from ltsim.diagnosis.hypotheses import Found, Hypothesis, Ranking, carrying
 from ltsim.diagnosis.instruments import TINY
 from ltsim.diagnosis.noise import NoiseHypothesis
 from ltsim.diagnosis.outside import log_likeness
-from ltsim.diagnosis.prior import SAME_OBSERVABLE
+from ltsim.diagnosis.prior import NOISY, PLAIN, SAME_OBSERVABLE
 from ltsim.diagnosis.schema import Equivalent, Estimate, Evidence, Finding, Where
 from ltsim.diagnosis.separate import separating_measurement
 from ltsim.diagnosis.words import LIKELY, card_sentence, law_sentence, outside_sentence, without_clock
@@ -237,7 +237,8 @@ class Explained:
 
 def noise_finding(hypothesis: NoiseHypothesis, sightings: Sightings, detection: Detection) -> Finding:
     """The finding of a change of the noise, in the observables in which it is beyond doubt."""
-    effect, probability = hypothesis.effect, hypothesis.probability
+    effect, sizes = hypothesis.effect, zip(hypothesis.values, hypothesis.sigma, strict=True)
+    probability = hypothesis.probability * (NOISY if any(v > SURE * s for v, s in sizes) else PLAIN)
     where = where_of(effect, _scattering(hypothesis, sightings))
     rows = [Estimate.of(*told) for told in zip(effect.parameters, hypothesis.values, hypothesis.sigma, strict=True)]
     more, sentence = {}, ""

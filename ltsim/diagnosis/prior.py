@@ -27,6 +27,11 @@ SAME_OBSERVABLE = 0.5
 """Chance that such a cause acts on the observable of what it looks like."""
 PLAIN = 1.0 - OUTSIDE * SAME_OBSERVABLE
 """Most that is stated of what is told without a likelihood of such a cause: it may shift readings, and look like it."""
+AS_NOISE = 0.25
+"""Chance that a shift that nobody listed looks like noise, and not like a shift in one of the three observables."""
+_NOISE = PRIOR["noise"] + PRIOR["scatter"]
+NOISY = _NOISE / (_NOISE + AS_NOISE * OUTSIDE * (PRIOR["named"] + PRIOR["law"]))
+"""Most that is stated of noise that is more than stated: what nobody listed may shift readings, and look like it."""
 PLACES = {"everywhere": 0.5, "set-up": 0.2, "instrument": 0.1, "target": 0.1, "group": 0.1}
 """Where a law without a card acts."""
 KINDS = {
