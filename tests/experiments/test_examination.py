@@ -29,7 +29,7 @@ hall_of, known, law, made, tracker, score, report, entrants = (
     for name in ("hall", "laws.catalogue", "law", "make", "tracker", "score", "report", "entrants")
 )
 PLAN = """seed = 5
-laws = ["boxes"]
+laws = ["electronics"]
 clean = 1
 catalogued = { 200 = 1 }
 """
@@ -102,7 +102,7 @@ def test_a_third_party_makes_answers_and_scores_without_ltsim(root: Path, tmp_pa
 
 def test_a_truth_that_was_changed_is_not_scored(tmp_path: Path) -> None:
     main = import_module(PLACE + "__main__")
-    (tmp_path / "plan.toml").write_text('seed = 5\nlaws = ["boxes"]\nclean = 1\n')
+    (tmp_path / "plan.toml").write_text('seed = 5\nlaws = ["electronics"]\nclean = 1\n')
     made.make(made.read_plan(tmp_path / "plan.toml"), tmp_path)
     (tmp_path / made.TRUTH).write_text((tmp_path / made.TRUTH).read_text().replace("clean", "dirty"))
     with pytest.raises(SystemExit, match="sealed"):
