@@ -167,9 +167,9 @@ def test_a_catalogued_cause_does_what_the_catalogue_says(name: str, tmp_path: Pa
 @pytest.mark.parametrize(
     ("name", "strength"),
     [
-        ("air-typed-in-once-a-set-up", 200),
-        ("person-at-a-near-nest-tips-the-stand", 200),
-        ("end-caps-added-to-both-bars", 6),
+        ("a-cold-lorry-stands-in-the-gate", 200),
+        ("floor-plates-tip-under-the-operator", 200),
+        ("the-lying-bar-has-a-new-end-piece", 6),
     ],
 )
 def test_strength_is_what_the_adjustment_is_left_with(name: str, strength: int, tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Fresh laws about the air that beams go through."""
+"""Laws about the air that beams go through."""
 
 from ..law import Change, Draw, Hall, law, np, reads, scatters
 from ..tracker import Array

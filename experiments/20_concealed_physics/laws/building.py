@@ -1,4 +1,4 @@
-"""Fresh laws about walls, floors and galleries, and about the bars in the hall."""
+"""Laws about walls, floors and galleries, and about the bars in the hall."""
 
 from ..law import OUT, UP, Change, Draw, Hall, gauge, law, moves, np, shifts
 

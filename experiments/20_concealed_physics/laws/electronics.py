@@ -1,4 +1,4 @@
-"""Fresh laws about the distance meter, servo, supplies and the box that keeps the data."""
+"""Laws about the distance meter, servo, supplies and the box that keeps the data."""
 
 from ..law import Change, Draw, Hall, law, np, reads, scatters, varies
 

@@ -1,4 +1,4 @@
-"""Fresh laws about circles, bearings and glass of the head."""
+"""Laws about circles, bearings and glass of the head."""
 
 from ..law import Change, Draw, Hall, law, np, reads, scatters, varies
 

@@ -1,4 +1,4 @@
-"""Fresh laws about balls and nests, and the people who put one into the other."""
+"""Laws about balls and nests, and the people who put one into the other."""
 
 from ..law import UP, Change, Draw, Hall, law, moves, np, reads, scatters
 from ..tracker import Array

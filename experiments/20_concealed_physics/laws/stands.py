@@ -1,4 +1,4 @@
-"""Fresh laws about stands, and what they stand on."""
+"""Laws about stands, and what they stand on."""
 
 from ..law import UP, Change, Draw, Hall, law, leans, level, np, scatters, shifts
 
