@@ -17,6 +17,8 @@ ARCSECOND = math.pi / 648_000
 DEGREE = math.pi / 180
 GON = math.pi / 200
 PPM = 1e-6
+EARTH = 6_371_000.0
+"""[m] Radius of the sphere that is taken for the earth."""
 
 FACTOR = MappingProxyType(
     {

@@ -104,6 +104,8 @@ class Adjustment(Result):
             Whose parameters are to be estimated; default an ideal tracker without any.
         """
         model = MeasurementModel(recording, construction or ideal(), tuple(effects))
+        if len(state.extra) != model.extra_size:
+            state = replace(state, extra=np.zeros(model.extra_size))
         problem = without_loose(NetworkProblem.of(model), state)
         lost = poseless(problem, state)
         if lost:

@@ -23,7 +23,7 @@ from ltsim.errors import ModelError, NetworkError
 from ltsim.geometry.alignment import robust_align
 from ltsim.geometry.rigid import rigid_motion
 from ltsim.model.construction import Construction, ideal
-from ltsim.model.measurement import MeasurementModel, State, ball_lift
+from ltsim.model.measurement import MeasurementModel, State, ball_lift, with_plumb_lines
 from ltsim.recording.recording import Recording
 from ltsim.solve.gauss_newton import Solution, solve
 from ltsim.solve.threads import in_one_thread
@@ -99,15 +99,16 @@ def adjust(
     built, copied = construction or ideal(), copied_rows(recording)
     if copied.any():
         recording = recording.with_readings(np.where(copied[:, None], np.nan, recording.readings))
-    model = MeasurementModel(recording, built, tuple(effects))
     _check_marks(recording)
     gross, lost = np.zeros(len(recording), dtype=bool), np.zeros(len(recording.targets), dtype=bool)
     searched = start is None
     if start is None:
         _, network, gross, lost = screened(recording)
         parameters = np.zeros((len(recording.instruments), built.size)) if prior is None else prior.mean
-        start = State(*network, parameters, np.zeros(model.extra_size))
-    elif len(start.extra) != model.extra_size:
+        start = State(*network, parameters)
+    recording = with_plumb_lines(recording, start.position)
+    model = MeasurementModel(recording, built, tuple(effects))
+    if len(start.extra) != model.extra_size:
         start = replace(start, extra=np.zeros(model.extra_size))
     keep = np.broadcast_to(((~gross | robust) & ~lost[recording.target])[:, None], recording.readings.shape)
     chosen = keep if use is None else keep & use

@@ -50,6 +50,8 @@ class GrossFinding:
     size: float
     """Displacement [m], or the reading's error for an outlier."""
     sentence: str
+    sigma: float = 0.0
+    """Of the size, where the network tells it [m]."""
 
 
 Mend = tuple[GrossFinding, Floats, Ints]

@@ -13,6 +13,7 @@ import numpy as np
 from scipy import special
 
 from ltsim.adjustment.adjustment import Adjustment
+from ltsim.adjustment.gross import GrossFinding
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.arrays import Floats
 from ltsim.notation import with_sigma
@@ -27,6 +28,8 @@ LEVEL = 0.001
 DISAGREES = 0.05
 """Level of the global test: a network that agrees has no tripod that stood elsewhere."""
 MOST = 6
+MOVED = "target-moved"
+"""What a tripod that stood elsewhere is of the catalogue: what stood on a mark moved."""
 
 
 @dataclass(frozen=True)
@@ -46,6 +49,8 @@ class Occupation:
 class Shifts:
     """Occupations that stood elsewhere, by their shifts (k, 3) and covariance (k, 3, 3) [m], and the fit with them.
 
+    In plan alone, (k, 2) and (k, 2, 2), where heights of heads are observations.
+
     `without` is the adjustment that knows no such shifts.
     """
 
@@ -59,18 +64,23 @@ class Shifts:
     """Targets whose readings count by the noise they show."""
 
     @property
-    def sentence(self) -> str:
-        """Who stood where, and what the network is like without them."""
+    def named(self) -> list[str]:
+        """Who stood beside where it stood otherwise, and by how much."""
         named = []
         for one, value, covariance in zip(self.found, self.values, self.covariance, strict=True):
             size = float(np.linalg.norm(value))
             sigma = float(np.sqrt(value @ covariance @ value)) / size
-            parts = ", ".join(f"{axis} {v / MILLIMETRE:+.1f}" for axis, v in zip("xyz", value, strict=True))
+            parts = ", ".join(f"{axis} {v / MILLIMETRE:+.1f}" for axis, v in zip("xyz", value, strict=False))
             told = with_sigma(size / MILLIMETRE, sigma / MILLIMETRE, "mm")
             named.append(f"{one.mark} as {one.role} on {one.day} by {told} ({parts})")
+        return named
+
+    @property
+    def sentence(self) -> str:
+        """All of them, and what the network is like without them."""
         counted = f" (readings to {', '.join(self.noisy)} by the noise they show)" if self.noisy else ""
         return (
-            f"tripods that stood beside where they stood otherwise: {'; '.join(named)}; with places of their own "
+            f"tripods that stood beside where they stood otherwise: {'; '.join(self.named)}; with places of their own "
             f"chi2/dof falls from {self.without.chi2:.1f}/{self.without.dof} to {self.chi2:.1f}/{self.dof}{counted}"
         )
 
@@ -114,7 +124,10 @@ def moved_tripods(adjustment: Adjustment) -> Shifts | None:
     adjustment = _by_own_noise(adjustment)
     chi2, dof = adjustment.chi2, adjustment.dof
     space = whole = ResidualSpace.of(adjustment)
-    moves = adjustment.problem.model.linearised(adjustment.state).by_target
+    model = adjustment.problem.model
+    axes = 2 if model.heads else 3  # heights that the network corrects anyway tell of no tripod
+    ordinary = max((heads.sigma for heads in model.heads), default=0.0)
+    moves = model.linearised(adjustment.state).by_target[:, :, :axes]
     shifts = {i: whole.whiten(moves * one.sign[:, None, None]) for i, one in enumerate(some)}
     chosen: list[int] = []
     while len(chosen) < min(MOST, len(some)):
@@ -122,7 +135,9 @@ def moved_tripods(adjustment: Adjustment) -> Shifts | None:
         best = max(fall, key=lambda i: fall[i])
         drop, rank = fall[best]
         ratio = (drop / max(rank, 1)) / max((chi2 - drop) / max(dof - rank, 1), 1e-30)
-        if rank < 3 or dof <= rank or not special.fdtrc(rank, dof - rank, ratio) * len(some) < LEVEL:
+        if rank < axes or dof <= rank or not special.fdtrc(rank, dof - rank, ratio) * len(some) < LEVEL:
+            break
+        if np.linalg.norm(np.linalg.lstsq(space.project(shifts[best]), space.residual)[0]) < ordinary:
             break
         space, chi2, dof = space.extended(shifts[best]), chi2 - drop, dof - rank
         chosen.append(best)
@@ -130,10 +145,24 @@ def moved_tripods(adjustment: Adjustment) -> Shifts | None:
         return None
     columns = whole.project(np.hstack([shifts[i] for i in chosen]))
     cofactor = np.linalg.pinv(columns.T @ columns)
-    values = (cofactor @ (columns.T @ whole.residual)).reshape(-1, 3)
+    values = (cofactor @ (columns.T @ whole.residual)).reshape(-1, axes)
     own = range(len(chosen))
-    spread = cofactor.reshape(len(own), 3, len(own), 3)[own, :, own] * chi2 / dof
+    spread = cofactor.reshape(len(own), axes, len(own), axes)[own, :, own] * chi2 / dof
     return Shifts(adjustment, tuple(some[i] for i in chosen), values, spread, chi2, dof, noisy)
+
+
+def mend_tripods(adjustment: Adjustment) -> tuple[Recording, list[GrossFinding]]:
+    """The recording with the readings that tripods would have which stood where they stood otherwise, and these."""
+    moved, recording = moved_tripods(adjustment), adjustment.recording
+    if moved is None:
+        return recording, []
+    by_target, readings, found = adjustment.problem.model.linearised(adjustment.state).by_target, recording.readings, []
+    for one, value, spread, named in zip(moved.found, moved.values, moved.covariance, moved.named, strict=True):
+        readings = readings - one.sign[:, None] * (by_target[:, :, : len(value)] @ value)
+        size, sentence = float(np.linalg.norm(value)), f"A tripod stood beside where it stood otherwise: {named}."
+        sigma = float(np.sqrt(value @ spread @ value)) / size
+        found.append(GrossFinding(MOVED, np.flatnonzero(one.sign), (), (one.mark,), (), size, sentence, sigma))
+    return recording.with_readings(readings), found
 
 
 def _by_own_noise(adjustment: Adjustment) -> Adjustment:

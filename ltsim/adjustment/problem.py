@@ -210,12 +210,13 @@ class NetworkProblem:
         used = recording.measured if use is None else recording.measured & use
         gauge, control, levels = GaugeRows.of(recording), ControlRows.of(recording), LevelRows.of(recording, used)
         known_marks = ControlRows.of_stations(recording, marks)
-        plausible = [size for effect in model.effects for size in effect.spread]
+        plausible = [held_to * size for effect in model.effects for size in effect.spread]
+        plausible += [size for heads in model.heads for size in heads.spread]
         return cls(
             model=model,
             sigma=recording.sigma() if sigma is None else sigma,
             prior=prior or ParameterPrior.independent(prior_sigmas(recording, model.construction)),
-            extra_sigma=held_to * np.array(plausible, dtype=np.float64),
+            extra_sigma=np.array(plausible, dtype=np.float64),
             free=free_motions(control, known_marks, levels),
             use=used,
             gauge=gauge,
@@ -355,7 +356,7 @@ class NetworkProblem:
     def _gauge_by_extra(self, state: State) -> Floats:
         """Change (g, q) of the known lengths per unit of the further effects' parameters."""
         ends = self.gauge.first, self.gauge.second
-        columns = [effect.gauge_design(*ends, state.points) for effect in self.model.effects]
+        columns = [effect.gauge_design(*ends, state.points) for effect in self.model.beside]
         return np.hstack([np.zeros((len(self.gauge), 0)), *columns])
 
     def _datum_values(self, state: State) -> Floats:
@@ -379,6 +380,7 @@ class NetworkProblem:
         """Rows with a value less unknowns; the free rigid motions are no loss, weak priors no gain."""
         priors = int(np.isfinite(self.prior.sigma).sum())
         lengths = int(np.isfinite(self.gauge.sigma).sum())
-        known = lengths + self.control.count + self.known_marks.count + 2 * len(self.levels) + priors
+        heads = sum(len(heads.parameters) for heads in self.model.heads)
+        known = lengths + self.control.count + self.known_marks.count + 2 * len(self.levels) + priors + heads
         unknown = self.unknowns.size - self.free.shape[1] - self.structure.held
         return int(self.use.sum()) + known - unknown

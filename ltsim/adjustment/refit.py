@@ -165,7 +165,8 @@ def refit(
         joint = adjusted(effects=[*current, *flat], start=found.state)
         if not joint.solution.converged:
             break
-        changes = joint.state.extra[len(joint.state.extra) - len(flat) :]
+        first = sum(len(effect.parameters) for effect in current)
+        changes = joint.state.extra[first : first + len(flat)]
         if np.all(np.abs(changes) < LINEAR):
             break
         step = _step(adjusted, current, directions, changes, found)

@@ -153,7 +153,7 @@ def screened(recording: Recording) -> Screened:
     reached, lost = reached_network(recording)
     recording = recording.with_readings(np.where(lost[recording.target][:, None], np.nan, recording.readings))
     model = MeasurementModel(recording, ideal())
-    state = State(*reached, np.zeros((len(recording.instruments), 0)))
+    state = State(*reached, np.zeros((len(recording.instruments), 0)), np.zeros(model.extra_size))
     excess = _excess(model, state)
     for _ in range(PASSES if np.any(excess > 1.0) else 0):
         problem = without_loose(NetworkProblem.of(model), state)

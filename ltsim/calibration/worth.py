@@ -25,6 +25,7 @@ from scipy.linalg import block_diag
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.arrays import Floats, Ints
 from ltsim.calibration.calibration import Correction
+from ltsim.calibration.conflict import UNEXPLAINED
 from ltsim.calibration.evidence import cosine_and_sine
 from ltsim.geometry.rigid import less_rigid
 from ltsim.recording.recording import Recording
@@ -73,7 +74,9 @@ def correction_of(
     spread = np.linalg.inv(root)[np.ix_(within, within)] / unit
     information = (known[np.ix_(within, within)] - np.eye(len(used))) / unit**2
     least, unstated = (1.0 if informed else 0.0), wider is not None
-    evidence = ScaledPrior(information, heard[within] / unit, least=least, unstated=unstated)
+    gap = prior.residual(adjustment.state.instrument)
+    rest = float(np.sqrt(max(adjustment.chi2 - float(gap @ gap), 0.0) / max(adjustment.dof, 1)))
+    evidence = ScaledPrior(information, heard[within] / unit, least=least, unstated=unstated, rest=rest)
     by_unit = spread.T @ point_errors(adjustment)[np.ix_(used, used)] @ spread
     middle: Floats = np.asarray(np.linalg.solve(spread, mean[used]), dtype=np.float64)
     applied, note = evidence.harmless(by_unit, middle)
@@ -108,10 +111,14 @@ class ScaledPrior:
         Smallest scale that the prior may have.
     unstated : bool
         The scale 1 is not a statement but a unit.
+    rest : float
+        What is left of the readings in their noise: where it is `UNEXPLAINED`, no scale beyond the stated is believed.
     """
 
-    def __init__(self, information: Floats, told: Floats, *, least: float = 0.0, unstated: bool = False) -> None:
-        self._unstated = unstated
+    def __init__(
+        self, information: Floats, told: Floats, *, least: float = 0.0, unstated: bool = False, rest: float = 1.0
+    ) -> None:
+        self._unstated, self._rest = unstated, rest
         strength, self._basis = np.linalg.eigh(0.5 * (information + information.T))
         self._strength = np.maximum(strength, 1e-12 * max(float(strength[-1]), 1.0))
         self._told = self._basis.T @ told
@@ -140,7 +147,8 @@ class ScaledPrior:
 
     @property
     def _is_something_else(self) -> bool:
-        return self.contradicts and not self._unstated and self.scale > UNLIKELY
+        most = UNLIKELY if self._rest < UNEXPLAINED else 1.0
+        return self.contradicts and not self._unstated and self.scale > most
 
     @property
     def followed(self) -> float:
@@ -155,8 +163,10 @@ class ScaledPrior:
         low, high = self.plausible
         likely = f"{self.scale:.2g} times as large is most likely ({low:.2g} to {high:.2g})"
         if self._is_something_else:
+            contradict = f" and contradict each other by {self._rest:.2g} times their noise"
+            why = ", as no instrument has them" if self.scale > UNLIKELY else contradict
             return (
-                f"the readings ask for parameters {self.scale:.2g} times the stated priors, as no instrument has them: "
+                f"the readings ask for parameters {self.scale:.2g} times the stated priors{why}: "
                 "something else bends them, and no correction is applied"
             )
         if not self._unstated:

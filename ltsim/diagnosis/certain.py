@@ -18,8 +18,8 @@ from ltsim.units import FACTOR
 
 def gross_finding(gross: GrossFinding, adjustment: Adjustment) -> Finding:
     """The finding of a gross error, certain by its size; of less than that nobody knows that it has no other cause."""
-    probability = 1.0 if gross.size > CLOSE else PLAIN
-    floor = float(adjustment.recording.sigma()[:, 0].min())
+    probability = 1.0 if gross.size > CLOSE and not gross.sigma else PLAIN
+    floor = gross.sigma or float(adjustment.recording.sigma()[:, 0].min())
     return Finding(
         effect=gross.effect,
         known=True,

@@ -9,6 +9,7 @@ import numpy as np
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.adjustment.gross import GrossFinding, explain_gross, mend_faces, mend_stations
 from ltsim.adjustment.known import KnownTest
+from ltsim.adjustment.occupations import mend_tripods
 from ltsim.adjustment.refit import Refit
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.arrays import Bools
@@ -125,7 +126,10 @@ def _mended(
     use, stray = stray_readings(ResidualSpace.of(baseline), use if mistaken else baseline.problem.use)
     if stray:
         baseline = adjust(mended, construction, sigma=mended.sigma(), use=use, start=baseline.state)
-    return baseline, use, [*mistaken, *stray], known
+    mended, tripods = mend_tripods(baseline)
+    if tripods:
+        baseline = adjust(mended, construction, sigma=baseline.problem.sigma, use=use, start=baseline.state)
+    return baseline, use, [*mistaken, *stray, *tripods], known
 
 
 def _varies(constant: str, effects: Sequence[Tunable]) -> bool:

@@ -13,10 +13,11 @@ from ltsim.geometry.alignment import align
 from ltsim.geometry.rigid import pose_design
 from ltsim.geometry.rotations import about_z, from_rotation_vector, smallest_turn
 from ltsim.model.construction import Construction
+from ltsim.model.heads import HeadHeights, head_heights
 from ltsim.recording.recording import Recording
 from ltsim.recording.reflectors import excess_radii
 from ltsim.scene.sightings import Sightings
-from ltsim.units import DEGREE, MILLIMETRE
+from ltsim.units import DEGREE, EARTH, MILLIMETRE
 
 
 @dataclass(frozen=True)
@@ -99,6 +100,19 @@ def verticals(recording: Recording) -> Floats:
     return _units([recording.station_setup(name).vertical or (0.0, 0.0, 1.0) for name in recording.stations])
 
 
+def with_plumb_lines(recording: Recording, position: Floats) -> Recording:
+    """The recording with the plumb lines of a sphere at levelled stations (S, 3), where its set-up is `curved`."""
+    if not recording.setup.curved:
+        return recording
+    stations = dict(recording.setup.stations)
+    lean = (position - position.mean(axis=0))[:, :2] / EARTH
+    for name, (x, y) in zip(recording.stations, lean.tolist(), strict=True):
+        one = recording.station_setup(name)
+        if one.levelled and one.vertical is None:
+            stations[name] = one.model_copy(update={"vertical": (x, y, 1.0)})
+    return recording.replace(setup=recording.setup.model_copy(update={"stations": stations}))
+
+
 def _units(stated: list[tuple[float, float, float]]) -> Floats:
     vectors = np.array(stated, dtype=np.float64).reshape(-1, 3)
     return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
@@ -135,10 +149,20 @@ class MeasurementModel:
     construction: Construction
     effects: tuple[Signature, ...] = ()
 
+    @cached_property
+    def heads(self) -> tuple[HeadHeights, ...]:
+        """The heights of heads, where the set-up states how well they are known."""
+        return head_heights(self.recording, verticals(self.recording))
+
+    @property
+    def beside(self) -> tuple[Signature, ...]:
+        """All that is estimated beside network and instrument: the further effects, then heights of heads."""
+        return *self.effects, *self.heads
+
     @property
     def extra_size(self) -> int:
-        """Number of parameters q of the further effects."""
-        return sum(len(effect.parameters) for effect in self.effects)
+        """Number of parameters q of all that."""
+        return sum(len(effect.parameters) for effect in self.beside)
 
     def _instrument_values(self, state: State) -> Floats:
         if len(state.instrument) == 1:
@@ -176,37 +200,39 @@ class MeasurementModel:
         return self._nowhere.at(state.position, state.rotation, state.points)
 
     def _extra_design(self, sightings: Sightings) -> Floats:
-        if not self.effects:
+        if not self.beside:
             return np.zeros((len(sightings), 3, 0))
-        return np.concatenate([effect.design(sightings) for effect in self.effects], axis=2)
+        return np.concatenate([effect.design(sightings) for effect in self.beside], axis=2)
 
     def predict(self, state: State) -> Floats:
         """Predicted raw readings (n, 3)."""
         sightings = self.geometry(state)
         raw = self._instrument_readings(sightings, state)
-        if self.effects:
+        if self.beside:
             sightings = self._completed(sightings, state, raw)
-        for effect, values in zip(self.effects, self._split(state.extra), strict=True):
+        for effect, values in zip(self.beside, self._split(state.extra), strict=True):
             raw = raw + effect.shift(sightings, values)
         if self._horizontal is not None:
             raw[self._horizontal, 0] *= np.abs(np.cos(raw[self._horizontal, 2]))
         return raw
 
     def _split(self, extra: Floats) -> list[Floats]:
-        sizes = [len(effect.parameters) for effect in self.effects]
-        return np.split(extra, np.cumsum(sizes)[:-1]) if sizes else []
+        """The values of each effect; those that a state does not hold are 0."""
+        sizes = [len(effect.parameters) for effect in self.beside]
+        whole = np.pad(extra, (0, sum(sizes) - len(extra)))
+        return np.split(whole, np.cumsum(sizes)[:-1]) if sizes else []
 
     def linearised(self, state: State) -> Prediction:
         """Predicted readings and their derivatives by poses, targets, instrument and further effects."""
         sightings = self.geometry(state)
         values = self._instrument_values(state)
         raw, by_point, by_instrument = self.construction.readings_and_design(sightings.local, sightings.face, values)
-        if self.effects:
+        if self.beside:
             sightings = self._completed(sightings, state, raw)
         by_target = by_point @ np.swapaxes(state.rotation, 1, 2)[sightings.station]
         by_pose = pose_design(by_target, sightings.arm)
         by_extra = self._extra_design(sightings)
-        for effect, extra in zip(self.effects, self._split(state.extra), strict=True):
+        for effect, extra in zip(self.beside, self._split(state.extra), strict=True):
             raw = raw + effect.shift(sightings, extra)
         derivatives = by_pose, by_target, by_instrument, by_extra
         if self._horizontal is not None:

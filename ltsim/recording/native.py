@@ -18,7 +18,14 @@ from ltsim.recording.conventions import NO_HINTS, Hints
 from ltsim.recording.files import Where, is_not_finite, is_number, read_lines, shown, write_texts
 from ltsim.recording.lengths import KnownLengths
 from ltsim.recording.pointings import indices
-from ltsim.recording.recording import KIND_COLUMN, MODE_COLUMN, REFLECTOR_COLUMN, SIGMA_COLUMNS, Recording
+from ltsim.recording.recording import (
+    KIND_COLUMN,
+    MODE_COLUMN,
+    OCCUPATION_COLUMNS,
+    REFLECTOR_COLUMN,
+    SIGMA_COLUMNS,
+    Recording,
+)
 from ltsim.recording.reflectors import excess_radii, smrs_of
 from ltsim.recording.settings import read_setup, setup_from, setup_to_toml
 from ltsim.recording.setup import Setup
@@ -32,7 +39,7 @@ REQUIRED = ("station", "target", "face", "azimuth_deg", "elevation_deg", "distan
 MEASURED = ("distance_mm", "azimuth_deg", "elevation_deg")
 KNOWN = (*REQUIRED, "repeat", "time_s")
 WORDS = {MODE_COLUMN: ("adm", "ifm", ""), KIND_COLUMN: ("slope", "horizontal", "")}
-TEXTS = (*WORDS, REFLECTOR_COLUMN)
+TEXTS = (*WORDS, REFLECTOR_COLUMN, *OCCUPATION_COLUMNS)
 BOUNDS = {
     "distance_mm": (0.001, 1e9),
     "azimuth_deg": (-720.0, 720.0),
@@ -234,6 +241,8 @@ def _idle_settings(recording: Recording) -> tuple[str, ...]:
             notes.append(
                 f"targets.{name} is of the datum but was never measured: left out{_near(name, recording.targets)}"
             )
+    if setup.heads_sigma_mm is not None and not recording.labels.keys() & {*OCCUPATION_COLUMNS}:
+        notes.append(f"heads_sigma_mm changes nothing: the table has no column {' or '.join(OCCUPATION_COLUMNS)}")
     if setup.reference_radius_mm is not None and not setup.reflectors:
         notes.append("reference_radius_mm changes nothing: no table [reflectors.NAME] gives an SMR its radius")
     return tuple(notes)

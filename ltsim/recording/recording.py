@@ -30,6 +30,8 @@ REFLECTOR_COLUMN = "reflector"
 """Label: name of the SMR of each pointing; an empty cell leaves the target's."""
 _PLAIN_STATION, _PLAIN_TARGET = Station(), Target()
 LEAST_COSINE = 1e-6
+OCCUPATION_COLUMNS = ("instrument_setup", "target_setup")
+"""Labels: at which occupation of a mark the instrument, and the reflector, of each pointing stood."""
 
 
 def noise_sigma(noise: Sequence[Noise], instrument: Ints, range_: Floats, elevation: Floats) -> Floats:

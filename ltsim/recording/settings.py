@@ -204,13 +204,9 @@ def setup_to_toml(setup: Setup) -> str:
     Instruments and the gauge are written in full, stations and targets where they differ from the defaults; so is the
     instrument without a name where others have one.
     """
+    tables = {"instrument", "instruments", "gauge", "stations", "targets", "reflectors"}
     table: dict[str, Any] = {"format": setup.format, "title": setup.title}
-    if setup.started:
-        table["started"] = setup.started
-    if setup.reference_radius_mm is not None:
-        table["reference_radius_mm"] = setup.reference_radius_mm
-    if setup.report is not None:
-        table["report"] = setup.report.model_dump(exclude_none=True)
+    table |= setup.model_dump(exclude_defaults=True, exclude=tables)
     if not setup.instruments or setup.instrument != Instrument():
         table["instrument"] = setup.instrument.model_dump(by_alias=True, exclude_none=True)
     named = {n: i.model_dump(by_alias=True, exclude_none=True) for n, i in setup.instruments.items()}

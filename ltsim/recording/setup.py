@@ -301,6 +301,11 @@ class Setup(Section):
     axes: Line | None = None
     """Where the coordinates of the datum's targets come from: each is a claim that the others check, and one that they
     contradict is left out of the datum and named."""
+    heads_sigma_mm: Sigma | None = None
+    """How well the height of a head over its mark is known, a standard deviation: the network then corrects that of
+    each occupation, which the columns `instrument_setup` and `target_setup` name."""
+    curved: bool = False
+    """Plumb lines differ by place, as on a sphere like the earth, where a station does not state its `vertical`."""
     report: About | None = None
     """Who measured what for whom, for the head of a report."""
     instrument: Instrument = Instrument()

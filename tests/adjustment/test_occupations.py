@@ -7,7 +7,7 @@ import pytest
 
 import ltsim as lt
 from ltsim.adjustment import adjust
-from ltsim.adjustment.occupations import moved_tripods
+from ltsim.adjustment.occupations import mend_tripods, moved_tripods
 from ltsim.fieldcheck import check
 from ltsim.geometry.polar import to_polar
 from ltsim.randomness import stream
@@ -103,3 +103,13 @@ def test_a_point_of_directions_alone_has_a_place_in_plan_and_no_height() -> None
     assert np.isnan(spire[[2, 5]]).all()
     assert not calibration.lost_targets
     assert "in plan alone, as no reading tells their height: SPIRE" in calibration.notes
+
+
+def test_readings_of_a_tripod_beside_its_mark_are_mended_with_its_size_told() -> None:
+    found = adjust(local_tie(2, (1.5, 1.0, 0.0)))
+    mended, (told,) = mend_tripods(found)
+    assert (told.effect, told.targets) == ("target-moved", ("P4",))
+    assert told.size == pytest.approx(np.hypot(1.5e-3, 1.0e-3), abs=4 * told.sigma)
+    again = adjust(mended, start=found.state)
+    assert again.sigma0 == pytest.approx(1.0, abs=0.15)
+    assert moved_tripods(again) is None

@@ -57,13 +57,19 @@ def test_a_local_tie_names_the_tripod_of_the_second_day_and_places_what_directio
     found = adjust(read(DATA / "field" / "wark_control.csv"))
     moved = moved_tripods(found)
     assert moved is not None
-    at = [(one.mark, one.role, one.day) for one in moved.found].index(("WAN3", "target", "2015-03-16"))
-    assert np.linalg.norm(moved.values[at, :2]) == pytest.approx(np.hypot(1.5e-3, 1.0e-3), abs=2e-4)
+    assert [(one.mark, one.role, one.day) for one in moved.found] == [("WAN3", "target", "2015-03-16")]
+    turn = np.radians(156.5)  # azimuth of the network's x axis, WAN3 to WANE
+    axes = np.array([[np.sin(turn), np.cos(turn)], [-np.cos(turn), np.sin(turn)]])
+    spread = np.sqrt(np.diag(axes.T @ moved.covariance[0] @ axes))
+    assert np.all(np.abs(moved.values[0] @ axes - [1.5e-3, 1.0e-3]) < 2.0 * spread)
+    assert spread.max() < 0.3e-3
     assert moved.noisy == ("WARK",)
     assert not found.lost_targets
     assert np.flatnonzero(found.open_heights).tolist() == [found.recording.targets.index("WARK")]
     without = found.recording.select(found.recording.target != found.recording.targets.index("WARK"))
-    assert adjust(without).dof == 562
+    marks = adjust(without)
+    assert marks.dof == 562
+    assert marks.chi2 == pytest.approx(1514, rel=5e-3)
 
 
 def test_gama_stopped_short_where_the_coordinates_differ(experiment):

@@ -211,3 +211,15 @@ def test_what_no_instrument_has_is_not_applied() -> None:
     applied, _ = asked.harmless(np.eye(4))
     assert not applied.any()
     assert "as no instrument has them: something else bends them, and no correction is applied" in asked.doubt
+
+
+def test_a_scale_beyond_the_prior_is_not_followed_where_the_readings_contradict_each_other(
+    evidence: tuple[Floats, Floats],
+) -> None:
+    information, by_unit = evidence
+    told = information @ (6.0 * stream(3, "worth").standard_normal(16))
+    followed, bent = ScaledPrior(information, told), ScaledPrior(information, told, rest=2.5)
+    assert followed.harmless(by_unit)[0].any()
+    assert "what is applied follows the readings" in followed.doubt
+    assert not bent.harmless(by_unit)[0].any()
+    assert "contradict each other by 2.5 times their noise" in bent.doubt

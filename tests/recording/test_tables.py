@@ -369,3 +369,18 @@ def test_heights_beside_readings_between_the_heads_are_not_applied_and_it_is_sai
         assert "15 lines seen to and fro close within" in said[0]
     assert bool(np.any(recording.heights()[1])) != axis_to_axis
     assert lt.adjust(recording).fit.sigma0 < 20.0
+
+
+def test_occupations_are_names_of_a_column_or_one_a_mark_day_and_role(tmp_path: Path) -> None:
+    plain, numbered = tmp_path / "plain.csv", tmp_path / "numbered.csv"
+    rows = traverse(True).splitlines()
+    plain.write_text("\n".join(rows))
+    more = [f"{row},{i % 3 + 1},7" for i, row in enumerate(rows[1:])]
+    numbered.write_text("\n".join([f"{rows[0]},isetupid,tsetupid", *more]))
+    recording, stated = read(plain), read(numbered)
+    assert recording.setup.heads_sigma_mm == stated.setup.heads_sigma_mm == 1.0
+    assert set(recording.labels["instrument_setup"]) == set(recording.stations)
+    assert set(recording.labels["target_setup"]) == {f"to {name}" for name in recording.targets}
+    assert set(stated.labels["instrument_setup"]) == {"1", "2", "3"}
+    write(stated, tmp_path / "native")
+    assert read(tmp_path / "native").labels["target_setup"] == stated.labels["target_setup"]

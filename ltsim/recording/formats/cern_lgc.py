@@ -28,9 +28,8 @@ from ltsim.recording.formats.cern_declared import FIXED, POINTS, Point, Polar, W
 from ltsim.recording.pointings import NAN, Kind, Observed, merged, numbered, recording_of, settled_heights
 from ltsim.recording.recording import Recording
 from ltsim.recording.setup import EXACT_LEVEL_ARCSEC, Setup, Station, Target, Vector
-from ltsim.units import GON, MILLIMETRE
+from ltsim.units import EARTH, GON, MILLIMETRE
 
-EARTH = 6_371_000.0
 OBSERVATIONS: dict[str, tuple[Kind, ...]] = {
     "PLR3D": ("azimuth", "elevation", "distance"),
     "ANGL": ("azimuth",),

@@ -50,6 +50,8 @@ WORDS = {
     "instrumentenhoehe instrumenthohe geratehohe geraetehoehe kippachshohe standpunkthohe",
     "target_height_mm": "targetheight tohgt th ht hr reflectorheight prismheight rodheight zielhohe zielhoehe "
     "zielpunkthohe reflektorhohe prismenhohe tafelhohe",
+    "instrument_setup": "isetupid instrumentsetup instrumentsetupid",
+    "target_setup": "tsetupid targetsetup targetsetupid",
     "air_temperature_c": "airtemperature airtemp lufttemperatur",
     "air_pressure_hpa": "airpressure pressure luftdruck",
     "relative_humidity_pct": "relativehumidity humidity luftfeuchte luftfeuchtigkeit",

@@ -13,19 +13,21 @@ from ltsim.geometry.polar import to_face
 from ltsim.recording.conventions import NO_HINTS, NO_NOISE, Hints, poses_of
 from ltsim.recording.files import MAX_TEXT, shown
 from ltsim.recording.pointings import NAN, Pointing, recording_of
-from ltsim.recording.recording import HEIGHT_COLUMNS, KIND_COLUMN, Recording
+from ltsim.recording.recording import HEIGHT_COLUMNS, KIND_COLUMN, OCCUPATION_COLUMNS, Recording
 from ltsim.recording.settings import read_setup
 from ltsim.recording.setup import Setup
 from ltsim.recording.tables import cells
 from ltsim.recording.tables.header import ALLOWED, Column, names_places
 from ltsim.recording.tables.meaning import Meaning, readings_of, sigmas_of_places
 from ltsim.recording.tables.rows import Printed, Table, header_of, table_of
-from ltsim.recording.tables.setups import common_names, heights_not_applied, over_marks, split_rounds
+from ltsim.recording.tables.setups import common_names, heights_not_applied, occupied, over_marks, split_rounds
 from ltsim.recording.tables.sheets import SUFFIXES, WORKBOOK, is_folder, rows_of_head, sheets_of
 from ltsim.units import FACTOR, MILLIMETRE, ratio
 
 SETUP = "setup.toml"
 MOST_SHOWN = 3
+HEADS_SIGMA_MM = 1.0
+"""How well heads of one tripod, or of one pillar, stand at one height each time they are set up."""
 
 
 def recognises(path: Path, head: str) -> bool:
@@ -71,6 +73,9 @@ def assembled(table: Table, meaning: Meaning, readings: Floats, setup: Setup, hi
     unused = heights_not_applied(table, readings, height)
     if unused:
         covariates = [{k: x for k, x in values.items() if k not in HEIGHT_COLUMNS} for values in covariates]
+        known = setup.heads_sigma_mm or HEADS_SIGMA_MM
+        setup = setup.model_copy(update={"heads_sigma_mm": known, "curved": True})
+        labels = [occupied(table, p) | own for p, own in zip(table.pointings, labels, strict=True)]
     dated = bool(timed) and table.column(("date",)) is not None  # kept as text where it is no clock
     pointings = []
     for i, (p, (distance, azimuth, elevation)) in enumerate(zip(table.pointings, readings.tolist(), strict=True)):
@@ -148,8 +153,11 @@ def _further(table: Table, meaning: Meaning) -> tuple[list[dict[str, float]], li
     Sigmas and heights have names and units of their own, those of the readings where their header states none.
     """
     columns = [c for c in table.columns if c.is_further]
-    numeric = {c.title: number for c in columns if (number := _factor(c, table.pointings, meaning)) is not None}
-    names = {c.title: c.role if "_" in c.role and c.title in numeric else c.title for c in columns}
+    words = {c.title for c in columns if c.role in OCCUPATION_COLUMNS}
+    values = [c for c in columns if c.title not in words]
+    numeric = {c.title: number for c in values if (number := _factor(c, table.pointings, meaning)) is not None}
+    named = words | {c.title for c in values if "_" in c.role and c.title in numeric}
+    names = {c.title: c.role if c.title in named else c.title for c in columns}
     rows = [p.further for p in table.pointings]
     covariates = [{names[t]: _number(p, t) * f for t, f in numeric.items() if t in p.further} for p in table.pointings]
     labels = [{names[t]: text for t, text in row.items() if t not in numeric} for row in rows]

@@ -15,9 +15,10 @@ import numpy as np
 from ltsim.arrays import Floats
 from ltsim.recording.files import shown
 from ltsim.recording.pointings import numbered
+from ltsim.recording.recording import OCCUPATION_COLUMNS
 from ltsim.recording.setup import EXACT_LEVEL_ARCSEC, Setup, Station
 from ltsim.recording.tables.header import HEIGHTS
-from ltsim.recording.tables.rows import Table
+from ltsim.recording.tables.rows import Printed, Table
 
 MOST_SHOWN = 4
 LEAST_LINES = 4
@@ -117,6 +118,13 @@ def over_marks(table: Table, setup: Setup) -> tuple[Setup, list[str]]:
     return setup.model_copy(update={"stations": {**setup.stations, **stations}}), [said]
 
 
+def occupied(table: Table, one: Printed) -> dict[str, str]:
+    """Which occupations of marks a pointing joins, where no column says so: those of one day, in one role."""
+    day = one.moment if table.column(("time",)) is None else ""
+    mark = table.marks.get(one.station, one.station)
+    return dict(zip(OCCUPATION_COLUMNS, (f"{mark} {day}".strip(), f"to {one.target} {day}".strip()), strict=True))
+
+
 def heights_not_applied(table: Table, readings: Floats, height: Floats) -> list[str]:
     """What is said where the readings are those between the heads themselves, whatever heights stand beside them.
 
@@ -140,5 +148,6 @@ def heights_not_applied(table: Table, readings: Floats, height: Floats) -> list[
     return [
         f"heights in {names} are not applied: {len(misses)} lines seen to and fro close within "
         f"{1e3 * misses[:, 0].max():.3g} mm without them, {1e3 * misses[:, 1].max():.4g} mm with them; "
-        "coordinates are those of heads and reflectors, not of marks below"
+        "coordinates are those of heads and reflectors, not of marks below; each head's height is an observation "
+        "(heads_sigma_mm), plumb lines differ by place (curved)"
     ]

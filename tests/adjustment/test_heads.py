@@ -1,0 +1,62 @@
+"""Heads that stand at other heights over their marks at each occupation: observations of the network."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ltsim.adjustment import adjust
+from ltsim.model.measurement import with_plumb_lines
+from ltsim.randomness import stream
+from ltsim.recording.native import read_recording, write_recording
+from ltsim.recording.recording import Recording
+from ltsim.recording.setup import EXACT_LEVEL_ARCSEC, Station
+from ltsim.units import EARTH
+from tests.networks import mesh, network
+
+
+def set_up_anew(seed: int, sigma_mm: float = 1.0) -> tuple[Recording, np.ndarray]:
+    """Levelled stations that see reflectors set up anew for each of them, and the heights (S, T) [m] of these."""
+    recording, _ = network(seed=seed, stations=4)
+    stations = {name: Station(levelled=True, levelling_sigma_arcsec=EXACT_LEVEL_ARCSEC) for name in recording.stations}
+    told = {"stations": stations, "heads_sigma_mm": sigma_mm}
+    higher = 1e-3 * sigma_mm * stream(seed, "heads").standard_normal((4, len(mesh())))
+    change = higher[recording.station, recording.target, None] * [0.0, 0.0, 1.0]
+    by_target = adjust(recording).problem.model.linearised(adjust(recording).state).by_target
+    readings = recording.readings + np.einsum("nij,nj->ni", by_target, change)
+    labels = {"target_setup": tuple(recording.stations[s] for s in recording.station)}
+    setup = recording.setup.model_copy(update=told)
+    return recording.replace(setup=setup, readings=readings, labels=labels), higher
+
+
+def test_heights_that_differ_by_set_up_are_estimated_and_the_network_agrees() -> None:
+    recording, higher = set_up_anew(3)
+    found = adjust(recording)
+    blind = adjust(recording.replace(setup=recording.setup.model_copy(update={"heads_sigma_mm": None})))
+    assert found.dof == blind.dof
+    assert blind.sigma0 > 5.0
+    assert found.sigma0 == pytest.approx(1.0, abs=0.15)
+    pairs = list(dict.fromkeys(zip(recording.target.tolist(), recording.station.tolist(), strict=True)))
+    value = np.zeros(higher.shape)
+    for (target, station), height in zip(pairs, found.state.extra, strict=True):
+        value[station, target] = height
+    gap = value - higher  # what all heights of a mark share is its coordinate, what those of a station do is its own
+    gap = gap - gap.mean(axis=0) - gap.mean(axis=1, keepdims=True) + gap.mean()
+    assert np.sqrt(np.mean(gap**2)) < 0.1e-3
+
+
+def test_heads_are_kept_in_a_file(tmp_path) -> None:  # type: ignore[no-untyped-def]
+    recording, _ = set_up_anew(4)
+    write_recording(recording, tmp_path)
+    again = read_recording(tmp_path)
+    assert again.setup.heads_sigma_mm == 1.0
+    assert adjust(again).chi2 == pytest.approx(adjust(recording).chi2, rel=1e-6)
+
+
+def test_plumb_lines_lean_outwards_on_a_sphere() -> None:
+    recording, _ = set_up_anew(5)
+    curved = recording.replace(setup=recording.setup.model_copy(update={"curved": True}))
+    place = np.array([[-300.0, 0.0, 1.0], [300.0, 0.0, 2.0], [0.0, 200.0, 0.0], [0.0, -200.0, 0.0]])
+    leaning = [with_plumb_lines(curved, place).station_setup(name).vertical for name in recording.stations]
+    np.testing.assert_allclose(np.array(leaning)[:, :2] * EARTH, place[:, :2], atol=1e-6)
+    assert with_plumb_lines(recording, place) is recording
