@@ -29,7 +29,6 @@ class Harmonic(SlotEffect):
 
     @property
     def terms(self) -> tuple[Term, ...]:  # type: ignore[override]
-        """The slot and the two waves."""
         return waves(self.observables[0], self.order)
 
     @classmethod

@@ -181,7 +181,6 @@ class SlotEffect(Effect):
     terms: ClassVar[tuple[Term, ...]]
 
     def design(self, sightings: Sightings) -> Floats:
-        """Change (n, 3, p) of the raw readings per unit of each parameter, first order."""
         acts = self.mask(sightings)
         columns = [sightings.slot_responses[t.slot] * (acts * t.basis(sightings.read))[:, None] for t in self.terms]
         return np.stack(columns, axis=2)

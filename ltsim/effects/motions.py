@@ -49,11 +49,9 @@ class TargetMotion(Effect):
         raise NotImplementedError
 
     def design(self, sightings: Sightings) -> Floats:
-        """Change (n, 3, p) of the raw readings per unit of each parameter, first order."""
         return by_displacement(sightings, self.displacement(sightings))
 
     def shift(self, sightings: Sightings, values: Floats) -> Floats:
-        """Change (n, 3) of the raw readings, exact."""
         return exact_target_change(sightings, self.displacement(sightings) @ values)
 
 
@@ -66,9 +64,7 @@ class StationMotion(Effect):
         raise NotImplementedError
 
     def design(self, sightings: Sightings) -> Floats:
-        """Change (n, 3, p) of the raw readings per unit of each parameter, first order."""
         return station_design(sightings) @ self.motion(sightings)
 
     def shift(self, sightings: Sightings, values: Floats) -> Floats:
-        """Change (n, 3) of the raw readings, exact."""
         return exact_station_change(sightings, self.motion(sightings) @ values)

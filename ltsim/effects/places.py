@@ -127,7 +127,6 @@ class Drift(Effect):
         return since if self.law == "linear" else np.asarray(np.exp(-since / self.time_constant))
 
     def design(self, sightings: Sightings) -> Floats:
-        """Change (n, 3, 1) of the raw readings per unit of the rate or amplitude."""
         amount = self.mask(sightings) * self.progress(sightings)
         column: Floats = sightings.slot_responses[self.slot] * amount[:, None]
         return column[:, :, None]

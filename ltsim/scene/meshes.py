@@ -49,7 +49,9 @@ class Obstacles:
 
     @cached_property
     def _rays(self) -> Any:
-        """Embree's rays; None where it is not installed."""
+        """Embree's rays; None where it is not installed, or there is nothing to hit."""
+        if not len(self.triangles):
+            return None
         try:
             import embreex  # noqa: F401  # what the next line needs and does not ask for
             from trimesh.ray.ray_pyembree import RayMeshIntersector
@@ -60,18 +62,14 @@ class Obstacles:
 
     def blocked(self, origins: Floats, ends: Floats) -> Bools:
         """(n,): a triangle lies between origins and ends (n, 3) [m]; touching an edge counts."""
-        if not len(self.triangles) or not len(origins):
-            return np.zeros(len(origins), dtype=bool)
-        way = ends - origins
-        length = np.linalg.norm(way, axis=1)
-        beam = way / length[:, None]
-        if self._rays is None:
-            return native_hits(self.triangles, origins, beam, length) > 0
+        hit = self._met(origins, ends)
+        if self._rays is None or not hit.size:
+            return hit
+        length = np.linalg.norm(ends - origins, axis=1)
+        beam = (ends - origins) / length[:, None]
         side, other = (GRAZE * way for way in perpendicular(beam))
-        bundle = (0.0 * beam, side, -side, other, -other)
-        votes = np.stack([self._cast(origins + shift, beam, length) for shift in bundle], axis=1)
-        hit: Bools = votes[:, 0].copy()
-        doubtful = np.flatnonzero(np.any(votes != votes[:, :1], axis=1))
+        votes = [self._met(origins + shift, ends + shift) for shift in (side, -side, other, -other)]
+        doubtful = np.flatnonzero(np.any(np.stack(votes) != hit, axis=0))
         hit[doubtful] = native_hits(self.triangles, origins[doubtful], beam[doubtful], length[doubtful]) > 0
         return hit
 
@@ -91,16 +89,12 @@ class Obstacles:
 
     def _met(self, origins: Floats, ends: Floats) -> Bools:
         """(n,): a triangle lies between, to the precision of the rays in use."""
-        if not len(self.triangles) or not len(origins):
+        if not len(origins):
             return np.zeros(len(origins), dtype=bool)
         length = np.linalg.norm(ends - origins, axis=1)
         beam = (ends - origins) / length[:, None]
         if self._rays is None:
             return np.asarray(native_hits(self.triangles, origins, beam, length) > 0)
-        return self._cast(origins, beam, length)
-
-    def _cast(self, origins: Floats, beam: Floats, length: Floats) -> Bools:
-        """First hit of single-precision rays, before the end."""
         point, ray, _ = self._rays.intersects_location(origins, beam, multiple_hits=False)
         hit = np.zeros(len(origins), dtype=bool)
         way = np.linalg.norm(point - origins[ray], axis=1)
