@@ -17,13 +17,7 @@ from ltsim.planning.loading import load_plan
 from ltsim.planning.planner import Evaluated, Option, Plan
 from ltsim.planning.reasons import fewest, reasons
 from ltsim.planning.schema import (
-    EFFECTS,
     NEXT,
-    NOMINALS,
-    PARAMETERS,
-    REFLECTORS,
-    STATIONS,
-    TRADEOFF,
     VISIBILITY,
     WORK,
     NextFile,
@@ -283,23 +277,7 @@ def next_csv(content: NextFile) -> str:
 
 def plan_texts(plan: Plan, content: PlanResult) -> dict[str, str | bytes]:
     """The files beside `plan.json`, by name."""
-    own = {p.name: p.sigma for p in content.reference.parameters} if content.reference else {}
-    filled = [
-        STATIONS.filled([s.name, *s.position_mm, s.yaw_deg, *s.sigma_position_um] for s in content.stations),
-        REFLECTORS.filled(
-            [r.name, *r.position_mm, r.sigma_um, *r.u_um, r.within_mm, r.tolerance_mm, " ".join(r.seen_from)]
-            for r in content.reflectors
-        ),
-        TRADEOFF.filled(content.tradeoff),
-        PARAMETERS.filled(
-            [p.name, p.unit, p.sigma, own.get(p.name), p.prior_sigma, p.gain] for p in content.parameters
-        ),
-        VISIBILITY.filled(_visibility(plan.chosen)),
-        NOMINALS.filled([r.name, *r.position_mm] for r in content.reflectors),
-        WORK.filled(work_rows(plan)),
-    ]
-    if "detectable" in content.model_fields_set:
-        filled.append(EFFECTS.filled(content.detectable))
+    filled = [*content.tables().values(), VISIBILITY.filled(_visibility(plan.chosen)), WORK.filled(work_rows(plan))]
     scenario, cad = with_cad_beside(planned_scenario(plan))
     return {table.file: table.csv() for table in filled} | {SCENARIO: scenario_to_toml(scenario)} | cad
 

@@ -20,14 +20,16 @@ def rounded(place: Floats, decimals: int) -> Vector:
     return x, y, z
 
 
-PLACE = numbers(".10g", x_mm="place in the workshop, to 0.001 mm", y_mm="as x_mm", z_mm="as x_mm")
+PLACE = numbers(".10g", ".3f", x_mm="place in the workshop, to 0.001 mm", y_mm="as x_mm", z_mm="as x_mm")
 STATIONS = Table(
     "stations.csv",
     "where the tripod goes",
     (
         *texts(station="name"),
-        *numbers(x_mm="place in the workshop", y_mm="as x_mm", z_mm="as x_mm", yaw_deg="where azimuth zero looks to"),
+        *numbers(shown=".0f", x_mm="place in the workshop", y_mm="as x_mm", z_mm="as x_mm"),
+        *numbers(shown=".0f", yaw_deg="where azimuth zero looks to"),
         *numbers(sigma_x_um="expected standard deviation", sigma_y_um="as x", sigma_z_um="as x"),
+        *numbers(reflectors_seen="how many it sees"),
     ),
 )
 REFLECTORS = Table(
@@ -310,6 +312,26 @@ class PlanResult(ResultFile, LayoutEntry):
     """Pairs that it could not tell apart."""
     silent: tuple[str, ...] = ()
     """Effects that leave no trace."""
+
+    def tables(self) -> dict[str, Table]:
+        """The tables that this content fills, by name."""
+        own = {p.name: p.sigma for p in self.reference.parameters} if self.reference else {}
+        filled = [
+            STATIONS.filled(
+                [s.name, *s.position_mm, s.yaw_deg, *s.sigma_position_um, s.reflectors_seen] for s in self.stations
+            ),
+            REFLECTORS.filled(
+                [r.name, *r.position_mm, r.sigma_um, *r.u_um, r.within_mm, r.tolerance_mm, " ".join(r.seen_from)]
+                for r in self.reflectors
+            ),
+            TRADEOFF.filled(self.tradeoff),
+            PARAMETERS.filled(
+                [p.name, p.unit, p.sigma, own.get(p.name), p.prior_sigma, p.gain] for p in self.parameters
+            ),
+            *([EFFECTS.filled(self.detectable)] if "detectable" in self.model_fields_set else []),
+            NOMINALS.filled([r.name, *r.position_mm] for r in self.reflectors),
+        ]
+        return {table.name: table for table in filled}
 
     @property
     def value_unit(self) -> tuple[float, str]:
