@@ -65,9 +65,7 @@ def _(result: Calibration) -> Figure:
     if result.names:
         return parameter_figure(result.parameters)
     if result.adjustment is None:
-        raise ModelError(
-            "a network that was read from its file has no picture; lt.report makes a page of it"
-        )
+        raise ModelError("a network that was read from its file has no picture; lt.report makes a page of it")
     return figure_of(result.adjustment)
 
 
