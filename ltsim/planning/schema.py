@@ -313,26 +313,6 @@ class PlanResult(ResultFile, LayoutEntry):
     silent: tuple[str, ...] = ()
     """Effects that leave no trace."""
 
-    def tables(self) -> dict[str, Table]:
-        """The tables that this content fills, by name."""
-        own = {p.name: p.sigma for p in self.reference.parameters} if self.reference else {}
-        filled = [
-            STATIONS.filled(
-                [s.name, *s.position_mm, s.yaw_deg, *s.sigma_position_um, s.reflectors_seen] for s in self.stations
-            ),
-            REFLECTORS.filled(
-                [r.name, *r.position_mm, r.sigma_um, *r.u_um, r.within_mm, r.tolerance_mm, " ".join(r.seen_from)]
-                for r in self.reflectors
-            ),
-            TRADEOFF.filled(self.tradeoff),
-            PARAMETERS.filled(
-                [p.name, p.unit, p.sigma, own.get(p.name), p.prior_sigma, p.gain] for p in self.parameters
-            ),
-            *([EFFECTS.filled(self.detectable)] if "detectable" in self.model_fields_set else []),
-            NOMINALS.filled([r.name, *r.position_mm] for r in self.reflectors),
-        ]
-        return {table.name: table for table in filled}
-
     @property
     def value_unit(self) -> tuple[float, str]:
         """Factor and unit in which a person reads the objective: lengths where targets alone are its goal."""

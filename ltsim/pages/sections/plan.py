@@ -25,6 +25,7 @@ from ltsim.pages.document import (
 )
 from ltsim.pages.sections.network import scene, undetermined
 from ltsim.pages.words import QUALITY, count, duration, of_presets
+from ltsim.planning.files import tables_of
 from ltsim.planning.floor import Floor
 from ltsim.planning.schema import LayoutEntry, PlanResult
 from ltsim.simulation.scenario import Scenario, load_scenario
@@ -40,7 +41,7 @@ def plan_section(content: PlanResult, beside: Beside) -> Section:
         When a file is malformed.
     """
     frame = f"{content.frame[:1].upper()}{content.frame[1:]}." if content.frame else ""
-    blocks: list[Block] = [*table_block("Where to put the tripod", content.tables()["stations"], note=frame)]
+    blocks: list[Block] = [*table_block("Where to put the tripod", tables_of(content)["stations"], note=frame)]
     file = beside.file("scenario.toml", content)
     scenario = None if file is None else load_scenario(file)
     drawn, changed = _pictures(content, scenario, turn=beside.detail == "turn")
@@ -54,7 +55,7 @@ def plan_section(content: PlanResult, beside: Beside) -> Section:
     blocks += undetermined("Not determined by this layout", content.undetermined, decimals=0)
     blocks += _effects(content)
     note = "U: expanded uncertainty, k = 2, in the frame that all points define together."
-    points = content.tables()["reflectors"].only("target x_mm y_mm z_mm U_x_um U_y_um U_z_um seen_from")
+    points = tables_of(content)["reflectors"].only("target x_mm y_mm z_mm U_x_um U_y_um U_z_um seen_from")
     blocks += table_block("Points", points, note=note)
     if content.bodies:
         blocks.append(Points("What stands in the hall", content.bodies))
@@ -63,7 +64,7 @@ def plan_section(content: PlanResult, beside: Beside) -> Section:
     return Section(
         title=content.title or "Plan of a network", kind="Plan", answer=content.summary, mood=good,
         facts=_facts(content), blocks=blocks, seed="" if content.seed is None else str(content.seed),
-        instrument=of_presets(t.preset for t in scenario.trackers.values()) if scenario else "", measured="planned",
+        instrument=of_presets([scenario.model_dump()]) if scenario else "", measured="planned",
         axes="the workshop's",
     )  # fmt: skip
 
