@@ -120,7 +120,9 @@ def _about(parts: list[Part], sections: list[Section], given: About) -> list[tup
     folders = dict.fromkeys(part.recording for part in parts if part.recording)
     setups = [read_setup(place / SETUP) for place in folders if (place / SETUP).is_file()]
     stated = [setup.report for setup in setups if setup.report is not None]
-    instruments = "; ".join(dict.fromkeys(filter(None, [*(s.instruments_in_words for s in setups), *(s.instrument for s in sections)])))
+    instruments = "; ".join(
+        dict.fromkeys(filter(None, [*(s.instruments_in_words for s in setups), *(s.instrument for s in sections)]))
+    )
     days = ", ".join(dict.fromkeys(s.measured[:10] for s in sections if s.measured))
     fallback = {"instrument": instruments, "date": days}
     said = []

@@ -62,7 +62,11 @@ def figure_of(result: Result) -> Figure:
 
 @figure_of.register
 def _(result: Calibration) -> Figure:
-    return parameter_figure(result.parameters) if result.names else figure_of(result.adjustment)
+    if result.names:
+        return parameter_figure(result.parameters)
+    if result.adjustment is None:
+        raise ModelError("a network that was read from its file has no picture; lt.report makes a page of it")
+    return figure_of(result.adjustment)
 
 
 @figure_of.register

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import takewhile
+from typing import Any
 
 from ltsim.chances import AGREES, p_is, two_sided
 from ltsim.notation import listing as listing
@@ -34,9 +35,10 @@ def duration(seconds: float) -> str:
     return f"{hours} h {rest:02d} min"
 
 
-def of_presets(names: Iterable[str]) -> str:
-    """Trackers of a scenario by the presets or data sheets that state them."""
-    return ", ".join(f"preset {name}" for name in dict.fromkeys(names))
+def of_presets(scenarios: Iterable[Mapping[str, Any]]) -> str:
+    """The trackers of scenarios as tables, by the presets or data sheets that state them."""
+    trackers = [t for s in scenarios for t in (*s.get("instruments", {}).values(),) or (s["instrument"],)]
+    return ", ".join(f"preset {name}" for name in dict.fromkeys(t["preset"] for t in trackers))
 
 
 def count(number: int, one: str, many: str = "") -> str:

@@ -37,6 +37,7 @@ from ltsim.planning.work_order import work_rows
 from ltsim.recording.result_file import SourceEntry, Vector, read_result, write_result
 from ltsim.remedies.detectability import Detectability, MinimalSize, detectability
 from ltsim.remedies.next_measurement import NextMeasurement
+from ltsim.results import Table
 from ltsim.simulation.scenario import Scenario, load_scenario, scenario_to_toml
 from ltsim.simulation.sections import Station, Target
 from ltsim.simulation.workshop import bodies_of
@@ -281,11 +282,13 @@ def next_csv(content: NextFile) -> str:
     return NEXT.filled({**vars(p), "tells_apart": " ".join(p.tells_apart)} for p in content.proposals).csv()
 
 
-def plan_texts(plan: Plan, content: PlanResult) -> dict[str, str | bytes]:
-    """The files beside `plan.json`, by name."""
+def tables_of(content: PlanResult) -> dict[str, Table]:
+    """The tables that this content fills, by name."""
     own = {p.name: p.sigma for p in content.reference.parameters} if content.reference else {}
     filled = [
-        STATIONS.filled([s.name, *s.position_mm, s.yaw_deg, *s.sigma_position_um] for s in content.stations),
+        STATIONS.filled(
+            [s.name, *s.position_mm, s.yaw_deg, *s.sigma_position_um, s.reflectors_seen] for s in content.stations
+        ),
         REFLECTORS.filled(
             [r.name, *r.position_mm, r.sigma_um, *r.u_um, r.within_mm, r.tolerance_mm, " ".join(r.seen_from)]
             for r in content.reflectors
@@ -294,12 +297,15 @@ def plan_texts(plan: Plan, content: PlanResult) -> dict[str, str | bytes]:
         PARAMETERS.filled(
             [p.name, p.unit, p.sigma, own.get(p.name), p.prior_sigma, p.gain] for p in content.parameters
         ),
-        VISIBILITY.filled(_visibility(plan.chosen)),
+        *([EFFECTS.filled(content.detectable)] if "detectable" in content.model_fields_set else []),
         NOMINALS.filled([r.name, *r.position_mm] for r in content.reflectors),
-        WORK.filled(work_rows(plan)),
     ]
-    if "detectable" in content.model_fields_set:
-        filled.append(EFFECTS.filled(content.detectable))
+    return {table.name: table for table in filled}
+
+
+def plan_texts(plan: Plan, content: PlanResult) -> dict[str, str | bytes]:
+    """The files beside `plan.json`, by name."""
+    filled = [*tables_of(content).values(), VISIBILITY.filled(_visibility(plan.chosen)), WORK.filled(work_rows(plan))]
     scenario, cad = with_cad_beside(planned_scenario(plan))
     return {table.file: table.csv() for table in filled} | {SCENARIO: scenario_to_toml(scenario)} | cad
 

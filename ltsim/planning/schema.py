@@ -20,14 +20,16 @@ def rounded(place: Floats, decimals: int) -> Vector:
     return x, y, z
 
 
-PLACE = numbers(".10g", x_mm="place in the workshop, to 0.001 mm", y_mm="as x_mm", z_mm="as x_mm")
+PLACE = numbers(".10g", ".3f", x_mm="place in the workshop, to 0.001 mm", y_mm="as x_mm", z_mm="as x_mm")
 STATIONS = Table(
     "stations.csv",
     "where the tripod goes",
     (
         *texts(station="name"),
-        *numbers(x_mm="place in the workshop", y_mm="as x_mm", z_mm="as x_mm", yaw_deg="where azimuth zero looks to"),
+        *numbers(shown=".0f", x_mm="place in the workshop", y_mm="as x_mm", z_mm="as x_mm"),
+        *numbers(shown=".0f", yaw_deg="where azimuth zero looks to"),
         *numbers(sigma_x_um="expected standard deviation", sigma_y_um="as x", sigma_z_um="as x"),
+        *numbers(reflectors_seen="how many it sees"),
     ),
 )
 REFLECTORS = Table(

@@ -175,6 +175,12 @@ def every_loss(survey: Survey, demands: Demands, built: Construction) -> tuple[K
     return tuple(kept for kind in kinds for kept in after_losses(survey, demands, built, kind))
 
 
+def told_losses(survey: Survey, demands: Demands, built: Construction) -> list[Kept]:
+    """How the survey stands without each station, and without each sight where that is asked for: of a verdict."""
+    kinds = ("station", "sight") if demands.robust == "sight" else ("station",)
+    return [loss for kind in kinds for loss in after_losses(survey, demands, built, kind)]
+
+
 def holds(survey: Survey, demands: Demands, built: Construction) -> tuple[bool, float]:
     """Whether a survey keeps its demands, after any one loss too where they ask so; and the largest ratio."""
     own = judged(survey, demands, built)

@@ -17,7 +17,7 @@ from ltsim.planning.site import Site
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.starts import Problem
 from ltsim.planning.survey import Survey
-from ltsim.planning.tolerances import Demands, after_losses, judged, verdict
+from ltsim.planning.tolerances import Demands, judged, told_losses, verdict
 from ltsim.planning.workshop import site_of
 from ltsim.remedies.next_measurement import Progress, next_measurement as next_measurement, quiet
 from ltsim.simulation.physics import planned_construction
@@ -174,8 +174,7 @@ def _alternative(problem: Problem, survey: Survey, words: str) -> Alternative:
     demands, built = Demands.of(problem.file), problem.built
     if demands:
         kept = judged(survey, demands, built)
-        kinds = ("station", "sight") if demands.robust == "sight" else ("station",)
-        losses = [loss for kind in kinds for loss in after_losses(survey, demands, built, kind)]
+        losses = told_losses(survey, demands, built)
         ratio = max([kept.ratio, *([loss.ratio for loss in losses] if demands.robust != "no" else [])])
         return Alternative(words, survey, verdict(demands, kept, losses), ratio)
     kept = judged(survey, Demands(dict.fromkeys(survey.target_names, np.inf)), built)

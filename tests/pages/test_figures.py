@@ -219,6 +219,16 @@ def hidden_and_found() -> Figure:
     return misfits.hidden_and_found(at, np.sin(at), 1.1 * np.sin(at), axis="time [min]", label="change [µm]")
 
 
+def values_figure() -> Figure:
+    rows = {"add station S6 at (1.17, 1.08, 1.56) m, and measure all targets": (2.0, 1.0, 3.5), MARKUP: (0.5, 0.5, 0.5)}
+    return estimates.values_figure(rows, "error of a new point [um]", marks={"as read": [4.0], "limits": [0.0, 3.0]})
+
+
+def lines_figure() -> Figure:
+    lines = {"found": [(0.2, 0.0, 0.6), (1.0, 0.6, 1.0)], "named": [(0.0, 0.0, 0.4), (0.8, 0.4, 1.0)]}
+    return estimates.lines_figure([25.0, 400.0], lines, "noncentrality", "share, 95 % interval")
+
+
 def whereabouts() -> Figure:
     names = samples.recording().targets[:2]
     return floors.whereabouts(from_adjustment(samples.after()), names, [names])
@@ -229,8 +239,8 @@ DRAWINGS = {
     for f in (
         shares_of_limits, budget_figure, by_factor, by_setting, check_figure, correlation_figure, coverage,
         criteria_figure, displacement_figure, distributions, driver_curve, floor_plan, hidden_and_found,
-        history_figure, parameter_figure, reflector_changes, residuals_by_covariate, residuals_by_station,
-        sigma_figure, signature_figure, trade_off, whereabouts,
+        history_figure, lines_figure, parameter_figure, reflector_changes, residuals_by_covariate,
+        residuals_by_station, sigma_figure, signature_figure, trade_off, values_figure, whereabouts,
     )
 }  # fmt: skip
 

@@ -240,7 +240,8 @@ def lines_figure(at: Sequence[float], lines: Mapping[str, Sequence[Interval]], a
     ax = figure.subplots()
     for name, rows, colour, marker in zip(lines, lines.values(), style.CYCLE, style.MARKERS, strict=False):
         value, low, high = np.array(rows).T
-        ax.errorbar(at, value, [value - low, high - value], color=colour, marker=marker, ms=4.0, lw=1.2, label=name)
+        half = np.maximum([value - low, high - value], 0.0)
+        ax.errorbar(at, value, half, color=colour, marker=marker, ms=4.0, lw=1.2, label=name)
     ax.set_xlabel(typeset(axis))
     ax.set_ylabel(typeset(label))
     style.quiet_axis(ax, grid="both")

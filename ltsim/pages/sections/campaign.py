@@ -85,15 +85,9 @@ def campaign_section(folder: Path) -> Section:
         seed=str(manifest.seed),
         versions=versions,
         axes="those of the scenario",
-        instrument=of_presets(t["preset"] for s in manifest.scenarios for t in trackers_of(s)),
-        measured="simulated",
+        instrument=of_presets(manifest.scenarios),
         shown=min(len(shown), MOST_SHOWN),
     )
-
-
-def trackers_of(scenario: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    """The trackers of a scenario as a manifest holds it."""
-    return [*scenario.get("instruments", {}).values()] or [scenario["instrument"]]
 
 
 def _mean(s: Spread, level: str = "95 %: ") -> str:

@@ -7,11 +7,25 @@ from functools import partial
 
 import numpy as np
 
-from ltsim.notation import NONE, fixed, number
+from ltsim.notation import NONE, number
 from ltsim.pages import figures
-from ltsim.pages.document import Beside, Block, Fact, Listing, Note, Picture, Points, Section, Table, mood, table_of
+from ltsim.pages.document import (
+    Beside,
+    Block,
+    Fact,
+    Listing,
+    Note,
+    Picture,
+    Points,
+    Section,
+    Table,
+    mood,
+    table_block,
+    table_of,
+)
 from ltsim.pages.sections.network import scene, undetermined
 from ltsim.pages.words import QUALITY, count, duration, of_presets
+from ltsim.planning.files import tables_of
 from ltsim.planning.floor import Floor
 from ltsim.planning.schema import LayoutEntry, PlanResult
 from ltsim.simulation.scenario import Scenario, load_scenario
@@ -26,7 +40,8 @@ def plan_section(content: PlanResult, beside: Beside) -> Section:
     RecordError, SetupError
         When a file is malformed.
     """
-    blocks: list[Block] = [_stations(content)]
+    frame = f"{content.frame[:1].upper()}{content.frame[1:]}." if content.frame else ""
+    blocks: list[Block] = [*table_block("Where to put the tripod", tables_of(content)["stations"], note=frame)]
     file = beside.file("scenario.toml", content)
     scenario = None if file is None else load_scenario(file)
     drawn, changed = _pictures(content, scenario, turn=beside.detail == "turn")
@@ -39,15 +54,9 @@ def plan_section(content: PlanResult, beside: Beside) -> Section:
     blocks += _curve(content) + _parameters(content) + _expected(content)
     blocks += undetermined("Not determined by this layout", content.undetermined, decimals=0)
     blocks += _effects(content)
-    if content.reflectors:
-        rows = [
-            [r.name, *(fixed(v, 3) for v in r.position_mm), *(number(v, 2) for v in r.u_um),
-             " ".join(r.seen_from)]
-            for r in content.reflectors
-        ]  # fmt: skip
-        header = ["point", "x [mm]", "y [mm]", "z [mm]", "U x [um]", "U y [um]", "U z [um]", "seen from"]
-        note = "U: expanded uncertainty, k = 2, in the frame that all points define together."
-        blocks.append(Table("Points", header, rows, note=note))
+    note = "U: expanded uncertainty, k = 2, in the frame that all points define together."
+    points = tables_of(content)["reflectors"].only("target x_mm y_mm z_mm U_x_um U_y_um U_z_um seen_from")
+    blocks += table_block("Points", points, note=note)
     if content.bodies:
         blocks.append(Points("What stands in the hall", content.bodies))
     blocks.append(Listing("Settings of the plan", json.dumps(content.settings, indent=1)))
@@ -55,7 +64,7 @@ def plan_section(content: PlanResult, beside: Beside) -> Section:
     return Section(
         title=content.title or "Plan of a network", kind="Plan", answer=content.summary, mood=good,
         facts=_facts(content), blocks=blocks, seed="" if content.seed is None else str(content.seed),
-        instrument=of_presets(t.preset for t in scenario.trackers.values()) if scenario else "", measured="planned",
+        instrument=of_presets([scenario.model_dump()]) if scenario else "", measured="planned",
         axes="the workshop's",
     )  # fmt: skip
 
@@ -82,25 +91,19 @@ def _tolerances(content: PlanResult) -> list[Block]:
     return [*blocks, Table("When a station or a sight is lost", header, lost, 3)]
 
 
-DEEDS = {"move": "move {0} to {1}", "add": "add one at {1}", "remove": "leave out {0}"}
-
-
 def _changes(content: PlanResult) -> list[Block]:
     """Which reflector to move, to add, to leave out."""
-    changes = content.reflector_changes
-    if not changes:
-        return (
-            [Note("Reflectors to move, to add, to leave out", content.changes_tried)] if content.changes_tried else []
-        )
+    title = "Reflectors to move, to add, to leave out"
     rows = [
-        [f"{i}: {DEEDS[c.do].format(c.reflector, c.place)}", *(fixed(v, 0) for v in c.position_mm or ()),
-         *[""] * (0 if c.position_mm else 3), f"{c.gain_um:+.2f}", f"{100 * (1 - c.quality):+.1f} %",
+        [f"{i}: {c.deed}", f"{c.gain_um:+.2f}", f"{100 * (1 - c.quality):+.1f} %",
          f"{c.serves} (sigma {100 * (c.serves_factor - 1):+.1f} %)"]
-        for i, c in enumerate(changes, 1)
+        for i, c in enumerate(content.reflector_changes, 1)
     ]  # fmt: skip
-    header = ["one reflector", "x [mm]", "y [mm]", "z [mm]", "gain of the others [um]", "better", "changes most"]
+    if not rows:
+        return [Note(title, content.changes_tried)] if content.changes_tried else []
+    header = ["one reflector", "gain of the others [um]", "better", "changes most"]
     note = f"Gain: by how much the point error of all other points falls, root mean square. {content.changes_tried}"
-    return [Table("Reflectors to move, to add, to leave out", header, rows, 1, note)]
+    return [Table(title, header, rows, 1, note)]
 
 
 def _facts(content: PlanResult) -> list[Fact]:
@@ -121,17 +124,6 @@ def _facts(content: PlanResult) -> list[Fact]:
             text = number(factor * value) + (f" (was {number(factor * other)})" if other else "")
             facts.append(Fact(label, text, better))
     return facts
-
-
-def _stations(content: PlanResult) -> Table:
-    rows = [
-        [s.name, *(fixed(v, 0) for v in s.position_mm), f"{s.yaw_deg:.0f}",
-         " ".join(number(v, 2) for v in s.sigma_position_um), str(s.reflectors_seen)]
-        for s in content.stations
-    ]  # fmt: skip
-    header = ["station", "x [mm]", "y [mm]", "z [mm]", "azimuth zero [deg]", "sigma x y z [um]", "reflectors"]
-    frame = content.frame[:1].upper() + content.frame[1:]
-    return Table("Where to put the tripod", header, rows, note=f"{frame}." if frame else "")
 
 
 def _pictures(content: PlanResult, scenario: Scenario | None, *, turn: bool) -> tuple[list[Block], list[Block]]:
