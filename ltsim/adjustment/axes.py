@@ -5,8 +5,6 @@ and every result that follows stand in them, by inner constraints over these tar
 touched.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType

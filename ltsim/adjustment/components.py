@@ -1,7 +1,5 @@
 """Variance components: how large the noise of each observable (or of each instrument) and of the levels is."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Literal

@@ -1,7 +1,5 @@
 """What makes an adjusted network no result, and what in it is in doubt: said before any figure."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Network adjustment of a recording: start, gross errors, least squares, noise, datum."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Sequence
 from dataclasses import replace
 

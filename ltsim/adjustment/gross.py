@@ -5,8 +5,6 @@ people make; what a mistake explains can be mended, the rest is left out. Whole 
 face are seen before anything is adjusted: their cloud of points has not the shape that other stations saw.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import combinations

@@ -4,8 +4,6 @@ A wrong one bends every reading that it meets. It is therefore judged before sin
 chi-square fall most, for the unknowns that it takes, is the one that is believed.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal

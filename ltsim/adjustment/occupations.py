@@ -5,8 +5,6 @@ instrument, or as target; a shift of its own joins the adjustment where that exp
 does, one after the other. Readings of targets with a noise of their own count by that.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

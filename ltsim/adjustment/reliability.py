@@ -1,7 +1,5 @@
 """What single readings tell: redundancy, normalised residuals, and how large an error of each would be found."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import numpy as np

@@ -3,8 +3,6 @@
 Single readings that do not belong are left out, and taken back where they do belong after all.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import NamedTuple
 

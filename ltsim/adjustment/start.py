@@ -1,7 +1,5 @@
 """Approximate coordinates from the recording alone: stations joined one by one, in closed form where possible."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

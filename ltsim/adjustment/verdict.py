@@ -1,7 +1,5 @@
 """Which verdict to trust where the global test, snooping and the two sigma0 disagree."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from enum import Enum
 

@@ -4,8 +4,6 @@ Of what is not stated, place and constants, those are taken that explain most of
 adjusted with everything else; the chance of as large a fall of chi-square counts all that were tried.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import product

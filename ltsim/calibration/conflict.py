@@ -1,7 +1,5 @@
 """Where the readings contradict what was known of a parameter before them."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy import special
 

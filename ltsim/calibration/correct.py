@@ -1,7 +1,5 @@
 """The same recording with the instrument's errors taken out."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ltsim.adjustment.start import reached_network

@@ -11,8 +11,6 @@ The objective ignores that distances share points, so its own covariance would b
 here propagates the stated noise of every reading (and of the gauge) through the estimator.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

@@ -9,8 +9,6 @@ Where the days between calibrations are known, part of that spread may grow with
 is the mean over `SHARES`, each weighted by how likely it makes the other steps.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What estimates and their covariance say: without the prior, several parameters together, as amplitude and phase."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

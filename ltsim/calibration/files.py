@@ -1,7 +1,5 @@
 """calibration.json with its tables, and history.json: written whole or not at all, and read back."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """history.json: what stands in it, for writers and readers."""
 
-from __future__ import annotations
-
 from typing import ClassVar, Literal, Self
 
 from pydantic import Field, model_validator

@@ -1,7 +1,5 @@
 """Calibration by rigorous network adjustment: poses, targets and instrument parameters at once, with priors."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial

@@ -8,8 +8,6 @@ For least squares the sum over pairs of stations is the number of stations times
 the mean over stations, which makes the objective linear in the number of stations.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 

@@ -1,7 +1,5 @@
 """From an adjusted network to a calibration: what every method writes down in the same way."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment

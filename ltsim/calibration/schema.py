@@ -1,7 +1,5 @@
 """calibration.json and the tables beside it: what stands in them, for writers and readers."""
 
-from __future__ import annotations
-
 import math
 from typing import Annotated, ClassVar, Literal, Self
 

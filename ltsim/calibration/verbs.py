@@ -1,7 +1,5 @@
 """From a recording to its network: adjustment, calibration, and what calibration is worth."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path

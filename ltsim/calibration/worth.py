@@ -14,8 +14,6 @@ calibrations has a mean; u is then the deviation from it. Without a prior the sc
 parameters is then applied by the share, between 0 and 1, by which it is expected to improve new points most.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -5,8 +5,6 @@ those of the network the other, each an equal part (Bonferroni), and within a te
 that was looked at.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """check.json and two_face.csv: what a check found, for programs and for the report."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import ClassVar, Literal

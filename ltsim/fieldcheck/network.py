@@ -1,7 +1,5 @@
 """What the stations of a recording say together: whether they agree on their common targets, and on the vertical."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy import special
 

@@ -1,7 +1,5 @@
 """The sentences of a check, with a unit on every number."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from datetime import datetime, time as clock, timedelta
 

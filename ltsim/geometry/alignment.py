@@ -1,7 +1,5 @@
 """Closed-form rigid alignment of two point sets."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ltsim.arrays import Floats

@@ -4,8 +4,6 @@ Face 1 is the front: elevation within +-90 deg. Face 2 holds raw encoder values:
 180 deg - elevation.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from ltsim.arrays import Floats, Ints, side_by_side

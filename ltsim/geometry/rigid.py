@@ -1,7 +1,5 @@
 """Rigid motions of points, and which points hold them."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ltsim.arrays import Bools, Floats

@@ -1,7 +1,5 @@
 """Rotations as 3 x 3 matrices in batches; rotation vectors for small increments."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from ltsim.arrays import Floats

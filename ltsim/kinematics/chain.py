@@ -7,8 +7,6 @@ point by any slot is the axis carried into the base frame (a translation) or cro
 it (a rotation).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 

@@ -22,8 +22,6 @@ The paper's azimuth is zero on +Y. The chain starts with a fixed quarter turn, s
 one instrument frame (azimuth zero on +X); the harmonics are functions of the reading and do not change.
 """
 
-from __future__ import annotations
-
 import math
 
 from ltsim.kinematics.chain import Chain, Constant, Motion, Reading, Shift, Turn

@@ -10,8 +10,6 @@ Signs: every slot is a correction, added to the raw reading or to the nominal ze
 face-2 readings go in as they are; the face signs then come out by themselves.
 """
 
-from __future__ import annotations
-
 from ltsim.kinematics.chain import Chain, Reading, Shift, Turn
 
 MISALIGNMENT: Chain = (

@@ -20,8 +20,6 @@ Scale Optical Metrology Seminar (the parameters); Muralikrishnan et al. 2009, J.
 doi:10.6028/jres.114.003. Written here in the exact form; signs as in `kinematics.misalignment`.
 """
 
-from __future__ import annotations
-
 import math
 
 from ltsim.kinematics.chain import Chain, Reading, Shift, Turn

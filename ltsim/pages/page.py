@@ -1,7 +1,5 @@
 """The page a person reads: one HTML file that opens offline, the answer first, what to do next."""
 
-from __future__ import annotations
-
 import importlib.metadata
 import json
 import platform

@@ -1,7 +1,5 @@
 """The picture of each result, for `plot()`."""
 
-from __future__ import annotations
-
 from functools import singledispatch
 from typing import Any, cast
 

@@ -1,7 +1,5 @@
 """The workshop in 3D with pyvista: a picture, a window, or one page that opens offline."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The workshop in 3D as one HTML page that opens offline, in the viewer of vtk.js, without any server."""
 
-from __future__ import annotations
-
 import io
 import json
 import re

@@ -3,8 +3,6 @@
 ``python -m ltsim.pages.schemas DIR`` writes a JSON Schema (draft 2020-12) a file, and tables.json for the tables.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path

@@ -5,8 +5,6 @@ line, so that a grey print still reads. A figure is drawn once: its letters can 
 page turns its lightness over where the reader's screen is dark.
 """
 
-from __future__ import annotations
-
 import base64
 import io
 from collections.abc import Callable, Iterable, Sequence

@@ -1,7 +1,5 @@
 """What is drawn: the workshop in 3D, and the page a person reads."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from html import escape

@@ -1,7 +1,5 @@
 """Words that sections share: names are counted and listed, members of statistics are put into words."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence

@@ -1,7 +1,5 @@
 """Which reflector to move, to add or to leave out: every single change of a layout, ranked by what it is worth."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal, get_args
 

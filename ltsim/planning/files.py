@@ -1,7 +1,5 @@
 """A plan as files: plan.json for programs, tables for people, a scenario to simulate it with."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from pathlib import Path

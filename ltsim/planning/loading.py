@@ -1,7 +1,5 @@
 """Plan files read: their lists of points, the scenario that they name or the hall that they describe themselves."""
 
-from __future__ import annotations
-
 import difflib
 import math
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """From a plan file to a plan: which searches are made, and which of the layouts that they find is the plan."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 

@@ -11,8 +11,6 @@ References
 Atkinson, Donev, Tobias, Optimum Experimental Designs, with SAS (2007), chapter 10.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field

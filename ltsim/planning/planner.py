@@ -1,7 +1,5 @@
 """What a plan is, and everything that is known of a layout before anything is measured."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """Why a plan is as it is, in sentences, each with the number behind it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import groupby
 

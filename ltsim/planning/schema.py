@@ -1,7 +1,5 @@
 """plan.json, next.json and the tables beside them: what stands in them, for writers and readers."""
 
-from __future__ import annotations
-
 from typing import Any, ClassVar, Literal
 
 from pydantic import Field

@@ -5,8 +5,6 @@ own contributions are computed anew. Every step lowers the objective, so a start
 single station improves.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property

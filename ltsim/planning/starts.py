@@ -1,7 +1,5 @@
 """Searches from many starts, in one process or in several: the layouts that they find for each way of working."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

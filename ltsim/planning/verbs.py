@@ -1,7 +1,5 @@
 """Where to put the tripod, what if it cannot stand there, and what to measure next."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path

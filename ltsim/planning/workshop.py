@@ -1,7 +1,5 @@
 """A plan file and its scenario as a site to search on."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

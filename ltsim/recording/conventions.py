@@ -7,8 +7,6 @@ the azimuth is beyond both: the mirror image of a whole network is a network wit
 faces. Coordinates or poses from elsewhere are needed for it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path

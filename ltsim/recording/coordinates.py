@@ -10,8 +10,6 @@ follow, as SpatialAnalyzer writes them.
 matrix [mm^2], its header and first column the coordinates as ``TARGET.x``), or adjustment results of gama-local (XML).
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Reading a recording in whatever format it comes, writing it in those that others read."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path

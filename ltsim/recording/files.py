@@ -1,7 +1,5 @@
 """Bounded reading of files, the numbers and names in them, and writing without leaving half a file."""
 
-from __future__ import annotations
-
 import os
 import re
 import tempfile

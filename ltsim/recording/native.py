@@ -1,7 +1,5 @@
 """The native recording, a folder with `observations.csv` and `setup.toml` (format ltsim-recording/1)."""
 
-from __future__ import annotations
-
 import csv
 import difflib
 import io

@@ -1,7 +1,5 @@
 """From pointings, or single observations, as a foreign file lists them to a recording."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal

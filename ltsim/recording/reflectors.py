@@ -1,7 +1,5 @@
 """SMRs of several radii: how much farther from the seat of its nest each pointing's SMR stood than the reference."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """setup.toml: reading with one sentence for whatever is wrong, and writing."""
 
-from __future__ import annotations
-
 import difflib
 import json
 import re

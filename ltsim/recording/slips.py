@@ -6,8 +6,6 @@ zenith angles) are a wrong file, which `check_degrees` refuses; a wrong unit in 
 diagnosis to find.
 """
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """What a maker's data sheet permits (MPE), as limits of tests and as standard deviations and priors."""
 
-from __future__ import annotations
-
 import csv
 import functools
 from collections.abc import Iterable, Mapping

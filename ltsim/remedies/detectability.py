@@ -12,8 +12,6 @@ Baarda, A testing procedure for use in geodetic networks (1968); Teunissen, Test
 Vitells, Trial factors for the look elsewhere effect, Eur. Phys. J. C 70 (2010) 525.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache

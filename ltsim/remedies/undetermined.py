@@ -5,8 +5,6 @@ the gain, the share of the prior variance along that combination which the readi
 gain under one half is called undetermined: it was known better before than the readings alone would tell it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 

@@ -4,8 +4,6 @@ Reweighted least squares comes near the optimum in a few passes, the descent alo
 ends at it. What is found is the linear program's own solution, not one smoothed by a floor under the weights.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import scipy.linalg
 

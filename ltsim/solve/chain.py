@@ -6,8 +6,6 @@ parameters). Factor and selected inverse then cost what the chain is long, not i
 order is one block, and everything below is ordinary dense algebra.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 

@@ -4,8 +4,6 @@ What is undetermined is decided by stated tolerances, never by whether a factori
 rounding errors that grow with the length of the null vector, so a doubtful direction's image is looked at itself.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import TypeAlias
 

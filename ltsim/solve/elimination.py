@@ -4,8 +4,6 @@ Both answer the same questions (solution, inverse where rows of the design need 
 each other in the tests. All answers are in units of scaled columns.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from functools import cached_property
 from itertools import pairwise

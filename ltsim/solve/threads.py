@@ -1,7 +1,5 @@
 """One thread for linear algebra on small matrices, where more would spend their time waiting for each other."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from contextvars import ContextVar
 from functools import cache, wraps

@@ -4,8 +4,6 @@ Requests come in threads of their own, as browsers keep connections open; the wo
 since the 3D view must not change threads.
 """
 
-from __future__ import annotations
-
 import json
 import secrets
 import threading

@@ -1,7 +1,5 @@
 """Statistics over the trials of a campaign: distributions, means over what is varied, coverage."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

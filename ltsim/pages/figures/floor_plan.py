@@ -1,7 +1,5 @@
 """The floor seen from above, as the paper's Figure 5, with names where there is room."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass

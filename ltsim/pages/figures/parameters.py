@@ -1,7 +1,5 @@
 """What is estimated: parameters, their correlation and course, criteria, and where an uncertainty comes from."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from textwrap import wrap
 

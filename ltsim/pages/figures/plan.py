@@ -1,7 +1,5 @@
 """What a plan is worth: cost against quality, who sees whom, reflectors to move."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from math import hypot
 from typing import Any

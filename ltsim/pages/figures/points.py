@@ -1,7 +1,5 @@
 """Points against something: another epoch, limits of tests, themselves on the other face."""
 
-from __future__ import annotations
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure

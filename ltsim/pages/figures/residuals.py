@@ -1,7 +1,5 @@
 """Residuals by station and against what they might depend on, and what a finding puts through them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

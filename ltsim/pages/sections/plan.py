@@ -1,7 +1,5 @@
 """What a report says of a plan: where the tripods go, what it is worth, what it costs, what it cannot see."""
 
-from __future__ import annotations
-
 import json
 from functools import partial
 

@@ -1,7 +1,5 @@
 """The page for the shop floor: where each tripod goes by tape, what to measure in which order, what to check when."""
 
-from __future__ import annotations
-
 from ltsim.pages.document import Block, Document, Note, Picture, Points, Section, Table
 from ltsim.pages.page import render, versions
 from ltsim.pages.words import duration

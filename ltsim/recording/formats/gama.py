@@ -9,8 +9,6 @@ Gama's instruments are levelled exactly and its angles count clockwise unless sa
 axes is made right-handed by turning y over, which a note says.
 """
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from dataclasses import dataclass, field, replace

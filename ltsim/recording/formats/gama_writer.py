@@ -1,7 +1,5 @@
 """Export of levelled networks to GNU Gama (``gama-local``), so that it can check an adjustment."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 from xml.sax.saxutils import escape, quoteattr

@@ -5,8 +5,6 @@ those of planes, spheres and the like touch another place each and become target
 runs counter-clockwise. Its readings are reduced to the front face: the face is taken from the zenith angle.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import replace
 from datetime import datetime

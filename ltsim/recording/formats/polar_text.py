@@ -5,8 +5,6 @@ begin with ``#`` are comments, of which ``# Units: gon mm``, ``# Azimuth: clockw
 zenith`` are understood. Four columns leave the station out.
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from itertools import islice

@@ -6,8 +6,6 @@ may hold a zenith angle: its values tell. Poses tell the sense of the azimuth, a
 groups are one point.
 """
 
-from __future__ import annotations
-
 import csv
 import re
 from collections.abc import Iterator, Sequence

@@ -1,7 +1,5 @@
 """What one cell says: a number with point or comma, degrees with minutes and seconds, a face, a moment."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Sequence
 from datetime import datetime, timedelta

@@ -1,7 +1,5 @@
 """What a header means: roles of columns by English and German words, units in brackets, faces by number."""
 
-from __future__ import annotations
-
 import re
 import unicodedata
 from collections.abc import Sequence

@@ -6,8 +6,6 @@ a header do: `Hz`, `HA` are the horizontal circle of a theodolite, clockwise; az
 coordinates of a tracker, counter-clockwise. An azimuth beside a zenith angle can be either and is asked for.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from decimal import Decimal

@@ -1,7 +1,5 @@
 """Reading a recording from delimited text, a folder of such files, or a workbook."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path

@@ -4,8 +4,6 @@ One target has names that differ by set-up (`P 01` and `p1`, `S1_P01` and `S2_P0
 targets too, with a circle that each round turns anew.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """From a file to rows of text: encoding, separator, quotes, comments, sheets of a workbook."""
 
-from __future__ import annotations
-
 import csv
 import zipfile
 from collections import Counter
