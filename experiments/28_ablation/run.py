@@ -63,7 +63,7 @@ def chances(name: str) -> dict[str, float]:
         CHI2: detect(case.searcher, case.bank).chi2_p_value,
         WHOLE: p_value([s for some in parts.values() for s in some]),
     }
-    for what, kept in {"without laws": (CARDS, NOISE), "readings that follow a curve alone": ("reading",)}.items():
+    for what, kept in {"without laws": (CARDS, NOISE), "curves of readings": ("reading",)}.items():
         alone = [s for (carrier, driver), some in parts.items() if carrier in kept for s in some
                  if carrier != "reading" or driver == "smooth"]  # fmt: skip
         told[what] = p_value(alone)
