@@ -190,13 +190,17 @@ def evidence_of(effect: Tunable, gram: Floats, score: Floats) -> float:
     return total
 
 
+COARSEST = 1e4
+"""Times a tracker's errors that any instrument's are: millimetres for tenths of a micrometre."""
+
+
 def times_to_noise(strength: Floats) -> float:
     """Times a plausible size that reaches the noise, one at least: nobody models what no reading feels.
 
     By what that size does to each pointing (n,), in units of the noise: the median of those that it touches counts.
     """
     touched = strength[strength > 0]
-    return max(1.0, 1.0 / float(np.median(touched))) if len(touched) else 1.0
+    return 1.0 / float(np.clip(np.median(touched), 1.0 / COARSEST, 1.0)) if len(touched) else 1.0
 
 
 MAINLY = 0.8
