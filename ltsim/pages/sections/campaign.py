@@ -196,11 +196,10 @@ def campaign_figure(results: Results) -> Figure:
 
 
 def _rows_of(results: Results, published: Mapping[str, float]) -> list[Distribution]:
-    """The criteria over the trials of the first setting and method."""
+    """The criteria, or other sizes where there are none, over the trials of the first setting and method."""
     cell = results.manifest.cells[0].cell
-    wanted = [
-        c for c in results.columns if c.endswith(("_um", "_percent")) and c.startswith(("distance", "coordinate"))
-    ]
+    sized = [c for c in results.columns if c.endswith(("_um", "_percent"))]
+    wanted = [c for c in sized if c.startswith(("distance", "coordinate"))] or sized
     wanted.sort(key=lambda c: (not c.endswith("percent"), "mean" not in c, "before" not in c, c.startswith("coord")))
     values = {c: results.values(c, cell, results.manifest.methods[0], most=MOST_DRAWN) for c in wanted}
     return [
