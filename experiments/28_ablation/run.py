@@ -9,10 +9,14 @@ import ltsim as lt
 from experiments.common import ROOT, Made, Options, Row, spread_out, write_figure, write_table
 from experiments.intervals import share
 from ltsim.adjustment import adjust
+from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.arrays import Floats
-from ltsim.diagnosis.case import Case
-from ltsim.diagnosis.detect import detect
+from ltsim.diagnosis.cards import Cards, card_hypotheses
 from ltsim.diagnosis.evidence import log_average
+from ltsim.diagnosis.noise import NoiseBank, noise_hypotheses
+from ltsim.diagnosis.prior import log_share
+from ltsim.diagnosis.probe import TRIALS, Probe
+from ltsim.diagnosis.space import panels
 from ltsim.laws.drivers import Driver, base_of
 from ltsim.model.construction import stated_construction
 from ltsim.pages.figures.campaign import Swept, by_factor
@@ -32,18 +36,21 @@ def part_of(driver: Driver) -> str:
     return "memory" if memory and driver.kind != "lagging" else driver.kind
 
 
-def parts_of(case: Case) -> dict[Part, list[Scored]]:
-    """Log evidence of each part of the space, in the recording and in simulated ones (trials,)."""
-    searcher, space, bank = case.searcher, case.space, case.bank
-    values, chance = searcher.cards.score(searcher.probe)
+def parts_of(space: ResidualSpace) -> dict[Part, list[Scored]]:
+    """Log evidence of each part of the searched space, in the recording and in simulated ones (trials,)."""
+    sightings, instruments = space.sightings, space.adjustment.recording.instruments
+    probe = Probe.of(space, 0, TRIALS)
+    bank = NoiseBank.of(space, noise_hypotheses(sightings, instruments))
+    cards = Cards.of(space, card_hypotheses(sightings, instruments))
+    values, chance = cards.score(probe)
     own = np.append(bank.family_evidence(space.residual[:, None], space.redundancy)[:, 0], -np.inf)
-    drawn = bank.family_evidence(searcher.probe.trials.astype(np.float64), space.redundancy)
-    share, families = searcher.of_a_card, searcher.cards.family_evidence(values)
+    drawn = bank.family_evidence(probe.trials.astype(np.float64), space.redundancy)
+    share, families = log_share("named", len(cards.families)), cards.family_evidence(values)
     found = {(CARDS, CARDS): [(float(log_average(families + share)), log_average(chance + share))],
              (NOISE, NOISE): [(float(log_average(own)), log_average(drawn))]}  # fmt: skip
-    for panel in searcher.panels:
+    for panel in panels(space):
         part = panel.carriers[0].kind, part_of(panel.drivers[0])
-        found.setdefault(part, []).append(panel.score(searcher.probe)[1:])
+        found.setdefault(part, []).append(panel.score(probe)[1:])
     return found
 
 
@@ -57,10 +64,9 @@ def chances(name: str) -> dict[str, float]:
     """The p-value of the search, whole and without each part, and of chi-square alone."""
     recording = lt.read(WORK / make.RECORDINGS / name)
     adjusted = adjust(recording, stated_construction(recording))
-    case = Case(adjusted, adjusted.problem.use, seed=0)
-    parts = parts_of(case)
+    parts = parts_of(ResidualSpace.of(adjusted))
     told = {
-        CHI2: detect(case.searcher, case.bank).chi2_p_value,
+        CHI2: adjusted.p_value,
         WHOLE: p_value([s for some in parts.values() for s in some]),
     }
     for what, kept in {"without laws": (CARDS, NOISE), "curves of readings": ("reading",)}.items():

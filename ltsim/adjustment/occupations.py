@@ -62,12 +62,17 @@ class Shifts:
     """Targets whose readings count by the noise they show."""
 
     @property
+    def sizes(self) -> list[tuple[float, float]]:
+        """How far each stood beside where it stood otherwise, and the standard deviation of that [m]."""
+        lengths = np.linalg.norm(self.values, axis=1)
+        sigma = np.sqrt(np.einsum("ki,kij,kj->k", self.values, self.covariance, self.values)) / lengths
+        return list(zip(lengths.tolist(), sigma.tolist(), strict=True))
+
+    @property
     def named(self) -> list[str]:
         """Who stood beside where it stood otherwise, and by how much."""
         named = []
-        for one, value, covariance in zip(self.found, self.values, self.covariance, strict=True):
-            size = float(np.linalg.norm(value))
-            sigma = float(np.sqrt(value @ covariance @ value)) / size
+        for one, value, (size, sigma) in zip(self.found, self.values, self.sizes, strict=True):
             parts = ", ".join(f"{axis} {v / MILLIMETRE:+.1f}" for axis, v in zip("xyz", value, strict=False))
             told = with_sigma(size / MILLIMETRE, sigma / MILLIMETRE, "mm")
             named.append(f"{one.mark} as {one.role} on {one.day} by {told} ({parts})")
@@ -155,10 +160,9 @@ def mend_tripods(adjustment: Adjustment) -> tuple[Recording, list[GrossFinding]]
     if moved is None:
         return recording, []
     by_target, readings, found = adjustment.problem.model.linearised(adjustment.state).by_target, recording.readings, []
-    for one, value, spread, named in zip(moved.found, moved.values, moved.covariance, moved.named, strict=True):
+    for one, value, (size, sigma), named in zip(moved.found, moved.values, moved.sizes, moved.named, strict=True):
         readings = readings - one.sign[:, None] * (by_target[:, :, : len(value)] @ value)
-        size, sentence = float(np.linalg.norm(value)), f"A tripod stood beside where it stood otherwise: {named}."
-        sigma = float(np.sqrt(value @ spread @ value)) / size
+        sentence = f"A tripod stood beside where it stood otherwise: {named}."
         found.append(GrossFinding(MOVED, np.flatnonzero(one.sign), (), (one.mark,), (), size, sentence, sigma))
     return recording.with_readings(readings), found
 

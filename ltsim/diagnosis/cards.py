@@ -97,8 +97,9 @@ class Cards:
         """Signatures of all effects that touch a reading of this recording."""
         kept: list[Tunable] = []
         alike: dict[tuple[int, tuple[bool, ...]], list[tuple[int, Ints, Singles]]] = {}
-        kind = np.append(np.nonzero(space.use)[1], np.full(space.size - int(space.use.sum()), len(OBSERVABLES)))
-        pointing = np.append(np.nonzero(space.use)[0], np.full(int((kind == len(OBSERVABLES)).sum()), len(space.use)))
+        read = np.nonzero(space.use)
+        other = np.ones(space.size - len(read[0]), dtype=np.int64)  # rows of no reading: one more pointing, and kind
+        pointing, kind = (np.append(of, n * other) for of, n in zip(read, space.use.shape, strict=True))
         for effect in effects:
             signature = space.signature(effect)
             effect = _felt(effect, signature, pointing)

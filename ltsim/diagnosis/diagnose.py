@@ -188,7 +188,7 @@ def _beside_noise(case: Case, threshold: float) -> Found:
     Noise that was settled alone hides a shift: it is settled again beside the best that there is, and both together are
     compared with noise alone by their restricted likelihood.
     """
-    alone, sigma = list(case.noise), case.sigma
+    alone, sigma, adjusted = list(case.noise), case.sigma, case.space.adjustment
     case.settle_with(case.searcher.search(threshold, something=True).effects)
     found, space = case.searcher.search(threshold, something=False), case.space
     factor = (sigma / case.sigma)[space.use] ** 2
@@ -196,7 +196,7 @@ def _beside_noise(case: Case, threshold: float) -> Found:
     if found.members and found.score - restricted(squares, share, factor).sum() > threshold:
         return found
     case.noise, case.sigma = alone, sigma
-    case.weigh(case.refit((), sigma).adjustment)
+    case.weigh(adjusted)
     return case.empty
 
 

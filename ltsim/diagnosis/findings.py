@@ -15,7 +15,7 @@ from ltsim.diagnosis.case import Case
 from ltsim.diagnosis.curve import curve_of
 from ltsim.diagnosis.detect import Detection
 from ltsim.diagnosis.evidence import carried_by, posterior
-from ltsim.diagnosis.hypotheses import Found, Hypothesis, Ranking, carrying
+from ltsim.diagnosis.hypotheses import Found, Hypothesis, Ranking
 from ltsim.diagnosis.instruments import TINY
 from ltsim.diagnosis.noise import NoiseHypothesis
 from ltsim.diagnosis.outside import log_likeness
@@ -86,6 +86,11 @@ class Explained:
         """All that could stand in the place of each member."""
         return [self._ranking(i) for i in range(len(self.found.members))]
 
+    @cached_property
+    def shown(self) -> list[float]:
+        """Probability that each member acts on this, here, and follows this, whatever it is called."""
+        return [self._shown(i) for i in range(len(self.found.members))]
+
     def chance(self, member: int) -> float:
         """Probability of a member, whatever it is called, if it has a size and no more constants than readings carry.
 
@@ -96,9 +101,11 @@ class Explained:
         sizes = [one for one in self.refit.told[member] if one.parameter in effect.parameters]
         together = len(sizes) > 1 and float(gain.sum()) > SURE**2 * constants_of(effect)
         sized = isinstance(effect, Law) or together or any(abs(one.value) > SURE * one.sigma for one in sizes)
-        says = self._where(effect) != Where(covariates=words_of(effect.covariates)) or self._shown(member) >= LIKELY
-        chance = max(self.probability(member), self._shown(member))
-        return chance if sized and says and carrying(gain) >= constants_of(effect) else 0.0
+        shown = self.shown[member]
+        says = self._where(effect) != Where(covariates=words_of(effect.covariates)) or shown >= LIKELY
+        # so many readings alike would carry the gain (participation ratio)
+        carried = float(gain.sum() ** 2 / max(float(np.sum(gain**2)), TINY))
+        return max(self.probability(member), shown) if sized and says and carried >= constants_of(effect) else 0.0
 
     def finding(self, member: int) -> Finding:
         """The finding of a member, a mean shift, beside the others."""
@@ -107,7 +114,7 @@ class Explained:
         hypothesis = replace(found.members[member], effect=self.refit.effects[member])
         effect, name = hypothesis.effect, hypothesis.name
         probability, rivals = self.probability(member), among(ranking.probabilities(), name)[1]
-        shown = self._shown(member)
+        shown = self.shown[member]
         gain = self.gain(member)
         where = self._where(effect, carried_by(space.use, gain[: int(space.use.sum())]))
         told = self._estimates(member, hypothesis, others)
@@ -188,7 +195,8 @@ class Explained:
                 return Where(targets=where.targets)
             return where.model_copy(update={"observables": tuple(sorted(one.observables))})
 
-        return self.rankings[member].share(lambda h: seen(h.effect) == seen(effect))
+        own = seen(effect)
+        return self.rankings[member].share(lambda h: seen(h.effect) == own)
 
     def _where(self, effect: Tunable, carried: tuple[str, ...] = ()) -> Where:
         """Where an effect acts; the set-ups of one of several instruments are that instrument."""

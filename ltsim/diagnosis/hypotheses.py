@@ -118,12 +118,6 @@ class Found:
         return _over_sizes(self) + sum(h.log_prior for h in self.members) + likeness - doubt
 
 
-def carrying(gain: Floats) -> float:
-    """How many readings alike would carry a gain (m,): its participation ratio."""
-    return float(gain.sum() ** 2 / max(float(np.sum(gain**2)), TINY))
-
-
-TINY = 1e-300
 MISFIT = 0.05
 """Share of its square to which a law that nobody knows is drawn: what is left of it is no further cause."""
 

@@ -121,9 +121,9 @@ class Searcher:
         """All cards and laws beside a set, scored at once."""
         probe = self.probe.beside(base.residual, base.extension) if base.members else self.probe
         values, chance = self.cards.score(probe)
-        families = self.cards.family_evidence(values) + self.of_a_card
+        families = self.cards.family_evidence(values) + self._of_a_card
         hits: list[Hit] = []
-        statistic, null = log_average(families), log_average(chance + self.of_a_card)
+        statistic, null = log_average(families), log_average(chance + self._of_a_card)
         for panel in self.panels:
             found, law_total, law_chance = panel.score(probe)
             hits += found
@@ -131,7 +131,7 @@ class Searcher:
         return Screen(values, families, hits, float(statistic), null)
 
     @property
-    def of_a_card(self) -> float:
+    def _of_a_card(self) -> float:
         """Log prior of each family of cards."""
         return log_share("named", len(self.cards.families))
 
@@ -148,7 +148,7 @@ class Searcher:
         """The best of a family of cards, with the evidence of the family; computed exactly if it is to be refined."""
         members = np.flatnonzero(self.cards.family == family)
         members = members[np.argsort(-values[members])]
-        prior = self.of_a_card - float(np.log(len(members)))
+        prior = self._of_a_card - float(np.log(len(members)))
         best = Hypothesis(self.cards.effects[members[0]], prior, total, self.cards.families[family])
         if not refine:
             return best

@@ -11,7 +11,7 @@ from ltsim.errors import ModelError
 from ltsim.results import Columns, Result
 from ltsim.units import FACTOR
 
-PLACES, COMMON = ("stations", "targets"), ("stations", "targets", "coarse")
+PLACES, COMMON = ("stations", "targets"), {f.name for f in dataclasses.fields(AnyEffect)}
 WIDER = 100.0
 """Times beyond the bounds of a search that a length or a time constant may be simulated."""
 

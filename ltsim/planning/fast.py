@@ -24,7 +24,6 @@ from ltsim.geometry.rotations import about_z, cross_matrix
 from ltsim.model.construction import Construction, misalignment
 from ltsim.model.measurement import MeasurementModel
 from ltsim.planning.survey import Survey
-from ltsim.recording.recording import noise_sigma
 from ltsim.scene.sightings import Sightings
 from ltsim.solve.design import POINT, as_dense, cholesky_where_determined, unit_diagonal
 
@@ -179,9 +178,7 @@ class Reducer:
         by_point, by_value = self.construction.reading_design(sightings.raw, np.zeros(self.construction.size))
         by_target = by_point @ np.swapaxes(sightings.rotation[sightings.station], 1, 2)
         designs = [by_value, *(effect.design(sightings) for effect in self.effects)]
-        sigma = noise_sigma(
-            [self.survey.setup.instrument.noise], sightings.instrument, sightings.range_, sightings.elevation
-        )
+        sigma = self.survey.noise(sightings)
         if self.survey.air is not None:
             sigma = np.sqrt(sigma**2 + self.survey.air.variance(sightings))
         white = (self._use / sigma)[:, :, None]

@@ -14,8 +14,9 @@ from ltsim.errors import SetupError
 from ltsim.geometry.rotations import about_z
 from ltsim.model.construction import Construction
 from ltsim.model.measurement import MeasurementModel, State
-from ltsim.recording.recording import OBSERVABLES, Recording
+from ltsim.recording.recording import OBSERVABLES, Recording, noise_sigma
 from ltsim.recording.setup import Setup
+from ltsim.scene.sightings import Sightings
 
 
 @dataclass(frozen=True)
@@ -62,6 +63,11 @@ class Survey:
             raise SetupError(f"seen has shape {self.seen.shape}, expected {(stations, targets)}")
         if not set(self.faces) <= {1, 2} or not self.faces or len(set(self.faces)) < len(self.faces):
             raise SetupError(f"faces are {list(self.faces)}, expected [1], [2] or [1, 2]")
+
+    def noise(self, sightings: Sightings) -> Floats:
+        """Stated standard deviations (n, 3) [m, rad, rad] of the readings, the air's apart."""
+        stated = [self.setup.instrument.noise]
+        return noise_sigma(stated, sightings.instrument, sightings.range_, sightings.elevation)
 
     @property
     def pointings(self) -> int:

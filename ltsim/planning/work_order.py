@@ -13,7 +13,6 @@ from scipy.optimize import least_squares
 from ltsim.arrays import Bools, Floats
 from ltsim.model.measurement import sightings_of
 from ltsim.planning.planner import Plan
-from ltsim.recording.recording import noise_sigma
 from ltsim.units import DEGREE, MILLIMETRE
 
 REACH = 2.2
@@ -79,10 +78,7 @@ def settings_of(plan: Plan) -> tuple[Setting, ...]:
     survey, built = plan.chosen.survey, plan.chosen.information.construction
     recording = survey.recording(built)
     sightings = sightings_of(recording, survey.state(built))
-    sigma = (
-        noise_sigma([survey.setup.instrument.noise], sightings.instrument, sightings.range_, sightings.elevation)
-        * survey.used
-    )
+    sigma = survey.noise(sightings) * survey.used
     flat = sightings.range_ * np.cos(sightings.elevation)
     error = np.linalg.norm(sigma * np.stack([np.ones_like(flat), flat, sightings.range_], axis=1), axis=1)
     found = []

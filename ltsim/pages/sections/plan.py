@@ -38,8 +38,9 @@ def plan_section(content: PlanResult, beside: Beside) -> Section:
     RecordError, SetupError
         When a file is malformed.
     """
+    tables = tables_of(content)
     frame = f"{content.frame[:1].upper()}{content.frame[1:]}." if content.frame else ""
-    blocks: list[Block] = [*table_block("Where to put the tripod", tables_of(content)["stations"], note=frame)]
+    blocks: list[Block] = [*table_block("Where to put the tripod", tables["stations"], note=frame)]
     file = beside.file("scenario.toml", content)
     scenario = None if file is None else load_scenario(file)
     drawn, changed = _pictures(content, scenario, turn=beside.detail == "turn")
@@ -53,7 +54,7 @@ def plan_section(content: PlanResult, beside: Beside) -> Section:
     blocks += undetermined("Not determined by this layout", content.undetermined, decimals=0)
     blocks += _effects(content)
     note = "U: expanded uncertainty, k = 2, in the frame that all points define together."
-    points = tables_of(content)["reflectors"].only("target x_mm y_mm z_mm U_x_um U_y_um U_z_um seen_from")
+    points = tables["reflectors"].only("target x_mm y_mm z_mm U_x_um U_y_um U_z_um seen_from")
     blocks += table_block("Points", points, note=note)
     if content.bodies:
         blocks.append(Points("What stands in the hall", content.bodies))
