@@ -5,6 +5,7 @@ from dataclasses import replace
 from math import ceil
 
 import numpy as np
+from scipy.special import chdtrc
 
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.adjustment.gross import GrossFinding, explain_gross, mend_faces, mend_stations
@@ -99,7 +100,7 @@ def diagnose(
     sight, detection = sight_of(case.space, case.searcher.cards), detect(case.searcher, case.bank)
     mismatch = detection.p_value < level
     threshold = max(detection.threshold(NEXT_LEVEL), LEAST_GAIN)
-    found = _explain(case, threshold, compared) if mismatch else case.empty
+    case, found = _explain(case, threshold, compared) if mismatch else (case, case.empty)
     found, fitted = _refitted(case, found)
     settled = fitted.adjustment if fitted.adjustment.solution.converged else baseline
     mistaken = [gross_finding(slip, baseline) for slip in gross]
@@ -154,13 +155,27 @@ def _apart(case: Case, found: Found, settled: Adjustment, compared: Compared) ->
     return [c for c in beside if abs(c.difference) > LEFT_OF * size.get((c.instruments, c.parameter.name), np.inf)]
 
 
-def _explain(case: Case, threshold: float, compared: Compared) -> Found:
+def _explain(case: Case, threshold: float, compared: Compared) -> tuple[Case, Found]:
     """Constants that are not as stated, shifts of the readings and changes of the noise, until nothing gains.
 
     Whichever explains more alone comes first: a law that is sought while the stated noise is wrong explains noise, and
-    noise that is fitted before a law hides it; so with constants.
+    noise that is fitted before a law hides it; so with constants. Where shifts come first and there is noise
+    beside them, found or not, noise comes first as well, and the explanation that is worth more stays.
     """
-    if _noise_alone(case, threshold, case.searcher.first_look(threshold).score):
+    most, noise = case.searcher.first_look(threshold).score, case.noises(case.empty)[0][0]
+    own, found = _in_order(case.copied(), threshold, compared, noise_first=noise >= max(threshold, most))
+    left, dof = float(found.residual @ found.residual), own.space.adjustment.dof - found.extension.shape[1]
+    if threshold < noise < most and (own.noise or chdtrc(dof, left) < NEXT_LEVEL):
+        other, instead = _in_order(case.copied(), threshold, compared, noise_first=True)
+        if other.worth(instead) > own.worth(found):
+            return other, instead
+    return own, found
+
+
+def _in_order(case: Case, threshold: float, compared: Compared, *, noise_first: bool) -> tuple[Case, Found]:
+    """What explains a case, noise or shifts first."""
+    if noise_first:
+        _noise_alone(case, threshold)
         found = _beside_noise(case, threshold)
     else:
         found = case.searcher.search(threshold, something=True)
@@ -168,18 +183,17 @@ def _explain(case: Case, threshold: float, compared: Compared) -> Found:
     if apart and sum(one.evidence for one in apart) > found.score:
         case.free(apart)
         found = case.searcher.search(threshold, something=False)
-    return _in_turn(case, found, threshold)
+    return case, _in_turn(case, found, threshold)
 
 
-def _noise_alone(case: Case, threshold: float, least: float) -> bool:
-    """Changes of the noise, one after another, while they gain; whether there is one that explains `least`."""
+def _noise_alone(case: Case, threshold: float) -> None:
+    """Changes of the noise, one after another, while they gain."""
     for _ in range(MOST_ROUNDS):
         ranked = case.noises(case.empty)
-        if ranked[0][0] < max(threshold, 0.0 if case.noise else least):
+        if ranked[0][0] < threshold:
             break
         case.add_noise(most_likely(case.space, case.space.sigma, _with_probability(ranked, 0.0)))
         case.weigh(case.settle_noise(()))
-    return bool(case.noise)
 
 
 def _beside_noise(case: Case, threshold: float) -> Found:
@@ -262,17 +276,26 @@ def _beyond_level(noise: Sequence[NoiseHypothesis]) -> bool:
 def _likely(explained: Explained, besides: bool) -> Explained:
     """Without findings whose name has little chance, the least likely first.
 
-    What explains most stays, unless something is told `besides`.
+    What explains most stays, unless something is told `besides`. A finding beside which another one has its name, and
+    without which it has none, stays in the model and is not told.
     """
-    case, found, told = explained.case, explained.found, explained
-    while len(found.members) + besides > 1:
-        gains = [told.gain(i).sum() for i in range(len(found.members))]
-        chances = [(told.chance(i), i) for i, gain in enumerate(gains) if besides or gain < max(gains)]
-        if not chances or min(chances)[0] >= LIKELY:
-            break
-        found = case.searcher.without(found, min(chances)[1])
-        told = replace(explained, found=found, refit=case.refit(found.effects, case.sigma))
-    return told
+    told = explained
+    while True:
+        members = told.found.members
+        gains = [told.gain(i).sum() for i in range(len(members))]
+        chances = [told.chance(i) for i in range(len(members))]
+        doubtful = [
+            i
+            for i, one in enumerate(members)
+            if chances[i] < LIKELY and one.key not in told.untold and (besides or gains[i] < max(gains))
+        ]
+        if not doubtful:
+            return told
+        least = min(doubtful, key=lambda i: chances[i])
+        fewer = told.without(least)
+        rest = np.delete(chances, least)
+        lost = any(one >= LIKELY > fewer.chance(i) for i, one in enumerate(rest))
+        told = replace(told, untold=(*told.untold, members[least].key)) if lost else fewer
 
 
 def _told(
@@ -287,7 +310,7 @@ def _told(
     """The verdict, put together from what the search explains, and findings that are `certain` without it."""
     case, found, detection = explained.case, explained.found, explained.detection
     baseline, adjusted = case.baseline, explained.refit.adjustment
-    shifts = [explained.finding(i) for i in range(len(found.members))]
+    shifts = [explained.finding(i) for i, one in enumerate(found.members) if one.key not in explained.untold]
     noises = [noise_finding(one, baseline.sightings, detection) for one in case.noise]
     sure = [one for one in (*shifts, *noises) if one.evidence.chance >= LIKELY]
     alone = not certain and all(one.effect == NoiseLevel.name for one in sure)

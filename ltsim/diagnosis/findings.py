@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -59,6 +59,13 @@ class Explained:
     detection: Detection
     found: Found
     refit: Refit
+    untold: tuple[str, ...] = ()
+    """Keys of members that are modelled, for what is told needs them, and have no name to tell."""
+
+    def without(self, member: int) -> Self:
+        """The same without one of its members."""
+        found = self.case.searcher.without(self.found, member)
+        return replace(self, found=found, refit=self.case.refit(found.effects, self.case.sigma))
 
     def _ranking(self, member: int) -> Ranking:
         """All that could stand in a member's place: changes of the noise among it, and a cause that nobody listed."""

@@ -364,5 +364,6 @@ def most_likely(space: ResidualSpace, stated: Floats, hypothesis: NoiseHypothesi
     gain = gained(values) - gained(0.0 * scale)
     if getattr(effect, "each", ""):  # most have none: an amount counts by the chance that there is one
         values = values * expit(gain + np.log(LOUDER.min() / (1.0 - LOUDER.min())))
+        gain = gained(values) - gained(0.0 * scale)
     drop = 2.0 * float(gain.sum())
     return replace(hypothesis, values=tuple(values.tolist()), drop=drop, sigma=tuple(sigma.tolist()))

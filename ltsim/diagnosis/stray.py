@@ -59,4 +59,6 @@ def _finding(space: ResidualSpace, place: int, row: int, times: float) -> GrossF
         f"The {OBSERVABLES[k]} from {station} to {target} (row {i + 1}) is off by {size * 1e3:.2f} mm, "
         f"{times:.0f} times what such readings scatter; without it no other reading of {target} is."
     )
-    return GrossFinding("outlier", np.array([i]), (station,), (target,), (OBSERVABLES[k],), size, sentence)
+    return GrossFinding(
+        "outlier", np.array([i]), (station,), (target,), (OBSERVABLES[k],), size, sentence, size / times
+    )
