@@ -45,8 +45,11 @@ def test_one_wrong_reading_is_left_out_and_told_before_any_law(row, column):
     assert found.observables == (("distance", "azimuth", "elevation")[column],)
     arm = 1.0 if column == 0 else space.sightings.range_[row]
     assert found.size == pytest.approx(15.0 * recording.sigma()[row, column] * arm, rel=0.25)
-    told = diagnose(recording).findings
-    assert [f.effect for f in told] == ["outlier"]
+    redundancy = space.redundancy[np.flatnonzero(np.flatnonzero(space.use) == 3 * row + column)]
+    assert found.size / found.sigma == pytest.approx(15.0 * np.sqrt(redundancy), rel=0.25)
+    (told,) = diagnose(recording).findings
+    assert told.effect == "outlier"
+    assert told.evidence.chi2_drop == pytest.approx((found.size / found.sigma) ** 2)
 
 
 def test_a_target_that_moved_is_no_wrong_reading():

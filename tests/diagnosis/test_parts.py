@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from ltsim.adjustment import adjust
 from ltsim.diagnosis.detect import Detection
+from ltsim.diagnosis.diagnose import _likely
 from ltsim.diagnosis.schema import Where
 from ltsim.diagnosis.separate import separating_measurement
 from ltsim.diagnosis.words import law_sentence
@@ -60,3 +63,36 @@ def test_chances_are_those_of_the_simulated_recordings_and_never_less_than_one_o
 )
 def test_the_place_of_a_law_stands_beside_what_varies(law, where, told):
     assert told in law_sentence(where, [], 0.9, law)
+
+
+# --- what is told -----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Set:
+    """Stands for what explains a recording: its members by name, with a chance that may need another member."""
+
+    members: tuple[str, ...]
+    chances: dict[tuple[str, ...], dict[str, float]]
+    untold: tuple[str, ...] = ()
+
+    @property
+    def found(self) -> SimpleNamespace:
+        return SimpleNamespace(members=[SimpleNamespace(key=name) for name in self.members])
+
+    def gain(self, member: int) -> np.ndarray:
+        return np.array([float(ord(self.members[member]))])
+
+    def chance(self, member: int) -> float:
+        return self.chances[self.members][self.members[member]]
+
+    def without(self, member: int) -> Set:
+        return replace(self, members=self.members[:member] + self.members[member + 1 :])
+
+
+def test_a_finding_without_a_name_goes_unless_another_one_needs_it() -> None:
+    alone = {("a",): {"a": 0.9}, ("a", "b"): {"a": 0.9, "b": 0.1}}
+    assert _likely(Set(("a", "b"), alone), besides=True).members == ("a",)
+    needed = _likely(Set(("a", "b"), alone | {("a",): {"a": 0.2}}), besides=True)
+    assert (needed.members, needed.untold) == (("a", "b"), ("b",))
+    assert _likely(Set(("b",), {("b",): {"b": 0.1}}), besides=False).members == ("b",)
