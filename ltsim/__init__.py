@@ -66,7 +66,6 @@ __all__ = sorted([*_HOME, "effects", "errors"])
 
 
 def _load(name: str) -> Any:
-    """Load a name of the front door when it is first asked for."""
     if name in _HOME:
         return getattr(import_module(f"ltsim.{_HOME[name]}"), name)
     if name in ("effects", "errors"):

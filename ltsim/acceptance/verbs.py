@@ -49,7 +49,6 @@ def accept(acceptance: str | Path | Mapping[str, Any] | Acceptance, folder: str 
 
 
 def _answer(acceptance: Acceptance, folder: Path) -> AcceptanceFile:
-    """Predict or judge the tests of an acceptance file; other files are named from `folder`."""
     limits = acceptance.limits
     if acceptance.recording is not None:
         recording = read(folder / acceptance.recording)

@@ -263,7 +263,6 @@ def _waiting(
 
 
 def _results(tasks: list[Task], workers: Workers) -> Iterator[tuple[Task, bytes]]:
-    """Shards as they are finished, in any order."""
     if workers.backend == "local":
         jobs = min(workers.jobs, max(len(tasks), 1))
         yield from parallel(run_task, ((task,) for task in tasks), jobs, ordered=False)
@@ -275,7 +274,6 @@ def _results(tasks: list[Task], workers: Workers) -> Iterator[tuple[Task, bytes]
 
 @contextmanager
 def _cluster(workers: Workers) -> Iterator[None]:
-    """Joblib's dask backend on the scheduler's workers."""
     try:
         from distributed import Client, KilledWorker
     except ImportError:

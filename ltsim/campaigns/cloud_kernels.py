@@ -43,7 +43,6 @@ def to_network(clouds: Floats, rotation: Floats, position: Floats) -> None:
 
 @compiled
 def _centre(cloud: Floats, use: Bools, out: Floats) -> None:
-    """Centroid (3, B) of a cloud (T, 3, B) over the targets in use."""
     out[:] = 0.0
     count = 0
     for k in range(len(cloud)):

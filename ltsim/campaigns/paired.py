@@ -95,7 +95,6 @@ def paired(results: Results, statistic: str, **between: tuple[Any, Any]) -> Pair
 
 
 def _pairs(results: Results, along: str, first: Any, second: Any) -> Iterator[tuple[dict[str, Any], Place, Place]]:
-    """What two places have in common, and both."""
     methods, levels = results.manifest.methods, results.levels
     factors = [factor.name for factor in results.factors]
     if along not in ("method", *factors):

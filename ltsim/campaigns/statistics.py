@@ -139,7 +139,6 @@ class Results(Result):
         return Results, (self.folder.resolve(),)
 
     def _cells(self) -> pa.Table:
-        """What each cell is, as columns: number, line of words, settings."""
         listed = self.manifest.cells
         plain = {"cell": pa.array([c.cell for c in listed], pa.int32()), "label": pa.array([c.label for c in listed])}
         own = {
@@ -168,7 +167,6 @@ class Results(Result):
         }
 
     def _summary(self) -> Table:
-        """`summary.csv`: a row a cell, method and column."""
         table = summary_table({factor.name: factor.kind for factor in self.factors})
         quantiles = table.header[-len(LEVELS) :]
         rows = self._with_settings(self.summary()["columns"])
@@ -180,7 +178,6 @@ class Results(Result):
         return dict(zip(names, zip(*rows.fetchall(), strict=True), strict=True))
 
     def _with_settings(self, entries: list[dict[str, Any]]) -> list[dict[str, Any]]:
-        """Entries of cells, the settings behind the cell's number."""
         return [{"cell": entry["cell"]} | self.levels[entry["cell"]] | entry for entry in entries]
 
     def query(self, sql: str) -> list[tuple[Any, ...]]:
@@ -226,7 +223,6 @@ class Results(Result):
         return found
 
     def _each(self, what: str, where: str = "true", rows: str = "rows") -> list[tuple[Any, ...]]:
-        """What SQL says of every cell and method, in their order."""
         return self.query(
             f"SELECT cell, method, {what} FROM {rows} WHERE {where} GROUP BY cell, method ORDER BY cell, method"
         )

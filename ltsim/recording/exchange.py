@@ -45,7 +45,6 @@ class Format:
 
 
 def _of(room: ModuleType, name: str, about: str, *suffixes: str, write: Write | None = None) -> Format:
-    """The format that a module recognises and reads."""
     return Format(name, about, suffixes, room.recognises, room.read, write)
 
 
@@ -54,7 +53,6 @@ def _are_points(path: Path, head: str) -> bool:
 
 
 def _refuse_points(path: Path, hints: Hints) -> Recording:
-    """A list of points is no recording: say so and what it is good for."""
     count = len(coordinates.read_points(path, strict=False).names)
     message = f"this is a list of {count} points without readings; it serves as nominal or known coordinates"
     more = "if one set-up measured them in its own axes, name it: --format table --hint station=NAME"

@@ -156,7 +156,6 @@ def _check_header(header: Sequence[str], file: Path) -> None:
 
 
 def _whole(column: list[str], where: Where, bounds: tuple[int, int]) -> Ints:
-    """A column of whole numbers within bounds."""
     low, high = bounds
     for i, text in enumerate(column):
         if not (text.isascii() and text.isdigit() and len(text) < 8 and low <= int(text) <= high):
@@ -201,7 +200,6 @@ def _further(columns: dict[str, list[str]], file: Path) -> tuple[dict[str, Float
 
 
 def _check_gauge(recording: Recording, file: Path) -> None:
-    """Lengths between targets that were measured, of stated materials and temperatures."""
     for i, line in enumerate(recording.gauge.distance):
         for name in (line.from_, line.to):
             if name not in recording.targets:

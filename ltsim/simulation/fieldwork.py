@@ -150,7 +150,6 @@ def _visit(scenario: Scenario, layout: Layout, station: int, visible: Bools, see
 
 
 def _order(scenario: Scenario, layout: Layout, station: int, repeat: int, seed: int, *key: str | int) -> Ints:
-    """Targets in the order in which a station points at them."""
     count = len(layout.targets)
     if scenario.work.order == "as-listed":
         return np.arange(count)

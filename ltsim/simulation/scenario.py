@@ -240,7 +240,6 @@ def _in_use(scenario: Scenario, file: Path) -> Scenario:
 
 
 def _effects(entries: Sequence[EffectEntry], stations: set[str], targets: set[str]) -> Iterator[EffectEntry]:
-    """The entries at places that are in use."""
     for entry in entries:
         here = {
             "stations": tuple(name for name in entry.stations if name in stations),
@@ -286,7 +285,6 @@ def _beside(name: str, folder: Path) -> Path:
 
 
 def _check(scenario: Scenario, file: Path) -> None:
-    """What no single key can tell: names, places inside the room, effects that name what exists."""
     for problem in chain(
         _wrong_names(scenario, file),
         _wrong_instruments(scenario),

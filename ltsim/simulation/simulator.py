@@ -140,7 +140,6 @@ def mistakes(effects: Sequence[Effect], values: Sequence[Floats]) -> list[Mistak
 
 
 def _balls(work: Fieldwork) -> dict[str, tuple[str, ...]]:
-    """The column of balls, where they have radii or a station carries its own."""
     scenario = work.scenario
     if not scenario.reflectors and not any(station.reflector for station in scenario.stations.values()):
         return {}
@@ -163,7 +162,6 @@ def _idle(work: Fieldwork, known: KnownLengths) -> Iterator[str]:
 
 
 def _setup(work: Fieldwork) -> Setup:
-    """What a person knows: the floor plan, the nests, the maker's figures."""
     scenario, step = work.scenario, work.scenario.placing
     stations = {
         name: Station(
@@ -187,7 +185,6 @@ def _setup(work: Fieldwork) -> Setup:
 
 
 def _data_sheet(tracker: Tracker) -> Instrument:
-    """What its maker states of a tracker."""
     return Instrument(
         construction="steering-mirror" if tracker.construction == "steering-mirror" else "source-in-head",
         corrected=tracker.corrected,
@@ -198,7 +195,6 @@ def _data_sheet(tracker: Tracker) -> Instrument:
 
 
 def _stated(tracker: Tracker) -> Prior:
-    """The prior as its maker states it, right or wrong."""
     kinds = tracker.prior.model_dump()
     single = {name: tracker.prior_factor * value for name, value in kinds.pop("parameters").items()}
     return Prior(**{name: tracker.prior_factor * value for name, value in kinds.items()}, parameters=single)
@@ -210,7 +206,6 @@ def _rounded(place: Vector, step: float) -> Vector:
 
 
 def _targets(work: Fieldwork) -> dict[str, Target]:
-    """What is known of each target that is seen: its nest, whether it is re-aimed, its reflector."""
     scenario, s = work.scenario, work.sightings
     known = {}
     for i, name in enumerate(s.target_names):

@@ -174,7 +174,6 @@ def _compact(response: Floats) -> Floats:
 
 
 def _type_b(adjustment: Adjustment, reach: Floats, entry: TypeB, number: int) -> Source:
-    """An entry of the file as a source."""
     effect, sizes = _effect(adjustment.recording, entry, number)
     sigma = sizes * SPREAD[entry.distribution]
     problem = adjustment.problem

@@ -134,7 +134,6 @@ class Measurand:
         return np.concatenate([parts[name] for name in _PARTS[task.kind]], axis=-1)
 
     def _fitted(self, chosen: Floats) -> Floats:
-        """Transformation, pose or deviations from the nominal points."""
         task = self.task
         nominal = np.array([task.nominal_mm[name] for name in task.targets]) * MILLIMETRE
         if task.kind == "deviation" and not task.fit:

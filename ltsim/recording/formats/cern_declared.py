@@ -152,7 +152,6 @@ def _named_place(words: Words, message: str) -> tuple[str, Floats]:
 
 
 def _know(point: Point, words: list[str], where: Where) -> None:
-    """What follows the coordinates of a *POIN."""
     turned = next((word for word in words if word in TURNED), None)
     if turned is not None:
         raise where.wrong(f"{turned}: standard deviations in turned axes are not read; give APRICOV")

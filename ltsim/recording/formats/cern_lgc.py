@@ -56,8 +56,6 @@ class _SetUp:
 
 @dataclass
 class _File:
-    """What is gathered while reading line by line."""
-
     path: Path
     title: list[str] = field(default_factory=list)
     curved: str = ""
@@ -128,7 +126,6 @@ def _lines(file: _File) -> Iterator[Words]:
 
 
 def _begin(keyword: str, rest: Words, file: _File) -> None:
-    """A keyword with what stands on its line."""
     if keyword in CURVED:
         file.curved = keyword
     elif keyword == "POLAR":
@@ -193,7 +190,6 @@ def _line(keyword: str, words: Words, file: _File) -> bool:
 
 
 def _observation(keyword: str, words: Words, file: _File) -> None:
-    """One observed point: its values, sigmas and heights."""
     kinds, where = OBSERVATIONS[keyword], words.where
     if not file.setups:
         raise where.wrong(f"*{keyword} without a set-up (*TSTN) before it")
@@ -312,7 +308,6 @@ class _Plane:
 
 
 def _said(file: _File) -> Iterator[str]:
-    """What a person is told of the file."""
     if file.switched_off:
         yield f"{file.switched_off} lines are switched off with % and left out"
     for keyword, count in file.skipped.items():

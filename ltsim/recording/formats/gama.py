@@ -71,8 +71,6 @@ class _Point:
 
 @dataclass
 class _Network:
-    """What is gathered while walking through the file."""
-
     file: Path
     title: str = ""
     y_sign: float = 1.0

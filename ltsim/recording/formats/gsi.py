@@ -135,7 +135,6 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
 
 
 def _take(block: _Block, file: _File) -> None:
-    """A station, a pointing, or something else."""
     if block.holds("41", "42"):
         file.stand(block.name("42"), block.length("43"), None, block.where)
     elif block.holds("84", "85", "11") and not block.holds("21"):

@@ -112,7 +112,6 @@ def _polar(values: dict[str, float]) -> tuple[float, float, float]:
 
 
 def _sigmas(measured: dict[str, Node]) -> dict[str, float]:
-    """Standard deviations that are stated, by column."""
     stated = {name: measured[name].number("sigma", 0.0, limit=1e6) for name in SIGMAS if name in measured}
     unit = {"distance": MILLIMETRE, "azimuth": ARCSECOND, "zenith": ARCSECOND}
     return {SIGMAS[name]: sigma / unit[name] for name, sigma in stated.items() if sigma > 0}

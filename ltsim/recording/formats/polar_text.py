@@ -43,7 +43,6 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
 
 
 def _stated(lines: list[str], hints: Hints, file: Path) -> Hints:
-    """Hints completed by the comments of the file."""
     for line in islice(lines, 50):
         found = _SETTING.fullmatch(line)
         if found is None:

@@ -114,7 +114,6 @@ def readings_of(table: Table, poses: Mapping[int, Pose], hints: Hints, file: Pat
 def _angles(
     columns: Mapping[str, Column | None], stated: Mapping[str, str], polar: PolarTable, hints: Hints, file: Path
 ) -> tuple[tuple[str, str], Vertical, list[str]]:
-    """Units of both angles and what the vertical one is."""
     column = columns["vertical"]
     role = column.role if column is not None else ""
     said: Vertical | None = "zenith" if role == "zenith" else "elevation" if role == "elevation" else None

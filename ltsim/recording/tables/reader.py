@@ -170,7 +170,6 @@ def _further(table: Table, meaning: Meaning) -> tuple[list[dict[str, float]], li
 
 
 def _unit(column: Column, meaning: Meaning) -> str:
-    """The unit of a column of sigmas or heights."""
     return column.unit or meaning.unit_of(column.role)
 
 

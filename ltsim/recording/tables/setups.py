@@ -66,7 +66,6 @@ def _without(station: str, target: str) -> str:
 
 
 def _shared(stations: Sequence[str], targets: Sequence[str]) -> bool:
-    """Whether any target was seen from two set-ups."""
     return len({*zip(stations, targets, strict=True)}) > len({*targets})
 
 
