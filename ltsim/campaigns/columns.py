@@ -1,40 +1,68 @@
 """The columns of a campaign's rows: the settings of the cell beside the results, each with its unit in the file."""
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
 
 from ltsim.arrays import Floats
-from ltsim.campaigns.calibrators import fitted_construction
 from ltsim.campaigns.design import Factor
-from ltsim.campaigns.engine import FAILED, STATUSES, Calibrated
+from ltsim.campaigns.engine import FAILED, STATUSES
 from ltsim.campaigns.judge import Columns
 from ltsim.campaigns.schema import OF_PARAMETER, column_of
-from ltsim.campaigns.spec import Campaign
-from ltsim.campaigns.truth import Block, Truth
-from ltsim.effects.effect import Effect
+from ltsim.effects.effect import Effect, Parameter
 from ltsim.model.construction import Construction
 
 TYPES = {"number": pa.float64(), "integer": pa.int64(), "boolean": pa.bool_()}
-PER_INSTRUMENT, PER_PLACE = "@", " "
-"""What follows a parameter's name where there are several instruments or places."""
 
 
-def parameter_units(campaign: Campaign, true: Construction, effects: Sequence[Effect]) -> dict[str, str]:
-    """Units of the parameters that rows may hold, by name; those of an effect begin with the effect's."""
-    built = [fitted_construction(method) for method in campaign.methods]
-    found = {p.name: p.unit for construction in (true, *built) for p in construction.parameters}
-    return found | {f"{effect.name}:{p.name}": p.unit for effect in effects for p in effect.parameters}
+class Label(NamedTuple):
+    """A parameter of an instrument, or of an effect, as the rows call it."""
+
+    name: str
+    """``beam-tilt``, ``beam-tilt@NAME`` of several instruments; ``head-sag:sag S2``, ``head-sag:sag S2 #2``."""
+    parameter: Parameter
+    effect: Effect | None = None
+
+
+def labels_of(construction: Construction, instruments: Sequence[str], effects: Sequence[Effect]) -> list[Label]:
+    """The parameters of all instruments, then those of effects."""
+    names, seen = construction.names_of(instruments), Counter[str]()
+    found = [Label(*own) for own in zip(names, construction.parameters * len(instruments), strict=True)]
+    for effect in effects:
+        for parameter in effect.parameters:
+            name = f"{effect.name}:{parameter.name}" + (f" {effect.place}" if effect.place else "")
+            seen[name] += 1
+            again = f" #{seen[name]}" if seen[name] > 1 else ""
+            found.append(Label(name + again, parameter, effect))
+    return found
+
+
+def parameter_columns(labels: Sequence[Label], values: Floats, prefix: str) -> Columns:
+    """Parameters (P, B) [SI] as columns in display units: ``estimate:beam-tilt``."""
+    return {f"{prefix}:{own.name}": row / own.parameter.factor for own, row in zip(labels, values, strict=True)}
+
+
+def z_scores(
+    labels: Sequence[Label], values: Floats, sigma: Floats, true_labels: Sequence[Label], true: Floats
+) -> Columns:
+    """(estimate - truth) / sigma of the parameters (P, B) that are among the true ones."""
+    known = {(label.name, label.effect): own for label, own in zip(true_labels, true, strict=True)}
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return {
+            f"z:{label.name}": (value - known[label.name, label.effect]) / spread
+            for label, value, spread in zip(labels, values, sigma, strict=True)
+            if (label.name, label.effect) in known
+        }
 
 
 def _metadata(name: str, parameters: Mapping[str, str]) -> dict[str, str]:
     known = column_of(name)
     if known is None:
         return {"unit": "", "meaning": ""}
-    own = name.partition(":")[2].partition(PER_INSTRUMENT)[0].partition(PER_PLACE)[0]
-    unit = parameters.get(own, "") if known.unit == OF_PARAMETER else known.unit
+    unit = parameters.get(name.partition(":")[2], "") if known.unit == OF_PARAMETER else known.unit
     return {"unit": unit, "meaning": known.meaning}
 
 
@@ -52,59 +80,6 @@ def with_settings(
         for name, column in whole.items()
     ]
     return pa.table(list(whole.values()), schema=pa.schema(fields))
-
-
-def parameter_columns(construction: Construction, instruments: tuple[str, ...], values: Floats, prefix: str) -> Columns:
-    """Parameters (I, p, B) [SI] as columns in display units: ``estimate:beam-tilt``, with ``@name`` of several."""
-    names = construction.names_of(instruments)
-    shown = (values / np.array([p.factor for p in construction.parameters])[:, None]).reshape(-1, values.shape[2])
-    return {f"{prefix}:{name}": own for name, own in zip(names, shown, strict=True)}
-
-
-def effect_columns(effects: Sequence[Effect], values: Floats, prefix: str) -> Columns:
-    """Parameters (q, B) [SI] of effects in display units, with place and number: ``true:head-sag:sag S2``."""
-    columns: Columns = {}
-    rows = iter(values)
-    for effect in effects:
-        for parameter in effect.parameters:
-            name = f"{prefix}:{effect.name}:{parameter.name}" + (f" {effect.place}" if effect.place else "")
-            again = sum(known == name or known.startswith(f"{name} #") for known in columns)
-            columns[f"{name} #{again + 1}" if again else name] = next(rows) / (
-                1.0 if prefix == "z" else parameter.factor
-            )
-    return columns
-
-
-def per_trial(sigma: Floats) -> Floats:
-    """Standard deviations with a last index for trials."""
-    return sigma[:, :, None] if sigma.ndim == 2 else sigma
-
-
-def z_scores(truth: Truth, block: Block, found: Calibrated, construction: Construction) -> Columns:
-    """(estimate - truth) / sigma of the parameters that the true instrument has under the same name."""
-    names = truth.recording.instruments
-    both = [name for name in construction.names if name in truth.construction.names]
-    fitted = [construction.index(name) for name in both]
-    true = [truth.construction.index(name) for name in both]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        z = (found.values[:, fitted] - block.values[:, true]) / per_trial(found.sigma)[:, fitted]
-    flat = np.array(construction.names_of(names)).reshape(len(names), construction.size)[:, fitted].ravel()
-    return {f"z:{name}": own for name, own in zip(flat, z.reshape(len(flat), z.shape[2]), strict=True)}
-
-
-def effect_z_scores(truth: Truth, block: Block, found: Calibrated, effects: Sequence[Effect]) -> Columns:
-    """The same of fitted effects that are among the true ones."""
-    if not effects:
-        return {}
-    both = [(law.effect, own) for law, own in zip(truth.effects, block.amounts, strict=True) if law.effect in effects]
-    columns: Columns = {}
-    parts = np.split(np.arange(len(found.extra)), np.cumsum([len(e.parameters) for e in effects])[:-1])
-    for effect, rows in zip(effects, parts, strict=True):
-        true = next((own for other, own in both if other == effect), None)
-        if true is not None:
-            z = (found.extra[rows] - true) / found.extra_sigma[rows]
-            columns |= effect_columns([effect], z, "z")
-    return columns
 
 
 def rows_of_method(cell: int, method: str, parts: list[Columns]) -> pa.Table:

@@ -53,6 +53,16 @@ class Calibrated:
     extra_sigma: Floats = field(default_factory=lambda: np.zeros((0, 0)))
     """(q, 1) or (q, B) [SI]."""
 
+    @property
+    def estimates(self) -> tuple[Floats, Floats]:
+        """(I p + q, B) [SI] each: all parameters of a trial, instrument after instrument, and their sigmas."""
+        trials = len(self.chi2)
+        own = self.sigma if self.sigma.ndim == 3 else self.sigma[:, :, None]
+        parts = [(self.values, own), (self.extra, self.extra_sigma)]
+        values = [v.reshape(-1, trials) for v, _ in parts]
+        sigmas = [np.broadcast_to(s, v.shape).reshape(-1, trials) for v, s in parts]
+        return np.concatenate(values), np.concatenate(sigmas)
+
     @classmethod
     def none(cls, truth: Truth, construction: Construction, effects: Sequence[Effect], trials: int) -> Calibrated:
         """Trials that have given nothing yet, each with a sigma of its own."""

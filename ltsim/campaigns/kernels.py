@@ -263,23 +263,11 @@ def network_gradient(
     The chain is followed at the *predicted* readings, never at the measured ones: a derivative taken at a reading
     with noise is correlated with that noise, which would bias the range scale by chi2 times its sigma (5e-4 sigma).
 
-    Parameters
-    ----------
-    arm : (n, 3)
-        Target less station at the nominal state, network frame.
-    rotation : (S, 3, 3)
-    by_point : (n, 3, 3)
-        Ideal derivative of the readings by the local point.
-    weight : (n, 3)
-        One over sigma; zero for a reading not measured.
-    deviation : (n, 3, B)
-        Measured readings less nominal ones, and less the shifts of further effects.
-    pose : (S, 6, B), points (T, 3, B), values (I, p, B)
-        Increments of the state: translation and rotation vector, targets; parameters.
-    predicted : (n, 3, B)
-        Predicted readings less nominal ones: holds those of the last state, receives one Newton step to this one.
-    by_pose, by_points, by_values, cost
-        Outputs, added to.
+    Of the nominal state are `arm` (n, 3), target less station, `rotation` (S, 3, 3) and `by_point` (n, 3, 3), the ideal
+    derivative of the readings by the local point; `weight` (n, 3) is one over sigma, zero for a reading not measured.
+    `deviation` (n, 3, B) is measured readings less nominal ones, and less the shifts of further effects; `predicted`
+    (n, 3, B) predicted ones less nominal ones: it holds those of the last state and receives one Newton step to this
+    one. `pose` (S, 6, B), `points` (T, 3, B) and `values` (I, p, B) are increments of the state; outputs are added to.
     """
     motions, trials = len(chain[0]), deviation.shape[2]
     moved, path = np.empty((motions, trials)), np.empty((motions + 1, 3, trials))

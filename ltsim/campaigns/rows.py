@@ -12,17 +12,14 @@ import pyarrow as pa
 from threadpoolctl import threadpool_limits
 
 from ltsim.arrays import Floats, Ints
-from ltsim.campaigns.calibrators import StackCalibrator, calibrator_of, fitted_effects, stacks
-from ltsim.campaigns.columns import (
-    effect_columns,
-    effect_z_scores,
-    parameter_columns,
-    parameter_units,
-    per_trial,
-    rows_of_method,
-    with_settings,
-    z_scores,
+from ltsim.campaigns.calibrators import (
+    StackCalibrator,
+    calibrator_of,
+    fitted_construction,
+    fitted_effects,
+    stacks,
 )
+from ltsim.campaigns.columns import labels_of, parameter_columns, rows_of_method, with_settings, z_scores
 from ltsim.campaigns.design import Factor
 from ltsim.campaigns.engine import FAILED, STATUSES, Calibrated, Calibrator
 from ltsim.campaigns.judge import Columns, Judge
@@ -100,8 +97,11 @@ class Prepared:
     @cached_property
     def units(self) -> dict[str, str]:
         """Units of the parameters in the rows."""
-        fitted = [effect for method in self.campaign.methods for effect in fitted_effects(method)]
-        return parameter_units(self.campaign, construction_of(self.scenario), [*effects_of(self.scenario), *fitted])
+        names = tuple(self.scenario.trackers)
+        labels = labels_of(construction_of(self.scenario), names, effects_of(self.scenario))
+        for method in self.campaign.methods:
+            labels += labels_of(fitted_construction(method), names, fitted_effects(method))
+        return {label.name: label.parameter.unit for label in labels}
 
     @cached_property
     def _plan(self) -> Layout:
@@ -217,7 +217,6 @@ class Work:
         found, wanted = calibrator.calibrate(self.block, self.wanted), self.campaign.statistics
         construction, effects = calibrator.construction, calibrator.effects
         truth, block = self.judge.truth, self.block
-        names = truth.recording.instruments
         columns: Columns = {"status": found.status, "chi2": found.chi2}
         columns[CHECKED] = np.full(len(found.chi2), np.nan)
         for place in self.checked:
@@ -225,18 +224,15 @@ class Work:
         judged = self.shared | self.judge.after(block, found, construction, effects)
         judged |= self._elsewhere(found, calibrator)
         columns |= {name: own for name, own in judged.items() if (known := column_of(name)) and known.group in wanted}
+        labels = labels_of(construction, truth.recording.instruments, effects)
+        true_labels = labels_of(truth.construction, truth.recording.instruments, [law.effect for law in truth.effects])
+        (values, sigma), true = found.estimates, block.true_values
         if "z-scores" in wanted:
-            columns |= z_scores(truth, block, found, construction) | effect_z_scores(truth, block, found, effects)
+            columns |= z_scores(labels, values, sigma, true_labels, true)
         if "estimates" in wanted:
-            columns |= parameter_columns(construction, names, found.values, "estimate")
-            spread = np.broadcast_to(per_trial(found.sigma), found.values.shape)
-            columns |= parameter_columns(construction, names, spread, "sigma")
-            columns |= effect_columns(effects, found.extra, "estimate")
-            columns |= effect_columns(effects, np.broadcast_to(found.extra_sigma, found.extra.shape), "sigma")
+            columns |= parameter_columns(labels, values, "estimate") | parameter_columns(labels, sigma, "sigma")
         if "truth" in wanted:
-            columns |= parameter_columns(truth.construction, names, block.values, "true")
-            amounts = np.concatenate([*block.amounts, np.empty((0, len(found.chi2)))])
-            columns |= effect_columns([law.effect for law in truth.effects], amounts, "true")
+            columns |= parameter_columns(true_labels, true, "true")
         return columns
 
     def _elsewhere(self, found: Calibrated, calibrator: Calibrator) -> Columns:

@@ -53,6 +53,11 @@ class Block:
     alone: tuple[Block, ...] = ()
     """Each trial by itself, in the order of its own pointings, where each has a geometry of its own."""
 
+    @property
+    def true_values(self) -> Floats:
+        """(I p + q, B) [SI]: all true parameters, instrument after instrument, then those of the effects."""
+        return np.concatenate([self.values.reshape(-1, len(self.trials)), *self.amounts])
+
 
 @dataclass(frozen=True)
 class Truth:

@@ -29,24 +29,12 @@ def excess_of(
 ) -> Floats:
     """How much farther (n,) [m] than the reference each pointing's SMR's centre stands from the seat of its nest.
 
-    Parameters
-    ----------
-    names, targets : sequence of str
-        SMR and target of each pointing; one that names no SMR, such as one that is only thought of, has the reference.
-    bare : collection of str
-        Targets whose nests have no normal.
-    reflectors : mapping
-        SMRs by name.
-    stated : float, optional
-        `reference_radius_mm`; default the radius of all, where they have one.
-    file : object
-        Named in errors.
+    A pointing that names no SMR ('' in `names`), such as one that is only thought of, has the reference: what is
+    `stated` as `reference_radius_mm`, else the radius of all, where they have one. Nests of `bare` targets have no
+    normal. `file` is named in errors.
 
-    Raises
-    ------
-    RecordError
-        When an SMR has no table, they differ and nothing is stated, or one of another radius sat in a nest without a
-        normal.
+    Raises RecordError when an SMR has no table, they differ and nothing is stated, or one of another radius sat in a
+    nest without a normal.
     """
     used = [name for name in dict.fromkeys(names) if name]
     for name in used:

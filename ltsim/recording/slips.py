@@ -181,16 +181,8 @@ def _sum_of_faces(slip: Slip) -> float | None:
 def slip_by_lengths(readings: Floats, station: Ints, target: Ints) -> Slip | None:
     """The slip of all angles that makes stations see the same lengths between targets, where as it stands they do not.
 
-    Parameters
-    ----------
-    readings : (n, 3) float
-        Raw range [m], azimuth and elevation [rad].
-    station, target : (n,) int
-
-    Returns
-    -------
-    Slip or None
-        None where the lengths agree as they are, or nothing makes them agree. No length tells of a mirrored network.
+    `readings` (n, 3) are raw [m, rad, rad]. None where the lengths agree as they are, or nothing makes them agree. No
+    length tells of a mirrored network.
     """
     if not chord_gap(from_polar(readings), station, target) > DIFFERENT:
         return None

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import ltsim as lt
-from ltsim.campaigns.columns import parameter_columns
+from ltsim.campaigns.columns import labels_of, parameter_columns
 from ltsim.campaigns.engine import Engine
 from ltsim.campaigns.recovery import from_prior
 from ltsim.campaigns.truth import truth_of
@@ -33,7 +33,8 @@ def test_a_block_draws_each_tracker_by_its_name_and_calibrates_them_together() -
     z = (found.values - block.values) / found.sigma[:, :, None]
     assert np.all(np.abs(z.mean(axis=2)) < 5 / 8) and abs(np.mean(z**2) - 1) < 0.2
     assert engine.difference(block, int(np.argmin(found.status)), found) < 1e-3
-    columns = parameter_columns(truth.construction, truth.recording.instruments, found.values, "estimate")
+    labels = labels_of(truth.construction, truth.recording.instruments, ())
+    columns = parameter_columns(labels, found.estimates[0], "estimate")
     tilt = truth.construction.index("beam-tilt")
     np.testing.assert_allclose(columns["estimate:beam-tilt@B"], found.values[1, tilt] * 1e6)
 

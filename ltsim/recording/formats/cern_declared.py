@@ -72,21 +72,14 @@ class Options:
 
 @dataclass
 class Point:
-    """A declared point.
-
-    Attributes
-    ----------
-    place : (3,) float, [m]
-        As declared: where it is known, or roughly.
-    information : (3, 3) float, [1 / m^2]
-        Inverse covariance of what is known of its coordinates; 0 along free ones.
-    told : (3,) float, [1 / m]
-        `information` times the coordinates that it belongs to.
-    """
+    """A declared point."""
 
     place: Floats
+    """(3,) [m]: as declared: where it is known, or roughly."""
     information: Floats = field(default_factory=lambda: np.zeros((3, 3)))
+    """(3, 3) [1 / m^2]: inverse covariance of what is known of its coordinates; 0 along free ones."""
     told: Floats = field(default_factory=lambda: np.zeros(3))
+    """(3,) [1 / m]: `information` times the coordinates that it belongs to."""
 
     def add(self, place: Floats, covariance: Floats, axes: Bools | None = None) -> None:
         """Learn coordinates (3,) with their covariance (3, 3) along some axes, by default all."""
