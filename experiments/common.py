@@ -97,8 +97,7 @@ def campaign(file: str, given: Options, name: str = "", **changes: Any) -> Resul
     folder = given.out / (name or Path(file).stem)
     other = {key.replace("__", "."): value for key, value in changes.items()} | given.changes
     results = lt.campaign(given.here / file, out=folder, jobs=given.jobs, force=True, changes=other)
-    tables = [factor.name for factor in results.factors if factor.kind == "table"]  # a title stands for them
-    results.to_dataframe().drop(columns=tables).to_csv(folder / "summary.csv", index=False, float_format="%.6g")
+    results.to_dataframe().to_csv(folder / "summary.csv", index=False, float_format="%.6g")
     tell(f"{folder.name}: {len(results.levels)} cells, {results.manifest.trials} trials")
     return results
 
