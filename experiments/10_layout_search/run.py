@@ -4,12 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from experiments.common import Made, Options, Row, batches, spread_out, tell, write_figure, write_table
+import ltsim as lt
+from experiments.common import Made, Options, Row, tell, write_figure, write_table
 from experiments.criteria import corrections, g_criterion, i_criterion
-from ltsim.adjustment import adjust
 from ltsim.arrays import Floats
-from ltsim.evaluation.clouds import on_points
-from ltsim.model.construction import misalignment
 from ltsim.pages.figures.floor_plan import floor_plan
 from ltsim.pages.workshop import from_scenario
 from ltsim.planning.files import plan_file, with_layout
@@ -25,11 +23,9 @@ from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import Survey
 from ltsim.planning.workshop import objective_of, site_of, survey_of
 from ltsim.randomness import stream
-from ltsim.simulation.scenario import Scenario
-from ltsim.simulation.simulator import simulate
+from ltsim.simulation.scenario import Scenario, scenario_to_toml
 from ltsim.units import DEGREE, MICROMETRE, MILLIMETRE
 
-BLOCK = 50
 MICRO = 1.0 / MICROMETRE
 
 
@@ -119,53 +115,36 @@ def quality(candidate: Candidate) -> Row:
     }
 
 
-def trials_of(scenario: Scenario, seed: int, first: int, count: int) -> tuple[Floats, Floats, int]:
-    """Errors (count, p) [SI] of the parameters and (count, T) squared errors of the targets [m^2]; lost trials."""
-    parameters, targets, lost = [], [], 0
-    for trial in range(first, first + count):
-        recording, truth = simulate(scenario, seed + trial)
-        solved = adjust(recording, misalignment())
-        if not solved.solution.converged or len(recording) < full(scenario) or solved.gross.any():
-            lost += 1
-            continue
-        true = np.array([truth.instrument[name] for name in solved.construction.names])
-        parameters.append(solved.state.instrument[0] - true)
-        targets.append(((on_points(solved.state.points, truth.points) - truth.points) ** 2).sum(axis=1))
-    return np.array(parameters), np.array(targets), lost
+def check(candidate: Candidate, trials: int, given: Options) -> tuple[list[Row], Row]:
+    """Achieved over predicted standard deviation of every parameter; and of all together and the targets.
 
-
-def full(scenario: Scenario) -> int:
-    """Pointings of a scenario whose reflectors are all seen."""
-    return len(scenario.stations) * len(scenario.target_names) * scenario.work.faces * scenario.work.repeats
-
-
-def check(candidate: Candidate, trials: int, seed: int, jobs: int) -> tuple[list[Row], Row]:
-    """Predicted against achieved standard deviation of every parameter; and of all together and the targets."""
-    tasks = [(candidate.scenario, seed, number * BLOCK, width) for number, width in batches(trials, BLOCK)]
-    parts = spread_out(trials_of, tasks, jobs)
-    errors = np.concatenate([p for p, _, _ in parts if len(p)])
-    squares = np.concatenate([t for _, t, _ in parts if len(t)])
+    By a campaign whose stations and reflectors stand off their places, each trial elsewhere.
+    """
+    folder = given.out / "check" / f"{candidate.name}-{candidate.cone_deg:g}"
+    file = folder.with_suffix(".toml")
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_text(scenario_to_toml(candidate.scenario), encoding="utf-8")
+    own = {"scenario": str(file), "seed": given.config["seed"], "trials": trials, "geometry": "per-trial"}
+    results = lt.campaign(own, out=folder, jobs=given.jobs, force=True)
     information = LayoutInformation.of(survey_of(candidate.scenario))
-    predicted, achieved = information.instrument_sigma, np.sqrt(np.mean(errors**2, axis=0))
-    ratio, bias = achieved / predicted, errors.mean(axis=0) / predicted
+    predicted, found = information.instrument_sigma, results.z_scores()
     rows: list[Row] = [
-        {**candidate.words, "parameter": p.name, "unit": p.unit, "predicted": predicted[k] / p.factor,
-         "achieved": achieved[k] / p.factor, "ratio": ratio[k], "z_mean": bias[k]}
-        for k, p in enumerate(information.construction.parameters)
+        {**candidate.words, "parameter": p.name, "unit": p.unit, "predicted": sigma / p.factor,
+         "ratio": np.hypot(z.mean, z.deviation), "z_mean": z.mean}
+        for p, sigma, z in zip(information.construction.parameters, predicted, found, strict=True)
     ]  # fmt: skip
-    whitened = np.einsum("ti,ij,tj->t", errors, np.linalg.inv(information.instrument_covariance), errors)
-    rms = np.sqrt(squares.mean())
+    ratio = np.array([row["ratio"] for row in rows])
+    ((squared,),) = results.query("SELECT avg(target_error_um ^ 2) FROM rows")
     summary: Row = {
         **candidate.words,
-        "trials": len(errors),
-        "left_out": sum(n for _, _, n in parts),
+        "trials": found[0].trials,
+        "failed": results.checked()[0].failed,
         "ratio_rms": np.sqrt(np.mean(ratio**2)),
         "ratio_least": ratio.min(),
         "ratio_largest": ratio.max(),
-        "nees_per_parameter": whitened.mean() / len(ratio),
         "target_rms_predicted_um": information.target_rms * MICRO,
-        "target_rms_achieved_um": rms * MICRO,
-        "target_ratio": rms / information.target_rms,
+        "target_rms_achieved_um": np.sqrt(squared),
+        "target_ratio": np.sqrt(squared) / (information.target_rms * MICRO),
     }
     return rows, summary
 
@@ -218,7 +197,7 @@ def run(given: Options) -> Made:
             layouts.append(quality(candidate))
             stations += station_rows(candidate)
             if cone == config["cones_deg"][0] or candidate.name.startswith("searched"):
-                rows, summary = check(candidate, trials, config["seed"], given.jobs)
+                rows, summary = check(candidate, trials, given)
                 checks += rows
                 summaries.append(summary)
                 tell(str(summary))
