@@ -21,7 +21,6 @@ from ltsim.arrays import Floats
 from ltsim.campaigns import spec
 from ltsim.campaigns.spec import Campaign, Cell, load_campaign
 from ltsim.campaigns.statistics import Results
-from ltsim.pages.figures.campaign import Swept
 from ltsim.pages.style import svg
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -32,7 +31,6 @@ USED = ("ltsim", "numpy", "scipy", "numba")
 Row = dict[str, Any]
 NEW_POINTS = "rms error of new points [µm]"
 ERROR = "new_point_error_calibrated_um"
-FLOOR = "noise floor"
 
 
 @dataclass(frozen=True)
@@ -100,45 +98,6 @@ def campaign(file: str, given: Options, name: str = "", **changes: Any) -> Resul
     results.to_dataframe().to_csv(folder / "summary.csv", index=False, float_format="%.6g")
     tell(f"{folder.name}: {len(results.levels)} cells, {results.manifest.trials} trials")
     return results
-
-
-def swept(
-    results: Results, column: str, along: str, *, panel: str = "", only: Mapping[str, Any] | None = None
-) -> list[Swept]:
-    """A statistic of the cells with the levels `only`, for `by_factor`: along one factor, a line a method.
-
-    Errors of new points have a further line: the floor that the noise of the new readings makes, by the method whose
-    parameters can be true.
-    """
-    floor = column.replace("calibrated", "true_parameters") if column.startswith("new_point_error_cal") else ""
-    wanted, rows = dict(only or {}), []
-    floors = results.spread(floor) if floor else []
-    lowest = [min((s for s in floors if s.cell == cell), key=lambda s: s.mean) for cell in {s.cell: 0 for s in floors}]
-    for s in [*results.spread(column), *lowest]:
-        here = results.levels[s.cell] | {"method": s.method}
-        if any(here[name] != own for name, own in wanted.items()):
-            continue
-        line = FLOOR if s.column == floor else s.method
-        where = _words(panel, here[panel]) if panel else ""
-        rows.append(Swept(here[along], line, where, s.mean, s.low, s.high, s.quantiles[1], s.quantiles[5]))
-    return rows
-
-
-def _words(name: str, level: Any) -> str:
-    """A level in words, with its factor where it is no text of its own; a factor's name may end with its unit."""
-    words, _, unit = name.rpartition("_")
-    words, unit = (words, f" {unit}") if unit in ("ppm", "urad", "um") else (name, "")
-    return level if isinstance(level, str) else f"{words.replace('_', ' ')} {level:g}{unit}"
-
-
-def beside(results: Results, column: str, *settings: str) -> list[Swept]:
-    """A statistic of cells that have no order, for `by_setting`: a row a combination of levels of these factors."""
-    rows = [[s.panel for s in swept(results, column, "method", panel=name)] for name in settings or ("",)]
-    found = swept(results, column, "method", panel=settings[0] if settings else "")
-    return [
-        Swept(", ".join(words), s.line, "", s.mean, s.low, s.high, s.five, s.ninety_five)
-        for s, words in zip(found, zip(*rows, strict=True), strict=True)
-    ]
 
 
 def stacked(parts: Sequence[Mapping[str, Floats]]) -> dict[str, Floats]:

@@ -2,8 +2,8 @@
 
 import pandas as pd
 
-from experiments.common import ERROR, NEW_POINTS, Made, Options, campaign, swept, write_figure
-from ltsim.pages.figures.campaign import by_factor
+from experiments.common import ERROR, NEW_POINTS, Made, Options, campaign, write_figure
+from ltsim.pages.figures.campaign import by_factor, swept
 
 AXIS = "stated prior over the true one"
 

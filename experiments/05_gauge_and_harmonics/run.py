@@ -2,14 +2,14 @@
 
 from dataclasses import replace
 
-from experiments.common import ERROR, FLOOR, NEW_POINTS, Made, Options, beside, campaign, swept, write_figure
-from ltsim.pages.figures.campaign import by_factor, by_setting
+from experiments.common import ERROR, NEW_POINTS, Made, Options, campaign, write_figure
+from ltsim.pages.figures.campaign import FLOOR, by_factor, by_setting, swept
 
 
 def run(given: Options) -> Made:
     gauges, orders = campaign("gauge.toml", given), campaign("config.toml", given, "harmonics")
     write_figure(
-        given.out / "gauge.svg", by_setting(beside(gauges, ERROR, "title", "range_scale_ppm"), label=NEW_POINTS)
+        given.out / "gauge.svg", by_setting(swept(gauges, ERROR, ("title", "range_scale_ppm")), label=NEW_POINTS)
     )
     rows = swept(orders, ERROR, "beyond_second_urad")
     # True parameters leave what lies beyond the second order: the noise alone shows where there is nothing beyond it.

@@ -7,10 +7,10 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from experiments.common import ERROR, NEW_POINTS, Made, Options, Row, beside, campaign, write_figure, write_table
+from experiments.common import ERROR, NEW_POINTS, Made, Options, Row, campaign, write_figure, write_table
 from ltsim.arrays import Floats
 from ltsim.model.construction import misalignment
-from ltsim.pages.figures.campaign import by_setting
+from ltsim.pages.figures.campaign import by_setting, swept
 from ltsim.pages.style import CYCLE, new_figure, quiet_axis, styled
 from ltsim.simulation.scenario import Scenario, load_scenario
 from ltsim.units import DEGREE, MICROMETRE
@@ -78,7 +78,7 @@ def run(given: Options) -> Made:
         moved = {f"targets.{name}.position_mm": [*own.position_mm[:2], height] for (name, own), height in dealt}
         cells.append({"title": title if len(heights) <= 3 else f"{len(heights)} heights"} | moved)
     results = campaign("config.toml", given, cells=cells)
-    write_figure(given.out / "designs.svg", by_setting(beside(results, ERROR, "title"), label=NEW_POINTS))
+    write_figure(given.out / "designs.svg", by_setting(swept(results, ERROR, "title"), label=NEW_POINTS))
     # The same instruments, mesh by mesh: the difference from the paper's is known better than either mean.
     first, *others = [cell["title"] for cell in cells]
     pairs = pd.concat([results.paired(ERROR, title=(other, first)).to_dataframe() for other in others])

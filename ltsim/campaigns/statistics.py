@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,6 +27,7 @@ from ltsim.results import Columns, Result, Table, by_row
 
 if TYPE_CHECKING:
     import xarray as xr
+    from matplotlib.figure import Figure
 
 NORMAL_95 = 1.959963984540054
 MEMORY = "1GB"
@@ -292,6 +294,29 @@ class Results(Result):
         """
         self._known(statistic)
         return paired(self, statistic, **between)
+
+    def plot(self, statistic: str = "", along: str = "", *, panel: str = "", **levels: Any) -> Figure:
+        """Means of a statistic along a factor, a line a method, with 95 % intervals and the middle 90 % of the trials.
+
+        Parameters
+        ----------
+        statistic : str
+            A column of the rows, or a share; without one it is what the campaign's page shows first.
+        along, panel : str
+            The factor of the axis; one that has a panel a level.
+        **levels
+            Only the cells with these levels, ``faces=1``, or one ``method``.
+
+        Raises
+        ------
+        ModelError
+            When there is no such statistic or factor.
+        """
+        if not statistic:
+            return super().plot()
+        figures = import_module("ltsim.pages.figures.campaign")  # by name, as in Result.plot
+        figure: Figure = figures.sweep_figure(self, statistic, along, panel=panel, **levels)
+        return figure
 
     def to_xarray(self, *statistics: str) -> xr.Dataset:
         """Means over the trials with their 95 % intervals, on axes that `sel` takes.

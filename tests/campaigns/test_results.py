@@ -15,10 +15,10 @@ import ltsim as lt
 from ltsim.errors import ModelError
 from ltsim.notation import number
 from ltsim.pages.document import Table
-from ltsim.pages.sections.campaign import campaign_section
+from ltsim.pages.figures.campaign import swept
+from ltsim.pages.sections.campaign import campaign_section, cell_words
 
 SWEEP = {
-    "format": "ltsim-campaign/1",
     "scenario": "paper-workshop",
     "seed": 3,
     "trials": 24,
@@ -50,6 +50,25 @@ def test_a_sweep_is_a_dataset_with_units_on_axes_that_sel_takes(sweep: Any) -> N
     assert "full_difference_sigma" not in sweep.to_xarray()
     with pytest.raises(ModelError, match="target_error_um"):
         sweep.to_xarray("target_eror_um")
+
+
+def test_a_statistic_is_drawn_along_a_factor(sweep: Any) -> None:
+    figure = sweep.plot("new_point_error_calibrated_um", "angle_noise_arcsec", panel="faces")
+    assert [ax.get_title(loc="left") for ax in figure.axes] == ["faces 1", "faces 2"]
+    assert figure.get_supxlabel() == "angle noise [arcsec]" and "new point error" in figure.get_supylabel()
+    one = swept(sweep, "target_error_um", "faces", angle_noise_arcsec=0.8, method="network")
+    assert [(row.x, row.line) for row in one] == [(1, "network"), (2, "network")]
+    with pytest.raises(ModelError, match="did you mean angle_noise_arcsec"):
+        sweep.plot("target_error_um", "angle_noise_arcsecs")
+    with pytest.raises(ModelError, match=r"several cells at one place.*faces"):
+        sweep.plot("target_error_um", "angle_noise_arcsec")
+
+
+def test_a_title_stands_for_the_tables_of_its_cell(tmp_path: Path) -> None:
+    cells = [{"title": "all"}, {"title": "without S5", "stations.S5": "none"}]
+    made = lt.campaign(SWEEP | {"cells": cells, "methods": [{}]}, out=tmp_path / "cells")
+    assert [factor.name for factor in made.factors] == ["title"]
+    assert cell_words(made) == {0: "all", 1: "without S5"}
 
 
 def test_cells_that_are_no_grid_lie_on_one_axis_and_no_name_is_an_argument_of_sel(tmp_path: Path) -> None:
