@@ -24,7 +24,7 @@ from ltsim.planning.survey import Survey
 from ltsim.planning.workshop import objective_of, site_of, survey_of
 from ltsim.randomness import stream
 from ltsim.simulation.scenario import Scenario, scenario_to_toml
-from ltsim.units import DEGREE, MICROMETRE, MILLIMETRE
+from ltsim.units import MICROMETRE
 
 MICRO = 1.0 / MICROMETRE
 
@@ -149,16 +149,6 @@ def check(candidate: Candidate, trials: int, given: Options) -> tuple[list[Row],
     return rows, summary
 
 
-def station_rows(candidate: Candidate) -> list[Row]:
-    """Where the tripod goes."""
-    survey = survey_of(candidate.scenario)
-    places = np.column_stack([survey.position / MILLIMETRE, survey.yaw / DEGREE % 360])
-    return [
-        {**candidate.words, "station": name, **dict(zip(("x_mm", "y_mm", "z_mm", "yaw_deg"), place, strict=True))}
-        for name, place in zip(survey.station_names, places, strict=True)
-    ]
-
-
 def lot_row(cone: float, drawn: Drawn, plan: Plan) -> Row:
     """The values D of layouts that were only drawn, beside the paper's and the searched one's."""
     paper = d_criterion(LayoutInformation.of(survey_of(plan.scenario)).scaled_covariance)
@@ -183,7 +173,7 @@ def run(given: Options) -> Made:
     config = given.config
     trials = given.trials or config["trials"]
     file, base = load_plan(given.here / "plan.toml")
-    layouts, lots, curve, stations, checks, summaries, reasons = [], [], [], [], [], [], {}
+    layouts, lots, curve, checks, summaries, reasons = [], [], [], [], [], {}
     for cone in config["cones_deg"]:
         workshop = base.workshop.model_copy(update={"shadow_cone_deg": float(cone)})
         plan = make_plan(file, base.model_copy(update={"workshop": workshop}), jobs=given.jobs)
@@ -195,7 +185,6 @@ def run(given: Options) -> Made:
         tell(str(lots[-1]))
         for candidate in candidates_of(plan, cone, drawn):
             layouts.append(quality(candidate))
-            stations += station_rows(candidate)
             if cone == config["cones_deg"][0] or candidate.name.startswith("searched"):
                 rows, summary = check(candidate, trials, given)
                 checks += rows
@@ -204,8 +193,8 @@ def run(given: Options) -> Made:
             if candidate.name.startswith("searched"):
                 write_figure(given.out / f"floor_{cone}_searched.svg", floor_plan(from_scenario(candidate.scenario)))
     for name, table in (
-        ("layouts", layouts), ("unsearched", lots), ("tradeoff", curve), ("stations", stations),
-        ("parameters", checks), ("check", summaries),
+        ("layouts", layouts), ("unsearched", lots), ("tradeoff", curve), ("parameters", checks),
+        ("check", summaries),
     ):  # fmt: skip
         write_table(given.out / f"{name}.csv", table)
     return Made(config["seed"], trials, {"reasons": reasons})

@@ -1,6 +1,5 @@
 """The epochs of the DESY girder tests as recordings: reading, noise found from them, pairs that do not belong."""
 
-from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
@@ -23,15 +22,13 @@ AUTHORS = Noise(distance_mm=0.010, distance_ppm=0.0, azimuth_arcsec=0.486, eleva
 START = Noise(distance_mm=0.0015, distance_ppm=0.3, azimuth_arcsec=0.4, elevation_arcsec=0.55)
 LONG = 1.0
 """[m]"""
+Dropped = tuple[str, str, int, float]
+"""Station and target of pointings that were left out, the observable whose w-test said so, its w."""
 
 
 def epoch(name: str, noise: Noise | None = None) -> Recording:
     """The plain text of an epoch; without `noise` that of the default instrument."""
-    return with_noise(read(DATA / f"Polar_measurements_{name}.txt", hints=Hints(azimuth="clockwise")), noise)
-
-
-def with_noise(recording: Recording, noise: Noise | None) -> Recording:
-    """The same recording with another stated noise."""
+    recording = read(DATA / f"Polar_measurements_{name}.txt", hints=Hints(azimuth="clockwise"))
     if noise is None:
         return recording
     setup = recording.setup
@@ -45,25 +42,14 @@ def set_up(recording: Recording, number: int) -> Recording:
     return recording.select(recording.station == number)
 
 
-@dataclass(frozen=True)
-class Dropped:
-    """A pair of pointings that was left out, and the w-test that said so."""
-
-    station: str
-    target: str
-    observable: str
-    w: float
-
-
 def snooped(recording: Recording, construction: Construction | None = None) -> tuple[Recording, list[Dropped]]:
     """Leave out, one after the other, the station's pointings to the target with the largest outlier (w-test)."""
     built, dropped = construction or misalignment(), []
     while found := adjust(recording, built).outliers():
         i = found[0].row
         own = (recording.station == recording.station[i]) & (recording.target == recording.target[i])
-        observable = ("distance", "azimuth", "elevation")[found[0].observable]
         station, target = recording.stations[recording.station[i]], recording.targets[recording.target[i]]
-        dropped.append(Dropped(station, target, observable, found[0].w))
+        dropped.append((station, target, found[0].observable, found[0].w))
         recording = recording.select(~(own & (recording.repeat == recording.repeat[i])))
     return recording, dropped
 
@@ -95,7 +81,7 @@ def noise_found(rounds: int = 4) -> Noise:
 
 def clean(pairs: TwoFace, recording: Recording) -> Bools:
     """(m,) pairs that the recording's own data snooping keeps: it knows nothing of the parameters under test."""
-    gone = {(d.station, d.target) for d in snooped(recording)[1]}
+    gone = {d[:2] for d in snooped(recording)[1]}
     rows = pairs.rows[:, 0]
     return np.array([(recording.stations[recording.station[i]], recording.targets[recording.target[i]]) not in gone
                      for i in rows], dtype=bool)  # fmt: skip

@@ -23,7 +23,7 @@ from ltsim.effects import BASELINE
 from ltsim.evaluation.two_face import two_face
 from ltsim.geometry.polar import from_polar
 from ltsim.model.construction import misalignment
-from ltsim.pages.figures.parameters import history_figure
+from ltsim.recording.recording import OBSERVABLES
 from ltsim.recording.setup import Noise
 
 from .desy import (
@@ -67,8 +67,8 @@ def noise(out: Path) -> None:
         rows.append({"epoch": name, "pointings": len(kept), "chi2/dof": round(adjusted.sigma0**2, 3),
                      "range factor": own[0].round(2), "azimuth factor": own[1].round(2),
                      "elevation factor": own[2].round(2), "chi2/dof authors": round(by_authors.sigma0**2, 3),
-                     "pairs left out": "; ".join(f"{d.station} {d.target} {d.observable} w={d.w:.1f}"
-                                                 for d in dropped)})  # fmt: skip
+                     "pairs left out": "; ".join(f"{station} {target} {OBSERVABLES[k]} w={w:.1f}"
+                                                 for station, target, k, w in dropped)})  # fmt: skip
     show_table(out / "noise.csv", rows)
 
 
@@ -78,12 +78,10 @@ def course(out: Path) -> None:
     for label, construction in (("16", misalignment()), ("6", SIX)):
         own = [(name, calibrate_network(kept[name], construction, advise=False)) for name in EPOCHS]
         history = History.of(own)
-        told = history_file(history)
-        content = told.content()
+        content = history_file(history).content()
         (out / f"history_{label}.json").write_text(json.dumps(content, indent=1) + "\n")
-        known = [course for course in told.parameters if course.constant.dof]
         if construction is SIX:  # sixteen courses are a table
-            write_figure(out / f"history_{label}.svg", history_figure(history.labels, known))
+            write_figure(out / f"history_{label}.svg", history.plot())
         show_table(out / f"changes_{label}.csv", [
             {"from": c["from"], "to": c["to"], "chi2": round(c["chi2"], 1), "dof": c["dof"],
              "p": f"{c['p_value']:.1e}", "changed": " ".join(c["changed"])}

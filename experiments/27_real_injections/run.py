@@ -123,16 +123,16 @@ def one(network: Row, kind: str, strength: float, trial: int, seed: int) -> Row:
 
 def rates(rows: list[Row], strength: float | str, network: str) -> list[Row]:
     """Completeness by injections and reliability by findings, with 95 % intervals that know the sites."""
-    sites, found = [r["site"] for r in rows], []
-    for name, label in MEASURES.items():
-        found.append({"measure": label} | share([r[name] for r in rows], sites))
-    told = [(r["site"], k < r["injected"]) for r in rows for k in range(r["new"])]
-    found.append({"measure": "reliability"} | share([hit for _, hit in told], [site for site, _ in told]))
-    fresh = [(r["site"], k < r["injected"]) for r in rows for k in range(r["new"] - r["retold"])]
-    found.append({"measure": "reliability, without what was told before in other words"}
-                 | share([hit for _, hit in fresh], [site for site, _ in fresh]))  # fmt: skip
-    rounded = [{k: round(v, 3) if isinstance(v, float) else v for k, v in row.items() if k != "laws"} for row in found]
-    return [{"network": network, "strength": strength, **row} for row in rounded]
+    asked = {label: [(r["site"], r[name]) for r in rows] for name, label in MEASURES.items()}
+    for label, known in (("", ""), (", without what was told before in other words", "retold")):
+        told = [(r["site"], k < r["injected"]) for r in rows for k in range(r["new"] - r.get(known, 0))]
+        asked[f"reliability{label}"] = told
+    found = []
+    for label, answers in asked.items():
+        own = share([hit for _, hit in answers], [site for site, _ in answers])
+        own = {k: round(v, 3) if isinstance(v, float) else v for k, v in own.items() if k != "laws"}
+        found.append({"network": network, "strength": strength, "measure": label} | own)
+    return found
 
 
 def table_of(rows: list[Row], strengths: list[float]) -> list[Row]:
