@@ -13,11 +13,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from joblib import Parallel, delayed
+import pandas as pd
 from matplotlib.figure import Figure
 
 import ltsim as lt
-from ltsim.arrays import Floats
 from ltsim.campaigns import spec
 from ltsim.campaigns.spec import Campaign, Cell, load_campaign
 from ltsim.campaigns.statistics import Results
@@ -73,13 +72,6 @@ def batches(trials: int, width: int = 250) -> Iterator[tuple[int, int]]:
         yield number, min(width, trials - number * width)
 
 
-def spread_out(work: Any, tasks: Sequence[tuple[Any, ...]], jobs: int) -> list[Any]:
-    """`work` on every task in order; processes where more than one is asked for."""
-    if jobs == 1:
-        return [work(*task) for task in tasks]
-    return list(Parallel(n_jobs=jobs, inner_max_num_threads=1, backend="loky")(delayed(work)(*task) for task in tasks))
-
-
 def cells_of(given: Options) -> tuple[Campaign, Sequence[Cell]]:
     """The campaign of an experiment's `config.toml` with its cells."""
     file = given.here / "config.toml"
@@ -100,14 +92,9 @@ def campaign(file: str, given: Options, name: str = "", **changes: Any) -> Resul
     return results
 
 
-def stacked(parts: Sequence[Mapping[str, Floats]]) -> dict[str, Floats]:
-    """Columns of several blocks as one."""
-    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-
-
-def summary(values: Floats, digits: int = 2) -> Row:
+def summary(values: pd.Series, digits: int = 2) -> Row:
     """Mean with its 95 % confidence interval, and the middle 90 % of the trials."""
-    kept = values[np.isfinite(values)]
+    kept = values[np.isfinite(values)].to_numpy()
     mean, half = float(kept.mean()), 1.96 * float(kept.std(ddof=1)) / np.sqrt(len(kept)) if len(kept) > 1 else np.nan
     five, middle, ninety_five = np.percentile(kept, [5, 50, 95])
     row = {"mean": mean, "low": mean - half, "high": mean + half, "p5": five, "median": middle, "p95": ninety_five}

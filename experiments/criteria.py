@@ -20,12 +20,6 @@ def g_criterion(covariance: Floats, regressors: Floats) -> Floats:
     return np.sqrt(spread.max(axis=-1))
 
 
-def i_criterion(covariance: Floats, regressors: Floats) -> Floats:
-    """Root mean square standard deviation (...) of the predictions in `regressors` (m, p)."""
-    moment = regressors.T @ regressors / len(regressors)
-    return np.sqrt(np.einsum("...ij,ji->...", covariance, moment))
-
-
 def corrections(information: LayoutInformation) -> Floats:
     """(m, p): displacement [m] that a prior sigma of each parameter makes all over the working volume, front face.
 

@@ -5,7 +5,7 @@ from itertools import product
 import numpy as np
 import pandas as pd
 
-from experiments.common import Made, Options, cells_of, spread_out, summary, write_figure, write_table
+from experiments.common import Made, Options, cells_of, summary, write_figure, write_table
 from ltsim.arrays import Floats
 from ltsim.campaigns.rows import Prepared, Work
 from ltsim.campaigns.spec import Campaign, Cell
@@ -15,6 +15,7 @@ from ltsim.evaluation.verification import coordinate_errors, distance_errors
 from ltsim.pages.figures.campaign import PAPER, Distribution, distributions
 from ltsim.simulation.gauge import nominal_points
 from ltsim.units import MICROMETRE
+from ltsim.workers import parallel
 
 DRAWN = {
     "workshop": {"noise_factor": 2.8, "error_factor": 0.7, "prior_factor": 1.0},
@@ -110,7 +111,7 @@ def figure_rows(columns: pd.DataFrame, table: str) -> list[Distribution]:
 
 def run(given: Options) -> Made:
     campaign, cells = cells_of(given)
-    found = spread_out(figures_of, [(campaign, cell) for cell in cells], given.jobs)
+    found = list(parallel(figures_of, [(campaign, cell) for cell in cells], given.jobs))
     for table, name in (("workshop", "table_3"), ("laboratory", "table_4")):
         rows = [
             row

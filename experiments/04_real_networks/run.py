@@ -27,7 +27,7 @@ from ltsim.recording import Recording, read
 from ltsim.recording.recording import HEIGHT_COLUMNS, OBSERVABLES
 from ltsim.units import ARCSECOND, MILLIMETRE
 
-from .published import DATA, GAMA, SCANNER_TRUTH, coordinates_of, gama_result, scanner, scanner_recording
+from .published import DATA, GAMA, SCANNER_TRUTH, beside, gama_result, scanner, scanner_recording
 
 UNIT = (MILLIMETRE, ARCSECOND, ARCSECOND)
 Rows = list[dict[str, object]]
@@ -56,16 +56,14 @@ def gama(out: Path) -> None:
 def difference(ours: Adjustment, name: str) -> np.ndarray:
     """Coordinates less those of gama-local (k,) [m]."""
     theirs = gama_result(name)
-    return coordinates_of(ours, theirs.names)[0][np.arange(len(theirs.names)), theirs.axis] - theirs.value
+    return beside(ours, theirs)[0] - theirs.value
 
 
 def sigma_ratio(ours: Adjustment, name: str) -> np.ndarray:
     """Standard deviations over those of gama-local, both by the stated noise (k,)."""
     theirs = gama_result(name)
     used = theirs.aposteriori / theirs.apriori if name == "2019-prager" else 1.0
-    at = np.arange(len(theirs.names))
-    mine = np.sqrt(coordinates_of(ours, theirs.names)[1][at, theirs.axis, theirs.axis])
-    return mine * used / theirs.sigma
+    return beside(ours, theirs)[1] * used / theirs.sigma
 
 
 def to_marks(ours: Adjustment) -> Recording:

@@ -6,7 +6,7 @@ import numpy as np
 
 import ltsim as lt
 from experiments.common import Made, Options, Row, tell, write_figure, write_table
-from experiments.criteria import corrections, g_criterion, i_criterion
+from experiments.criteria import corrections, g_criterion
 from ltsim.arrays import Floats
 from ltsim.pages.figures.floor_plan import floor_plan
 from ltsim.pages.workshop import from_scenario
@@ -109,7 +109,6 @@ def quality(candidate: Candidate) -> Row:
         "A": a_criterion(covariance),
         "E": e_criterion(covariance),
         "G_um": g_criterion(covariance, rows) * MICRO,
-        "I_um": i_criterion(covariance, rows) * MICRO,
         "target_rms_um": information.target_rms * MICRO,
         **promised,
     }

@@ -8,11 +8,12 @@ import shutil
 import sys
 from pathlib import Path
 
-from experiments.common import ROOT, Made, Options, spread_out
+from experiments.common import ROOT, Made, Options
 from ltsim.diagnosis import diagnose
 from ltsim.diagnosis.files import targets_csv
 from ltsim.recording import read
 from ltsim.recording.files import write_text, write_texts
+from ltsim.workers import parallel
 
 from .score import answers_of, markdown, scored
 
@@ -48,7 +49,7 @@ def run(given: Options) -> Made:
         if not (SHARED / f"{name}-truth.json").is_file():
             sys.exit(f"the truth of {name} is sealed; it was diagnosed once, into {COMMITTED / name}")
         shutil.rmtree(TODAY / name, ignore_errors=True)
-        spread_out(examine, [(folder, TODAY / name) for folder in folders], given.jobs)
+        list(parallel(examine, [(folder, TODAY / name) for folder in folders], given.jobs))
         score_round(name, given.out)
     return Made(seed=0)
 

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from experiments.common import Made, Options, batches, show_table, spread_out
+from experiments.common import Made, Options, batches, show_table
 from ltsim.arrays import Floats
 from ltsim.campaigns.engine import Engine
 from ltsim.campaigns.truth import BLOCK, Truth, truth_of
@@ -15,6 +15,7 @@ from ltsim.tasks.inputs import Inputs
 from ltsim.tasks.measurands import Measurand, best_fit
 from ltsim.tasks.propagation import Propagated, expansion_of, propagate
 from ltsim.tasks.spec import Tasks, load_tasks
+from ltsim.workers import parallel
 
 
 def scenario_of(name: str, case: dict[str, str]) -> Scenario:
@@ -84,7 +85,7 @@ def run(given: Options) -> Made:
         truth = truth_of(scenario_of(config["scenario"], case), seed)
         linear, names, placed = predicted(truth, tasks, case.get("dropped", ""))
         work = [(truth, tasks, placed, seed, number) for number, _ in batches(trials, BLOCK)]
-        errors = np.concatenate(spread_out(errors_of, work, given.jobs))[:trials]
+        errors = np.concatenate([*parallel(errors_of, work, given.jobs)])[:trials]
         rows += table_of(case["title"], errors, linear, names)
     show_table(given.out / "results.csv", rows)
     return Made(seed, trials)
