@@ -18,6 +18,7 @@ from matplotlib.figure import Figure
 
 import ltsim as lt
 from ltsim.campaigns import spec
+from ltsim.campaigns.paired import Paired
 from ltsim.campaigns.spec import Campaign, Cell, load_campaign
 from ltsim.campaigns.statistics import Results
 from ltsim.pages.style import svg
@@ -111,6 +112,11 @@ def write_table(path: Path, rows: Sequence[Row]) -> None:
             writer.writerow({k: float(f"{v:.6g}") if isinstance(v, float) else v for k, v in row.items()})
 
 
+def write_pairs(path: Path, *pairs: Paired) -> None:
+    """Differences on the same draws as one CSV table."""
+    pd.concat([pair.to_dataframe() for pair in pairs]).to_csv(path, index=False)
+
+
 def write_figure(path: Path, figure: Figure) -> None:
     """An SVG file."""
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -158,12 +164,6 @@ def _git(*words: str) -> str | None:
     """What git says of this checkout; None where it is none."""
     done = subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=False)
     return done.stdout.strip() or None if done.returncode == 0 else None
-
-
-def recordings_or_leave() -> None:
-    """Leave with a word where the recordings of others are absent."""
-    if not RECORDINGS.is_dir():
-        sys.exit("skipped: the recordings, which are no part of the project, are not beside it (../shared/recordings)")
 
 
 def run_steps(given: Options, steps: Mapping[str, Callable[[Path], None]]) -> None:

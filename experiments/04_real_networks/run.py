@@ -13,7 +13,7 @@ import numpy as np
 from scipy import stats
 from scipy.optimize import least_squares
 
-from experiments.common import Made, Options, recordings_or_leave, run_steps, show_table
+from experiments.common import Made, Options, run_steps, show_table
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.calibration import calibrate_network
 from ltsim.calibration.known import Choice
@@ -268,6 +268,5 @@ STEPS = {"gama": gama, "cern": cern, "geoeasy": geoeasy, "scanner": scanner_trut
 
 def run(given: Options) -> Made:
     """Run the named steps, or all."""
-    recordings_or_leave()
     run_steps(given, STEPS)
     return Made(seed=4)

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from experiments.common import ERROR, NEW_POINTS, Made, Options, campaign, write_figure
+from experiments.common import ERROR, NEW_POINTS, Made, Options, campaign, write_figure, write_pairs
 from ltsim.pages.figures.campaign import FLOOR, by_factor, by_setting, swept
 
 
@@ -17,6 +17,5 @@ def run(given: Options) -> Made:
     rows = [replace(floor, x=row.x) if row.line == FLOOR else row for row in rows]
     axis = "each coefficient of orders 3 and 4 in the truth [µrad]"
     write_figure(given.out / "harmonics.svg", by_factor(rows, label=NEW_POINTS, axis=axis))
-    pairs = orders.paired(ERROR, method=("order 2", "order 4")).to_dataframe()
-    pairs.to_csv(given.out / "paired.csv", index=False)
+    write_pairs(given.out / "paired.csv", orders.paired(ERROR, method=("order 2", "order 4")))
     return Made(orders.manifest.seed, orders.manifest.trials)

@@ -4,10 +4,9 @@ from itertools import cycle
 from textwrap import fill
 
 import numpy as np
-import pandas as pd
 from matplotlib.figure import Figure
 
-from experiments.common import ERROR, NEW_POINTS, Made, Options, Row, campaign, write_figure, write_table
+from experiments.common import ERROR, NEW_POINTS, Made, Options, Row, campaign, write_figure, write_pairs, write_table
 from ltsim.arrays import Floats
 from ltsim.model.construction import misalignment
 from ltsim.pages.figures.campaign import by_setting, swept
@@ -81,6 +80,6 @@ def run(given: Options) -> Made:
     write_figure(given.out / "designs.svg", by_setting(swept(results, ERROR, "title"), label=NEW_POINTS))
     # The same instruments, mesh by mesh: the difference from the paper's is known better than either mean.
     first, *others = [cell["title"] for cell in cells]
-    pairs = pd.concat([results.paired(ERROR, title=(other, first)).to_dataframe() for other in others])
-    pairs[pairs.method == "network"].to_csv(given.out / "more_than_the_paper.csv", index=False, float_format="%.6g")
+    pairs = [results.paired(ERROR, title=(other, first)) for other in others]
+    write_pairs(given.out / "more_than_the_paper.csv", *pairs)
     return Made(results.manifest.seed, results.manifest.trials)

@@ -1,12 +1,12 @@
 """How much better than the paper's layout can five stations stand, and how few would do? Checked by simulation."""
 
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 
 import ltsim as lt
 from experiments.common import Made, Options, Row, tell, write_figure, write_table
-from experiments.criteria import corrections, g_criterion
 from ltsim.arrays import Floats
 from ltsim.pages.figures.floor_plan import floor_plan
 from ltsim.pages.workshop import from_scenario
@@ -27,6 +27,7 @@ from ltsim.simulation.scenario import Scenario, scenario_to_toml
 from ltsim.units import MICROMETRE
 
 MICRO = 1.0 / MICROMETRE
+PROMISED = ("before", "um", MICRO), ("after", "um", MICRO), ("improvement", "percent", 1.0)
 
 
 @dataclass(frozen=True)
@@ -91,16 +92,39 @@ def candidates_of(plan: Plan, cone: float, drawn: Drawn) -> list[Candidate]:
     return found
 
 
+def g_criterion(covariance: Floats, regressors: Floats) -> Floats:
+    """Largest standard deviation (...) of a prediction.
+
+    Parameters
+    ----------
+    covariance : (..., p, p) float
+    regressors : (m, p) float
+        Each row predicts one quantity from the parameters: for an instrument, the correction of a reading
+        somewhere in the working volume, as a displacement [m].
+    """
+    spread = np.einsum("mi,...ij,mj->...m", regressors, covariance, regressors, optimize=True)
+    return np.sqrt(spread.max(axis=-1))
+
+
+def corrections(information: LayoutInformation) -> Floats:
+    """(m, p): displacement [m] that a prior sigma of each parameter makes all over the working volume, front face.
+
+    Ranges of 1 to 8 m, all azimuths, elevations from -50 to 65 deg; three rows a place.
+    """
+    axes = np.arange(1.0, 8.5, 1.0), np.arange(12) * np.pi / 6, np.radians(np.linspace(-50, 65, 8))
+    raw = np.stack([axis.ravel() for axis in np.meshgrid(*axes, indexing="ij")], axis=1)
+    size = information.construction.size
+    _, _, by_value = information.construction.linearised(raw, np.zeros(size))
+    return by_value.reshape(-1, size) * information.prior_sigma
+
+
 def quality(candidate: Candidate) -> Row:
     """Every criterion of a layout, and what calibration is expected to do for the paper's."""
     information = LayoutInformation.of(survey_of(candidate.scenario))
     covariance, rows = information.scaled_covariance, corrections(information)
-    expected = Predictor.of(information).expected()
-    promised = {}
-    for kind in ("distance", "coordinate"):
-        before, after, gain = (getattr(expected, f"{kind}_{what}")[0] for what in ("before", "after", "improvement"))
-        promised |= {f"{kind}_before_um": before * MICRO, f"{kind}_after_um": after * MICRO}
-        promised[f"{kind}_improvement_percent"] = gain
+    expected, promised = Predictor.of(information).expected(), {}
+    for kind, (what, unit, factor) in product(("distance", "coordinate"), PROMISED):
+        promised[f"{kind}_{what}_{unit}"] = factor * getattr(expected, f"{kind}_{what}")[0]
     return {
         **candidate.words,
         "stations": len(candidate.scenario.stations),

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from experiments.common import Made, Options, recordings_or_leave, run_steps, show_table, write_figure
+from experiments.common import Made, Options, run_steps, show_table, write_figure
 from ltsim.adjustment import adjust
 from ltsim.arrays import Floats
 from ltsim.calibration import calibrate_network
@@ -258,6 +258,5 @@ STEPS = {f.__name__: f for f in (noise, course, transfer, lines, index, checks, 
 
 def run(given: Options) -> Made:
     """Run the named steps, or all."""
-    recordings_or_leave()
     run_steps(given, STEPS)
     return Made()

@@ -23,7 +23,6 @@ from experiments.common import (
     Made,
     Options,
     Row,
-    recordings_or_leave,
     tell,
     write_figure,
     write_table,
@@ -150,7 +149,6 @@ def table_of(rows: list[Row], strengths: list[float]) -> list[Row]:
 
 def injected(given: Options, settings: Row) -> list[Row]:
     """Rows of all injections, a batch a file; a run that was broken off goes on from them."""
-    recordings_or_leave()
     rows, start = [], time.perf_counter()
     (given.out / "rows").mkdir(parents=True, exist_ok=True)
     batches = product(range(given.trials or settings["trials"]), settings["strengths"], settings["network"])

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from importlib import import_module
+
 import numpy as np
 import pytest
 
-from experiments.criteria import g_criterion
 from ltsim.planning.objective import a_criterion, d_criterion, e_criterion
 
+g_criterion = import_module("experiments.10_layout_search.run").g_criterion
 RNG = np.random.default_rng(3)
 DESIGN = RNG.normal(size=(40, 5)) * [1.0, 3.0, 0.2, 1.0, 0.5]
 COVARIANCE = np.linalg.inv(DESIGN.T @ DESIGN)
