@@ -5,16 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
-from experiments.common import (
-    ERROR,
-    NEW_POINTS,
-    Made,
-    Options,
-    cells_of,
-    summary,
-    write_figure,
-    write_table,
-)
+from experiments.common import ERROR, NEW_POINTS, Made, Options, cells_of, summary, write_figure, write_table
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.arrays import Ints
 from ltsim.campaigns.engine import Calibrated, recording_of

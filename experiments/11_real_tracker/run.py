@@ -26,17 +26,7 @@ from ltsim.model.construction import misalignment
 from ltsim.recording.recording import OBSERVABLES
 from ltsim.recording.setup import Noise
 
-from .desy import (
-    AUTHORS,
-    EPOCHS,
-    clean,
-    epoch,
-    interferometer,
-    noise_found,
-    set_up,
-    snooped,
-    variance_factors,
-)
+from .desy import AUTHORS, EPOCHS, clean, epoch, interferometer, noise_found, set_up, snooped, variance_factors
 
 FLIPPING = ("transit-offset", "beam-offset", "beam-tilt", "transit-tilt", "vertical-index")
 DEFAULT = "what `calibrate` applies by default"

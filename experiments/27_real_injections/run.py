@@ -18,15 +18,7 @@ import numpy as np
 import pandas as pd
 
 import ltsim as lt
-from experiments.common import (
-    RECORDINGS as DATA,
-    Made,
-    Options,
-    Row,
-    tell,
-    write_figure,
-    write_table,
-)
+from experiments.common import RECORDINGS as DATA, Made, Options, Row, tell, write_figure, write_table
 from experiments.intervals import share
 from ltsim.diagnosis.schema import Finding
 from ltsim.effects.signature import Tunable

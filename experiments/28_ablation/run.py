@@ -66,10 +66,7 @@ def chances(name: str) -> dict[str, float]:
     recording = lt.read(WORK / make.RECORDINGS / name)
     adjusted = adjust(recording, stated_construction(recording))
     parts = parts_of(ResidualSpace.of(adjusted))
-    told = {
-        CHI2: adjusted.p_value,
-        WHOLE: p_value([s for some in parts.values() for s in some]),
-    }
+    told = {CHI2: adjusted.p_value, WHOLE: p_value([s for some in parts.values() for s in some])}
     for what, kept in {"without laws": (CARDS, NOISE), "curves of readings": ("reading",)}.items():
         alone = [s for (carrier, driver), some in parts.items() if carrier in kept for s in some
                  if carrier != "reading" or driver == "smooth"]  # fmt: skip
