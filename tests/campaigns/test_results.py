@@ -62,6 +62,8 @@ def test_a_statistic_is_drawn_along_a_factor(sweep: Any) -> None:
         sweep.plot("target_error_um", "angle_noise_arcsecs")
     with pytest.raises(ModelError, match=r"several cells at one place.*faces"):
         sweep.plot("target_error_um", "angle_noise_arcsec")
+    with pytest.raises(ModelError, match="along a factor, here faces or angle_noise_arcsec"):
+        sweep.plot("target_error_um")
 
 
 def test_a_title_stands_for_the_tables_of_its_cell(tmp_path: Path) -> None:
@@ -69,6 +71,14 @@ def test_a_title_stands_for_the_tables_of_its_cell(tmp_path: Path) -> None:
     made = lt.campaign(SWEEP | {"cells": cells, "methods": [{}]}, out=tmp_path / "cells")
     assert [factor.name for factor in made.factors] == ["title"]
     assert cell_words(made) == {0: "all", 1: "without S5"}
+
+
+def test_an_axis_rises_however_the_sweep_has_grown(tmp_path: Path) -> None:
+    pytest.importorskip("xarray", reason="the dataset is xarray's")
+    made = lt.campaign(SWEEP | {"grid": {"work.targets": [8, 24, 16]}, "methods": [{}]}, out=tmp_path / "grown")
+    cube = made.to_xarray("target_error_um")
+    assert cube.targets.values.tolist() == [8, 16, 24]
+    assert float(cube.target_error_um.sel(targets=24)[0]) == made.spread("target_error_um")[1].mean
 
 
 def test_cells_that_are_no_grid_lie_on_one_axis_and_no_name_is_an_argument_of_sel(tmp_path: Path) -> None:

@@ -114,6 +114,9 @@ def swept(
 
 def sweep_figure(results: Results, statistic: str, along: str, *, panel: str = "", **levels: Any) -> Figure:
     """As `Results.plot`: means of a statistic along a factor, a line a method."""
+    if not along:
+        known = " or ".join(f.name for f in results.factors) or "nothing, since nothing varies"
+        raise ModelError(f"a statistic is drawn along a factor, here {known}")
     axis = title(next((f for f in results.factors if f.name == along), Factor(name=along, keys=())))
     unit = results.units.get(statistic, "")
     words = statistic.removesuffix("_percent").removesuffix("_um").replace("_", " ")
