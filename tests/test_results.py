@@ -257,7 +257,7 @@ def test_every_result_is_drawn_with_what_its_axes_mean_and_has_a_table(drawn: li
 
 
 def test_what_has_no_table_says_so():
-    with pytest.raises(ModelError, match="^View has no table$"):
+    with pytest.raises(ModelError, match=r"^View has no table$"):
         lt.view("paper-workshop").to_dataframe()
 
 

@@ -21,7 +21,7 @@ from ltsim.campaigns.engine import FAILED, FULL
 from ltsim.campaigns.paired import Paired, errors_of, paired, terms_of
 from ltsim.campaigns.schema import CHECKED, LEVELS, SHARES, column_of, summary_table
 from ltsim.campaigns.stopping import level_of, quantile
-from ltsim.campaigns.store import Store
+from ltsim.campaigns.store import Store, literal
 from ltsim.errors import ModelError, SetupError, unknown_name
 from ltsim.results import Columns, Result, Table, by_row
 
@@ -124,7 +124,7 @@ class Results(Result):
             raise SetupError(f"{folder}: no shard of this campaign is finished yet")
         # One thread: sums keep their order, and tables their last digit.
         self._base = duckdb.connect(config={"memory_limit": MEMORY, "threads": 1})
-        source = f"read_parquet([{', '.join(map(_literal, shards))}], union_by_name = true)"
+        source = f"read_parquet([{', '.join(map(literal, shards))}], union_by_name = true)"
         try:
             store.verify({cell.cell: cell.mark for cell in self.manifest.cells})
             self._base.register("cells", self._cells())
@@ -376,12 +376,6 @@ def _units(schema: pa.Schema) -> dict[str, str]:
     said = {f.name: (f.metadata or {}).get(b"unit", b"").decode() for f in schema}
     added = {f"{kind}_improvement_percent": "%" for kind in IMPROVEMENTS}
     return {name: unit for name, unit in (said | added).items() if unit}
-
-
-def _literal(path: Path) -> str:
-    """A path as SQL takes it, its brackets and stars no pattern."""
-    plain = "".join(f"[{c}]" if c in "[*?" else c for c in str(path))
-    return "'" + plain.replace("'", "''") + "'"
 
 
 def _improvements(names: list[str]) -> str:

@@ -74,13 +74,18 @@ def campaign(
         with TemporaryDirectory() as place:
             file = Path(place) / "campaign.toml"
             file.write_text(to_toml(_from_here(source)), encoding="utf-8")
-            return campaign(file, out=out, jobs=jobs, resume=resume, force=force, changes=changes)
+            try:
+                return campaign(file, out=out, jobs=jobs, resume=resume, force=force, changes=changes)
+            except SetupError as problem:
+                raise SetupError(str(problem).replace(str(file), "the campaign")) from None
     require_packages()
     from ltsim.campaigns.campaign import Workers, run_campaign
     from ltsim.campaigns.statistics import Results
 
     path = Path(source)
     if path.is_dir():
+        if out is not None or resume or force or changes:
+            raise SetupError(f"{path}: rows of a campaign are only opened: to run it, give {path / 'campaign.toml'}")
         return Results(path)
     folder = path.with_suffix("") if out is None else Path(out)
     run_campaign(path, folder, workers=Workers(jobs), resume=resume, force=force, changes=changes)

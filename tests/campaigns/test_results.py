@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import ltsim as lt
-from ltsim.errors import ModelError
+from ltsim.errors import ModelError, SetupError
 from ltsim.notation import number
 from ltsim.pages.document import Table
 from ltsim.pages.figures.campaign import swept
@@ -64,6 +64,15 @@ def test_a_statistic_is_drawn_along_a_factor(sweep: Any) -> None:
         sweep.plot("target_error_um", "angle_noise_arcsec")
     with pytest.raises(ModelError, match="along a factor, here faces or angle_noise_arcsec"):
         sweep.plot("target_error_um")
+    with pytest.raises(ModelError, match="no level of faces called '3'; did you mean 1, 2"):
+        sweep.plot("target_error_um", "angle_noise_arcsec", faces=3)
+
+
+def test_a_folder_of_rows_is_opened_and_nothing_else(sweep: Any, tmp_path: Path) -> None:
+    with pytest.raises(SetupError, match=r"only opened: to run it, give .*campaign\.toml"):
+        lt.campaign(sweep.folder, changes={"trials": 3})
+    with pytest.raises(SetupError, match=r"^the campaign: unknown key trialz; did you mean trials"):
+        lt.campaign({"trialz": 3}, out=tmp_path / "rows")
 
 
 def test_a_title_stands_for_the_tables_of_its_cell(tmp_path: Path) -> None:

@@ -97,6 +97,10 @@ def swept(
     for name in filter(None, (*names, panel, *levels)):
         if name not in known and name != "method":
             raise unknown_name("factor of this campaign", name, ("method", *known))
+    places = [level | {"method": method} for level in results.levels for method in results.manifest.methods]
+    for name, own in levels.items():
+        if own not in (there := list(dict.fromkeys(place[name] for place in places))):
+            raise unknown_name(f"level of {name}", str(own), [str(level) for level in there])
     floor = statistic.replace("error_calibrated", "error_true_parameters")
     floors = results.spread(floor) if floor != statistic else []
     lowest = [min((s for s in floors if s.cell == cell), key=lambda s: s.mean) for cell in {s.cell: 0 for s in floors}]
