@@ -129,6 +129,22 @@ def test_methods_are_compared_on_one_recording_as_the_campaign_compares_them_in_
         sql = f"SELECT new_point_error_{kind}_um FROM rows WHERE cell = 0 AND trial = 17 ORDER BY method DESC"
         assert judged.column(f"error_{kind}_um") == pytest.approx([row[0] for row in sweep.query(sql)], rel=1e-4)
     assert judged.column("calibration") == ["network", "distance"]
+    alone = lt.judge(scenario, found["network"], "paper-laboratory", seed=3, trial=17)
+    assert alone.table().column("error_calibrated_um") == judged.column("error_calibrated_um")[:1]
+    with pytest.raises(SetupError, match="'network' calibrates another recording than that of seed 3, trial 16"):
+        lt.judge(scenario, found, "paper-laboratory", seed=3, trial=16)
+    with pytest.raises(SetupError, match="no calibration to judge"):
+        lt.judge(scenario, {}, "paper-laboratory", seed=3, trial=17)
+
+
+def test_no_trials_and_no_workers_are_no_answer(tmp_path: Path) -> None:
+    for trials in (0, -3):
+        with pytest.raises(SetupError, match=f"trials is {trials}, expected 1 or more"):
+            lt.recover("paper-workshop", trials=trials)
+    with pytest.raises(SetupError, match="jobs is 0, expected 1 or more"):
+        lt.campaign({"trials": 2}, out=tmp_path / "rows", jobs=0)
+    with pytest.raises(ModelError, match="one injection at least"):
+        lt.injection_curve(lt.simulate("paper-workshop", seed=1).recording, "index-drift", strengths=[])
 
 
 @pytest.mark.parametrize("kind", [lt.calibrate, lt.adjust, lt.diagnose])
