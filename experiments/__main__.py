@@ -54,7 +54,9 @@ def run_one(number: str, words: Sequence[str], trials: int | None, jobs: int, ou
     """Run one experiment, and write beside its results where they came from."""
     from experiments.common import Options, refuse_changes, write_manifest
 
-    folder = FOLDERS[number]
+    folder, needs = FOLDERS[number], line_of(number).get("needs", "")
+    if not (HERE.parent / needs).exists():
+        sys.exit(f"{number} needs {needs}: recordings of others, which are no part of the project")
     options = Options(folder, trials, jobs, (out or RESULTS / folder.name).resolve(), tuple(words))
     refuse_changes(options.out)
     write_manifest(options, import_module(f"experiments.{folder.name}.run").run(options))
@@ -69,7 +71,7 @@ def run_all(out: Path, jobs: int) -> None:
     for line in lines_of_all():
         words, folder = [*line["words"]], FOLDERS[line["words"][0]]
         said = f"{' '.join(words)}, about {line['minutes']:g} min"
-        if not (HERE.parents[1] / line.get("needs", "")).exists():
+        if not (HERE.parent / line.get("needs", "")).exists():
             print(f"{said}: left out, {line['needs']} is not beside the project", flush=True)
             continue
         mark = MARKS / out.name / "-".join(words)
@@ -94,15 +96,21 @@ def lines_of_all() -> list[dict[str, Any]]:
     return found
 
 
+def line_of(number: str) -> dict[str, Any]:
+    """What all.toml says of one experiment; nothing of those that run by themselves."""
+    return next((line for line in lines_of_all() if line["words"][0] == number), {})
+
+
 def _question(folder: Path) -> str:
     """The first line of what the experiment says of itself."""
     return (folder / "run.py").read_text(encoding="utf-8").partition("\n")[0].strip('"')
 
 
 def _settings(folder: Path) -> str:
-    """Its TOML files; of the examination its plans."""
+    """Its TOML files, those of the examination its plans; of one without what it reads instead."""
     files = sorted(f.relative_to(HERE).as_posix() for f in folder.glob("**/*.toml"))
-    return ", ".join(files) or "no TOML"
+    line = line_of(folder.name[:2])
+    return ", ".join(files) or f"reads {line.get('needs') or line['reads']}"
 
 
 if __name__ == "__main__":

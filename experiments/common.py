@@ -13,15 +13,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from joblib import Parallel, delayed
+import pandas as pd
 from matplotlib.figure import Figure
 
 import ltsim as lt
-from ltsim.arrays import Floats
 from ltsim.campaigns import spec
+from ltsim.campaigns.paired import Paired
 from ltsim.campaigns.spec import Campaign, Cell, load_campaign
 from ltsim.campaigns.statistics import Results
-from ltsim.pages.figures.campaign import Swept
 from ltsim.pages.style import svg
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -32,7 +31,6 @@ USED = ("ltsim", "numpy", "scipy", "numba")
 Row = dict[str, Any]
 NEW_POINTS = "rms error of new points [µm]"
 ERROR = "new_point_error_calibrated_um"
-FLOOR = "noise floor"
 
 
 @dataclass(frozen=True)
@@ -75,13 +73,6 @@ def batches(trials: int, width: int = 250) -> Iterator[tuple[int, int]]:
         yield number, min(width, trials - number * width)
 
 
-def spread_out(work: Any, tasks: Sequence[tuple[Any, ...]], jobs: int) -> list[Any]:
-    """`work` on every task in order; processes where more than one is asked for."""
-    if jobs == 1:
-        return [work(*task) for task in tasks]
-    return list(Parallel(n_jobs=jobs, inner_max_num_threads=1, backend="loky")(delayed(work)(*task) for task in tasks))
-
-
 def cells_of(given: Options) -> tuple[Campaign, Sequence[Cell]]:
     """The campaign of an experiment's `config.toml` with its cells."""
     file = given.here / "config.toml"
@@ -97,59 +88,14 @@ def campaign(file: str, given: Options, name: str = "", **changes: Any) -> Resul
     folder = given.out / (name or Path(file).stem)
     other = {key.replace("__", "."): value for key, value in changes.items()} | given.changes
     results = lt.campaign(given.here / file, out=folder, jobs=given.jobs, force=True, changes=other)
-    tables = [factor.name for factor in results.factors if factor.kind == "table"]  # a title stands for them
-    results.to_dataframe().drop(columns=tables).to_csv(folder / "summary.csv", index=False, float_format="%.6g")
+    results.to_dataframe().to_csv(folder / "summary.csv", index=False, float_format="%.6g")
     tell(f"{folder.name}: {len(results.levels)} cells, {results.manifest.trials} trials")
     return results
 
 
-def swept(
-    results: Results, column: str, along: str, *, panel: str = "", only: Mapping[str, Any] | None = None
-) -> list[Swept]:
-    """A statistic of the cells with the levels `only`, for `by_factor`: along one factor, a line a method.
-
-    Errors of new points have a further line: the floor that the noise of the new readings makes, by the method whose
-    parameters can be true.
-    """
-    floor = column.replace("calibrated", "true_parameters") if column.startswith("new_point_error_cal") else ""
-    wanted, rows = dict(only or {}), []
-    floors = results.spread(floor) if floor else []
-    lowest = [min((s for s in floors if s.cell == cell), key=lambda s: s.mean) for cell in {s.cell: 0 for s in floors}]
-    for s in [*results.spread(column), *lowest]:
-        here = results.levels[s.cell] | {"method": s.method}
-        if any(here[name] != own for name, own in wanted.items()):
-            continue
-        line = FLOOR if s.column == floor else s.method
-        where = _words(panel, here[panel]) if panel else ""
-        rows.append(Swept(here[along], line, where, s.mean, s.low, s.high, s.quantiles[1], s.quantiles[5]))
-    return rows
-
-
-def _words(name: str, level: Any) -> str:
-    """A level in words, with its factor where it is no text of its own; a factor's name may end with its unit."""
-    words, _, unit = name.rpartition("_")
-    words, unit = (words, f" {unit}") if unit in ("ppm", "urad", "um") else (name, "")
-    return level if isinstance(level, str) else f"{words.replace('_', ' ')} {level:g}{unit}"
-
-
-def beside(results: Results, column: str, *settings: str) -> list[Swept]:
-    """A statistic of cells that have no order, for `by_setting`: a row a combination of levels of these factors."""
-    rows = [[s.panel for s in swept(results, column, "method", panel=name)] for name in settings or ("",)]
-    found = swept(results, column, "method", panel=settings[0] if settings else "")
-    return [
-        Swept(", ".join(words), s.line, "", s.mean, s.low, s.high, s.five, s.ninety_five)
-        for s, words in zip(found, zip(*rows, strict=True), strict=True)
-    ]
-
-
-def stacked(parts: Sequence[Mapping[str, Floats]]) -> dict[str, Floats]:
-    """Columns of several blocks as one."""
-    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-
-
-def summary(values: Floats, digits: int = 2) -> Row:
+def summary(values: pd.Series, digits: int = 2) -> Row:
     """Mean with its 95 % confidence interval, and the middle 90 % of the trials."""
-    kept = values[np.isfinite(values)]
+    kept = values[np.isfinite(values)].to_numpy()
     mean, half = float(kept.mean()), 1.96 * float(kept.std(ddof=1)) / np.sqrt(len(kept)) if len(kept) > 1 else np.nan
     five, middle, ninety_five = np.percentile(kept, [5, 50, 95])
     row = {"mean": mean, "low": mean - half, "high": mean + half, "p5": five, "median": middle, "p95": ninety_five}
@@ -164,6 +110,11 @@ def write_table(path: Path, rows: Sequence[Row]) -> None:
         writer.writeheader()
         for row in rows:
             writer.writerow({k: float(f"{v:.6g}") if isinstance(v, float) else v for k, v in row.items()})
+
+
+def write_pairs(path: Path, *pairs: Paired) -> None:
+    """Differences on the same draws as one CSV table."""
+    pd.concat([pair.to_dataframe() for pair in pairs]).to_csv(path, index=False)
 
 
 def write_figure(path: Path, figure: Figure) -> None:
@@ -213,12 +164,6 @@ def _git(*words: str) -> str | None:
     """What git says of this checkout; None where it is none."""
     done = subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=False)
     return done.stdout.strip() or None if done.returncode == 0 else None
-
-
-def recordings_or_leave() -> None:
-    """Leave with a word where the recordings of others are absent."""
-    if not RECORDINGS.is_dir():
-        sys.exit("skipped: the recordings, which are no part of the project, are not beside it (../shared/recordings)")
 
 
 def run_steps(given: Options, steps: Mapping[str, Callable[[Path], None]]) -> None:

@@ -22,6 +22,8 @@ from ltsim.randomness import stream
 from ltsim.units import DEGREE, MICROMETRE
 
 FULL_TURN = np.arange(0.0, 360.0, 7.5) * DEGREE
+PROBE = 90.0 * DEGREE
+"""Where the probe stands, from the interferometer."""
 MIDDLE = int(np.argmin(np.abs(TABLE_ANGLES)))
 LOBES = (2, 3, 5)
 """Lobes of the sphere's out-of-roundness."""
@@ -32,24 +34,20 @@ class BenchTest:
     """What is true on the bench; SI."""
 
     table: Floats = field(default_factory=lambda: np.array(PAPER_TABLE))
-    """(a,) [m]: range error of the reflector (reading - truth, of the sphere's centre) at `angles`."""
-    angles: Floats = field(default_factory=lambda: TABLE_ANGLES.copy())
-    """(a,) [rad]."""
+    """(9,) [m]: range error of the reflector (reading - truth, of the sphere's centre) at `TABLE_ANGLES`."""
     eccentricity: Floats = field(default_factory=lambda: np.zeros(2))
     """(2,) [m]: sphere's centre off the table's axis at 0 deg: towards the interferometer, and to the side."""
     roundness: float = 0.3 * MICROMETRE
     """[m]: amplitude of each of the `LOBES` of the sphere."""
     probe_angles: Floats = field(default_factory=lambda: FULL_TURN.copy())
     """(k,) [rad]: turns of the table at which the probe is read."""
-    probe_direction: float = 90.0 * DEGREE
-    """[rad]: where the probe stands, from the interferometer."""
     probe_sigma: float = 0.1 * MICROMETRE
     length_sigma: float = 0.1 * MICROMETRE
     """[m]: one standard deviation of the probe with the table's run-out, and of the interferometer."""
 
     def __post_init__(self) -> None:
-        if len(self.table) != len(self.angles):
-            raise SetupError(f"the table holds {len(self.table)} errors for {len(self.angles)} angles; give one each")
+        if len(self.table) != len(TABLE_ANGLES):
+            raise SetupError(f"the table holds {len(self.table)} errors for {len(TABLE_ANGLES)} angles; give one each")
         if len(self.probe_angles) < 3:
             raise SetupError(f"the probe is read at {len(self.probe_angles)} angles; the eccentricity needs 3 or more")
 
@@ -65,17 +63,17 @@ def measure_bench(bench: BenchTest, seed: int, *key: str | int) -> BenchRecord:
     def noise(what: str, count: int) -> Floats:
         return stream(seed, *key, "bench", what).standard_normal(count)
 
-    lengths = bench.table + along_beam(bench.angles) @ bench.eccentricity
-    turned = bench.probe_angles - bench.probe_direction
+    lengths = bench.table + along_beam(TABLE_ANGLES) @ bench.eccentricity
+    turned = bench.probe_angles - PROBE
     surface = np.stack([np.cos(turned), -np.sin(turned)], axis=1) @ bench.eccentricity
     phase = 2 * np.pi * stream(seed, *key, "bench", "lobes").random(len(LOBES))
     for lobes, start in zip(LOBES, phase, strict=True):
         surface = surface + bench.roundness * np.cos(lobes * turned + start)
     return BenchRecord(
-        angles=bench.angles,
+        angles=TABLE_ANGLES,
         lengths=lengths + bench.length_sigma * noise("length", len(lengths)),
         probe_angles=bench.probe_angles,
-        probe_direction=bench.probe_direction,
+        probe_direction=PROBE,
         displacements=surface + bench.probe_sigma * noise("probe", len(surface)),
         length_sigma=bench.length_sigma,
     )

@@ -332,7 +332,8 @@ class Result(Valued):
         tables = self._tables()
         chosen = next(iter(tables), "") if name is None else name
         if chosen not in tables:
-            raise unknown_name(f"table of a {type(self).__name__}", chosen, tables)
+            kind = type(self).__name__
+            raise unknown_name(f"table of a {kind}", chosen, tables) if tables else ModelError(f"{kind} has no table")
         made = tables[chosen]()
         return made if isinstance(made, Table) else Table.of_columns(chosen, made)
 

@@ -12,7 +12,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeVar
 
-from ltsim.errors import WorkerError, option
+from ltsim.errors import SetupError, WorkerError, option
 
 MOST = 256
 """Processes at once."""
@@ -35,8 +35,10 @@ def parallel(
 
     The function is one of a module: it travels by name. Results come in the order of the calls, or where they are not
     to be `ordered` as they are ready; `batch` calls travel together. Raises WorkerError when a process ends before its
-    work.
+    work, SetupError for fewer jobs than one.
     """
+    if jobs < 1:
+        raise SetupError(f"{option('jobs')} is {jobs}, expected 1 or more")
     if jobs == 1:
         yield from (function(*arguments) for arguments in calls)
         return

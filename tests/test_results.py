@@ -256,6 +256,11 @@ def test_every_result_is_drawn_with_what_its_axes_mean_and_has_a_table(drawn: li
         assert isinstance(result, View | Scenario | Adjustment) or len(result.to_dataframe().columns), type(result)
 
 
+def test_what_has_no_table_says_so():
+    with pytest.raises(ModelError, match=r"^View has no table$"):
+        lt.view("paper-workshop").to_dataframe()
+
+
 def test_what_has_no_picture_says_so(kept):
     with pytest.raises(ModelError, match="has no picture"):
         kept["catalogue"].plot()

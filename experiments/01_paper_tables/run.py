@@ -1,111 +1,91 @@
 """Where the paper's figures lie: Table 3 in the simulated workshop, Table 4 in the simulated laboratory."""
 
-import tomllib
-from collections.abc import Sequence
-from pathlib import Path
+from itertools import product
 
 import numpy as np
+import pandas as pd
 
-from experiments.common import Made, Options, cells_of, spread_out, stacked, summary, write_figure, write_table
+from experiments.common import Made, Options, cells_of, summary, write_figure, write_table
 from ltsim.arrays import Floats
 from ltsim.campaigns.rows import Prepared, Work
 from ltsim.campaigns.spec import Campaign, Cell
 from ltsim.evaluation.clouds import in_first_frame, on_points
-from ltsim.evaluation.criteria import coordinate_differences, distance_differences, pair_distances
+from ltsim.evaluation.criteria import Differences, coordinate_differences, distance_differences, pair_distances
 from ltsim.evaluation.verification import coordinate_errors, distance_errors
-from ltsim.pages.figures.campaign import Distribution, distributions
+from ltsim.pages.figures.campaign import PAPER, Distribution, distributions
 from ltsim.simulation.gauge import nominal_points
 from ltsim.units import MICROMETRE
+from ltsim.workers import parallel
 
 DRAWN = {
     "workshop": {"noise_factor": 2.8, "error_factor": 0.7, "prior_factor": 1.0},
     "laboratory": {"noise_factor": 2.8, "error_factor": 2.8, "prior_factor": 1.0},
 }
 """The cells whose distributions are drawn: those whose errors give the table's figures."""
-PAPER: dict[str, dict[str, float]] = tomllib.loads(Path(__file__).with_name("paper.toml").read_text(encoding="utf-8"))
-"""Tables 3 and 4 [um, %]."""
-Columns = dict[str, Floats]
+TABLES = {
+    table: {name.removesuffix("_um"): value for name, value in PAPER[f"paper-{table}"].items()} for table in DRAWN
+}
+"""Tables 3 and 4 of the paper [um, %]."""
+
+
+def named(distance: Differences, coordinate: Differences, length: float, place: float) -> dict[str, float]:
+    """Both criteria [um], with the largest of all single terms, before any average."""
+    ends = (("distance", distance, length), ("coordinate", coordinate, place))
+    sizes = {f"{kind}_{{}}_{which}": size for kind, found, single in ends
+             for which, size in (("mean", found.mean), ("max", found.maximum), ("single", single))}  # fmt: skip
+    return {name: float(size) / MICROMETRE for name, size in sizes.items()}
 
 
 def workshop_figures(clouds: Floats, names: tuple[str, ...]) -> dict[str, float]:
-    """Both criteria of clouds (S, T, 3) [m]; `single`: the largest of all terms, before any average."""
-    lengths = pair_distances(clouds)
-    placed = in_first_frame(clouds, names)
-    distance, coordinate = distance_differences(clouds), coordinate_differences(placed)
-    return {
-        "distance_mean": distance.mean,
-        "distance_max": distance.maximum,
-        "distance_single": float(np.abs(lengths - lengths.mean(axis=0)).max()),
-        "coordinate_mean": coordinate.mean,
-        "coordinate_max": coordinate.maximum,
-        "coordinate_single": float(np.linalg.norm(placed[:, None] - placed[None], axis=3).max()),
-    }
+    """Both criteria of clouds (S, T, 3) [m]."""
+    lengths, placed = pair_distances(clouds), in_first_frame(clouds, names)
+    gaps, apart = lengths - lengths.mean(axis=0), np.linalg.norm(placed[:, None] - placed[None], axis=3)
+    return named(distance_differences(clouds), coordinate_differences(placed), np.abs(gaps).max(), apart.max())
 
 
 def laboratory_figures(clouds: Floats, nominal: Floats) -> dict[str, float]:
     """Equations 13 and 14 as meant, of clouds (S, T, 3) [m] against nominal points (T, 3) [m]."""
-    distance, coordinate = distance_errors(clouds, nominal), coordinate_errors(clouds, nominal)
+    gaps = pair_distances(clouds) - pair_distances(nominal)
     miss = [np.linalg.norm(on_points(cloud, nominal) - nominal, axis=1).max() for cloud in clouds]
-    return {
-        "distance_mean": distance.mean,
-        "distance_max": distance.maximum,
-        "distance_single": float(np.abs(pair_distances(clouds) - pair_distances(nominal)).max()),
-        "coordinate_mean": coordinate.mean,
-        "coordinate_max": coordinate.maximum,
-        "coordinate_single": float(max(miss)),
-    }
+    return named(distance_errors(clouds, nominal), coordinate_errors(clouds, nominal), np.abs(gaps).max(), max(miss))
 
 
-def joined(before: Sequence[dict[str, float]], after: Sequence[dict[str, float]]) -> Columns:
-    """Columns [um, %] of trials before and after calibration."""
-    columns = {}
-    for key in before[0]:
-        kind, which = key.split("_")
-        for when, rows in (("before", before), ("after", after)):
-            columns[f"{kind}_{when}_{which}"] = np.array([row[key] for row in rows]) / MICROMETRE
-    for kind in ("coordinate", "distance"):
-        gain = 1 - columns[f"{kind}_after_mean"] / columns[f"{kind}_before_mean"]
-        columns[f"{kind}_improvement_percent"] = 100 * gain
-    return columns
-
-
-def figures_of(campaign: Campaign, cell: Cell) -> dict[tuple[str, str], Columns]:
-    """Columns of a cell by table and method: the workshop's criteria, the laboratory's by its measuring machine."""
+def figures_of(campaign: Campaign, cell: Cell) -> dict[tuple[str, str], pd.DataFrame]:
+    """Trials of a cell by table and method: the workshop's criteria, the laboratory's by its measuring machine."""
     ready = Prepared(campaign, cell.scenario, cell.judge)
-    parts: dict[tuple[str, str], list[Columns]] = {}
+    trials: dict[tuple[str, str], list[dict[str, float]]] = {}
     for here, calibrators, block in ready.blocks(0, campaign.trials):
-        numbers = block.trials
-        wanted = np.flatnonzero(numbers < campaign.trials)
+        wanted = np.flatnonzero(block.trials < campaign.trials)
         work = Work(campaign, here, block, ready.elsewhere, wanted, wanted[:0])
         assert work.new_points is not None
         assert cell.judge is not None
         there, elsewhere, _ = work.new_points
-        room = there.truth
+        room, names = there.truth, here.truth.recording.stations
         true = (room.state.points, room.recording.targets, cell.judge.cmm, campaign.seed, "nominal")
-        nominal = {i: nominal_points(*true, int(numbers[i])) for i in wanted}
-        names = here.truth.recording.stations
+        nominal = {i: nominal_points(*true, int(block.trials[i])) for i in wanted}
         for method, calibrator in zip(campaign.methods, calibrators, strict=True):
-            found = calibrator.calibrate(block, wanted)
+            values = calibrator.calibrate(block, wanted).values
             for table, judge, own in (("workshop", here, block), ("laboratory", there, elsewhere)):
                 raw = judge.clouds(own.deviation)
-                corrected = judge.clouds(own.deviation, calibrator.construction, found.values)
-                before, after = (
-                    [
-                        workshop_figures(clouds[..., i], names)
-                        if table == "workshop"
-                        else laboratory_figures(clouds[..., i], nominal[i])
-                        for i in wanted
-                    ]
-                    for clouds in (raw, corrected)
-                )
-                parts.setdefault((table, method.title), []).append(joined(before, after))
-    return {place: stacked(own) for place, own in parts.items()}
+                corrected = judge.clouds(own.deviation, calibrator.construction, values)
+                for i in wanted:
+                    row = {}
+                    for when, clouds in (("before", raw), ("after", corrected)):
+                        one = clouds[..., i]
+                        sizes = workshop_figures(one, names) if judge is here else laboratory_figures(one, nominal[i])
+                        row |= {name.format(when): size for name, size in sizes.items()}
+                    trials.setdefault((table, method.title), []).append(row)
+    found = {place: pd.DataFrame(rows) for place, rows in trials.items()}
+    for kind, columns in product(("coordinate", "distance"), found.values()):
+        gain = 1 - columns[f"{kind}_after_mean"] / columns[f"{kind}_before_mean"]
+        columns[f"{kind}_improvement_percent"] = 100 * gain
+    return found
 
 
-def rows_of(columns: Columns, cell: str, method: str, table: str) -> list[dict[str, object]]:
+def rows_of(columns: pd.DataFrame, cell: str, method: str, table: str) -> list[dict[str, object]]:
     """A row a figure: its distribution, the paper's value and the share of trials below it."""
     rows = []
-    for name, paper in PAPER[table].items():
+    for name, paper in TABLES[table].items():
         row = {"cell": cell, "method": method, "figure": name, "paper": paper} | summary(columns[name])
         row["percent_below_paper"] = round(100 * float(np.mean(columns[name] < paper)), 1)
         if name.endswith("max"):
@@ -116,22 +96,22 @@ def rows_of(columns: Columns, cell: str, method: str, table: str) -> list[dict[s
     return rows
 
 
-def figure_rows(columns: Columns, table: str) -> list[Distribution]:
+def figure_rows(columns: pd.DataFrame, table: str) -> list[Distribution]:
     """Panels: the table's eight figures and two improvements, each maximum by both definitions."""
     panels = []
-    for name, paper in PAPER[table].items():
+    for name, paper in TABLES[table].items():
         title, unit = name.replace("_percent", "").replace("_", " "), "%" if name.endswith("percent") else "um"
         if not name.endswith("max"):
-            panels.append(Distribution(title, columns[name], unit, paper))
+            panels.append(Distribution(title, columns[name].to_numpy(), unit, paper))
             continue
-        panels.append(Distribution(f"{title} (averages)", columns[name], unit, paper))
-        panels.append(Distribution(f"{title} (single)", columns[name.replace("max", "single")], unit, paper))
+        panels.append(Distribution(f"{title} (averages)", columns[name].to_numpy(), unit, paper))
+        panels.append(Distribution(f"{title} (single)", columns[name.replace("max", "single")].to_numpy(), unit, paper))
     return panels
 
 
 def run(given: Options) -> Made:
     campaign, cells = cells_of(given)
-    found = spread_out(figures_of, [(campaign, cell) for cell in cells], given.jobs)
+    found = list(parallel(figures_of, [(campaign, cell) for cell in cells], given.jobs))
     for table, name in (("workshop", "table_3"), ("laboratory", "table_4")):
         rows = [
             row

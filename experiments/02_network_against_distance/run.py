@@ -1,9 +1,7 @@
 """The paper's method and the network adjustment on the same trials, judged by what only a simulation knows."""
 
-import pandas as pd
-
-from experiments.common import ERROR, NEW_POINTS, Made, Options, campaign, swept, write_figure
-from ltsim.pages.figures.campaign import by_factor
+from experiments.common import ERROR, NEW_POINTS, Made, Options, campaign, write_figure, write_pairs
+from ltsim.pages.figures.campaign import by_factor, swept
 
 AXIS = "stated prior over the true one"
 
@@ -19,6 +17,5 @@ def run(given: Options) -> Made:
     write_figure(given.out / "criterion.svg", by_factor(shown, label=label, axis=AXIS))
     # The same draws by both methods, with one prior: differences are known better than either mean.
     rivals = [name for name in results.manifest.methods if name != "network"]
-    pairs = [results.paired(ERROR, method=(name, "network")).to_dataframe() for name in rivals]
-    pd.concat(pairs).to_csv(given.out / "paired.csv", index=False)
+    write_pairs(given.out / "paired.csv", *(results.paired(ERROR, method=(name, "network")) for name in rivals))
     return Made(results.manifest.seed, results.manifest.trials)

@@ -3,21 +3,11 @@
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 
-from experiments.common import (
-    ERROR,
-    NEW_POINTS,
-    Made,
-    Options,
-    cells_of,
-    spread_out,
-    stacked,
-    summary,
-    write_figure,
-    write_table,
-)
+from experiments.common import ERROR, NEW_POINTS, Made, Options, cells_of, summary, write_figure, write_table
 from ltsim.adjustment import Adjustment, adjust
-from ltsim.arrays import Floats, Ints
+from ltsim.arrays import Ints
 from ltsim.campaigns.engine import Calibrated, recording_of
 from ltsim.campaigns.rows import Prepared, Work
 from ltsim.campaigns.spec import Campaign, Cell
@@ -29,6 +19,7 @@ from ltsim.pages.figures.campaign import Swept, by_factor
 from ltsim.randomness import stream
 from ltsim.recording.recording import Recording
 from ltsim.units import MICROMETRE
+from ltsim.workers import parallel
 
 PERCENT = (0.0, 1.0, 2.0)
 SIZE = (100 * MICROMETRE, 500 * MICROMETRE)
@@ -86,24 +77,24 @@ def with_outliers(truth: Truth, block: Block, percent: float, seed: int) -> Bloc
     return replace(block, deviation=block.deviation + shift)
 
 
-def errors_of(campaign: Campaign, cell: Cell, percent: float) -> dict[str, dict[str, Floats]]:
+def errors_of(campaign: Campaign, cell: Cell, percent: float) -> dict[str, pd.DataFrame]:
     """Columns by method, with a share of outliers."""
     ready = Prepared(campaign, cell.scenario, cell.judge)
-    parts: dict[str, list[dict[str, Floats]]] = {}
+    parts: dict[str, list[pd.DataFrame]] = {}
     for here, calibrators, clean in ready.blocks(0, campaign.trials):
         block = with_outliers(here.truth, clean, percent, campaign.seed)
         wanted = np.flatnonzero(block.trials < campaign.trials)
         work = Work(campaign, here, block, ready.elsewhere, wanted, wanted[:0])
         named = {method.title: own for method, own in zip(campaign.methods, calibrators, strict=True)}
         for title, calibrator in (named | {"network, outliers removed": WithoutOutliers(here.truth)}).items():
-            columns = work.columns(calibrator)
-            parts.setdefault(title, []).append({name: own[wanted] for name, own in columns.items()})
-    return {title: stacked(own) for title, own in parts.items()}
+            columns = {name: own[wanted] for name, own in work.columns(calibrator).items()}
+            parts.setdefault(title, []).append(pd.DataFrame(columns))
+    return {title: pd.concat(own) for title, own in parts.items()}
 
 
 def run(given: Options) -> Made:
     campaign, (cell,) = cells_of(given)
-    found = spread_out(errors_of, [(campaign, cell, percent) for percent in PERCENT], given.jobs)
+    found = list(parallel(errors_of, [(campaign, cell, percent) for percent in PERCENT], given.jobs))
     table, rows = [], []
     for percent, methods in zip(PERCENT, found, strict=True):
         for title, columns in methods.items():

@@ -58,20 +58,22 @@ def gama_result(name: str, folder: str = "gama-3d-networks") -> GamaResult:
     )  # fmt: skip
 
 
-def coordinates_of(adjustment: Adjustment, names: tuple[str, ...]) -> tuple[Floats, Floats]:
-    """Coordinates (k, 3) [m] of targets or marks under stations, and their covariances (k, 3, 3) by stated noise."""
-    recording, marks = adjustment.recording, adjustment.problem.marks
-    places, covariances = [], []
-    for name in names:
+def beside(ours: Adjustment, theirs: GamaResult) -> tuple[Floats, Floats]:
+    """Our value and its standard deviation (k,) [m], by the stated noise, of each of their coordinates.
+
+    Theirs are of targets, or of marks under stations.
+    """
+    recording, marks, found = ours.recording, ours.problem.marks, []
+    for name, axis in zip(theirs.names, theirs.axis, strict=True):
         if name in recording.targets:
             at = recording.targets.index(name)
-            places.append(adjustment.state.points[at])
-            covariances.append(adjustment.target_covariance[at])
+            found.append((ours.state.points[at, axis], ours.target_covariance[at, axis, axis]))
         else:
             at = marks.names.index(name)
-            places.append(adjustment.state.position[at] - marks.offset[at])
-            covariances.append(adjustment.pose_covariance[at, :3, :3])
-    return np.array(places), np.array(covariances)
+            place = ours.state.position[at] - marks.offset[at]
+            found.append((place[axis], ours.pose_covariance[at, axis, axis]))
+    value, variance = np.array(found).T
+    return value, np.sqrt(variance)
 
 
 SCANNER_TRUTH = {"range-offset": 4000.0, "beam-tilt": -1000.0, "transit-tilt": -1000.0, "vertical-index": 2000.0}

@@ -2,14 +2,14 @@
 
 from dataclasses import replace
 
-from experiments.common import ERROR, FLOOR, NEW_POINTS, Made, Options, beside, campaign, swept, write_figure
-from ltsim.pages.figures.campaign import by_factor, by_setting
+from experiments.common import ERROR, NEW_POINTS, Made, Options, campaign, write_figure, write_pairs
+from ltsim.pages.figures.campaign import FLOOR, by_factor, by_setting, swept
 
 
 def run(given: Options) -> Made:
     gauges, orders = campaign("gauge.toml", given), campaign("config.toml", given, "harmonics")
     write_figure(
-        given.out / "gauge.svg", by_setting(beside(gauges, ERROR, "title", "range_scale_ppm"), label=NEW_POINTS)
+        given.out / "gauge.svg", by_setting(swept(gauges, ERROR, ("title", "range_scale_ppm")), label=NEW_POINTS)
     )
     rows = swept(orders, ERROR, "beyond_second_urad")
     # True parameters leave what lies beyond the second order: the noise alone shows where there is nothing beyond it.
@@ -17,6 +17,5 @@ def run(given: Options) -> Made:
     rows = [replace(floor, x=row.x) if row.line == FLOOR else row for row in rows]
     axis = "each coefficient of orders 3 and 4 in the truth [µrad]"
     write_figure(given.out / "harmonics.svg", by_factor(rows, label=NEW_POINTS, axis=axis))
-    pairs = orders.paired(ERROR, method=("order 2", "order 4")).to_dataframe()
-    pairs.to_csv(given.out / "paired.csv", index=False)
+    write_pairs(given.out / "paired.csv", orders.paired(ERROR, method=("order 2", "order 4")))
     return Made(orders.manifest.seed, orders.manifest.trials)

@@ -1,28 +1,15 @@
 """Where a unit of each error moves a point the most, and which heights of the reflectors make the best calibration."""
 
-from dataclasses import replace
 from itertools import cycle
 from textwrap import fill
-from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from experiments.common import (
-    ERROR,
-    NEW_POINTS,
-    Made,
-    Options,
-    Row,
-    beside,
-    campaign,
-    summary,
-    write_figure,
-    write_table,
-)
+from experiments.common import ERROR, NEW_POINTS, Made, Options, Row, campaign, write_figure, write_pairs, write_table
 from ltsim.arrays import Floats
 from ltsim.model.construction import misalignment
-from ltsim.pages.figures.campaign import Swept, by_setting
+from ltsim.pages.figures.campaign import by_setting, swept
 from ltsim.pages.style import CYCLE, new_figure, quiet_axis, styled
 from ltsim.simulation.scenario import Scenario, load_scenario
 from ltsim.units import DEGREE, MICROMETRE
@@ -79,24 +66,20 @@ def by_elevation(rows: list[Row], distance: float) -> Figure:
 
 
 def run(given: Options) -> Made:
-    places = load_scenario("paper-workshop").targets
-    rows = sensitivity_rows(load_scenario("paper-workshop"))
+    scenario = load_scenario("paper-workshop")
+    rows = sensitivity_rows(scenario)
     write_table(given.out / "sensitivity.csv", rows)
     write_figure(given.out / "sensitivity.svg", by_elevation(rows, RANGE_M))
-    means: list[Swept] = []
-    errors: dict[str, Any] = {}
+    cells = []
     for heights in DESIGNS:
         title = ", ".join(f"{height / 1000:g}" for height in heights) + " m"
-        title = title if len(heights) <= 3 else f"{len(heights)} heights"
-        dealt = zip(places.items(), cycle(heights), strict=False)
-        moved = {f"targets__{name}__position_mm": [*own.position_mm[:2], height] for (name, own), height in dealt}
-        results = campaign("config.toml", given, f"heights-{'-'.join(map(str, heights))}", **moved)
-        means += [replace(m, x=title) for m in beside(results, ERROR)]
-        table = results.to_dataframe("rows")
-        errors[title] = table[table.method == "network"].set_index("trial")[ERROR]
-    write_figure(given.out / "designs.svg", by_setting(means, label=NEW_POINTS))
+        dealt = zip(scenario.targets.items(), cycle(heights), strict=False)
+        moved = {f"targets.{name}.position_mm": [*own.position_mm[:2], height] for (name, own), height in dealt}
+        cells.append({"title": title if len(heights) <= 3 else f"{len(heights)} heights"} | moved)
+    results = campaign("config.toml", given, cells=cells)
+    write_figure(given.out / "designs.svg", by_setting(swept(results, ERROR, "title"), label=NEW_POINTS))
     # The same instruments, mesh by mesh: the difference from the paper's is known better than either mean.
-    first, *others = errors
-    gaps = [{"heights": title} | summary((errors[title] - errors[first]).to_numpy(float)) for title in others]
-    write_table(given.out / "more_than_the_paper.csv", gaps)
+    first, *others = [cell["title"] for cell in cells]
+    pairs = [results.paired(ERROR, title=(other, first)) for other in others]
+    write_pairs(given.out / "more_than_the_paper.csv", *pairs)
     return Made(results.manifest.seed, results.manifest.trials)

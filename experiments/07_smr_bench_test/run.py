@@ -45,7 +45,6 @@ def row_of(results: list[BenchResult], table: Floats) -> dict[str, float]:
         "rms_corrected_um": rms([r.table for r in results]),
         "worst_95_uncorrected_um": at_edge([r.uncorrected for r in results]),
         "worst_95_corrected_um": at_edge([r.table for r in results]),
-        "largest_of_table_um": float(np.mean([np.abs(r.table).max() for r in results])) / MICROMETRE,
         "vertex_side_um": float(np.mean([v.side for v in vertices])) / MICROMETRE,
         "vertex_axial_um": float(np.mean([v.axial for v in vertices])) / MICROMETRE,
         "left_by_vertex_um": float(np.mean([v.remainder for v in vertices])) / MICROMETRE,

@@ -1,9 +1,7 @@
 """Noise, faces and reflectors: what each does to a calibration, judged on held-out points."""
 
-import pandas as pd
-
-from experiments.common import ERROR, NEW_POINTS, Made, Options, campaign, swept, write_figure
-from ltsim.pages.figures.campaign import by_factor
+from experiments.common import ERROR, NEW_POINTS, Made, Options, campaign, write_figure, write_pairs
+from ltsim.pages.figures.campaign import by_factor, swept
 
 AXIS = "true noise over that of the specification"
 
@@ -11,8 +9,8 @@ AXIS = "true noise over that of the specification"
 def run(given: Options) -> Made:
     results = campaign("config.toml", given)
     for faces in (1, 2):
-        rows = swept(results, ERROR, "noise_factor", panel="title", only={"faces": faces})
+        rows = swept(results, ERROR, "noise_factor", panel="title", faces=faces)
         write_figure(given.out / f"faces-{faces}.svg", by_factor(rows, label=NEW_POINTS, axis=AXIS))
-    pairs = [results.paired(ERROR, faces=(2, 1)), results.paired(ERROR, method=("network", "distance"))]
-    pd.concat([pair.to_dataframe() for pair in pairs]).to_csv(given.out / "paired.csv", index=False)
+    pairs = results.paired(ERROR, faces=(2, 1)), results.paired(ERROR, method=("network", "distance"))
+    write_pairs(given.out / "paired.csv", *pairs)
     return Made(results.manifest.seed, results.manifest.trials)

@@ -2,8 +2,8 @@
 
 from dataclasses import replace
 
-from experiments.common import ERROR, NEW_POINTS, Made, Options, campaign, swept, write_figure
-from ltsim.pages.figures.campaign import Swept, by_factor
+from experiments.common import ERROR, NEW_POINTS, Made, Options, campaign, write_figure
+from ltsim.pages.figures.campaign import Swept, by_factor, swept
 
 DRIFTS = (0.0, 0.25, 0.5, 1.0)
 """Of the prior, 9.7 urad and 14 um, over 7 K: a share of 0.25 is 0.35 urad and 0.5 um per kelvin."""
@@ -15,7 +15,7 @@ def run(given: Options) -> Made:
     for drift in DRIFTS:
         results = campaign("config.toml", given, f"drift-{drift:g}", judge_drift=drift)
         rows += [replace(s, x=drift) for s in swept(results, ERROR, "gauge_scale_ppm", panel="gauge_scale_ppm")]
-        as_read = swept(results, AS_READ, "gauge_scale_ppm", panel="gauge_scale_ppm", only={"method": "network"})
+        as_read = swept(results, AS_READ, "gauge_scale_ppm", panel="gauge_scale_ppm", method="network")
         rows += [replace(s, x=drift, line="not calibrated") for s in as_read]
     figure = by_factor(rows, label=NEW_POINTS, axis="change until it is used, over the prior")
     for ax in figure.axes:

@@ -1,15 +1,13 @@
 """How much better than the paper's layout can five stations stand, and how few would do? Checked by simulation."""
 
-from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
 
 import numpy as np
 
-from experiments.common import Made, Options, Row, batches, spread_out, tell, write_figure, write_table
-from experiments.criteria import corrections, g_criterion, i_criterion
-from ltsim.adjustment import adjust
+import ltsim as lt
+from experiments.common import Made, Options, Row, show_table, write_figure
 from ltsim.arrays import Floats
-from ltsim.evaluation.clouds import on_points
-from ltsim.model.construction import misalignment
 from ltsim.pages.figures.floor_plan import floor_plan
 from ltsim.pages.workshop import from_scenario
 from ltsim.planning.files import plan_file, with_layout
@@ -25,38 +23,15 @@ from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import Survey
 from ltsim.planning.workshop import objective_of, site_of, survey_of
 from ltsim.randomness import stream
-from ltsim.simulation.scenario import Scenario
-from ltsim.simulation.simulator import simulate
-from ltsim.units import DEGREE, MICROMETRE, MILLIMETRE
+from ltsim.simulation.scenario import Scenario, scenario_to_toml
+from ltsim.units import MICROMETRE
 
-BLOCK = 50
 MICRO = 1.0 / MICROMETRE
+PROMISED = ("before", "um", MICRO), ("after", "um", MICRO), ("improvement", "percent", 1.0)
 
 
-@dataclass(frozen=True)
-class Candidate:
-    """A layout under test."""
-
-    name: str
-    cone_deg: float
-    scenario: Scenario
-
-    @property
-    def words(self) -> Row:
-        """What its rows begin with."""
-        return {"cone_deg": self.cone_deg, "layout": self.name}
-
-
-@dataclass(frozen=True)
-class Drawn:
-    """Layouts drawn under the rules of a plan and not searched: their values, and the survey of the best."""
-
-    values: Floats
-    best: Survey
-
-
-def unsearched(file: PlanFile, scenario: Scenario, count: int, seed: int) -> Drawn:
-    """Layouts of the plan's stations drawn evenly over the floor, heights and turns, until `count` keep all rules."""
+def unsearched(file: PlanFile, scenario: Scenario, count: int, seed: int) -> tuple[Floats, Survey]:
+    """Values of layouts that are drawn evenly over floor, heights and turns, `count` that keep all rules; the best."""
     site = site_of(file, scenario, stations=file.stations.count, faces=scenario.work.faces)
     search = Searcher(site, objective_of(file, site.survey))
     corners = np.vstack([search.table(0).position.min(axis=0), search.table(0).position.max(axis=0)])
@@ -77,156 +52,137 @@ def unsearched(file: PlanFile, scenario: Scenario, count: int, seed: int) -> Dra
         at = int(np.argmin(found[: count - len(values) + len(found)]))
         if found[at] < best[0]:
             best = float(found[at]), site.survey.replace(position=position[at], yaw=yaw[at], seen=seen[at])
-    return Drawn(values, best[1])
+    return values, best[1]
 
 
-def candidates_of(plan: Plan, cone: float, drawn: Drawn) -> list[Candidate]:
+def candidates_of(plan: Plan, drawn: int, best: Survey) -> dict[str, tuple[str, Scenario]]:
     """The paper's own layout, the best of those drawn, the searched one, and the fewest that match the paper's."""
-    few = fewest(plan)
-    found = [
-        Candidate("paper, stations 2 to 5 ours", cone, plan.scenario),
-        Candidate(f"best of {len(drawn.values)} drawn", cone, with_layout(plan.scenario, drawn.best)),
-        Candidate(f"searched, {len(plan.chosen.survey.position)} stations", cone,
-                  with_layout(plan.scenario, plan.chosen.survey)),
-    ]  # fmt: skip
+    few, chosen = fewest(plan), plan.chosen.survey
+    surveys = {"drawn": (f"best of {drawn} drawn", best)}
+    surveys["searched"] = f"searched, {len(chosen.position)} stations", chosen
     if few is not None:
-        name = f"fewest, {len(few.survey.position)} stations"
-        found.append(Candidate(name, cone, with_layout(plan.scenario, few.survey)))
-    return found
+        surveys["fewest"] = f"fewest, {len(few.survey.position)} stations", few.survey
+    found = {kind: (name, with_layout(plan.scenario, survey)) for kind, (name, survey) in surveys.items()}
+    return {"paper": ("paper, stations 2 to 5 ours", plan.scenario)} | found
 
 
-def quality(candidate: Candidate) -> Row:
+def g_criterion(covariance: Floats, regressors: Floats) -> Floats:
+    """Largest standard deviation (...) of a prediction.
+
+    Parameters
+    ----------
+    covariance : (..., p, p) float
+    regressors : (m, p) float
+        Each row predicts one quantity from the parameters: for an instrument, the correction of a reading
+        somewhere in the working volume, as a displacement [m].
+    """
+    spread = np.einsum("mi,...ij,mj->...m", regressors, covariance, regressors, optimize=True)
+    return np.sqrt(spread.max(axis=-1))
+
+
+def corrections(information: LayoutInformation) -> Floats:
+    """(m, p): displacement [m] that a prior sigma of each parameter makes all over the working volume, front face.
+
+    Ranges of 1 to 8 m, all azimuths, elevations from -50 to 65 deg; three rows a place.
+    """
+    axes = np.arange(1.0, 8.5, 1.0), np.arange(12) * np.pi / 6, np.radians(np.linspace(-50, 65, 8))
+    raw = np.stack([axis.ravel() for axis in np.meshgrid(*axes, indexing="ij")], axis=1)
+    size = information.construction.size
+    _, _, by_value = information.construction.linearised(raw, np.zeros(size))
+    return by_value.reshape(-1, size) * information.prior_sigma
+
+
+def quality(scenario: Scenario) -> Row:
     """Every criterion of a layout, and what calibration is expected to do for the paper's."""
-    information = LayoutInformation.of(survey_of(candidate.scenario))
+    information = LayoutInformation.of(survey_of(scenario))
     covariance, rows = information.scaled_covariance, corrections(information)
-    expected = Predictor.of(information).expected()
-    promised = {}
-    for kind in ("distance", "coordinate"):
-        before, after, gain = (getattr(expected, f"{kind}_{what}")[0] for what in ("before", "after", "improvement"))
-        promised |= {f"{kind}_before_um": before * MICRO, f"{kind}_after_um": after * MICRO}
-        promised[f"{kind}_improvement_percent"] = gain
+    expected, promised = Predictor.of(information).expected(), {}
+    for kind, (what, unit, factor) in product(("distance", "coordinate"), PROMISED):
+        promised[f"{kind}_{what}_{unit}"] = factor * getattr(expected, f"{kind}_{what}")[0]
     return {
-        **candidate.words,
-        "stations": len(candidate.scenario.stations),
+        "stations": len(scenario.stations),
         "hours": information.survey.seconds / 3600,
         "D": d_criterion(covariance),
         "A": a_criterion(covariance),
         "E": e_criterion(covariance),
         "G_um": g_criterion(covariance, rows) * MICRO,
-        "I_um": i_criterion(covariance, rows) * MICRO,
         "target_rms_um": information.target_rms * MICRO,
         **promised,
     }
 
 
-def trials_of(scenario: Scenario, seed: int, first: int, count: int) -> tuple[Floats, Floats, int]:
-    """Errors (count, p) [SI] of the parameters and (count, T) squared errors of the targets [m^2]; lost trials."""
-    parameters, targets, lost = [], [], 0
-    for trial in range(first, first + count):
-        recording, truth = simulate(scenario, seed + trial)
-        solved = adjust(recording, misalignment())
-        if not solved.solution.converged or len(recording) < full(scenario) or solved.gross.any():
-            lost += 1
-            continue
-        true = np.array([truth.instrument[name] for name in solved.construction.names])
-        parameters.append(solved.state.instrument[0] - true)
-        targets.append(((on_points(solved.state.points, truth.points) - truth.points) ** 2).sum(axis=1))
-    return np.array(parameters), np.array(targets), lost
+def check(scenario: Scenario, folder: Path, trials: int, given: Options) -> tuple[list[Row], Row]:
+    """Achieved over predicted standard deviation of every parameter; and of all together and the targets.
 
-
-def full(scenario: Scenario) -> int:
-    """Pointings of a scenario whose reflectors are all seen."""
-    return len(scenario.stations) * len(scenario.target_names) * scenario.work.faces * scenario.work.repeats
-
-
-def check(candidate: Candidate, trials: int, seed: int, jobs: int) -> tuple[list[Row], Row]:
-    """Predicted against achieved standard deviation of every parameter; and of all together and the targets."""
-    tasks = [(candidate.scenario, seed, number * BLOCK, width) for number, width in batches(trials, BLOCK)]
-    parts = spread_out(trials_of, tasks, jobs)
-    errors = np.concatenate([p for p, _, _ in parts if len(p)])
-    squares = np.concatenate([t for _, t, _ in parts if len(t)])
-    information = LayoutInformation.of(survey_of(candidate.scenario))
-    predicted, achieved = information.instrument_sigma, np.sqrt(np.mean(errors**2, axis=0))
-    ratio, bias = achieved / predicted, errors.mean(axis=0) / predicted
+    By a campaign whose stations and reflectors stand off their places, each trial elsewhere.
+    """
+    file = folder.with_suffix(".toml")
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_text(scenario_to_toml(scenario), encoding="utf-8")
+    own = {"scenario": str(file), "seed": given.config["seed"], "trials": trials, "geometry": "per-trial"}
+    results = lt.campaign(own, out=folder, jobs=given.jobs, force=True)
+    information = LayoutInformation.of(survey_of(scenario))
+    predicted, found = information.instrument_sigma, results.z_scores()
     rows: list[Row] = [
-        {**candidate.words, "parameter": p.name, "unit": p.unit, "predicted": predicted[k] / p.factor,
-         "achieved": achieved[k] / p.factor, "ratio": ratio[k], "z_mean": bias[k]}
-        for k, p in enumerate(information.construction.parameters)
+        {"parameter": p.name, "unit": p.unit, "predicted": sigma / p.factor,
+         "ratio": np.hypot(z.mean, z.deviation), "z_mean": z.mean}
+        for p, sigma, z in zip(information.construction.parameters, predicted, found, strict=True)
     ]  # fmt: skip
-    whitened = np.einsum("ti,ij,tj->t", errors, np.linalg.inv(information.instrument_covariance), errors)
-    rms = np.sqrt(squares.mean())
+    ratio = np.array([row["ratio"] for row in rows])
+    ((squared,),) = results.query("SELECT avg(target_error_um ^ 2) FROM rows")
     summary: Row = {
-        **candidate.words,
-        "trials": len(errors),
-        "left_out": sum(n for _, _, n in parts),
+        "trials": found[0].trials,
+        "failed": results.checked()[0].failed,
         "ratio_rms": np.sqrt(np.mean(ratio**2)),
         "ratio_least": ratio.min(),
         "ratio_largest": ratio.max(),
-        "nees_per_parameter": whitened.mean() / len(ratio),
         "target_rms_predicted_um": information.target_rms * MICRO,
-        "target_rms_achieved_um": rms * MICRO,
-        "target_ratio": rms / information.target_rms,
+        "target_rms_achieved_um": np.sqrt(squared),
+        "target_ratio": np.sqrt(squared) / (information.target_rms * MICRO),
     }
     return rows, summary
 
 
-def station_rows(candidate: Candidate) -> list[Row]:
-    """Where the tripod goes."""
-    survey = survey_of(candidate.scenario)
-    places = np.column_stack([survey.position / MILLIMETRE, survey.yaw / DEGREE % 360])
-    return [
-        {**candidate.words, "station": name, **dict(zip(("x_mm", "y_mm", "z_mm", "yaw_deg"), place, strict=True))}
-        for name, place in zip(survey.station_names, places, strict=True)
-    ]
-
-
-def lot_row(cone: float, drawn: Drawn, plan: Plan) -> Row:
+def lot_row(values: Floats, plan: Plan) -> Row:
     """The values D of layouts that were only drawn, beside the paper's and the searched one's."""
     paper = d_criterion(LayoutInformation.of(survey_of(plan.scenario)).scaled_covariance)
-    named = dict(zip(("best", "p5", "median", "p95"), np.percentile(drawn.values, [0, 5, 50, 95]), strict=True))
-    of_ten = drawn.values[: len(drawn.values) // 10 * 10].reshape(-1, 10).min(axis=1).mean()
-    row = named | {"best_of_ten_mean": of_ten, "paper": paper, "searched": plan.chosen.value}
-    better = {"drawn_better_than_paper_percent": 100 * np.mean(drawn.values < paper)}
-    return {"cone_deg": cone, "drawn": len(drawn.values)} | row | better
+    named = dict(zip(("best", "p5", "median", "p95"), np.percentile(values, [0, 5, 50, 95]), strict=True))
+    of_ten = values[: len(values) // 10 * 10].reshape(-1, 10).min(axis=1).mean()
+    row = {"drawn": len(values)} | named | {"best_of_ten_mean": of_ten, "paper": paper, "searched": plan.chosen.value}
+    return row | {"drawn_better_than_paper_percent": 100 * np.mean(values < paper)}
 
 
-def curve_rows(plan: Plan, cone: float) -> list[Row]:
+def curve_rows(plan: Plan) -> list[Row]:
     """Cost against quality."""
     return [
-        {"cone_deg": cone, "stations": len(o.survey.position), "faces": len(o.survey.faces),
-         "pointings": o.survey.pointings, "hours": o.hours, "D": o.value, "efficient": o.efficient}
-        for o in plan.options
+        {"stations": len(o.survey.position), "faces": len(o.survey.faces), "pointings": o.survey.pointings,
+         "hours": o.hours, "D": o.value, "efficient": o.efficient} for o in plan.options
     ]  # fmt: skip
 
 
 def run(given: Options) -> Made:
     """Search under both readings of the shadow cone, then simulate."""
-    config = given.config
+    config, reasons = given.config, {}
     trials = given.trials or config["trials"]
     file, base = load_plan(given.here / "plan.toml")
-    layouts, lots, curve, stations, checks, summaries, reasons = [], [], [], [], [], [], {}
+    tables: dict[str, list[Row]] = {n: [] for n in ("layouts", "unsearched", "tradeoff", "parameters", "check")}
     for cone in config["cones_deg"]:
         workshop = base.workshop.model_copy(update={"shadow_cone_deg": float(cone)})
         plan = make_plan(file, base.model_copy(update={"workshop": workshop}), jobs=given.jobs)
-        content = plan_file(plan)
+        content, about = plan_file(plan), {"cone_deg": cone}
         reasons[str(cone)] = [content.summary, *content.reasons]
-        curve += curve_rows(plan, cone)
-        drawn = unsearched(file, plan.scenario, config["unsearched"], config["seed"])
-        lots.append(lot_row(cone, drawn, plan))
-        tell(str(lots[-1]))
-        for candidate in candidates_of(plan, cone, drawn):
-            layouts.append(quality(candidate))
-            stations += station_rows(candidate)
-            if cone == config["cones_deg"][0] or candidate.name.startswith("searched"):
-                rows, summary = check(candidate, trials, config["seed"], given.jobs)
-                checks += rows
-                summaries.append(summary)
-                tell(str(summary))
-            if candidate.name.startswith("searched"):
-                write_figure(given.out / f"floor_{cone}_searched.svg", floor_plan(from_scenario(candidate.scenario)))
-    for name, table in (
-        ("layouts", layouts), ("unsearched", lots), ("tradeoff", curve), ("stations", stations),
-        ("parameters", checks), ("check", summaries),
-    ):  # fmt: skip
-        write_table(given.out / f"{name}.csv", table)
+        values, best = unsearched(file, plan.scenario, config["unsearched"], config["seed"])
+        tables["tradeoff"] += [about | row for row in curve_rows(plan)]
+        tables["unsearched"].append(about | lot_row(values, plan))
+        for kind, (layout, scenario) in candidates_of(plan, len(values), best).items():
+            words = about | {"layout": layout}
+            tables["layouts"].append(words | quality(scenario))
+            if kind == "searched" or cone == config["cones_deg"][0]:
+                rows, summary = check(scenario, given.out / "check" / f"{kind}-{cone}", trials, given)
+                tables["parameters"] += [words | row for row in rows]
+                tables["check"].append(words | summary)
+            if kind == "searched":
+                write_figure(given.out / f"floor_{cone}_searched.svg", floor_plan(from_scenario(scenario)))
+    for name, table in tables.items():
+        show_table(given.out / f"{name}.csv", table)
     return Made(config["seed"], trials, {"reasons": reasons})

@@ -1,9 +1,9 @@
 """The epochs of the DESY girder tests as recordings: reading, noise found from them, pairs that do not belong."""
 
-from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
+import pandas as pd
 
 from experiments.common import RECORDINGS
 from ltsim.adjustment import Adjustment, adjust
@@ -20,16 +20,15 @@ EPOCHS = ("20Sep21", "22Sep21", "21Feb22", "22Feb22", "24Feb22", "1Mar22", "7Mar
 AUTHORS = Noise(distance_mm=0.010, distance_ppm=0.0, azimuth_arcsec=0.486, elevation_arcsec=0.486)
 """0.15 mgon in both angles, 0.010 mm: what the authors of the data state."""
 START = Noise(distance_mm=0.0015, distance_ppm=0.3, azimuth_arcsec=0.4, elevation_arcsec=0.55)
-Name = tuple[str, str]
+LONG = 1.0
+"""[m]"""
+Dropped = tuple[str, str, int, float]
+"""Station and target of pointings that were left out, the observable whose w-test said so, its w."""
 
 
 def epoch(name: str, noise: Noise | None = None) -> Recording:
     """The plain text of an epoch; without `noise` that of the default instrument."""
-    return with_noise(read(DATA / f"Polar_measurements_{name}.txt", hints=Hints(azimuth="clockwise")), noise)
-
-
-def with_noise(recording: Recording, noise: Noise | None) -> Recording:
-    """The same recording with another stated noise."""
+    recording = read(DATA / f"Polar_measurements_{name}.txt", hints=Hints(azimuth="clockwise"))
     if noise is None:
         return recording
     setup = recording.setup
@@ -43,25 +42,14 @@ def set_up(recording: Recording, number: int) -> Recording:
     return recording.select(recording.station == number)
 
 
-@dataclass(frozen=True)
-class Dropped:
-    """A pair of pointings that was left out, and the w-test that said so."""
-
-    station: str
-    target: str
-    observable: str
-    w: float
-
-
 def snooped(recording: Recording, construction: Construction | None = None) -> tuple[Recording, list[Dropped]]:
     """Leave out, one after the other, the station's pointings to the target with the largest outlier (w-test)."""
     built, dropped = construction or misalignment(), []
     while found := adjust(recording, built).outliers():
         i = found[0].row
         own = (recording.station == recording.station[i]) & (recording.target == recording.target[i])
-        observable = ("distance", "azimuth", "elevation")[found[0].observable]
         station, target = recording.stations[recording.station[i]], recording.targets[recording.target[i]]
-        dropped.append(Dropped(station, target, observable, found[0].w))
+        dropped.append((station, target, found[0].observable, found[0].w))
         recording = recording.select(~(own & (recording.repeat == recording.repeat[i])))
     return recording, dropped
 
@@ -93,33 +81,23 @@ def noise_found(rounds: int = 4) -> Noise:
 
 def clean(pairs: TwoFace, recording: Recording) -> Bools:
     """(m,) pairs that the recording's own data snooping keeps: it knows nothing of the parameters under test."""
-    gone = {(d.station, d.target) for d in snooped(recording)[1]}
+    gone = {d[:2] for d in snooped(recording)[1]}
     rows = pairs.rows[:, 0]
     return np.array([(recording.stations[recording.station[i]], recording.targets[recording.target[i]]) not in gone
                      for i in rows], dtype=bool)  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Length:
-    """A length between two targets of an interferometer line [m], and its name."""
-
-    line: str
-    first: str
-    second: str
-    length: float
-
-
-def interferometer(name: str) -> list[Length]:
-    """Lengths between neighbours on the lines of an epoch: every one there and back."""
-    lines: dict[str, list[tuple[str, Floats]]] = {}
-    for text in (DATA / f"LoS_measurements_{name}.txt").read_text().splitlines():
-        line, target, horizontal, vertical, distance = text.split()
-        reading = [float(distance) * MILLIMETRE, -float(horizontal) * GON, (100.0 - float(vertical)) * GON]
-        lines.setdefault(line, []).append((target, np.array(reading)))
+def interferometer(name: str) -> pd.DataFrame:
+    """Lengths [m] between two targets on the lines of an epoch, every one there and back: one `way`."""
+    names = ["line", "target", "horizontal", "vertical", "distance"]
+    rows = pd.read_csv(DATA / f"LoS_measurements_{name}.txt", sep=r"\s+", header=None, names=names)
+    polar = np.stack([MILLIMETRE * rows.distance, -GON * rows.horizontal, GON * (100.0 - rows.vertical)], axis=1)
+    rows["place"] = list(from_polar(polar))
     found = []
-    for line, points in lines.items():
-        places = from_polar(np.array([reading for _, reading in points]))
-        for i, j in combinations(range(len(points)), 2):
-            span = float(np.linalg.norm(places[i] - places[j]))
-            found.append(Length(line, points[i][0], points[j][0], span))
-    return found
+    for line, points in rows.groupby("line", sort=False):
+        for (a, from_), (b, to) in combinations(zip(points.target, points.place, strict=True), 2):
+            length = float(np.linalg.norm(from_ - to))
+            level = f"horizontal and diagonal, {'over' if length > LONG else 'under'} 1 m"
+            kind, way = "vertical" if line.startswith("Ver") else level, (line[:-2], *sorted((a, b)))
+            found.append((kind, way, a, b, length))
+    return pd.DataFrame(found, columns=["lines", "way", "first", "second", "length"])

@@ -1,7 +1,6 @@
 """A machine on the floor: what it does to sight, information and plan."""
 
 from experiments.common import Made, Options, Row, show_table, write_figure, write_table
-from ltsim.errors import NetworkError
 from ltsim.pages.figures.floor_plan import floor_plan
 from ltsim.pages.workshop import from_scenario
 from ltsim.planning.files import plan_file, planned_scenario
@@ -14,7 +13,7 @@ from ltsim.planning.survey import Survey
 from ltsim.planning.workshop import survey_of
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.sections import Obstacle
-from ltsim.simulation.workshop import obstacles_of, visibility_of
+from ltsim.simulation.workshop import visibility_of
 from ltsim.units import MICROMETRE
 
 MACHINE = Obstacle(name="machine", box_mm=(800, 500, 1100), position_mm=(1600, 700, 0), yaw_deg=20)
@@ -27,14 +26,10 @@ def with_machine(scenario: Scenario) -> Scenario:
 
 def row(name: str, scenario: Scenario, survey: Survey) -> Row:
     """Sights and information of a layout in a workshop."""
-    obstacles = obstacles_of(scenario)
-    inside = 0 if obstacles is None else int(obstacles.encloses(survey.position).sum())
-    head: Row = {"layout": name, "sights_lost": int((~survey.seen).sum()), "stations_inside": inside}
-    try:
-        information = LayoutInformation.of(survey)
-    except NetworkError as problem:
-        return head | {"D": "", "target_rms_um": "", "largest_target_um": "", "problem": str(problem)}
-    return head | {
+    information = LayoutInformation.of(survey)
+    return {
+        "layout": name,
+        "sights_lost": int((~survey.seen).sum()),
         "D": round(float(d_criterion(information.scaled_covariance)), 4),
         "target_rms_um": round(information.target_rms / MICROMETRE, 2),
         "largest_target_um": round(float(information.target_sigma.max()) / MICROMETRE, 2),

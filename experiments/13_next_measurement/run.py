@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from experiments.common import Made, Options, Row, show_table, spread_out
+from experiments.common import Made, Options, Row, show_table
 from ltsim.diagnosis import Diagnosis, diagnose
 from ltsim.diagnosis.separate import open_question
 from ltsim.geometry.rotations import about_z
@@ -20,6 +20,7 @@ from ltsim.simulation.sections import EffectEntry
 from ltsim.simulation.simulator import simulate
 from ltsim.simulation.truth import Truth
 from ltsim.units import MICROMETRE
+from ltsim.workers import parallel
 
 
 def measured(remedy: Remedy, before: Recording, truth: Truth, seed: int) -> Recording:
@@ -95,6 +96,6 @@ def run(given: Options) -> Made:
     config = given.config
     count = given.trials or config["recordings"]
     tasks = [(config["scenario"], case, config["seed"], number) for case in config["cases"] for number in range(count)]
-    rows = spread_out(one, tasks, given.jobs)
+    rows = list(parallel(one, tasks, given.jobs))
     show_table(given.out / "cases.csv", rows)
     return Made(config["seed"], count)

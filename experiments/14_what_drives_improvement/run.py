@@ -1,18 +1,58 @@
-"""Which errors decide how much calibration improves the paper's criteria? Sobol indices."""
+"""Which errors decide how much calibration improves the paper's criteria? Sobol indices.
 
-from collections.abc import Sequence
+The sizes of all groups of errors are uncertain over a range, evenly in their logarithm; a first-order index is the
+share of the variance of a criterion that knowing one size would remove, a total index the share that would remain if
+all others were known (Saltelli et al., Comput. Phys. Commun. 181 (2010) 259-270, by `scipy.stats.sobol_indices`).
+"""
+
+import warnings
+from collections.abc import Mapping, Sequence
 
 import numpy as np
+from scipy import stats
 
 from experiments.common import Made, Options, Row, show_table, write_table
-from experiments.sobol import sensitivity
+from ltsim.arrays import Floats
 from ltsim.effects import find_effect
 from ltsim.effects.effect import Effect
 from ltsim.planning.improvement import Predictor
 from ltsim.planning.information import LayoutInformation
 from ltsim.planning.workshop import survey_of
+from ltsim.randomness import stream
 from ltsim.simulation.scenario import load_scenario
 from ltsim.units import MICROMETRE
+
+OUTPUTS = ("distance improvement", "coordinate improvement", "distance after", "coordinate after")
+Ranges = Mapping[str, tuple[float, float]]
+"""Lowest and highest size of each uncertain group of errors, in units of its stated size."""
+
+
+def sensitivity(predictor: Predictor, ranges: Ranges, samples: int, seed: int) -> list[Row]:
+    """First-order and total index of each output by each input, with 95 % intervals (bootstrap)."""
+    names, logs = list(ranges), np.log(list(ranges.values()))
+
+    def criteria(sizes: Floats) -> Floats:
+        expected = predictor.expected(dict(zip(names, np.exp(sizes), strict=True)))
+        return np.stack([getattr(expected, output.replace(" ", "_")) for output in OUTPUTS])
+
+    dists = [stats.uniform(loc=low, scale=high - low) for low, high in logs]
+    found = stats.sobol_indices(func=criteria, n=samples, dists=dists, random_state=stream(seed, "sobol"))
+    # An output that an input does not move has no bootstrap distribution; its interval is the index itself.
+    with np.errstate(invalid="ignore"), warnings.catch_warnings():
+        warnings.simplefilter("ignore", stats.DegenerateDataWarning)
+        spread = found.bootstrap(0.95)
+    columns = {}
+    for name, index, interval in (
+        ("first", found.first_order, spread.first_order), ("total", found.total_order, spread.total_order),
+    ):  # fmt: skip
+        ends = interval.confidence_interval
+        columns |= {name: index, f"{name}_low": ends.low, f"{name}_high": ends.high}
+        columns |= {k: np.where(np.isfinite(own), own, index) for k, own in columns.items() if k.startswith(name)}
+    return [
+        {"output": output, "input": name} | {key: float(own[i, j]) for key, own in columns.items()}
+        for i, output in enumerate(OUTPUTS)
+        for j, name in enumerate(names)
+    ]
 
 
 def effects_of(names: Sequence[str], stations: Sequence[str]) -> list[Effect]:
@@ -24,33 +64,30 @@ def effects_of(names: Sequence[str], stations: Sequence[str]) -> list[Effect]:
     return found
 
 
+def improvement_rows(predictor: Predictor, ranges: Ranges, seed: int) -> list[Row]:
+    """Both improvements over 2,000 draws of the sizes, and what is left afterwards."""
+    rng = np.random.default_rng(seed)
+    sizes = {g: np.exp(rng.uniform(np.log(low), np.log(high), 2000)) for g, (low, high) in ranges.items()}
+    expected, rows = predictor.expected(sizes), []
+    for kind in ("distance", "coordinate"):
+        gains = np.percentile(getattr(expected, f"{kind}_improvement"), [5, 50, 95])
+        named = dict(zip(("improvement_p5", "improvement_median", "improvement_p95"), gains, strict=True))
+        left = np.median(getattr(expected, f"{kind}_after") / MICROMETRE)
+        rows.append({"criterion": kind} | named | {"after_median_um": left})
+    return rows
+
+
 def run(given: Options) -> Made:
     """Predict, then take the predictions apart."""
-    config = given.config
-    samples = given.trials or config["samples"]
-    indices: list[Row] = []
-    spread: list[Row] = []
+    config, indices, spread = given.config, [], []
+    samples, seed = given.trials or config["samples"], config["seed"]
     for name in config["scenarios"]:
         survey = survey_of(load_scenario(name))
         effects = effects_of(config["left_out"], survey.station_names)
-        predictor = Predictor.of(LayoutInformation.of(survey), effects)
-        left_out = {effect.name for effect in effects}
-        ranges = {
-            group: tuple(config["range_left_out" if group in left_out else "range"]) for group in predictor.groups
-        }
-        rng = np.random.default_rng(config["seed"])
-        sizes = {g: np.exp(rng.uniform(np.log(low), np.log(high), 2000)) for g, (low, high) in ranges.items()}
-        expected = predictor.expected(sizes)
-        for kind in ("distance", "coordinate"):
-            gain = getattr(expected, f"{kind}_improvement")
-            after = getattr(expected, f"{kind}_after") / MICROMETRE
-            five, middle, most = np.percentile(gain, [5, 50, 95])
-            spread.append({
-                "scenario": name, "criterion": kind, "improvement_p5": five, "improvement_median": middle,
-                "improvement_p95": most, "after_median_um": np.median(after),
-            })  # fmt: skip
-        found = sensitivity(predictor, ranges, samples=samples, seed=config["seed"])
-        indices += [{"scenario": name} | index._asdict() for index in found]
+        predictor, left_out = Predictor.of(LayoutInformation.of(survey), effects), {effect.name for effect in effects}
+        ranges = {g: tuple(config["range_left_out" if g in left_out else "range"]) for g in predictor.groups}
+        spread += [{"scenario": name} | row for row in improvement_rows(predictor, ranges, seed)]
+        indices += [{"scenario": name} | row for row in sensitivity(predictor, ranges, samples, seed)]
     write_table(given.out / "indices.csv", indices)
     show_table(given.out / "improvement.csv", spread)
-    return Made(config["seed"], samples)
+    return Made(seed, samples)

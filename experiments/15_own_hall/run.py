@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from experiments.common import Made, Options, Row, batches, spread_out, tell, write_figure, write_table
+from experiments.common import Made, Options, Row, batches, tell, write_figure, write_table
 from ltsim.arrays import Floats
 from ltsim.campaigns.calibrators import calibrator_of
 from ltsim.campaigns.cloud_kernels import rigid_fit
@@ -17,6 +17,7 @@ from ltsim.planning.schema import ChangeEntry
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.sections import Target
 from ltsim.units import MICROMETRE
+from ltsim.workers import parallel
 
 TRIALS, SEED = 100_000, 15
 
@@ -44,7 +45,7 @@ def squares(scenario: Scenario, weights: dict[str, float], number: int, width: i
 def gain(scenarios: tuple[Scenario, Scenario], weights: dict[str, float], trials: int, jobs: int) -> Row:
     """How much smaller the error of the other targets is after the change, with its interval over batches."""
     tasks = [(scenario, weights, *batch) for scenario in scenarios for batch in batches(trials, 1000)]
-    parts = spread_out(squares, tasks, jobs)
+    parts = list(parallel(squares, tasks, jobs))
     half = len(parts) // 2
     before, after = np.concatenate(parts[:half]), np.concatenate(parts[half:])
     value = np.sqrt(before.mean()) - np.sqrt(after.mean())

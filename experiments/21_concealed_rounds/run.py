@@ -1,7 +1,6 @@
 """Concealed recordings of another simulator: as diagnosed while their truth was sealed, and as diagnosed today.
 
-python -m experiments 21                  rounds 1 and 2: diagnosed today, both against the truth
-python -m experiments 21 round-3          diagnosed once, into results/concealed/round-3; scored once its truth is open
+python -m experiments 21 [round-1] [round-2]    diagnosed today, both against the truth; round-3 once its truth is open
 """
 
 import json
@@ -9,11 +8,12 @@ import shutil
 import sys
 from pathlib import Path
 
-from experiments.common import ROOT, Made, Options, spread_out
+from experiments.common import ROOT, Made, Options
 from ltsim.diagnosis import diagnose
 from ltsim.diagnosis.files import targets_csv
 from ltsim.recording import read
 from ltsim.recording.files import write_text, write_texts
+from ltsim.workers import parallel
 
 from .score import answers_of, markdown, scored
 
@@ -21,7 +21,7 @@ SHARED = ROOT.parent / "shared" / "concealed"
 COMMITTED = ROOT / "results" / "concealed"
 """What was told while the truth was sealed; never written again."""
 TODAY = ROOT / "build" / "concealed-rounds"
-OPEN, SEALED = ("round-1", "round-2"), "round-3"
+ROUNDS = ("round-1", "round-2", "round-3")
 
 
 def examine(folder: Path, out: Path) -> None:
@@ -34,27 +34,19 @@ def examine(folder: Path, out: Path) -> None:
 def recordings_of(name: str) -> list[Path]:
     """The recordings of a round, which are no part of the project."""
     folder = SHARED if name == "round-1" else SHARED / name
-    found = sorted(f for f in folder.glob("[A-Z][0-9][0-9]") if (f / "observations.csv").is_file())
-    if not found:
-        sys.exit(f"{folder} is not there: these recordings are no part of the project")
-    return found
+    return sorted(f for f in folder.glob("[A-Z][0-9][0-9]") if (f / "observations.csv").is_file())
 
 
 def run(given: Options) -> Made:
-    """Diagnose what was asked for, and score whatever has an open truth."""
-    if SEALED in given.words and not (SHARED / f"{SEALED}-truth.json").is_file():
-        out = COMMITTED / SEALED if given.out == ROOT / "results" / given.out.name else given.out / SEALED
-        if any(out.glob("*/diagnosis.json")):
-            sys.exit(f"{out} holds diagnoses already: a sealed round is diagnosed once")
-        spread_out(examine, [(folder, out) for folder in recordings_of(SEALED)], given.jobs)
-        return Made(seed=0, folder=out, more={"note": "Diagnosed once, with default settings, its truth sealed."})
-    names = given.words or OPEN
-    for name in names:
-        if name not in (*OPEN, SEALED):
-            sys.exit(f"there is no round '{name}'; there are {', '.join((*OPEN, SEALED))}")
+    """Diagnose rounds with an open truth today, and score both."""
+    for name in given.words or ROUNDS[:2]:
+        if name not in ROUNDS:
+            sys.exit(f"there is no round '{name}'; there are {', '.join(ROUNDS)}")
         folders = recordings_of(name)
+        if not (SHARED / f"{name}-truth.json").is_file():
+            sys.exit(f"the truth of {name} is sealed; it was diagnosed once, into {COMMITTED / name}")
         shutil.rmtree(TODAY / name, ignore_errors=True)
-        spread_out(examine, [(folder, TODAY / name) for folder in folders], given.jobs)
+        list(parallel(examine, [(folder, TODAY / name) for folder in folders], given.jobs))
         score_round(name, given.out)
     return Made(seed=0)
 

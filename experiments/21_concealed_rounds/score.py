@@ -12,9 +12,6 @@ import pandas as pd
 from ltsim.evaluation.clouds import on_points
 
 PLACES = ("stations", "targets", "observables")
-BINS = ((0.0, 0.5), (0.5, 0.7), (0.7, 0.9), (0.9, 0.99), (0.99, 1.01))
-
-
 Row = dict[str, Any]
 
 
@@ -71,7 +68,6 @@ def scored(name: str, truth: dict[str, Any], found: dict[str, Any]) -> Row:
             count["exact"] += bool(strict) and set(told) == set(true)
         else:
             count.update(named=1, first=bool(strict), place=fits(answer, hit))
-    everything = {n for a in answers for n in names_of(a)}
     count["alarms"] = len(findings) if not answers else max(len(findings) - len(answers), 0)
     before, after = _errors(truth, found)
     return {
@@ -81,7 +77,6 @@ def scored(name: str, truth: dict[str, Any], found: dict[str, Any]) -> Row:
         "clean": not answers,
         "found": found["verdict"] == "mismatch",
         "count": count,
-        "stated": [(f["evidence"]["probability"], f["effect"] in everything) for f in findings],
         "before_um": before,
         "after_um": after,
     }
@@ -100,11 +95,10 @@ def _errors(truth: dict[str, Any], found: dict[str, Any]) -> tuple[float, float]
 def totals(rows: Sequence[Row]) -> list[tuple[str, str]]:
     """What is counted over all recordings."""
     clean, other = ([r for r in rows if r["clean"] == kind] for kind in (True, False))
-    stated = [s for r in rows for s in r["stated"]]
     n: Counter[str] = sum((r["count"] for r in rows), Counter())
     worse = sum(r["after_um"] > 1.05 * r["before_um"] for r in rows)
     ratio = float(np.median([r["after_um"] / r["before_um"] for r in other]))
-    lines = [
+    return [
         ("false alarms", f"{sum(r['found'] for r in clean)} of {len(clean)}"),
         ("found", f"{sum(r['found'] for r in other)} of {len(other)}"),
         ("named first", f"{n['first']} of {n['of']}"),
@@ -116,13 +110,6 @@ def totals(rows: Sequence[Row]) -> list[tuple[str, str]]:
         ("targets worse than plain by over 5 %", f"{worse} of {len(rows)}"),
         ("target error over plain, median of what holds something", f"{ratio:.2f}"),
     ]
-    for low, high in BINS:
-        inside = [right for p, right in stated if low <= p < high]
-        if inside:
-            lines.append((f"stated {low:g} to {min(high, 1):g}: right", f"{sum(inside)} of {len(inside)}"))
-    logs = [-np.log(max(p if right else 1 - p, 1e-3)) for p, right in stated]
-    lines.append(("log score of the names (nat, less is better)", f"{np.mean(logs):.2f}"))
-    return lines
 
 
 def markdown(sets: dict[str, list[Row]]) -> str:

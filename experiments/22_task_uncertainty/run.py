@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from experiments.common import Made, Options, batches, show_table, spread_out
+from experiments.common import Made, Options, batches, show_table
 from ltsim.arrays import Floats
 from ltsim.campaigns.engine import Engine
 from ltsim.campaigns.truth import BLOCK, Truth, truth_of
@@ -15,40 +15,27 @@ from ltsim.tasks.inputs import Inputs
 from ltsim.tasks.measurands import Measurand, best_fit
 from ltsim.tasks.propagation import Propagated, expansion_of, propagate
 from ltsim.tasks.spec import Tasks, load_tasks
-
-TRIALS, SEED = 10_000, 22
-LEFT_OUT = EffectEntry(name="mesh-expansion", draw=True)
-"""Physics that happens and that no budget states: the hall warms while the work goes on."""
+from ltsim.workers import parallel
 
 
-def scenario_of(*, weather: bool, nests: bool, left_out: bool) -> Scenario:
-    """The paper's workshop with some of the type B effects drawn anew in every trial."""
-    plain = load_scenario("paper-workshop-re-aimed")
-    effects: list[EffectEntry] = []
-    if weather:
-        effects += [EffectEntry(name="station-weather", stations=(s,), draw=True) for s in plain.stations]
-    if nests:
-        effects += [EffectEntry(name="smr-centring", targets=(t,), draw=True) for t in plain.target_names]
-    if left_out:
-        effects.append(LEFT_OUT)
+def scenario_of(name: str, case: dict[str, str]) -> Scenario:
+    """The scenario with the effects of a case drawn anew in every trial."""
+    plain = load_scenario(name)
+    effects = [EffectEntry(name=case["stations"], stations=(s,), draw=True) for s in plain.stations
+               if "stations" in case]  # fmt: skip
+    effects += [EffectEntry(name=case["targets"], targets=(t,), draw=True) for t in plain.target_names]
+    effects += [EffectEntry(name=case["hall"], draw=True)] if "hall" in case else []
     return plain.model_copy(update={"effects": tuple(effects)})
 
 
-CASES = {
-    "all that the budget states": {"weather": True, "nests": True, "left_out": False},
-    "without the weather": {"weather": False, "nests": True, "left_out": False},
-    "and an effect that the budget leaves out": {"weather": True, "nests": True, "left_out": True},
-}
-
-
-def errors_of(truth: Truth, tasks: Tasks, placed: Floats, number: int) -> Floats:
+def errors_of(truth: Truth, tasks: Tasks, placed: Floats, seed: int, number: int) -> Floats:
     """Errors (BLOCK, k) [SI] of the results of one block of measured and calibrated workshops.
 
     Each network is fitted over all targets to the true one where the prediction has it, `placed` (T, 3): that is the
     frame of inner constraints, which the prediction is told in.
     """
     engine = Engine(truth, misalignment())
-    found = engine.calibrate(truth.draw(SEED, number))
+    found = engine.calibrate(truth.draw(seed, number))
     drawn = truth.state.points + np.moveaxis(found.points, 2, 0)
     rotation, shift, _ = best_fit(placed, drawn)
     drawn = np.einsum("bji,btj->bti", rotation, drawn - shift[:, None])
@@ -73,38 +60,32 @@ def predicted(truth: Truth, tasks: Tasks, dropped: str = "") -> tuple[Propagated
 
 def table_of(case: str, errors: Floats, linear: Propagated, names: Names) -> list[Any]:
     """A row a result: predicted and observed deviation, share inside the 95 % interval, both with their uncertainty."""
-    rows = []
-    expanded, count = linear.expanded(0.95), len(errors)
+    rows, count = [], len(errors)
+    inside, scatter = np.mean(np.abs(errors) <= linear.expanded(0.95), axis=0), errors.std(axis=0, ddof=1)
     for i, (task, result, unit, factor) in enumerate(names):
         if "ness" in result or result in ("sphericity", "cylindricity") or result.startswith(("normal", "direction")):
             continue  # Forms are not negative, directions not independent: the Monte Carlo interval is for these.
-        inside = float(np.mean(np.abs(errors[:, i]) <= expanded[i]))
-        rows.append(
-            {
-                "case": case,
-                "task": task,
-                "result": result,
-                "unit": unit,
-                "predicted_sigma": round(float(linear.sigma[i]) / factor, 7),
-                "observed_over_predicted": round(float(errors[:, i].std(ddof=1) / linear.sigma[i]), 4),
-                "uncertainty_of_the_ratio": round(float(1 / np.sqrt(2 * (count - 1))), 4),
-                "inside_95_percent": round(100 * inside, 2),
-                "uncertainty_of_the_share": round(100 * float(np.sqrt(0.95 * 0.05 / count)), 2),
-            }
-        )
+        rows.append({
+            "case": case, "task": task, "result": result, "unit": unit,
+            "predicted_sigma": round(float(linear.sigma[i]) / factor, 7),
+            "observed_over_predicted": round(float(scatter[i] / linear.sigma[i]), 4),
+            "uncertainty_of_the_ratio": round(float(1 / np.sqrt(2 * (count - 1))), 4),
+            "inside_95_percent": round(100 * float(inside[i]), 2),
+            "uncertainty_of_the_share": round(100 * float(np.sqrt(0.95 * 0.05 / count)), 2),
+        })  # fmt: skip
     return rows
 
 
-def run(options: Options) -> Made:
+def run(given: Options) -> Made:
     """All cases; the table is results.csv."""
-    tasks = load_tasks(options.here / "tasks.toml")
-    trials = options.trials or TRIALS
+    config, tasks = given.config, load_tasks(given.here / "tasks.toml")
+    trials, seed = given.trials or config["trials"], config["seed"]
     rows: list[Any] = []
-    for case, switches in CASES.items():
-        truth = truth_of(scenario_of(**switches), SEED)
-        linear, names, placed = predicted(truth, tasks, "" if switches["weather"] else "station-weather")
-        work = [(truth, tasks, placed, number) for number, _ in batches(trials, BLOCK)]
-        errors = np.concatenate(spread_out(errors_of, work, options.jobs))[:trials]
-        rows += table_of(case, errors, linear, names)
-    show_table(options.out / "results.csv", rows)
-    return Made(seed=SEED, trials=trials, more={"left_out": LEFT_OUT.name})
+    for case in config["cases"]:
+        truth = truth_of(scenario_of(config["scenario"], case), seed)
+        linear, names, placed = predicted(truth, tasks, case.get("dropped", ""))
+        work = [(truth, tasks, placed, seed, number) for number, _ in batches(trials, BLOCK)]
+        errors = np.concatenate([*parallel(errors_of, work, given.jobs)])[:trials]
+        rows += table_of(case["title"], errors, linear, names)
+    show_table(given.out / "results.csv", rows)
+    return Made(seed, trials)

@@ -1,13 +1,13 @@
 """What calibration makes of new points when the stated prior is wrong by a factor of 0.1 to 1000."""
 
-from experiments.common import ERROR, NEW_POINTS, Made, Options, campaign, swept, write_figure, write_table
-from ltsim.pages.figures.campaign import by_factor
+from experiments.common import ERROR, NEW_POINTS, Made, Options, campaign, write_figure, write_table
+from ltsim.pages.figures.campaign import by_factor, swept
 
 
 def run(given: Options) -> Made:
     results = campaign("config.toml", given)
     for errors in dict.fromkeys(level["error_factor"] for level in results.levels):
-        rows = swept(results, ERROR, "prior_factor", panel="noise_factor", only={"error_factor": errors})
+        rows = swept(results, ERROR, "prior_factor", panel="noise_factor", error_factor=errors)
         figure = by_factor(rows, label=NEW_POINTS, axis="stated prior over the paper's")
         write_figure(given.out / f"errors-{errors:g}.svg", figure)
     # The ratio to the error as read, instrument by instrument.

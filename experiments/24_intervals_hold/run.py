@@ -29,18 +29,15 @@ def run(given: Options) -> Made:
     for title, built in CONSTRUCTIONS.items():
         for trackers, stations in TRACKERS.items():
             places = {f"stations__S{k}__instrument": name for k, name in enumerate(stations, start=1)}
-            tables: dict[str, Any] = {f"instruments__{n}": TRACKER | built for n in set(stations)}
+            tables: dict[str, Any] = {f"instruments__{n}": TRACKER | built for n in sorted(set(stations))}
             absent = {} if "B" in stations else {"instruments__B": "none"}
             folder = f"{title.replace(' ', '-')}-{trackers}"
             results = campaign("config.toml", given, folder, methods=[built], **tables, **absent, **places)
             z = results.to_dataframe("rows").filter(like="z:").to_numpy()
             rows.append({"instrument": title, "trackers": trackers} | row_of(z, results.checked()[0]))
     write_table(given.out / "intervals.csv", rows)
-    swept = [
-        Swept(row["instrument"], LINES[row["trackers"]], AXIS, *(row[k] for k in ("inside", "low", "high")), 0, 0)
-        for row in rows
-    ]
-    figure = by_factor(swept, label="inside 95 % intervals [%]", axis="", joined=False)
+    ends = [(row["instrument"], LINES[row["trackers"]], AXIS, row["inside"], row["low"], row["high"]) for row in rows]
+    figure = by_factor([Swept(*own, 0, 0) for own in ends], label="inside 95 % intervals [%]", axis="", joined=False)
     write_figure(given.out / "intervals.svg", figure)
     return Made(results.manifest.seed, results.manifest.trials)
 

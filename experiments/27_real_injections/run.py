@@ -18,17 +18,7 @@ import numpy as np
 import pandas as pd
 
 import ltsim as lt
-from experiments.common import (
-    RECORDINGS as DATA,
-    Made,
-    Options,
-    Row,
-    recordings_or_leave,
-    spread_out,
-    tell,
-    write_figure,
-    write_table,
-)
+from experiments.common import RECORDINGS as DATA, Made, Options, Row, tell, write_figure, write_table
 from experiments.intervals import share
 from ltsim.diagnosis.schema import Finding
 from ltsim.effects.signature import Tunable
@@ -38,6 +28,7 @@ from ltsim.pages.figures.campaign import Swept, by_factor
 from ltsim.recording import Hints, Recording
 from ltsim.recording.recording import SIGMA_COLUMNS
 from ltsim.units import ARCSECOND, MILLIMETRE
+from ltsim.workers import parallel
 
 MEASURES = {"found": "found", "placed": "place right", "right": "told rightly"}
 DRAWN = (*MEASURES.values(), "reliability")
@@ -123,16 +114,16 @@ def one(network: Row, kind: str, strength: float, trial: int, seed: int) -> Row:
 
 def rates(rows: list[Row], strength: float | str, network: str) -> list[Row]:
     """Completeness by injections and reliability by findings, with 95 % intervals that know the sites."""
-    sites, found = [r["site"] for r in rows], []
-    for name, label in MEASURES.items():
-        found.append({"measure": label} | share([r[name] for r in rows], sites))
-    told = [(r["site"], k < r["injected"]) for r in rows for k in range(r["new"])]
-    found.append({"measure": "reliability"} | share([hit for _, hit in told], [site for site, _ in told]))
-    fresh = [(r["site"], k < r["injected"]) for r in rows for k in range(r["new"] - r["retold"])]
-    found.append({"measure": "reliability, without what was told before in other words"}
-                 | share([hit for _, hit in fresh], [site for site, _ in fresh]))  # fmt: skip
-    rounded = [{k: round(v, 3) if isinstance(v, float) else v for k, v in row.items() if k != "laws"} for row in found]
-    return [{"network": network, "strength": strength, **row} for row in rounded]
+    asked = {label: [(r["site"], r[name]) for r in rows] for name, label in MEASURES.items()}
+    for label, known in (("", ""), (", without what was told before in other words", "retold")):
+        told = [(r["site"], k < r["injected"]) for r in rows for k in range(r["new"] - r.get(known, 0))]
+        asked[f"reliability{label}"] = told
+    found = []
+    for label, answers in asked.items():
+        own = share([hit for _, hit in answers], [site for site, _ in answers])
+        own = {k: round(v, 3) if isinstance(v, float) else v for k, v in own.items() if k != "laws"}
+        found.append({"network": network, "strength": strength, "measure": label} | own)
+    return found
 
 
 def table_of(rows: list[Row], strengths: list[float]) -> list[Row]:
@@ -150,20 +141,18 @@ def table_of(rows: list[Row], strengths: list[float]) -> list[Row]:
 
 def injected(given: Options, settings: Row) -> list[Row]:
     """Rows of all injections, a batch a file; a run that was broken off goes on from them."""
-    recordings_or_leave()
     rows, start = [], time.perf_counter()
     (given.out / "rows").mkdir(parents=True, exist_ok=True)
     batches = product(range(given.trials or settings["trials"]), settings["strengths"], settings["network"])
     for trial, strength, network in batches:
         said = f"{network['site']}-{strength}-{trial}"
         kept = given.out / "rows" / f"{said}.json"
-        late = time.perf_counter() - start > 60 * settings["minutes"]
-        if not (DATA / network["file"]).exists() or (late and not kept.is_file()):
-            tell(f"{said}: left out, {'the time is over' if late else network['file'] + ' is not there'}")
+        if not (DATA / network["file"]).exists():
+            tell(f"{said}: left out, {network['file']} is not there")
             continue
         if not kept.is_file():
             tasks = product([network], settings["kinds"], [float(strength)], [trial], [settings["seed"]])
-            kept.write_text(json.dumps(spread_out(one, list(tasks), given.jobs)), encoding="utf-8")
+            kept.write_text(json.dumps(list(parallel(one, list(tasks), given.jobs))), encoding="utf-8")
         rows += (own := json.loads(kept.read_text(encoding="utf-8")))
         minutes = (time.perf_counter() - start) / 60
         tell(f"{said}: {sum(not row['hidden'] for row in own)} injections, {minutes:.1f} min")

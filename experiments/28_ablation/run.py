@@ -6,7 +6,7 @@ from importlib import import_module
 import numpy as np
 
 import ltsim as lt
-from experiments.common import ROOT, Made, Options, Row, spread_out, write_figure, write_table
+from experiments.common import ROOT, Made, Options, Row, write_figure, write_table
 from experiments.intervals import share
 from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace
@@ -20,6 +20,7 @@ from ltsim.diagnosis.space import panels
 from ltsim.laws.drivers import Driver, base_of
 from ltsim.model.construction import stated_construction
 from ltsim.pages.figures.campaign import Swept, by_factor
+from ltsim.workers import parallel
 
 make = import_module("experiments.20_concealed_physics.make")
 WORK, LEVEL = ROOT / "build" / "ablation", 0.05
@@ -65,10 +66,7 @@ def chances(name: str) -> dict[str, float]:
     recording = lt.read(WORK / make.RECORDINGS / name)
     adjusted = adjust(recording, stated_construction(recording))
     parts = parts_of(ResidualSpace.of(adjusted))
-    told = {
-        CHI2: adjusted.p_value,
-        WHOLE: p_value([s for some in parts.values() for s in some]),
-    }
+    told = {CHI2: adjusted.p_value, WHOLE: p_value([s for some in parts.values() for s in some])}
     for what, kept in {"without laws": (CARDS, NOISE), "curves of readings": ("reading",)}.items():
         alone = [s for (carrier, driver), some in parts.items() if carrier in kept for s in some
                  if carrier != "reading" or driver == "smooth"]  # fmt: skip
@@ -84,7 +82,7 @@ def run(given: Options) -> Made:
     cases = make.read_plan(given.here / "plan.toml")
     seal = make.make(cases, WORK, given.jobs)
     truth = json.loads((WORK / make.TRUTH).read_text(encoding="utf-8"))
-    told = spread_out(chances, [(name,) for name in truth], given.jobs)
+    told = list(parallel(chances, [(name,) for name in truth], given.jobs))
     rows: list[Row] = []
     for what in dict.fromkeys(key for one in told for key in one):
         for strength in sorted({t["strength"] for t in truth.values()}):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -45,6 +45,12 @@ def cube(results: Results, statistics: Sequence[str]) -> xr.Dataset:
     return Dataset(variables, {CALIBRATOR: methods} | axes | along, title)
 
 
+def _in_order(values: Iterable[Any]) -> list[Any]:
+    """Numbers rising, so that an axis can be sliced however the sweep has grown; words as the file has them."""
+    listed = list(values)
+    return sorted(listed) if all(isinstance(value, int | float) for value in listed) else listed
+
+
 def _axes(results: Results) -> tuple[dict[str, Any], list[tuple[int, ...]], dict[str, Any]]:
     """Axes with their values, where each cell is on them, and what else is known along them.
 
@@ -52,7 +58,7 @@ def _axes(results: Results) -> tuple[dict[str, Any], list[tuple[int, ...]], dict
     """
     levels, named = results.levels, [(f"{f.name}_" if f.name in ARGUMENTS else f.name, f) for f in results.factors]
     own = {name: [level[f.name] for level in levels] for name, f in named}
-    steps = {name: list(dict.fromkeys(values)) for name, values in own.items()}
+    steps = {name: _in_order(dict.fromkeys(values)) for name, values in own.items()}
     unit = {name: {"units": f.unit, "keys": " ".join(f.keys)} for name, f in named}
     places = [tuple(steps[name].index(own[name][k]) for name in steps) for k in range(len(levels))]
     if math.prod(map(len, steps.values())) == len(levels) == len(set(places)):

@@ -186,7 +186,7 @@ def injection_curve(
     ModelError
         As of `inject`.
     """
-    if injections < 1 or any(not s > 0.0 for s in strengths):
+    if injections < 1 or not len(strengths) or any(not s > 0.0 for s in strengths):
         raise ModelError("a curve needs one injection at least at each strength, and strengths above 0")
     seen = recording_of(recording)
     background = diagnose(seen)

@@ -7,8 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from ltsim.arrays import Floats
 from ltsim.calibration import Calibration, correct
 from ltsim.campaigns.spec import JUDGE, judge_of
+from ltsim.errors import SetupError
 from ltsim.evaluation.clouds import measured_points
 from ltsim.evaluation.share_removed import ShareRemoved, cloud_error
 from ltsim.results import Result, Table, numbers, texts
@@ -18,6 +20,8 @@ from ltsim.simulation.simulator import measure
 from ltsim.simulation.verbs import ScenarioSource, scenario
 from ltsim.units import MICROMETRE
 
+SAME = 1e-6
+"""[m, rad] Below what any noise makes of two recordings."""
 JUDGED = Table(
     "new_points.csv",
     "errors of points that no calibration used, rms over stations and points, the new readings' noise in them",
@@ -55,9 +59,14 @@ class Judged(Result):
             yield [name, *(size / MICROMETRE for size in sizes), found.share]
 
 
+def _alike(readings: Floats, others: Floats) -> bool:
+    """Whether readings [m, rad] are the same but for what a file rounds; some may have been left out."""
+    return readings.shape != others.shape or not np.any(np.abs(readings - others) > SAME)
+
+
 def judge(
     source: ScenarioSource,
-    calibrations: Mapping[str, Calibration],
+    calibrations: Calibration | Mapping[str, Calibration],
     judge_in: str | Path,
     *,
     seed: int = 0,
@@ -72,7 +81,7 @@ def judge(
     ----------
     source : Scenario, str or Path
         The scenario of the recording that was calibrated.
-    calibrations : mapping of str to Calibration
+    calibrations : Calibration, or mapping of str to Calibration
         By the names that the result calls them.
     judge_in : str or Path
         The other place: a scenario, or a table of points ``NAME.csv`` measured from the recording's own stations.
@@ -82,7 +91,7 @@ def judge(
     Raises
     ------
     SetupError
-        When the place is none, or its stations name other trackers.
+        When the place is none, its stations name other trackers, or a calibration is of another recording.
 
     Examples
     --------
@@ -95,7 +104,14 @@ def judge(
     """
     here = scenario(source)
     place = Path() if isinstance(source, Scenario) else Path(source)
-    truth = measure(fieldwork(here, seed), seed, trial)[1]
+    made, truth = measure(fieldwork(here, seed), seed, trial)
+    found = {"calibration": calibrations} if isinstance(calibrations, Calibration) else calibrations
+    for name, own in found.items():
+        seen = own.adjustment.recording.readings if own.adjustment and own.method == "network" else made.readings
+        if not _alike(seen, made.readings):  # the distance methods adjust what they have corrected
+            raise SetupError(f"'{name}' calibrates another recording than that of seed {seed}, trial {trial}")
+    if not found:
+        raise SetupError("there is no calibration to judge")
     values = np.array([*truth.instrument.values()]).reshape(len(here.trackers), -1)
     work = fieldwork(judge_of(str(judge_in), here, place), seed, JUDGE)
     recording, there = measure(work, seed, trial, values=values, apart=JUDGE)
@@ -105,5 +121,5 @@ def judge(
 
     raw = error(measured_points(recording))
     floor = error(measured_points(recording, work.construction, values[work.sightings.instrument]))
-    corrected = {name: measured_points(correct(recording, own, again=True)) for name, own in calibrations.items()}
+    corrected = {name: measured_points(correct(recording, own, again=True)) for name, own in found.items()}
     return Judged({name: ShareRemoved(raw, error(points), floor) for name, points in corrected.items()})

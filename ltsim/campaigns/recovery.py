@@ -245,6 +245,8 @@ def recover(
     >>> lt.recover("paper-workshop-re-aimed", trials=12).failures()
     []
     """
+    if trials < 1:
+        raise SetupError(f"{option('trials')} is {trials}, expected 1 or more")
     scenario, given = scenario_of(source), tolerance or {}
     own, mode = construction_of(scenario), errors or errors_of(scenario)
     if own.name == "dh" and construction not in (None, "dh"):

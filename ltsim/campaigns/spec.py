@@ -181,12 +181,13 @@ class Campaign(Section):
         return tuple(dict.fromkeys((*listed, *(self.design.ranges if self.design else ()), *self.grid)))
 
     def factors(self, scenario: Scenario) -> tuple[Factor, ...]:
-        """What differs between cells; `scenario` is that of any cell."""
+        """What differs between cells; `scenario` is that of any cell. A title stands for tables."""
         titles, given = short_names(self.varied), {name: self.link.get(name, (name,)) for name in self.varied}
-        return tuple(
+        found = (
             Factor(name=titles[name], keys=keys, unit=unit_of(scenario, keys[0]), kind=kind_of(keys[0]))
             for name, keys in given.items()
         )
+        return tuple(factor for factor in found if factor.kind != "table" or "title" not in self.varied)
 
     def combinations(self) -> Iterator[dict[str, Any]]:
         """What each cell changes in the scenario, by dotted key."""

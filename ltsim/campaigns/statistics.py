@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,12 +21,13 @@ from ltsim.campaigns.engine import FAILED, FULL
 from ltsim.campaigns.paired import Paired, errors_of, paired, terms_of
 from ltsim.campaigns.schema import CHECKED, LEVELS, SHARES, column_of, summary_table
 from ltsim.campaigns.stopping import level_of, quantile
-from ltsim.campaigns.store import Store
+from ltsim.campaigns.store import Store, literal
 from ltsim.errors import ModelError, SetupError, unknown_name
 from ltsim.results import Columns, Result, Table, by_row
 
 if TYPE_CHECKING:
     import xarray as xr
+    from matplotlib.figure import Figure
 
 NORMAL_95 = 1.959963984540054
 MEMORY = "1GB"
@@ -122,7 +124,7 @@ class Results(Result):
             raise SetupError(f"{folder}: no shard of this campaign is finished yet")
         # One thread: sums keep their order, and tables their last digit.
         self._base = duckdb.connect(config={"memory_limit": MEMORY, "threads": 1})
-        source = f"read_parquet([{', '.join(map(_literal, shards))}], union_by_name = true)"
+        source = f"read_parquet([{', '.join(map(literal, shards))}], union_by_name = true)"
         try:
             store.verify({cell.cell: cell.mark for cell in self.manifest.cells})
             self._base.register("cells", self._cells())
@@ -289,6 +291,29 @@ class Results(Result):
         self._known(statistic)
         return paired(self, statistic, **between)
 
+    def plot(self, statistic: str = "", along: str = "", *, panel: str = "", **levels: Any) -> Figure:
+        """Means of a statistic along a factor, a line a method, with 95 % intervals and the middle 90 % of the trials.
+
+        Parameters
+        ----------
+        statistic : str
+            A column of the rows, or a share; without one it is what the campaign's page shows first.
+        along, panel : str
+            The factor of the axis; one that has a panel a level.
+        **levels
+            Only the cells with these levels, ``faces=1``, or one ``method``.
+
+        Raises
+        ------
+        ModelError
+            When there is no such statistic or factor.
+        """
+        if not statistic:
+            return super().plot()
+        figures = import_module("ltsim.pages.figures.campaign")  # by name, as in Result.plot
+        figure: Figure = figures.sweep_figure(self, statistic, along, panel=panel, **levels)
+        return figure
+
     def to_xarray(self, *statistics: str) -> xr.Dataset:
         """Means over the trials with their 95 % intervals, on axes that `sel` takes.
 
@@ -347,12 +372,6 @@ def _units(schema: pa.Schema) -> dict[str, str]:
     said = {f.name: (f.metadata or {}).get(b"unit", b"").decode() for f in schema}
     added = {f"{kind}_improvement_percent": "%" for kind in IMPROVEMENTS}
     return {name: unit for name, unit in (said | added).items() if unit}
-
-
-def _literal(path: Path) -> str:
-    """A path as SQL takes it, its brackets and stars no pattern."""
-    plain = "".join(f"[{c}]" if c in "[*?" else c for c in str(path))
-    return "'" + plain.replace("'", "''") + "'"
 
 
 def _improvements(names: list[str]) -> str:

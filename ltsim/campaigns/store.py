@@ -234,3 +234,9 @@ def _write(path: Path, content: bytes) -> None:
         os.fsync(folder)
     finally:
         os.close(folder)
+
+
+def literal(path: Path) -> str:
+    """A path as SQL takes it, its brackets and stars no pattern."""
+    plain = "".join(f"[{c}]" if c in "[*?" else c for c in str(path))
+    return "'" + plain.replace("'", "''") + "'"

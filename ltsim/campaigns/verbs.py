@@ -29,7 +29,7 @@ def campaign(
     Parameters
     ----------
     source : str, Path or mapping
-        A campaign file (ltsim-campaign/1), its tables, or the folder of a campaign that has run.
+        A campaign file (ltsim-campaign/1), its tables without the format, or the folder of a campaign that has run.
     out : str or Path, optional
         Folder for the rows; default the file's name without its ending. Needed where `source` is a mapping.
     jobs : int
@@ -58,7 +58,6 @@ def campaign(
     >>> import ltsim as lt
     >>> results = lt.campaign(
     ...     {
-    ...         "format": "ltsim-campaign/1",
     ...         "scenario": "paper-workshop",
     ...         "trials": 64,
     ...         "methods": [{"name": "network", "method": "network"}],
@@ -75,13 +74,18 @@ def campaign(
         with TemporaryDirectory() as place:
             file = Path(place) / "campaign.toml"
             file.write_text(to_toml(_from_here(source)), encoding="utf-8")
-            return campaign(file, out=out, jobs=jobs, resume=resume, force=force, changes=changes)
+            try:
+                return campaign(file, out=out, jobs=jobs, resume=resume, force=force, changes=changes)
+            except SetupError as problem:
+                raise SetupError(str(problem).replace(str(file), "the campaign")) from None
     require_packages()
     from ltsim.campaigns.campaign import Workers, run_campaign
     from ltsim.campaigns.statistics import Results
 
     path = Path(source)
     if path.is_dir():
+        if out is not None or resume or force or changes:
+            raise SetupError(f"{path}: rows of a campaign are only opened: to run it, give {path / 'campaign.toml'}")
         return Results(path)
     folder = path.with_suffix("") if out is None else Path(out)
     run_campaign(path, folder, workers=Workers(jobs), resume=resume, force=force, changes=changes)
@@ -89,6 +93,8 @@ def campaign(
 
 
 def _from_here(tables: Mapping[str, Any]) -> dict[str, Any]:
-    """The tables with files named from the root, since a file of them lies elsewhere."""
+    """The tables with their format, and files named from the root, since a file of them lies elsewhere."""
+    from ltsim.campaigns.spec import FORMAT
+
     named = {key: Path(str(tables[key])) for key in ("scenario", "judge_in") if tables.get(key)}
-    return {**tables, **{key: str(path.resolve()) for key, path in named.items() if path.is_file()}}
+    return {"format": FORMAT, **tables, **{key: str(path.resolve()) for key, path in named.items() if path.is_file()}}

@@ -55,7 +55,7 @@ def figure_of(result: Result) -> Figure:
         from ltsim.pages.sections.campaign import campaign_figure
 
         return campaign_figure(cast(Any, result))
-    raise ModelError(f"a {type(result).__name__} has no picture of its own; lt.report makes a page of its folder")
+    raise ModelError(f"a {type(result).__name__} has no picture of its own")
 
 
 @figure_of.register

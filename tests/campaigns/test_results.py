@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 
 import ltsim as lt
-from ltsim.errors import ModelError
+from ltsim.errors import ModelError, SetupError
 from ltsim.notation import number
 from ltsim.pages.document import Table
-from ltsim.pages.sections.campaign import campaign_section
+from ltsim.pages.figures.campaign import swept
+from ltsim.pages.sections.campaign import campaign_section, cell_words
 
 SWEEP = {
-    "format": "ltsim-campaign/1",
     "scenario": "paper-workshop",
     "seed": 3,
     "trials": 24,
@@ -50,6 +50,44 @@ def test_a_sweep_is_a_dataset_with_units_on_axes_that_sel_takes(sweep: Any) -> N
     assert "full_difference_sigma" not in sweep.to_xarray()
     with pytest.raises(ModelError, match="target_error_um"):
         sweep.to_xarray("target_eror_um")
+
+
+def test_a_statistic_is_drawn_along_a_factor(sweep: Any) -> None:
+    figure = sweep.plot("new_point_error_calibrated_um", "angle_noise_arcsec", panel="faces")
+    assert [ax.get_title(loc="left") for ax in figure.axes] == ["faces 1", "faces 2"]
+    assert figure.get_supxlabel() == "angle noise [arcsec]" and "new point error" in figure.get_supylabel()
+    one = swept(sweep, "target_error_um", "faces", angle_noise_arcsec=0.8, method="network")
+    assert [(row.x, row.line) for row in one] == [(1, "network"), (2, "network")]
+    with pytest.raises(ModelError, match="did you mean angle_noise_arcsec"):
+        sweep.plot("target_error_um", "angle_noise_arcsecs")
+    with pytest.raises(ModelError, match=r"several cells at one place.*faces"):
+        sweep.plot("target_error_um", "angle_noise_arcsec")
+    with pytest.raises(ModelError, match="along a factor, here faces or angle_noise_arcsec"):
+        sweep.plot("target_error_um")
+    with pytest.raises(ModelError, match="no level of faces called '3'; did you mean 1, 2"):
+        sweep.plot("target_error_um", "angle_noise_arcsec", faces=3)
+
+
+def test_a_folder_of_rows_is_opened_and_nothing_else(sweep: Any, tmp_path: Path) -> None:
+    with pytest.raises(SetupError, match=r"only opened: to run it, give .*campaign\.toml"):
+        lt.campaign(sweep.folder, changes={"trials": 3})
+    with pytest.raises(SetupError, match=r"^the campaign: unknown key trialz; did you mean trials"):
+        lt.campaign({"trialz": 3}, out=tmp_path / "rows")
+
+
+def test_a_title_stands_for_the_tables_of_its_cell(tmp_path: Path) -> None:
+    cells = [{"title": "all"}, {"title": "without S5", "stations.S5": "none"}]
+    made = lt.campaign(SWEEP | {"cells": cells, "methods": [{}]}, out=tmp_path / "cells")
+    assert [factor.name for factor in made.factors] == ["title"]
+    assert cell_words(made) == {0: "all", 1: "without S5"}
+
+
+def test_an_axis_rises_however_the_sweep_has_grown(tmp_path: Path) -> None:
+    pytest.importorskip("xarray", reason="the dataset is xarray's")
+    made = lt.campaign(SWEEP | {"grid": {"work.targets": [8, 24, 16]}, "methods": [{}]}, out=tmp_path / "grown")
+    cube = made.to_xarray("target_error_um")
+    assert cube.targets.values.tolist() == [8, 16, 24]
+    assert float(cube.target_error_um.sel(targets=24)[0]) == made.spread("target_error_um")[1].mean
 
 
 def test_cells_that_are_no_grid_lie_on_one_axis_and_no_name_is_an_argument_of_sel(tmp_path: Path) -> None:
@@ -91,6 +129,22 @@ def test_methods_are_compared_on_one_recording_as_the_campaign_compares_them_in_
         sql = f"SELECT new_point_error_{kind}_um FROM rows WHERE cell = 0 AND trial = 17 ORDER BY method DESC"
         assert judged.column(f"error_{kind}_um") == pytest.approx([row[0] for row in sweep.query(sql)], rel=1e-4)
     assert judged.column("calibration") == ["network", "distance"]
+    alone = lt.judge(scenario, found["network"], "paper-laboratory", seed=3, trial=17)
+    assert alone.table().column("error_calibrated_um") == judged.column("error_calibrated_um")[:1]
+    with pytest.raises(SetupError, match="'network' calibrates another recording than that of seed 3, trial 16"):
+        lt.judge(scenario, found, "paper-laboratory", seed=3, trial=16)
+    with pytest.raises(SetupError, match="no calibration to judge"):
+        lt.judge(scenario, {}, "paper-laboratory", seed=3, trial=17)
+
+
+def test_no_trials_and_no_workers_are_no_answer(tmp_path: Path) -> None:
+    for trials in (0, -3):
+        with pytest.raises(SetupError, match=f"trials is {trials}, expected 1 or more"):
+            lt.recover("paper-workshop", trials=trials)
+    with pytest.raises(SetupError, match="jobs is 0, expected 1 or more"):
+        lt.campaign({"trials": 2}, out=tmp_path / "rows", jobs=0)
+    with pytest.raises(ModelError, match="one injection at least"):
+        lt.injection_curve(lt.simulate("paper-workshop", seed=1).recording, "index-drift", strengths=[])
 
 
 @pytest.mark.parametrize("kind", [lt.calibrate, lt.adjust, lt.diagnose])

@@ -116,7 +116,7 @@ def test_sensitive_positions(run: Run) -> None:
         row["elevation_deg"]: float(row["shift_um"]) for row in table(out / "sensitivity.csv", error="transit-tilt")
     }
     assert tilt["0"] < 1e-6 < tilt["30"] < tilt["60"]
-    assert len(table(out / "more_than_the_paper.csv")) == 7
+    assert len(table(out / "more_than_the_paper.csv", method="network")) == 7
 
 
 def test_the_bench_gives_the_table_back(run: Run) -> None:
@@ -159,9 +159,9 @@ def test_an_instrument_that_changed_is_calibrated_less_well(run: Run) -> None:
     assert ">eq. 9" in (out / "new_points.svg").read_text()
 
 
-@pytest.mark.parametrize("number", ["02", "05", "06", "08", "09", "23", "24"])
+@pytest.mark.parametrize("number", ["02", "05", "06", "08", "09", "23", "24", "26"])
 def test_each_is_a_campaign_file_that_any_command_runs(number: str) -> None:
     for file in FOLDERS[number].glob("*.toml"):
         campaign, scenarios = load_campaign(file)
         assert scenarios and len({method.title for method in campaign.methods}) == len(campaign.methods)
-        assert number == "24" or campaign.judge_in
+        assert number in ("24", "26") or campaign.judge_in

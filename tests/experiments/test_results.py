@@ -47,6 +47,11 @@ def test_every_result_comes_from_a_commit_that_exists_and_a_clean_tree(history: 
     assert not wrong, "\n".join(wrong)
 
 
+def test_every_figure_is_listed_with_what_it_shows(history: Path) -> None:
+    listed = (history / "experiments" / "README.md").read_text(encoding="utf-8")
+    assert [f.name for f in committed(history) if f.suffix in (".svg", ".png") and f.name not in listed] == []
+
+
 def test_results_are_small(history: Path) -> None:
     assert sum(f.stat().st_size for f in committed(history) if f.is_file()) < MOST_BYTES
 

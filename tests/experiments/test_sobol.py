@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from importlib import import_module
+
 import numpy as np
 import pytest
 
-from experiments.sobol import sensitivity
 from ltsim.errors import ModelError
 from ltsim.planning.improvement import Expected, Predictor
 from ltsim.planning.information import LayoutInformation
 from tests.planning.fixtures import survey
+
+sensitivity = import_module("experiments.14_what_drives_improvement.run").sensitivity
 
 
 class Known(Predictor):
@@ -25,35 +28,31 @@ class Known(Predictor):
 
 def test_indices_of_a_case_with_known_answer() -> None:
     """a and b have mean 0 and variance 1: shares 1/6, 4/6 and 1/6 for both together."""
-    found = sensitivity(Known(), {"a": (np.exp(-1), np.e), "b": (np.exp(-1), np.e)}, samples=1024)
-    by = {(index.output, index.input): index for index in found}
-    assert by["distance improvement", "a"].first == pytest.approx(1.0, abs=0.04)
-    assert by["distance improvement", "b"].total == pytest.approx(0.0, abs=1e-6)
+    found = sensitivity(Known(), {"a": (np.exp(-1), np.e), "b": (np.exp(-1), np.e)}, samples=1024, seed=0)
+    by = {(row["output"], row["input"]): row for row in found}
+    assert by["distance improvement", "a"]["first"] == pytest.approx(1.0, abs=0.04)
+    assert by["distance improvement", "b"]["total"] == pytest.approx(0.0, abs=1e-6)
     a, b = by["coordinate after", "a"], by["coordinate after", "b"]
-    assert a.first == pytest.approx(1 / 6, abs=0.04)
-    assert a.total == pytest.approx(2 / 6, abs=0.04)
-    assert b.first == pytest.approx(4 / 6, abs=0.04)
-    assert b.total == pytest.approx(5 / 6, abs=0.04)
-    assert a.first_low < 1 / 6 < a.first_high
+    assert a["first"] == pytest.approx(1 / 6, abs=0.04)
+    assert a["total"] == pytest.approx(2 / 6, abs=0.04)
+    assert b["first"] == pytest.approx(4 / 6, abs=0.04)
+    assert b["total"] == pytest.approx(5 / 6, abs=0.04)
+    assert a["first_low"] < 1 / 6 < a["first_high"]
 
 
 def test_what_is_left_after_calibration_is_noise_and_not_the_instrument() -> None:
     predictor = Predictor.of(LayoutInformation.of(survey((1, 2), 2)))
     ranges = dict.fromkeys(("range noise", "angle noise", "angle errors"), (0.5, 2.0))
     found = sensitivity(predictor, ranges, samples=128, seed=1)
-    after = {index.input: index.total for index in found if index.output == "distance after"}
+    after = {row["input"]: row["total"] for row in found if row["output"] == "distance after"}
     assert after["angle errors"] < 0.05 < after["angle noise"]
-    improved = {index.input: index.total for index in found if index.output == "distance improvement"}
+    improved = {row["input"]: row["total"] for row in found if row["output"] == "distance improvement"}
     assert improved["angle errors"] > 0.2
     again = sensitivity(predictor, ranges, samples=128, seed=1)
-    assert [index.total for index in again] == [index.total for index in found]
+    assert [row["total"] for row in again] == [row["total"] for row in found]
 
 
-def test_bad_ranges_are_refused() -> None:
+def test_a_group_of_errors_that_does_not_exist_is_refused() -> None:
     predictor = Predictor.of(LayoutInformation.of(survey((1,), 2)))
-    with pytest.raises(ModelError, match="range of range noise is 2 to 1"):
-        sensitivity(predictor, {"range noise": (2.0, 1.0)})
-    with pytest.raises(ModelError, match="power of two"):
-        sensitivity(predictor, {"range noise": (1.0, 2.0)}, samples=100)
     with pytest.raises(ModelError, match="did you mean"):
-        sensitivity(predictor, {"range nose": (1.0, 2.0)}, samples=4)
+        sensitivity(predictor, {"range nose": (1.0, 2.0)}, samples=4, seed=0)

@@ -4,6 +4,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -11,13 +12,16 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from ltsim.arrays import Floats
-from ltsim.campaigns.statistics import NORMAL_95, Scores
+from ltsim.campaigns.design import Factor
+from ltsim.campaigns.statistics import NORMAL_95, Results, Scores
+from ltsim.errors import ModelError, unknown_name
 from ltsim.notation import number
 from ltsim.pages import style
 from ltsim.pages.words import typeset
+from ltsim.units import BY_ENDING
 
 MOST_PANELS, MOST_LINES = 12, 8
-NINETY = "90 % of trials"
+NINETY, FLOOR = "90 % of trials", "noise floor"
 PAPER = MappingProxyType(
     {
         "paper-workshop": {
@@ -52,6 +56,80 @@ class Swept:
     high: float
     five: float
     ninety_five: float
+
+
+def title(factor: Factor) -> str:
+    """A factor as an axis calls it: `angle noise [arcsec]`."""
+    plain = next((factor.name.removesuffix(e) for e in BY_ENDING if factor.name.endswith(e)), factor.name)
+    unit = typeset(factor.unit)
+    return plain.replace("_", " ") + (f" [{unit}]" if unit else "")
+
+
+def short(factor: Factor, level: Any) -> str:
+    """A factor with its value: `angle noise 0.2 arcsec`; a title by itself."""
+    if factor.name == "title":
+        return str(level)
+    name, _, unit = title(factor).partition(" [")
+    value = factor.words(level).removesuffix(f" {factor.unit}") if factor.unit else factor.words(level)
+    return f"{name} {value} {unit.rstrip(']')}".rstrip()
+
+
+def swept(
+    results: Results, statistic: str, along: str | Sequence[str], *, panel: str = "", **levels: Any
+) -> list[Swept]:
+    """A statistic of a campaign for `by_factor`, or `by_setting`: a row a cell and method.
+
+    Parameters
+    ----------
+    results : Results
+    statistic : str
+        A column of the rows, or a share. Calibrated errors have a further line: the floor that the noise of readings
+        makes, by the method whose parameters can be true.
+    along : str or sequence of str
+        A factor whose levels are the places; several are said in words.
+    panel : str
+        A factor that has a panel a level.
+    **levels
+        Only the cells that have these levels, ``faces=1``, or one ``method``.
+    """
+    known = {factor.name: factor for factor in results.factors}
+    names = [along] if isinstance(along, str) else [*along]
+    for name in filter(None, (*names, panel, *levels)):
+        if name not in known and name != "method":
+            raise unknown_name("factor of this campaign", name, ("method", *known))
+    places = [level | {"method": method} for level in results.levels for method in results.manifest.methods]
+    for name, own in levels.items():
+        if own not in (there := list(dict.fromkeys(place[name] for place in places))):
+            raise unknown_name(f"level of {name}", str(own), [str(level) for level in there])
+    floor = statistic.replace("error_calibrated", "error_true_parameters")
+    floors = results.spread(floor) if floor != statistic else []
+    lowest = [min((s for s in floors if s.cell == cell), key=lambda s: s.mean) for cell in {s.cell: 0 for s in floors}]
+    rows = []
+    for s in [*results.spread(statistic), *lowest]:
+        here = results.levels[s.cell] | {"method": s.method}
+        if any(here[name] != own for name, own in levels.items()):
+            continue
+        said = {name: short(factor, here[name]) for name, factor in known.items()} | {"method": s.method}
+        place = here[names[0]] if len(names) == 1 else ", ".join(said[name] for name in names)
+        line = s.method if s.column == statistic else FLOOR
+        rows.append(Swept(place, line, said.get(panel, ""), s.mean, s.low, s.high, s.quantiles[1], s.quantiles[5]))
+    return rows
+
+
+def sweep_figure(results: Results, statistic: str, along: str, *, panel: str = "", **levels: Any) -> Figure:
+    """As `Results.plot`: means of a statistic along a factor, a line a method."""
+    if not along:
+        known = " or ".join(f.name for f in results.factors) or "nothing, since nothing varies"
+        raise ModelError(f"a statistic is drawn along a factor, here {known}")
+    axis = title(next((f for f in results.factors if f.name == along), Factor(name=along, keys=())))
+    unit = results.units.get(statistic, "")
+    words = statistic.removesuffix("_percent").removesuffix("_um").replace("_", " ")
+    label = f"{words} [{typeset(unit)}]" if unit else words
+    rows = swept(results, statistic, along, panel=panel, **levels)
+    if len({(row.x, row.line, row.panel) for row in rows}) < len(rows):
+        others = [f.name for f in results.factors if f.name not in (along, panel, *levels)]
+        raise ModelError(f"there are several cells at one place: give a panel, or a level of {' or '.join(others)}")
+    return by_factor(rows, label=label, axis=axis)
 
 
 @style.styled

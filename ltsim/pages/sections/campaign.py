@@ -28,12 +28,13 @@ from ltsim.pages.figures.campaign import (
     by_setting,
     coverage,
     distributions,
+    short,
+    title,
     uncovered,
 )
-from ltsim.pages.words import count, of_presets, sentence, typeset
+from ltsim.pages.words import count, of_presets, sentence
 from ltsim.results import Table as TableOf
 from ltsim.simulation.keys import meaning_of
-from ltsim.units import BY_ENDING
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -294,20 +295,6 @@ def _settings(results: Results, table: TableOf) -> TableOf:
     given = {f.name for f in results.factors}
     columns = (replace(c, shown=".6g") if c.name in given and c.kind == "number" else c for c in table.columns)
     return replace(table, columns=tuple(columns))
-
-
-def title(factor: Factor) -> str:
-    """A factor as an axis calls it: `angle noise [arcsec]`."""
-    plain = next((factor.name.removesuffix(e) for e in BY_ENDING if factor.name.endswith(e)), factor.name)
-    unit = typeset(factor.unit)
-    return plain.replace("_", " ") + (f" [{unit}]" if unit else "")
-
-
-def short(factor: Factor, level: Any) -> str:
-    """A factor with its value: `angle noise 0.2 arcsec`."""
-    name, _, unit = title(factor).partition(" [")
-    value = factor.words(level).removesuffix(f" {factor.unit}") if factor.unit else factor.words(level)
-    return f"{name} {value} {unit.rstrip(']')}".rstrip()
 
 
 def varied(results: Results) -> list[Factor]:
