@@ -136,6 +136,19 @@ def test_a_list_with_semicolons_and_decimal_commas_is_read(tmp_path: Path) -> No
     assert (second.weight, second.tolerance_mm) == (4.0, None)
 
 
+@pytest.mark.parametrize("scale", [0.001, 1.0])
+def test_points_in_a_thousandth_of_the_room_are_a_question(hall: Path, scale: float) -> None:
+    listed = (hall.parent / "points.csv").read_text().splitlines()
+    rows = [row.split(",") for row in listed[1:]]
+    small = [",".join([r[0], *(f"{scale * float(v):.3f}" for v in r[1:4]), *r[4:]]) for r in rows]
+    (hall.parent / "points.csv").write_text("\n".join([listed[0], *small]))
+    if scale == 1.0:
+        load_plan(hall)
+        return
+    with pytest.raises(SetupError, match=r"all points lie within .* mm of the corner of the room; if .* x_m, y_m, z_m"):
+        load_plan(hall)
+
+
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
