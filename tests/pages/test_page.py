@@ -127,6 +127,20 @@ def test_signature_shows_the_finding(contents: dict[str, Document]) -> None:
     assert {"What finding 1 does", "Finding 1 in figures", "Fit before and after"} <= set(titles)
 
 
+def test_a_swap_is_shown_as_who_stands_for_whom_and_says_what_to_do(tmp_path: Path) -> None:
+    target = samples.diagnosis_folder(tmp_path)
+    shutil.copy(target / "residuals.csv", target / "residuals_before.csv")  # written with the names put right
+    told = json.loads((target / "diagnosis.json").read_text())
+    first, second = samples.recording().targets[:2]
+    where = {"observables": [], "stations": ["S3"], "targets": [first, second], "covariates": []}
+    told["findings"][0] |= {"effect": "target-swap", "where": where, "separate_by": ""}
+    (target / "diagnosis.json").write_text(json.dumps(told))
+    shown = document(target)
+    titles = [block.title for block in shown.sections[0].blocks]
+    assert "Where finding 1 is" in titles and "What finding 1 does" not in titles
+    assert shown.actions[0].startswith(f"Exchange the names {first}, {second} at S3")
+
+
 def test_report_of_a_folder_without_recording_still_tells(folder: Path, tmp_path: Path) -> None:
     alone = shutil.copytree(folder / "calibration", tmp_path / "alone")
     titles = [block.title for block in document(alone).sections[0].blocks]

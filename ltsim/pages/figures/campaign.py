@@ -262,7 +262,7 @@ def coverage(rows: Sequence[Scores], *, allowed: tuple[float, float] = ALLOWED) 
     places = style.category_rows(ax, [row.parameter for row in rows])
     share, bounds = np.array([row.coverage_95 for row in rows]), np.array([interval(row) for row in rows])
     ax.axvspan(
-        *allowed, color=style.PALE, zorder=0, label=f"allowed {100 * allowed[0]:.1f} to {100 * allowed[1]:.1f} %"
+        *allowed, color=style.BAND, linewidth=0, zorder=0, label=f"allowed {100 * allowed[0]:.1f} to {100 * allowed[1]:.1f} %"
     )
     ax.axvline(0.95, color=style.INK, linewidth=1.0, linestyle=(0, (4, 2)), label="nominal 95 %")
     red = np.array(uncovered(rows, allowed), dtype=bool)
