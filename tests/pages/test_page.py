@@ -14,6 +14,7 @@ from xml.etree.ElementTree import fromstring
 import pytest
 
 from ltsim.calibration import calibrate_network, write_calibration
+from ltsim.cli.main import run
 from ltsim.errors import LtsimError, RecordError
 from ltsim.fieldcheck import write_check
 from ltsim.fieldcheck.check import check
@@ -313,6 +314,15 @@ def test_calibration_says_what_was_left_out_and_which_noise_was_found(tmp_path: 
     note = next(b for b in document(tmp_path / "plain").sections[0].blocks if b.title == "Which test to trust")
     assert note.kind == "note"
     assert note.text.startswith("Trust the ")
+
+
+def test_a_predicted_acceptance_test_is_not_called_kept(tmp_path: Path) -> None:
+    specification = {"format": "ltsim-acceptance/1", "standard": "asme-b89.4.19-2006", "instrument": "leica-at500"}
+    (tmp_path / "my.toml").write_text("\n".join(f'{key} = "{value}"' for key, value in specification.items()))
+    assert run(["accept", str(tmp_path / "my.toml"), "--out", str(tmp_path / "out"), "-q"]) == 0
+    shown = document(tmp_path / "out")
+    assert shown.verdict == "More likely than not all tests are passed." and "chance of" in shown.answer
+    assert dict(shown.about)["instrument"] == "Leica Absolute Tracker AT500"
 
 
 def test_a_check_has_its_tests_in_a_table(tmp_path: Path) -> None:

@@ -40,7 +40,8 @@ def check_section(content: CheckFile, beside: Beside) -> Section:
     failed = sum(not item.passed for item in content.items)
     facts = [Fact("tests", str(len(content.items))), Fact("against going on", str(failed), mood(not failed))]
     blocks = [*blocks[1:2], *blocks[:1], *blocks[2:]] if failed and drawn else blocks
-    return Section("Check in the field", "Check", content.sentence, mood(content.passed), facts, blocks, shown=1 + bool(failed))
+    shown = 2 if failed else 1
+    return Section("Check in the field", "Check", content.sentence, mood(content.passed), facts, blocks, shown=shown)
 
 
 def comparison_section(content: Comparison, _: Beside) -> Section:
