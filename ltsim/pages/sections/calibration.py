@@ -62,12 +62,12 @@ def calibration_section(content: CalibrationFile, beside: Beside) -> Section:
     product = target_table(targets, note=f"Axes: {content.frame or 'those of the first station'}.")
     first = _parameters(content, truth_of(beside)) if content.parameters else product
     known = _known_values(content)
-    told = known if any(entry.left_out for entry in content.known) else []
-    blocks: list[Block] = [*_warnings(content, converged=converged), *told, *first[:1], *_criteria(content)]
+    ahead = known if any(entry.left_out for entry in content.known) else []
+    blocks: list[Block] = [*_warnings(content, converged=converged), *ahead, *first[:1], *_criteria(content)]
     shown = len(blocks) + 1
     if targets is not None and content.stations:
         blocks += workshop_blocks(lambda: workshop_of(content, recording, targets, after), beside.detail)
-    blocks += [*([] if told else known), *first[1:], *(product if content.parameters else ()), *_stations(content)]
+    blocks += [*([] if ahead else known), *first[1:], *(product if content.parameters else ()), *_stations(content)]
     if after is not None and not beside.brief:
         blocks += residual_blocks(after, before, what="the instrument's parameters")
     if content.effects:
