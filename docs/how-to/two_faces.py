@@ -8,21 +8,20 @@ import sys
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 from scipy.optimize import least_squares
 
-KEYS = ["station", "target", "repeat"]
 NAMES = ["vertical-index", "beam-tilt", "transit-tilt"]
 
 
 def estimates(recording):
     """Vertical index, beam tilt and transit tilt with their standard deviations."""
-    table = pd.read_csv(Path(recording) / "observations.csv").set_index(KEYS)
-    one, two = (table[table.face == face].sort_index() for face in (1, 2))
-    elevation = np.radians(one.elevation_deg.to_numpy())
-    turn = np.radians((one.azimuth_deg - two.azimuth_deg - 180.0).to_numpy())
+    table = np.genfromtxt(Path(recording) / "observations.csv", delimiter=",", names=True, dtype=None, encoding="utf-8")
+    table.sort(order=["station", "target", "repeat"])
+    one, two = (table[table["face"] == face] for face in (1, 2))
+    elevation = np.radians(one["elevation_deg"])
+    turn = np.radians(one["azimuth_deg"] - two["azimuth_deg"] - 180.0)
     across = 0.5 * (np.mod(turn + np.pi, 2 * np.pi) - np.pi) * np.cos(elevation)
-    upward = 0.5 * (elevation - (np.pi - np.radians(two.elevation_deg.to_numpy())))
+    upward = 0.5 * (elevation - (np.pi - np.radians(two["elevation_deg"])))
 
     def residuals(p):
         index, beam, transit = 1e-6 * p

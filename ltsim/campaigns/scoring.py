@@ -79,7 +79,7 @@ def estimates_by(calibrator: Calibrator, recording: Recording, where: str) -> di
         write_recording(recording, folder)
         filled = [word.replace(RECORDING, str(folder)).replace(OUT, str(out)) for word in words]
         try:
-            done = subprocess.run(filled, capture_output=True, text=True, check=False)
+            done = subprocess.run(filled, stdout=subprocess.DEVNULL, check=False)
         except OSError as problem:
             raise SetupError(f"--calibrator: {shown(words[0])} cannot be started ({problem.strerror})") from None
         if done.returncode:

@@ -46,6 +46,8 @@ HEADLINES = {
     ("History", "bad"): "The instrument has changed.",
     ("Acceptance", "good"): "The limits are kept.",
     ("Acceptance", "bad"): "The limits are not kept.",
+    ("Prediction", "good"): "More likely than not all tests are passed.",
+    ("Prediction", "bad"): "More likely than not a test is failed.",
     ("Comparison", "good"): "No point moved.",
     ("Comparison", "bad"): "Points moved.",
 }

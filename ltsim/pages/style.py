@@ -28,6 +28,8 @@ CYCLE = (BLUE, ORANGE, GREEN, RED, PURPLE, SKY, "#666666", INK)
 MARKERS = "osD^vP*X"
 """Beside the colours: what a grey print still tells apart."""
 BEFORE, AFTER = GREY, BLUE
+BAND = "#8A8F9440"
+"""Clear, so that it shows on a page that is dark as well."""
 DIVERGING = "RdBu_r"
 ON_PALE, ON_DEEP = "#23282c", "#fefefe"
 """Letters on coloured cells."""

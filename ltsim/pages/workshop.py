@@ -164,7 +164,7 @@ def assemble(
     points, position = plan.place(points), plan.place(position)
     normal = _nest_normals(setup, targets)
     height = 0.0 if planned and points[:, 2].min() > -0.05 else float(points[:, 2].min())
-    notes = () if height == 0.0 else ("The floor is taken at the lowest target.",)
+    notes = () if height == 0.0 else ("the floor is taken at the lowest target",)
     planes = _wall_planes(points, normal) if planned else []
     floor = _floor_between(rectangle(np.concatenate([points, position])[:, :2]), planes)
     return Workshop(

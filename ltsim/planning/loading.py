@@ -184,6 +184,7 @@ def _hall_scenario(made: PlanFile, data: Mapping[str, Any], points: Sequence[Poi
     table["stations"] = {"S1": {"position_mm": [wide / 2, deep / 2, USUAL_HEIGHT_MM[0]], "yaw_deg": 0.0}}
     table["targets"] = {p.name: {"position_mm": [p.x_mm, p.y_mm, p.z_mm]} for p in points}
     scenario = scenario_from(table, file)
+    _check_size(points, scenario, file)
     count = made.stations.count or BEGIN
     places = _begin(made, scenario, count)
     stations = {
@@ -193,8 +194,19 @@ def _hall_scenario(made: PlanFile, data: Mapping[str, Any], points: Sequence[Poi
     return scenario.model_copy(update={"stations": stations})
 
 
+def _check_size(points: Sequence[Point], scenario: Scenario, file: object) -> None:
+    """Raise SetupError where all points lie in a thousandth of the room: 7.000 may mean seven thousand, or metres."""
+    spread = np.array([[p.x_mm, p.y_mm, p.z_mm] for p in points]).reshape(-1, 3)
+    if len(points) and np.all(1000.0 * np.abs(spread) <= scenario.workshop.size_mm):
+        raise SetupError(
+            f"{file}: all points lie within {np.abs(spread).max():g} mm of the corner of the room; if their numbers "
+            "are metres, head the columns x_m, y_m, z_m; if their points stand for thousands, take these out"
+        )
+
+
 def _with_points(scenario: Scenario, points: Sequence[Point], file: object) -> Scenario:
     """A scenario with further targets; points that are its targets already stay what they are."""
+    _check_size(points, scenario, file)
     for point in points:
         there = scenario.targets.get(point.name)
         place = np.array([point.x_mm, point.y_mm, point.z_mm])

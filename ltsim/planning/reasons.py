@@ -149,7 +149,7 @@ def _what_each_station_does(plan: Plan) -> list[str]:
         try:
             without = LayoutInformation.of(left, now.construction)
         except NetworkError as problem:
-            found.append(f"Without {name} the network falls apart: {problem}.")
+            found.append(f"Without {name} the plan does not hold: {problem}.")
             continue
         if INSTRUMENT in qualities:
             worse = measure(left, objective, now.construction)[0] / qualities[INSTRUMENT]

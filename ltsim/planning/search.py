@@ -236,6 +236,21 @@ class Searcher:
             f"{self._lacking(lacking)}; ask for less, or widen the floor"
         )
 
+    def _bound(self, layout: StationBlocks) -> StationBlocks:
+        """A layout that falls apart with stations exchanged for those that bind most of them, until it holds."""
+        for slot in self._free * 2:
+            table = self.table(slot)
+            seen = np.repeat(layout.seen[None], len(table.position), axis=0)
+            position = np.repeat(layout.position[None], len(table.position), axis=0)
+            seen[:, slot], position[:, slot] = table.seen, table.position
+            worth = np.where(self.site.joined(position, seen), self.site.bonds(seen), -1.0)
+            if worth.max() < 0:
+                continue
+            layout = layout.with_station(slot, table.take(np.array([worth.argmax()])))
+            if np.isfinite(self._value(layout)):
+                break
+        return layout
+
     def _lacking(self, chosen: Sequence[int]) -> str:
         """Which targets lack sights where the fewest are missing, in words."""
         if not chosen:
@@ -250,7 +265,8 @@ class Searcher:
         own = self.site.survey.position, self.site.survey.yaw
         begins_there = start == 0 and np.isfinite(self.evaluate(*own).value)
         layout = self.layout(*own) if begins_there else self.random_layout(rng)
-        value = self._value(layout)
+        if not np.isfinite(value := self._value(layout)):
+            value = self._value(layout := self._bound(layout))
         self.keep(Layout(layout.position, layout.yaw, value))
         layout, value = self.exchange(layout, value)
         layout, value = self.refine(layout, value, rng)

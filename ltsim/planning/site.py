@@ -103,6 +103,12 @@ class Site:
             good[good] = self._served(position[good])
         return good
 
+    def bonds(self, seen: Bools) -> Floats:
+        """(B,): how many stations hang on the first one by two targets or more, then how many are shared at all."""
+        shared = np.minimum(np.einsum("bst,brt->bsr", seen, seen, dtype=np.int64), FEWEST)
+        linked = np.linalg.matrix_power((shared > 1).astype(np.float64), shared.shape[1])[:, 0] > 0
+        return np.asarray(linked.sum(axis=1) + shared.mean(axis=(1, 2)) / (FEWEST + 1))
+
     def _served(self, position: Floats) -> Bools:
         """(B,): every fixed nest can be aimed so that all stations fall within the reflector's acceptance."""
         back = position[:, None] - self.survey.points[self.aimed][:, None, :]

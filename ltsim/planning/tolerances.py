@@ -23,6 +23,8 @@ LEAST_WEIGHT = 1e-6
 MOST_NAMED = 5
 SIGHT = "the sight"
 """How the name of a lost sight begins."""
+APART = "the network falls apart"
+"""What is left of one that no longer determines its points."""
 
 
 @dataclass(frozen=True)
@@ -110,7 +112,7 @@ class Kept:
     @property
     def worst_words(self) -> str:
         """The worst point with its numbers."""
-        return self.numbers(self.worst) if self.worst in self.radius else self.worst or "every point"
+        return self.numbers(self.worst) if self.worst in self.radius else self.worst
 
     @property
     def margin(self) -> str:
@@ -121,17 +123,24 @@ class Kept:
         return f"margin {left:.0f} %" if left >= 0 else f"{-left:.0f} % too large"
 
     @property
+    def told(self) -> str:
+        """The worst point with its margin, where there is one."""
+        return f"worst {self.worst_words} ({self.margin})" if self.radius else APART
+
+    @property
     def remains(self) -> str:
         """What remains of the tolerances."""
         if self.good:
             return f"all tolerances hold; {self.worst_words} comes nearest"
         verb, named = "is" if len(self.unseen) == 1 else "are", listing(self.unseen, MOST_NAMED)
-        unseen = [f"{named} {verb} seen from nowhere"] if self.unseen else []
-        if not self.over:
-            return unseen[0] if unseen else "nothing is determined"
-        worst = max(self.over, key=lambda name: self.radius[name] / self.tolerance[name])
-        others = f", {len(self.over) - 1} more too" if len(self.over) > 1 else ""
-        return ", ".join([*unseen, f"{self.numbers(worst)} is too large{others}"])
+        found = [f"{named} {verb} seen from nowhere"] if self.unseen else []
+        if not self.radius:
+            found.append(APART)
+        if self.over:
+            worst = max(self.over, key=lambda name: self.radius[name] / self.tolerance[name])
+            others = f", {len(self.over) - 1} more too" if len(self.over) > 1 else ""
+            found.append(f"{self.numbers(worst)} is too large{others}")
+        return ", ".join(found)
 
     def numbers(self, name: str) -> str:
         """A point with its error and its tolerance."""
@@ -199,13 +208,12 @@ def reached(demands: Demands, kept: Kept, losses: Sequence[Kept]) -> bool:
 def verdict(demands: Demands, kept: Kept, losses: Sequence[Kept]) -> str:
     """Reached or not, the worst point and its margin, and the worst of it with any one station lost."""
     count = len(demands.tolerance)
-    what = f"all {count}" if kept.good else f"{count - len(kept.over) - len(kept.unseen)} of {count}"
-    words = f"{what} tolerances kept at {100 * demands.level:g} %, worst {kept.worst_words} ({kept.margin})"
+    what = f"all {count}" if kept.good else f"{len(kept.radius) - len(kept.over)} of {count}"
+    words = f"{what} tolerances kept at {100 * demands.level:g} %, {kept.told}"
     worst = max((loss for loss in losses if not loss.of_sight), key=lambda loss: loss.ratio, default=None)
     if worst is not None:
         lost = "all kept too" if worst.good else f"not kept without {worst.lost}"
-        left = f"worst {worst.worst_words} ({worst.margin})" if worst.radius else "nothing is determined"
-        words += f"; with any one station lost {lost}, {left}"
+        words += f"; with any one station lost {lost}, {worst.told}"
     return f"{'Reached' if reached(demands, kept, losses) else 'Not reached'}: {words}"
 
 

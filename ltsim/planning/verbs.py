@@ -177,8 +177,7 @@ def _alternative(problem: Problem, survey: Survey, words: str) -> Alternative:
         return Alternative(words, survey, verdict(demands, kept, losses), ratio)
     kept = judged(survey, Demands(dict.fromkeys(survey.target_names, np.inf)), built)
     if not kept.radius or kept.unseen:
-        lost = f"{', '.join(kept.unseen)} seen from nowhere" if kept.unseen else "nothing is determined"
-        return Alternative(words, survey, lost, np.inf)
+        return Alternative(words, survey, kept.remains, np.inf)
     worst = max(kept.radius, key=lambda name: kept.radius[name])
     size = kept.radius[worst]
     return Alternative(words, survey, f"worst {worst}, within {size / MICROMETRE:.1f} um at 95 %", size)

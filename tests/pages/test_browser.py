@@ -13,8 +13,12 @@ from ltsim.pages.verbs import report
 from tests.pages import samples
 from tests.pages.browser import find_browser, visit
 
-PROBE = """<script>addEventListener("load", () => console.log("WIDTH " + document.documentElement.scrollWidth + " of " +
-innerWidth));</script></body>"""
+PROBE = """<script>addEventListener("load", () => {
+  document.querySelectorAll("details").forEach(part => part.open = true);
+  const wide = [...document.querySelectorAll(".wide")].filter(table => table.scrollWidth > table.clientWidth + 1);
+  const names = wide.map(table => table.closest(".table").querySelector("h3").textContent);
+  console.log(`WIDTH ${document.documentElement.scrollWidth} of ${innerWidth}, cut: ${names.join(", ") || "none"}`);
+});</script></body>"""
 
 
 @pytest.fixture(scope="module")
@@ -97,4 +101,4 @@ def test_a_phone_never_scrolls_sideways(kind: str, page: Path, tmp_path: Path) -
     assert clean(seen.console) == []
     said = [line for line in seen.console if "WIDTH" in line]
     assert len(said) == 1
-    assert "WIDTH 390 of 390" in said[0]
+    assert "WIDTH 390 of 390, cut: none" in said[0]

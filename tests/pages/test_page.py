@@ -14,6 +14,7 @@ from xml.etree.ElementTree import fromstring
 import pytest
 
 from ltsim.calibration import calibrate_network, write_calibration
+from ltsim.cli.main import run
 from ltsim.errors import LtsimError, RecordError
 from ltsim.fieldcheck import write_check
 from ltsim.fieldcheck.check import check
@@ -125,6 +126,20 @@ def test_a_recording_that_lies_in_two_folders_is_told_once(tmp_path: Path) -> No
 def test_signature_shows_the_finding(contents: dict[str, Document]) -> None:
     titles = [block.title for block in contents["diagnosis"].sections[0].blocks]
     assert {"What finding 1 does", "Finding 1 in figures", "Fit before and after"} <= set(titles)
+
+
+def test_a_swap_is_shown_as_who_stands_for_whom_and_says_what_to_do(tmp_path: Path) -> None:
+    target = samples.diagnosis_folder(tmp_path)
+    shutil.copy(target / "residuals.csv", target / "residuals_before.csv")  # written with the names put right
+    told = json.loads((target / "diagnosis.json").read_text())
+    first, second = samples.recording().targets[:2]
+    where = {"observables": [], "stations": ["S3"], "targets": [first, second], "covariates": []}
+    told["findings"][0] |= {"effect": "target-swap", "where": where, "separate_by": ""}
+    (target / "diagnosis.json").write_text(json.dumps(told))
+    shown = document(target)
+    titles = [block.title for block in shown.sections[0].blocks]
+    assert "Where finding 1 is" in titles and "What finding 1 does" not in titles
+    assert shown.actions[0].startswith(f"Exchange the names {first}, {second} at S3")
 
 
 def test_report_of_a_folder_without_recording_still_tells(folder: Path, tmp_path: Path) -> None:
@@ -299,6 +314,15 @@ def test_calibration_says_what_was_left_out_and_which_noise_was_found(tmp_path: 
     note = next(b for b in document(tmp_path / "plain").sections[0].blocks if b.title == "Which test to trust")
     assert note.kind == "note"
     assert note.text.startswith("Trust the ")
+
+
+def test_a_predicted_acceptance_test_is_not_called_kept(tmp_path: Path) -> None:
+    specification = {"format": "ltsim-acceptance/1", "standard": "asme-b89.4.19-2006", "instrument": "leica-at500"}
+    (tmp_path / "my.toml").write_text("\n".join(f'{key} = "{value}"' for key, value in specification.items()))
+    assert run(["accept", str(tmp_path / "my.toml"), "--out", str(tmp_path / "out"), "-q"]) == 0
+    shown = document(tmp_path / "out")
+    assert shown.verdict == "More likely than not all tests are passed." and "chance of" in shown.answer
+    assert dict(shown.about)["instrument"] == "Leica Absolute Tracker AT500"
 
 
 def test_a_check_has_its_tests_in_a_table(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from ltsim.errors import SetupError
 from ltsim.planning.files import plan_file
 from ltsim.planning.floor import Floor, fault, ground_of, inside, may_stand
 from ltsim.planning.loading import load_plan, read_points
-from ltsim.planning.tolerances import radius
+from ltsim.planning.tolerances import Demands, Kept, radius, verdict
 from ltsim.planning.work_order import settings_of
 from ltsim.scene.meshes import cylinder, together
 from ltsim.scene.visibility import visibility
@@ -136,6 +136,19 @@ def test_a_list_with_semicolons_and_decimal_commas_is_read(tmp_path: Path) -> No
     assert (second.weight, second.tolerance_mm) == (4.0, None)
 
 
+@pytest.mark.parametrize("scale", [0.001, 1.0])
+def test_points_in_a_thousandth_of_the_room_are_a_question(hall: Path, scale: float) -> None:
+    listed = (hall.parent / "points.csv").read_text().splitlines()
+    rows = [row.split(",") for row in listed[1:]]
+    small = [",".join([r[0], *(f"{scale * float(v):.3f}" for v in r[1:4]), *r[4:]]) for r in rows]
+    (hall.parent / "points.csv").write_text("\n".join([listed[0], *small]))
+    if scale == 1.0:
+        load_plan(hall)
+        return
+    with pytest.raises(SetupError, match=r"all points lie within .* mm of the corner of the room; if .* x_m, y_m, z_m"):
+        load_plan(hall)
+
+
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
@@ -246,3 +259,13 @@ def test_the_work_order_places_tripods_by_tape_and_lists_the_work(hall: Path, tm
     assert "What to check, and when" in page
     again, _ = lt.simulate(tmp_path / "out" / "scenario.toml", seed=1)
     assert len(again) == made.chosen.survey.pointings
+
+
+def test_a_network_that_falls_apart_keeps_no_tolerance() -> None:
+    tolerance = dict.fromkeys("ABC", 1e-4)
+    kept, lost = Kept("", tolerance, {}, np.inf, "C", ("C",)), Kept("S1", tolerance, {}, np.inf, "")
+    assert verdict(Demands(tolerance), kept, [lost]) == (
+        "Not reached: 0 of 3 tolerances kept at 95 %, the network falls apart; "
+        "with any one station lost not kept without S1, the network falls apart"
+    )
+    assert kept.remains == "C is seen from nowhere, the network falls apart"

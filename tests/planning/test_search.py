@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from itertools import product
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -11,12 +14,16 @@ from ltsim.errors import SetupError
 from ltsim.model.construction import misalignment
 from ltsim.planning.floor import Area, inside
 from ltsim.planning.information import LayoutInformation
+from ltsim.planning.loading import load_plan
 from ltsim.planning.objective import DIAGNOSIS, INSTRUMENT, TARGETS, Objective, a_criterion, d_criterion
 from ltsim.planning.reflectors import choose_reflectors
 from ltsim.planning.search import Searcher
 from ltsim.planning.site import Site
+from ltsim.planning.starts import Problem, Task
+from ltsim.randomness import stream
 from ltsim.scene.meshes import box, placed, together
 from ltsim.scene.visibility import SightLimits, aimed_normals, visibility
+from ltsim.simulation.physics import planned_construction
 from tests.planning.fixtures import survey
 
 FLOOR = np.array([[0.6, 0.6], [5.6, 0.6], [5.6, 5.6], [0.6, 5.6]])
@@ -70,6 +77,51 @@ def test_a_search_is_reproducible_from_its_seed(found) -> None:  # type: ignore[
     assert np.array_equal(again.yaw, found.yaw)
     other = searcher(site()).from_start(5, 1)
     assert not np.array_equal(other.position, found.position)
+
+
+LONG_HALL = """format = "ltsim-plan/1"
+points = "points.csv"
+[workshop]
+size_mm = [40000, 25000, 12000]
+[[workshop.obstacles]]
+box_mm = [28000, 4000, 6000]
+position_mm = [20000, 12500, 0]
+[instrument]
+preset = "modern"
+[[floor.areas]]
+corners_mm = [[1000, 1000], [39000, 1000], [39000, 2500], [1000, 2500]]
+[[floor.areas]]
+corners_mm = [[1000, 22500], [39000, 22500], [39000, 24000], [1000, 24000]]
+[[floor.areas]]
+corners_mm = [[1000, 2500], [5000, 2500], [5000, 22500], [1000, 22500]]
+[stations]
+count = 4
+seen_from = 1
+[search]
+grid_mm = 1500
+yaws = 1
+heights = 1
+"""
+
+
+def test_stations_that_share_too_little_are_bound_together(tmp_path: Path) -> None:
+    """Points on both sides of a long body: each is in sight, but what stands on one side is not tied to the other."""
+    sides = product((8000, 14000, 20000, 26000, 32000), (10470, 14530), (2000, 4000))
+    walls = product((300, 39700), (300, 24700), (2500,))
+    places = [*sides, *walls, (20000, 300, 2500), (20000, 24700, 2500), (39700, 12500, 2500)]
+    rows = [f"P{i},{x},{y},{z}" for i, (x, y, z) in enumerate(places)]
+    (tmp_path / "points.csv").write_text("\n".join(["name,x_mm,y_mm,z_mm", *rows]))
+    (tmp_path / "hall.toml").write_text(LONG_HALL)
+    file, scenario = load_plan(tmp_path / "hall.toml")
+    problem = Problem(file, scenario, planned_construction(scenario))
+    work = problem.searcher(problem.site(Task(4, 1, 0)))
+    drawn = [work.random_layout(stream(0, "plan", 4, k)) for k in range(4)]
+    apart = [layout for layout in drawn if not np.isfinite(work._value(layout))]
+    assert len(apart) > 1
+    bound = [work._bound(layout) for layout in apart]
+    assert sum(np.isfinite(work._value(layout)) for layout in bound) > 1
+    assert all(work.site.joined(layout.position[None], layout.seen[None])[0] for layout in bound)
+    assert all(work.site.bonds(b.seen[None]) > work.site.bonds(a.seen[None]) for a, b in zip(apart, bound, strict=True))
 
 
 def test_a_fixed_station_stays() -> None:

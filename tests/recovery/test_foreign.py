@@ -78,7 +78,7 @@ def test_effects_are_recovered_by_name() -> None:
 
 
 def test_a_program_is_called_with_a_recording_and_its_answer_is_checked(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     scene, program = tmp_path / "scene.toml", tmp_path / "mine.py"
     scene.write_text(scenario_to_toml(SCENE))
@@ -92,10 +92,12 @@ def test_a_program_is_called_with_a_recording_and_its_answer_is_checked(
     assert "0,beam-tilt,urad,8.0,8.0,," in (tmp_path / "out" / "trials.csv").read_text()
     answer["parameters"][0]["unit"] = "furlong"
     program.write_text(text.format(json.dumps(answer)))
-    assert run(command) == 2 and "'furlong' is no unit" in capsys.readouterr().err
-    program.write_text("raise SystemExit(3)")
-    assert run([*command, "-q"]) == 1 and "convergence fails" in capsys.readouterr().err
-    assert run([*command[:-1], "mine"]) == 2 and "lacks {recording}" in capsys.readouterr().err
+    assert run(command) == 2 and "'furlong' is no unit" in capfd.readouterr().err
+    program.write_text("raise SystemExit('my own reason')")
+    assert run([*command, "-q"]) == 1
+    said = capfd.readouterr().err
+    assert "convergence fails" in said and "my own reason" in said
+    assert run([*command[:-1], "mine"]) == 2 and "lacks {recording}" in capfd.readouterr().err
     assert run([*command[:-1], "no-such-program {recording} {out}"]) == 2
 
 

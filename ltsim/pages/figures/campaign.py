@@ -339,9 +339,8 @@ def coverage(rows: Sequence[Scores], *, allowed: tuple[float, float] = ALLOWED) 
     ax = figure.subplots()
     places = style.category_rows(ax, [row.parameter for row in rows])
     share, bounds = np.array([row.coverage_95 for row in rows]), np.array([interval(row) for row in rows])
-    ax.axvspan(
-        *allowed, color=style.PALE, zorder=0, label=f"allowed {100 * allowed[0]:.1f} to {100 * allowed[1]:.1f} %"
-    )
+    said = f"allowed {100 * allowed[0]:.1f} to {100 * allowed[1]:.1f} %"
+    ax.axvspan(*allowed, color=style.BAND, linewidth=0, zorder=0, label=said)
     ax.axvline(0.95, color=style.INK, linewidth=1.0, linestyle=(0, (4, 2)), label="nominal 95 %")
     red = np.array(uncovered(rows, allowed), dtype=bool)
     for chosen, colour, word in ((~red, style.BLUE, "share, its 95 % interval"), (red, style.RED, "outside the band")):

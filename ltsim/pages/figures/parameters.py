@@ -33,7 +33,7 @@ def parameter_figure(rows: Sequence[ParameterEntry], true: Sequence[float | None
     places = style.category_rows(ax, names_of(rows), size=7.0)
     scales = np.array([row.prior_sigma or row.sigma or 1.0 for row in rows])
     values, sigma = (np.array([getattr(row, name) or 0.0 for row in rows]) / scales for name in ("value", "sigma"))
-    ax.axvspan(-1.0, 1.0, color=style.PALE, zorder=0, label="prior, ± 1 sigma")
+    ax.axvspan(-1.0, 1.0, color=style.BAND, linewidth=0, zorder=0, label="prior, ± 1 sigma")
     ax.axvline(0.0, color=style.GREY, linewidth=0.7, zorder=1)
     ax.hlines(
         places, values - 1.96 * sigma, values + 1.96 * sigma, color=style.AFTER, linewidth=1.8, label="95 % interval"
@@ -130,13 +130,13 @@ def history_figure(names: Sequence[str], courses: Sequence[CourseEntry]) -> Figu
     place = np.arange(len(labels))
     for ax, course in zip(panels.ravel(), courses, strict=False):
         band = (course.mean - course.spread, course.mean + course.spread)
-        ax.axhspan(*band, color=style.PALE, zorder=0, label="mean ± spread between calibrations")
+        ax.axhspan(*band, color=style.BAND, linewidth=0, zorder=0, label="mean ± spread between calibrations")
         ax.axhline(0.0, color=style.GREY, linewidth=0.7, zorder=1)
         half = 1.96 * np.array(course.sigmas)
         ax.errorbar(
             place, course.values, half, fmt="o", ms=3.5, color=style.AFTER, lw=1.2, label="estimate, 95 % interval"
         )
-        ax.set_title(f"{course.name} [{style.unit_text(course.unit)}]")
+        ax.set_title(f"{course.name} [{style.unit_text(course.unit)}]", fontsize=8, loc="right")
         ax.set_xticks(place, labels, rotation=60, ha="right", fontsize=7)
         ax.set_xlim(-0.5, len(place) - 0.5)
         style.quiet_axis(ax)

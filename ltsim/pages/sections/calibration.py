@@ -61,12 +61,13 @@ def calibration_section(content: CalibrationFile, beside: Beside) -> Section:
     after = Residuals.read(residuals).with_covariates(before) if residuals else None
     product = target_table(targets, note=f"Axes: {content.frame or 'those of the first station'}.")
     first = _parameters(content, truth_of(beside)) if content.parameters else product
-    blocks: list[Block] = [*_warnings(content, converged=converged), *_known_values(content), *first[:1]]
-    blocks += _criteria(content)
+    known = _known_values(content)
+    ahead = known if any(entry.left_out for entry in content.known) else []
+    blocks: list[Block] = [*_warnings(content, converged=converged), *ahead, *first[:1], *_criteria(content)]
     shown = len(blocks) + 1
     if targets is not None and content.stations:
         blocks += workshop_blocks(lambda: workshop_of(content, recording, targets, after), beside.detail)
-    blocks += [*first[1:], *(product if content.parameters else ()), *_stations(content)]
+    blocks += [*([] if ahead else known), *first[1:], *(product if content.parameters else ()), *_stations(content)]
     if after is not None and not beside.brief:
         blocks += residual_blocks(after, before, what="the instrument's parameters")
     if content.effects:

@@ -68,7 +68,7 @@ def diagnosis_section(content: DiagnosisFile, beside: Beside) -> Section:
         blocks = [scene(from_adjustment(pair[1], plain=pair[0])), *blocks]
     lead = len(blocks)
     for number_, finding in enumerate(content.findings, start=1):
-        blocks += _finding(finding, number_, pair, before, after)
+        blocks += _finding(finding, number_, sentence(content.summary), pair, before, after)
     if constants := clear_constants(content.instruments):
         blocks.append(
             Note("The clearest constants of the instruments, with the findings modelled", f"{'; '.join(constants)}.")
@@ -107,8 +107,15 @@ def _actions(content: DiagnosisFile) -> list[str]:
         follows = f" with {listing(where.covariates)}" if where.covariates else ""
         unnamed = f"what changes the {finding.carrier or 'readings'}{follows}"
         cause = f"the cause of {finding.effect}" if finding.known else unnamed
-        said.append(f"Look for {cause} ({place}); targets.csv holds coordinates that allow for it.")
+        todo = f"Exchange the names {listing(where.targets)} at" if _swapped(finding) else f"Look for {cause}"
+        place = listing(where.stations) if _swapped(finding) else f"({place})"
+        said.append(f"{todo} {place}; targets.csv holds coordinates that allow for it.")
     return said
+
+
+def _swapped(finding: Finding) -> bool:
+    """Two reflectors were booked for each other."""
+    return finding.effect == "target-swap" and len(finding.where.targets) == 2
 
 
 def _facts(content: DiagnosisFile) -> list[Fact]:
@@ -139,15 +146,16 @@ def _residuals(content: DiagnosisFile, beside: Beside, pair: Pair | None) -> tup
 
 
 def _finding(
-    finding: Finding, number_: int, pair: Pair | None, before: Residuals | None, after: Residuals | None
+    finding: Finding, number_: int, answer: str, pair: Pair | None, before: Residuals | None, after: Residuals | None
 ) -> list[Block]:
-    """One finding: its sentence, what carries it in a table, where it is, and what it does to the readings."""
+    """One finding: its sentence if the answer lacks it, what carries it, where it is, what it does to the readings."""
     name = finding.effect if finding.known else "an effect that no catalogue entry explains"
     words = finding.sentence or f"{name} {_place(finding.where)}"
     cure = f" To tell it from the others: {finding.separate_by.rstrip('.')}." if finding.separate_by else ""
     new = finding.formula not in finding.sentence
     formula = f" Proposed term: {finding.formula}." if finding.formula and new else ""
-    blocks: list[Block] = [Note(f"Finding {number_}: {name}", f"{words.rstrip('.')}.{formula}{cure}", "bad")]
+    said = f"{words.rstrip('.')}.{formula}{cure}"
+    blocks: list[Block] = [] if said in answer else [Note(f"Finding {number_}: {name}", said, "bad")]
     drawn = finding_drawing(finding, before, after)
     if drawn is not None:
         text = "Residuals without the finding (left) and with it modelled (right)."
@@ -170,12 +178,12 @@ def _finding(
 def finding_drawing(finding: Finding, before: Residuals | None, after: Residuals | None) -> Callable[[], Figure] | None:
     """What a carrier does over its driver, where a finding has a curve; else the residuals without and with it.
 
-    None for what leaves no residual, such as gross errors.
+    None for what leaves no residual, such as gross errors and names that were exchanged.
     """
     curve = finding.curve
     if curve is not None and len(curve.at) >= MOST_STEPS:
         return lambda: figures.residuals.driver_curve(curve, finding.carrier, before)
-    if before is None or after is None:
+    if before is None or after is None or np.array_equal(before.residual, after.residual):
         return None
     where = finding.where
     wanted = [*where.covariates, "time", "elevation", "row"]
@@ -193,7 +201,7 @@ def _whereabouts(finding: Finding, number_: int, pair: Pair | None) -> list[Bloc
     stations, targets = finding.where.stations, finding.where.targets
     if pair is None or not targets or len(targets) > MOST_MARKED:
         return []
-    swapped = finding.effect == "target-swap" and len(targets) == 2
+    swapped = _swapped(finding)
     marked, pairs = (*stations, *targets), [(targets[0], targets[1])] if swapped else []
     text = "The red targets were booked for each other: each reading belongs to the other end of the arrow."
     caption = text if swapped else "Seen from above, in red."

@@ -91,9 +91,9 @@ def workshop_blocks(shown: Callable[[], Workshop], detail: Detail) -> list[Block
     workshop = shown()
     text = (
         "Seen from above. No reflector may stand on the floor inside a shadow circle: the elevation limit of that "
-        "station hides it. "
+        "station hides it"
     )
-    drawn = text + " ".join(workshop.notes)
+    drawn = "; ".join([text, *workshop.notes]) + "."
     plan = Picture("Floor plan", lambda: figures.floor_plan.floor_plan(workshop), drawn)
     return [scene(workshop), plan] if detail == "turn" else [plan]
 

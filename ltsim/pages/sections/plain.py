@@ -40,7 +40,8 @@ def check_section(content: CheckFile, beside: Beside) -> Section:
     failed = sum(not item.passed for item in content.items)
     facts = [Fact("tests", str(len(content.items))), Fact("against going on", str(failed), mood(not failed))]
     blocks = [*blocks[1:2], *blocks[:1], *blocks[2:]] if failed and drawn else blocks
-    return Section("Check in the field", "Check", content.sentence, mood(content.passed), facts, blocks, shown=2)
+    shown = 2 if failed else 1
+    return Section("Check in the field", "Check", content.sentence, mood(content.passed), facts, blocks, shown=shown)
 
 
 def comparison_section(content: Comparison, _: Beside) -> Section:
@@ -108,7 +109,8 @@ def acceptance_section(content: AcceptanceFile, _: Beside) -> Section:
         *([Fact("limits", content.specification.name)] if content.specification.name else []),
     ]
     title = content.title or "Acceptance tests of a tracker"
-    return Section(title, "Acceptance", sentence(content.sentence), good, facts, blocks)
+    kind, named = "Prediction" if predicted else "Acceptance", content.specification.name or ""
+    return Section(title, kind, sentence(content.sentence), good, facts, blocks, instrument=named)
 
 
 def uncertainty_section(content: UncertaintyFile, _: Beside) -> Section:
@@ -129,7 +131,7 @@ def uncertainty_section(content: UncertaintyFile, _: Beside) -> Section:
     for r in content.results:
         head = f"Budget of {r.task}, {r.name}" + (f" [{r.unit}]" if r.unit else "")
         blocks += table_of(head, [part for part in r.budget if part.share > 1e-3], *fields)
-    by_word = {w: [f"{r.task}, {r.name}" for r in told if r.conformity and r.conformity.judgement == w]
+    by_word = {w: [r.words for r in told if r.conformity and r.conformity.judgement == w]
                for w in ("accepted", "rejected", "undecided")}  # fmt: skip
     answer = (
         "; ".join(f"{word}: {listing(names, 3)}" for word, names in by_word.items() if names)
