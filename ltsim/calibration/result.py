@@ -109,8 +109,8 @@ def noise_of(adjustment: Adjustment) -> tuple[NoiseRow, ...]:
         else:
             column = OBSERVABLES.index(c.observable)
             unit, factor = SHOWN_UNITS[column]
-            own = recording.instrument == recording.instruments.index(c.instrument)
-            sigmas = problem.sigma[own & problem.use[:, column], column]
+            names = np.array(recording.instruments)[recording.instrument]
+            sigmas = problem.sigma[problem.use[:, column] & ((names == c.instrument) | (c.instrument == "")), column]
         if len(sigmas):
             typical = float(np.median(sigmas)) / factor
             rows.append(

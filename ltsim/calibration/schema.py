@@ -76,6 +76,8 @@ class ParameterEntry(Entry):
     """What was known before, one standard deviation."""
     held: bool = False
     """Not estimated: held at this value."""
+    beyond_prior: bool = False
+    """The readings contradict the prior, and the estimate follows them."""
     applied: Known = None
     """What to take out of readings, where that is not the value."""
     instrument: str = ""
@@ -133,6 +135,11 @@ class DeterminedEntry(Terms):
     """Of both."""
     instrument: str = ""
     """Where there are several."""
+
+    @property
+    def line(self) -> str:
+        """The combination and its size in a line."""
+        return f"{self.terms}{self.instrument and f' of {self.instrument}'}: {with_sigma(self.value, self.sigma)} {self.unit}"
 
 
 class StationPose(Entry):

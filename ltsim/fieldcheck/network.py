@@ -9,14 +9,14 @@ from ltsim.adjustment.estimate import adjust
 from ltsim.adjustment.gross import mistakes
 from ltsim.adjustment.known import Kind
 from ltsim.adjustment.occupations import moved_tripods
-from ltsim.adjustment.verdict import LEVEL as RARE
+from ltsim.adjustment.verdict import LEVEL as RARE, Case, verdict
 from ltsim.arrays import Bools
 from ltsim.errors import ConvergenceError, NetworkError
 from ltsim.fieldcheck.items import Family, Item, two_sided
 from ltsim.model.construction import stated_construction
 from ltsim.notation import with_sigma
-from ltsim.recording.recording import Recording
-from ltsim.units import ARCSECOND
+from ltsim.recording.recording import SIGMA_COLUMNS, Recording
+from ltsim.units import ARCSECOND, MILLIMETRE
 
 NETWORK_TESTS = 2
 """Tests of all stations together: common targets, and levels."""
@@ -26,6 +26,27 @@ CHECKED = 0.05
 """Redundancy below which no other station checks a level."""
 EXPLAINED = 0.05
 """Chance of what the instrument's errors explain, below which they are at work; otherwise the plain network counts."""
+
+
+def with_own_noise(recording: Recording) -> tuple[Recording, tuple[Item, ...]]:
+    """The recording with readings to targets that scatter far more than all others as uncertain as they show.
+
+    What `adjust` says of such targets is an item; what is left of them is no pointing to measure again.
+    """
+    try:
+        plain = adjust(recording, judging=TESTED)
+        require_result(plain)
+    except (NetworkError, ConvergenceError):
+        return recording, ()
+    named, own, rest = plain.restless
+    if not len(named) or not own > 1.0 or verdict(plain).case is not Case.LARGER_NOISE:
+        return recording, ()
+    rows = np.isin(recording.target, named)
+    sigma = np.where(rows[:, None], own, 1.0) * recording.sigma() / [MILLIMETRE, ARCSECOND, ARCSECOND]
+    shown = recording.replace(covariates={**recording.covariates, **dict(zip(SIGMA_COLUMNS, sigma.T, strict=True))})
+    names = tuple(recording.targets[t] for t in named)
+    sentence = f"readings to {', '.join(names)} scatter {own:.2g} times as stated, the others {rest:.2g} times"
+    return shown, (Item.of("", "closure", False, f"{sentence}: it belongs to the target", targets=names),)
 
 
 def items_of_network(recording: Recording, family: Family) -> tuple[Item, ...]:
