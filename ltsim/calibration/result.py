@@ -81,9 +81,8 @@ def outliers_of(adjustment: Adjustment) -> tuple[OutlierRow, ...]:
     single = adjustment.rejected & ~adjustment.gross[:, None] & _has_size(adjustment, scaled)
     for i, k in sorted(np.argwhere(single).tolist(), key=lambda at: -abs(scaled[at[0], at[1]])):
         found.append(row(i, k, adjustment.residuals[i, k], float(scaled[i, k]), left_out=True))
-    judged = verdict_of(adjustment)
-    estimated = judged.case is Case.SMALLER_NOISE and judged.by_estimate
-    return (*found, *(row(o.row, o.observable, o.size, o.w) for o in adjustment.outliers(estimated=estimated)))
+    trusted = adjustment.outliers(estimated=verdict_of(adjustment).by_estimate)
+    return (*found, *(row(o.row, o.observable, o.size, o.w) for o in trusted))
 
 
 def _has_size(adjustment: Adjustment, scaled: Floats) -> Bools:
