@@ -77,9 +77,9 @@ def without_loose(problem: NetworkProblem, state: State) -> NetworkProblem:
         gauge = problem.gauge
         reached = problem.structure.unseen | loose
         idle = (reached[gauge.first] | reached[gauge.second]) & np.isfinite(gauge.sigma)
-        if not loose.any() and not idle.any():
-            return problem
         use = problem.use & ~loose[problem.model.recording.target][:, None]
+        if np.array_equal(use, problem.use) and not idle.any():
+            return problem
         problem = replace(problem, gauge=replace(gauge, idle=gauge.idle | idle), use=use)
 
 

@@ -50,7 +50,7 @@ def beyond_prior(adjustment: Adjustment, prior: ParameterPrior) -> Bools:
     found, scale = np.zeros(prior.mean.shape, dtype=bool), max(1.0, adjustment.sigma0)
     if prior.correlated or not np.isfinite(prior.sigma).all() or not scale < UNEXPLAINED:
         return found
-    free, size = np.flatnonzero(~prior.held.ravel()), found.shape[1]
+    free, size = np.flatnonzero(~prior.held.ravel()), prior.mean.shape[1]
     unit, own = prior.sigma.ravel()[free], adjustment.problem.prior.sigma.ravel()[free]
     gap = (adjustment.state.instrument - prior.mean).ravel()[free]
     said = evidence(gap, adjustment.constants_covariance[np.ix_(free, free)], own, unit)

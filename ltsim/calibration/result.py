@@ -6,7 +6,7 @@ from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.datum import about
 from ltsim.adjustment.frame import Frame
 from ltsim.adjustment.known import KnownTest
-from ltsim.adjustment.verdict import Case, Verdict, verdict
+from ltsim.adjustment.verdict import Verdict, verdict
 from ltsim.arrays import Bools, Floats
 from ltsim.calibration.calibration import SHOWN_UNITS
 from ltsim.calibration.schema import AxesEntry, Combination, Fit, KnownEntry, NoiseRow, OutlierRow, StationPose

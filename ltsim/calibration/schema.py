@@ -136,11 +136,6 @@ class DeterminedEntry(Terms):
     instrument: str = ""
     """Where there are several."""
 
-    @property
-    def line(self) -> str:
-        """The combination and its size in a line."""
-        return f"{self.terms}{self.instrument and f' of {self.instrument}'}: {with_sigma(self.value, self.sigma)} {self.unit}"
-
 
 class StationPose(Entry):
     """Pose of a station: mm, quaternion x y z w from instrument to network."""
