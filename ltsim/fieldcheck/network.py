@@ -9,6 +9,7 @@ from ltsim.adjustment.estimate import adjust
 from ltsim.adjustment.gross import mistakes
 from ltsim.adjustment.known import Kind
 from ltsim.adjustment.occupations import moved_tripods
+from ltsim.adjustment.reliability import FEW
 from ltsim.adjustment.verdict import LEVEL as RARE, Case, verdict
 from ltsim.arrays import Bools
 from ltsim.errors import ConvergenceError, LtsimError, NetworkError
@@ -16,6 +17,7 @@ from ltsim.fieldcheck.items import Family, Item, two_sided
 from ltsim.model.construction import stated_construction
 from ltsim.notation import with_sigma
 from ltsim.recording.recording import SIGMA_COLUMNS, Recording
+from ltsim.solve.design import median_deviation
 from ltsim.units import ARCSECOND, MILLIMETRE
 
 NETWORK_TESTS = 2
@@ -46,8 +48,10 @@ def with_own_noise(recording: Recording, plain: Adjustment) -> tuple[Recording, 
     named, own, rest = plain.restless
     if not len(named) or not own > 1.0 or verdict(plain).case is not Case.LARGER_NOISE:
         return recording, ()
-    larger = np.where(np.isin(recording.target, named), own, 1.0)[:, None]
-    sigma = larger * recording.sigma() / [MILLIMETRE, ARCSECOND, ARCSECOND]
+    rows = np.isin(recording.target, named)
+    told = [one[share > CHECKED] for one, share in zip(plain.w[rows].T, plain.redundancy[rows].T, strict=True)]
+    seen = [median_deviation(one) if len(one) >= FEW else own for one in told]
+    sigma = np.where(rows[:, None], np.maximum(seen, 1.0), 1.0) * recording.sigma() / [MILLIMETRE, ARCSECOND, ARCSECOND]
     shown = recording.replace(covariates={**recording.covariates, **dict(zip(SIGMA_COLUMNS, sigma.T, strict=True))})
     names = tuple(recording.targets[t] for t in named)
     sentence = f"readings to {', '.join(names)} scatter {own:.2g} times as stated, the others {rest:.2g} times"

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from ltsim.adjustment import adjust
+from ltsim.adjustment.doubt import curvature
 from ltsim.randomness import stream
 from ltsim.recording import read
 
@@ -188,3 +189,12 @@ def test_a_network_agrees_with_plain_numpy_beyond_the_digit_that_gama_prints(
     open_ = {names[t] for t in np.flatnonzero(found.open_heights)}
     fixed = {name for name, said in network.points.items() if "adj" not in said or 'fix="z"' in said}
     assert set(network.points) - fixed - open_ == told
+
+
+def test_a_network_whose_turn_nothing_holds_has_no_pose_to_bend(tmp_path: Path) -> None:
+    """One fixed point, as where azimuths are left out: what is open has no deviation, and the rest is adjusted."""
+    points = placed("A", 'fix="xy"') | dict.fromkeys("BCDE", 'adj="xy"')
+    sparse = [s for s in PLAN if s.kind == "direction" or {s.start, s.end} & {"A"}]
+    found = adjust(read(Network(points, sparse, "").measured(0).write(tmp_path / "network.gkf")))
+    assert found.solution.converged
+    assert np.isfinite(np.nan_to_num(curvature(found))).all()
