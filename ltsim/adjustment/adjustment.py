@@ -252,10 +252,17 @@ class Adjustment(Result):
     def outliers(self, level: float = FAMILY_LEVEL, *, estimated: bool = False) -> list[Outlier]:
         """Readings whose residual is too large for chance over the whole recording, largest first.
 
-        By the stated noise (w), or with sigma0 as `estimated` from the residuals themselves (tau).
+        By the stated noise (w), or with sigma0 as `estimated` from the residuals themselves (tau), that of readings to
+        `restless` targets apart from that of all others.
         """
         count = int(self.problem.use.sum())
-        limit = self.sigma0 * critical_tau(count, self.dof, level) if estimated else critical_w(count, level)
+        limit = np.full((len(self.w), 1), critical_w(count, level))
+        own = np.isin(self.recording.target, self.restless[0]) if estimated else np.zeros(len(self.w), dtype=bool)
+        for rows in (own, ~own) if own.any() else ():
+            square, dof = np.nansum((self.residuals / self.problem.sigma)[rows] ** 2), np.nansum(self.redundancy[rows])
+            limit[rows] = np.sqrt(square / dof) * critical_tau(count, int(dof), level)
+        if estimated and not own.any():
+            limit[:] = self.sigma0 * critical_tau(count, self.dof, level)
         rows, columns = np.nonzero(np.nan_to_num(np.abs(self.w)) > limit)
         size = self.residuals[rows, columns] / self.redundancy[rows, columns]
         found = map(Outlier, rows.tolist(), columns.tolist(), size.tolist(), self.w[rows, columns].tolist())

@@ -273,7 +273,7 @@ def curvature(adjustment: Adjustment) -> Floats:
     np.maximum.at(steepest, station[known], (range_ / finest)[known])
     bend = np.where(np.isnan(spread).any(axis=(1, 2)), np.nan, 0.0)
     turn = np.trace(np.nan_to_num(spread)[:, 3:, 3:], axis1=1, axis2=2)
-    for s in np.flatnonzero(0.5 * turn * steepest > STRAIGHT):
+    for s in np.flatnonzero((0.5 * turn * steepest > STRAIGHT) & ~np.isnan(bend)):
         columns, size = problem.unknowns.pose[s], np.sqrt(np.diag(spread[s]))
         worst = np.linalg.eigh(spread[s] / np.outer(size, size))[1][:, -1] / size
         direction = np.zeros((problem.unknowns.size, 1))

@@ -10,6 +10,14 @@ import numpy as np
 from ltsim.arrays import Bools, Floats
 from ltsim.model.construction import Construction
 from ltsim.recording.recording import Recording
+from ltsim.recording.setup import Instrument
+
+LEFT = 0.3
+"""What a correction leaves of a constant, in the maker's guarantees; nobody states it, and none is exact. Between the
+share to which an ordinary calibration knows it on the day (0.1: a beam tilt of 10 urad to about 1), and all of it: the
+constants of instruments that are said to be corrected scatter in real halls by half a guarantee and more."""
+FREED = 100.0
+"""Stated sigmas that a parameter may be off once the readings contradict its prior; no instrument's are off more."""
 
 
 @dataclass(frozen=True)
@@ -28,6 +36,11 @@ class ParameterPrior:
         """Independent priors around zero with standard deviations (I, p) [SI]; infinite for none."""
         covariance = np.where(np.eye(sigma.shape[1], dtype=bool), sigma[:, :, None] ** 2, 0.0)
         return cls(np.zeros(sigma.shape), covariance, np.zeros(sigma.shape, dtype=bool))
+
+    def widened(self, freed: Bools) -> ParameterPrior:
+        """The prior with some parameters (I, p) practically free."""
+        factor = np.where(freed, FREED, 1.0)
+        return ParameterPrior(self.mean, self.covariance * factor[:, :, None] * factor[:, None, :], self.held)
 
     @property
     def sigma(self) -> Floats:
@@ -58,7 +71,22 @@ class ParameterPrior:
 
 def prior_sigmas(recording: Recording, construction: Construction) -> Floats:
     """Prior standard deviations (I, p) [SI] of the construction's parameters for each instrument of a recording."""
-    setup = recording.setup
-    chosen = [setup.instruments.get(name, setup.instrument).prior for name in recording.instruments]
+    chosen = [stated_instrument(recording, name).prior for name in recording.instruments]
     rows = [[p.sigma_from(prior) for p in construction.parameters] for prior in chosen]
     return np.array(rows, dtype=np.float64).reshape(len(chosen), construction.size)
+
+
+def expected_sigmas(recording: Recording, construction: Construction) -> Floats:
+    """The same (I, p), where an instrument is said to be corrected what that leaves, unless a parameter's is stated."""
+    sigma, names = prior_sigmas(recording, construction), construction.names
+    for own, instrument in zip(
+        sigma, (stated_instrument(recording, name) for name in recording.instruments), strict=True
+    ):
+        if instrument.corrected:
+            own[[name not in instrument.prior.parameters for name in names]] *= LEFT
+    return sigma
+
+
+def stated_instrument(recording: Recording, name: str) -> Instrument:
+    """What the set-up says of an instrument by its name."""
+    return recording.setup.instruments.get(name, recording.setup.instrument)

@@ -91,6 +91,8 @@ class Structure:
     """(T,): targets that levelled set-ups saw by horizontal directions alone: nothing tells their height."""
     turned: Ints
     """Stations whose yaw the readings know."""
+    idle: int
+    """Known coordinates of unseen targets: they check nothing."""
 
     @classmethod
     def of(cls, problem: NetworkProblem) -> Structure:
@@ -103,13 +105,15 @@ class Structure:
         alone[problem.known_marks.target] = False
         seen = np.bincount(recording.target, use.any(axis=1), len(recording.targets)) > 0
         known = np.concatenate([problem.control.target, marks.target[marks.target >= 0]])
-        seen[known] = True
+        seen[problem.control.target[problem.control.axes.all(axis=1)]] = True
+        seen[marks.target[marks.target >= 0]] = True
         upright = np.zeros(count, dtype=bool)
         upright[levels.station] = np.abs(levels.vertical @ VERTICAL) > UPRIGHT
         flat = np.bincount(recording.target, use[:, 1], len(recording.targets)) > 0
         flat[recording.target[use[:, [0, 2]].any(axis=1) | (use[:, 1] & ~upright[recording.station])]] = False
         flat[np.concatenate([known, problem.gauge.first, problem.gauge.second])] = False
         return cls(
+            idle=int(problem.control.axes[~seen[problem.control.target]].sum()),
             unknowns=problem.unknowns,
             yaw=np.flatnonzero(~azimuth),
             tilt=np.flatnonzero(~azimuth & ~elevation & ~level),
@@ -382,5 +386,5 @@ class NetworkProblem:
         lengths = int(np.isfinite(self.gauge.sigma).sum())
         heads = sum(len(heads.parameters) for heads in self.model.heads)
         known = lengths + self.control.count + self.known_marks.count + 2 * len(self.levels) + priors + heads
-        unknown = self.unknowns.size - self.free.shape[1] - self.structure.held
+        unknown = self.unknowns.size - self.free.shape[1] - self.structure.held + self.structure.idle
         return int(self.use.sum()) + known - unknown

@@ -18,7 +18,7 @@ from ltsim.model.construction import ideal
 from ltsim.model.measurement import MeasurementModel, State
 from ltsim.recording.recording import Recording
 from ltsim.solve.blocks import Factor, SingularSystemError
-from ltsim.solve.design import POINT, as_dense, median_deviation
+from ltsim.solve.design import POINT, as_dense, median_deviation, unit_diagonal
 from ltsim.solve.gauss_newton import Solution, solve
 
 LEAST = 10
@@ -77,9 +77,9 @@ def without_loose(problem: NetworkProblem, state: State) -> NetworkProblem:
         gauge = problem.gauge
         reached = problem.structure.unseen | loose
         idle = (reached[gauge.first] | reached[gauge.second]) & np.isfinite(gauge.sigma)
-        if not loose.any() and not idle.any():
-            return problem
         use = problem.use & ~loose[problem.model.recording.target][:, None]
+        if np.array_equal(use, problem.use) and not idle.any():
+            return problem
         problem = replace(problem, gauge=replace(gauge, idle=gauge.idle | idle), use=use)
 
 
@@ -101,8 +101,9 @@ def loose_targets(problem: NetworkProblem, state: State) -> Bools:
         np.add.at(normal, end, along[:, :, None] * along[:, None, :])
     np.add.at(normal, control.target, np.swapaxes(control.root, 1, 2) @ control.root)
     normal[problem.structure.flat, 2, 2] += np.trace(normal[problem.structure.flat], axis1=1, axis2=2)
-    spread = np.linalg.eigvalsh(normal)
-    return doubtful & (spread[:, 0] <= POINT * spread[:, 2])
+    # In each axis' own unit: a coordinate that is known to a micrometre leaves one that is read to a metre known.
+    scaled, _ = unit_diagonal(normal, np.diagonal(normal, axis1=1, axis2=2))
+    return doubtful & (np.linalg.eigvalsh(scaled)[:, 0] <= POINT)
 
 
 def poseless(problem: NetworkProblem, state: State) -> str:

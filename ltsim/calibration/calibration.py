@@ -10,9 +10,10 @@ from typing import Any, TypeVar
 import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
+from ltsim.adjustment.prior import FREED
 from ltsim.adjustment.verdict import Verdict
 from ltsim.arrays import Bools, Floats, Ints
-from ltsim.calibration.evidence import determined, harmonics
+from ltsim.calibration.evidence import by_plausible_sizes, determined, harmonics
 from ltsim.calibration.schema import (
     COORDINATES,
     RESIDUALS,
@@ -35,6 +36,7 @@ from ltsim.effects.signature import Parameter
 from ltsim.errors import RecordError
 from ltsim.evaluation.criteria import Criteria
 from ltsim.model.construction import Construction
+from ltsim.notation import with_sigma
 from ltsim.recording.recording import OBSERVABLES, Recording
 from ltsim.recording.result_file import SourceEntry
 from ltsim.results import Column, Result, Table, columns_of
@@ -109,6 +111,8 @@ class Calibration(Result):
     axes: AxesEntry | None = None
     held: Bools = field(default_factory=lambda: np.zeros((0, 0), dtype=bool))
     """(I, p): parameters that were not estimated but held at their value."""
+    beyond_prior: Bools = field(default_factory=lambda: np.zeros((0, 0), dtype=bool))
+    """(I, p): parameters whose prior the readings contradict, and whose estimate follows them."""
     informed: bool = False
     silent: Floats = field(default_factory=lambda: np.zeros((0, 0)), repr=False)
     """(k, I p): combinations, in prior sigmas, that a distance method left at zero."""
@@ -122,8 +126,14 @@ class Calibration(Result):
     """The adjusted network; None for a calibration that was read from a file."""
 
     def __post_init__(self) -> None:
-        if self.held.shape != self.values.shape:
-            object.__setattr__(self, "held", np.zeros(self.values.shape, dtype=bool))
+        for name in ("held", "beyond_prior"):
+            if getattr(self, name).shape != self.values.shape:
+                object.__setattr__(self, name, np.zeros(self.values.shape, dtype=bool))
+
+    @property
+    def prior_used(self) -> Floats:
+        """Standard deviations (I, p) [SI] of the prior that the estimates had."""
+        return np.where(self.beyond_prior, FREED, 1.0) * self.prior_sigma
 
     @cached_property
     def sigma(self) -> Floats:
@@ -133,20 +143,28 @@ class Calibration(Result):
     @cached_property
     def determined(self) -> tuple[DeterminedEntry, ...]:
         """Combinations of parameters that are known far better than each of them."""
-        return self._of_each(determined)
+        bayes = self.method == "network" and not self.informed
+        return self._of_each(determined, by_plausible_sizes if bayes else None)
 
     @cached_property
     def harmonics(self) -> tuple[HarmonicEntry, ...]:
         """Every pair of a cosine and a sine coefficient as amplitude and phase."""
         return self._of_each(harmonics)
 
-    def _of_each(self, told: Callable[[Sequence[Parameter], Floats, Floats], list[OfOne]]) -> tuple[OfOne, ...]:
-        """What is told of each instrument's values and covariance; with its name where there are several."""
+    def _of_each(
+        self,
+        told: Callable[[Sequence[Parameter], Floats, Floats], list[OfOne]],
+        seen: Callable[[Sequence[Parameter], Floats, Floats, Floats], tuple[Floats, Floats]] | None = None,
+    ) -> tuple[OfOne, ...]:
+        """What is told of each instrument's values and covariance, as `seen`; with its name where there are several."""
         several, size = len(self.instruments) > 1, self.construction.size
         found: list[OfOne] = []
+        parameters = self.construction.parameters
         for i, (name, values) in enumerate(zip(self.instruments, self.values, strict=True)):
-            own = slice(i * size, (i + 1) * size)
-            entries = told(self.construction.parameters, values, self.covariance[own, own])
+            covariance = self.covariance[i * size : (i + 1) * size, i * size : (i + 1) * size]
+            if seen is not None:
+                values, covariance = seen(parameters, values, covariance, self.prior_used[i])
+            entries = told(parameters, values, covariance)
             found += [entry.model_copy(update={"instrument": name}) if several else entry for entry in entries]
         return tuple(found)
 
@@ -183,6 +201,10 @@ class Calibration(Result):
             undetermined = f"{len(self.undetermined)} combinations are not determined"
             held = f" ({int(self.held.sum())} held)" if self.held.any() else ""
             lines.append(f"{count} parameters{held}, {known} better known than before; {undetermined}")
+            told = (
+                (f"{c.terms} {c.instrument}".rstrip(), with_sigma(c.value, c.sigma), c.unit) for c in self.determined
+            )
+            lines += [f"{terms}: {size} {unit}" for terms, size, unit in told]
         lines += [effect.sentence for effect in self.effects]
         if self.outliers:
             lines.append(f"{len(self.outliers)} readings do not belong")
@@ -219,6 +241,7 @@ class Calibration(Result):
                 unit=parameter.unit,
                 prior_sigma=float(self.prior_sigma[i, k] / parameter.factor),
                 held=bool(self.held[i, k]),
+                beyond_prior=bool(self.beyond_prior[i, k]),
                 **self._applied(i, k),
                 **named[i],
             )
@@ -252,6 +275,7 @@ class Calibration(Result):
             prior_sigma=self.prior_sigma[one, keep],
             covariance=self.covariance[np.ix_(at, at)],
             held=self.held[one, keep],
+            beyond_prior=self.beyond_prior[one, keep],
             correction=None,
         )
 

@@ -1,63 +1,81 @@
 """Where the readings contradict what was known of a parameter before them."""
 
+from collections.abc import Collection
+
 import numpy as np
 from scipy import special
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.adjustment.prior import ParameterPrior
+from ltsim.adjustment.prior import FREED, ParameterPrior, stated_instrument
+from ltsim.adjustment.reliability import FEW
 from ltsim.arrays import Bools, Floats
 from ltsim.calibration.calibration import Calibration
-from ltsim.calibration.evidence import change_seen, evidence
+from ltsim.calibration.evidence import change_seen, changes_found, evidence
 from ltsim.notation import with_sigma
 from ltsim.remedies.undetermined import SILENT, Direction
 
 LEVEL = 0.01
 """Chance that any parameter of a correct prior is said to contradict it."""
-FREED = 100.0
-"""Stated sigmas that a parameter may be off once the readings contradict its prior; no instrument's are off more."""
+RARE = 1e-3
+"""Chance of as little scatter by the stated noise, under which the noise is estimated."""
+NONE = 0.1
+"""Share of the stated noise up to which readings have no noise at all, as in a simulation without."""
 UNEXPLAINED = 2.0
 """sigma0 from which the readings contradict each other too, and no parameter is believed beyond its prior."""
 MOST_FREED = 0.25
 """Share of an instrument's parameters beyond which its prior is wrong as a whole, and all keep it."""
+CORRECTED = "the correction that it is said to have, which leaves"
 MOST_SAID = 3
 MOST_TERMS = 6
 
 
-def beyond_prior(adjustment: Adjustment) -> Bools:
-    """(I, p) Parameters whose prior the readings contradict: one after the other, those before free to be anything."""
-    prior, scale = adjustment.problem.prior, max(1.0, adjustment.sigma0)
-    found = np.zeros(prior.mean.shape, dtype=bool)
+def rest_of(adjustment: Adjustment) -> float:
+    """What is left of the readings, in their noise: the pull of the prior aside."""
+    gap = adjustment.problem.prior.residual(adjustment.state.instrument)
+    return float(np.sqrt(max(adjustment.chi2 - float(gap @ gap), 0.0) / max(adjustment.dof, 1)))
+
+
+def too_quiet(adjustment: Adjustment) -> bool:
+    """Whether readings scatter less than stated: no effect that is missing makes them, so the stated noise is wrong."""
+    heard = adjustment.dof >= FEW and rest_of(adjustment) > NONE
+    return heard and bool(special.chdtr(adjustment.dof, adjustment.chi2) < RARE)
+
+
+def beyond_prior(adjustment: Adjustment, prior: ParameterPrior) -> Bools:
+    """(I, p) Parameters whose `prior` the readings contradict, of one instrument or of all alike.
+
+    One change is looked for after another, those before free to be anything; each gives way to one that explains more
+    in its place (`changes_found`). The prior of the adjustment may be wider.
+    """
+    found, scale = np.zeros(prior.mean.shape, dtype=bool), max(1.0, adjustment.sigma0)
     if prior.correlated or not np.isfinite(prior.sigma).all() or not scale < UNEXPLAINED:
         return found
-    for i in range(len(found)):
-        at = np.flatnonzero(~prior.held[i])
-        unit, gap = prior.sigma[i, at], (adjustment.state.instrument - prior.mean)[i, at]
-        said = evidence(gap, adjustment.instrument_covariance_of(i)[np.ix_(at, at)], unit, unit)
-        variance = np.eye(len(at))
-        while True:
-            score, weight = change_seen(said.information, said.told, variance)
-            seen = np.diag(weight)
-            heard = (seen > SILENT) & ~found[i, at]
-            off = np.where(heard, score / np.where(heard, seen, 1.0), 0.0)
-            beyond = _beyond(off * np.sqrt(np.maximum(seen, 0.0)) / scale)
-            if not beyond or abs(off[beyond[0]]) > FREED:
-                break
-            found[i, at[beyond[0]]] = True
-            variance[beyond[0], beyond[0]] = FREED**2
-        found[i] &= found[i].sum() <= MOST_FREED * len(at)
-    return found
+    free, size = np.flatnonzero(~prior.held.ravel()), prior.mean.shape[1]
+    unit, own = prior.sigma.ravel()[free], adjustment.problem.prior.sigma.ravel()[free]
+    gap = (adjustment.state.instrument - prior.mean).ravel()[free]
+    said = evidence(gap, adjustment.constants_covariance[np.ix_(free, free)], own, unit)
+    alike = np.tile(np.eye(size), len(found))[~prior.held.any(axis=0) & (len(found) > 1)]
+    ways = np.concatenate([np.eye(found.size)[free], alike])[:, free]
+
+    def beyond(others: Collection[int]) -> Floats:
+        """|w| (h,) of each change beside others, to a tenth: of those that explain alike the first is taken."""
+        given = FREED * ways[list(others)]
+        score, weight = change_seen(said.information, said.told, np.eye(len(free)) + given.T @ given)
+        seen = np.einsum("hi,ij,hj->h", ways, weight, ways)
+        heard = (seen > SILENT) & ~np.isin(np.arange(len(ways)), list(others))
+        told = np.abs(ways @ score) / np.where(heard, seen, np.inf)
+        return np.where(told < FREED, np.round(told * np.sqrt(np.abs(seen)) / scale, 1), 0.0)
+
+    limit = _limit(int(np.count_nonzero(beyond([]))))
+    chosen = [k for k, scores in changes_found(beyond, limit).items() if scores[k] > limit]
+    found.flat[free] = ways[chosen].any(axis=0)
+    return found & (found.sum(axis=1, keepdims=True) <= MOST_FREED * size)
 
 
-def widened(prior: ParameterPrior, freed: Bools) -> ParameterPrior:
-    """The prior with some parameters (I, p) practically free."""
-    factor = np.where(freed, FREED, 1.0)
-    return ParameterPrior(prior.mean, prior.covariance * factor[:, :, None] * factor[:, None, :], prior.held)
-
-
-def disagreement(calibration: Calibration, freed: Bools) -> tuple[str, ...]:
+def disagreement(calibration: Calibration) -> tuple[str, ...]:
     """Sentences about the parameters that contradict their prior most, or else the combinations of them.
 
-    Those that were `freed` (I, p) of it are told as such. Two-sided tests at a level shared out over all that is
+    Those whose estimate follows the readings are told as such. Two-sided tests at a level shared out over all that is
     tested, parameters and then combinations.
     """
     if not calibration.values.size or calibration.adjustment is None:
@@ -66,16 +84,20 @@ def disagreement(calibration: Calibration, freed: Bools) -> tuple[str, ...]:
         calibration.adjustment.problem.prior,
         list(zip(calibration.names, calibration.parameters, strict=True)),
     )
-    w = np.where(freed, 0.0, _normalised(calibration, prior.mean)).ravel()
+    scale = max(1.0, calibration.adjustment.sigma0)
+    prior, freed = calibration.adjustment.problem.prior, calibration.beyond_prior
+    w = np.where(freed, 0.0, _normalised(calibration, prior.mean)).ravel() / scale
+    instruments = [stated_instrument(calibration.adjustment.recording, name) for name in calibration.instruments]
+    known = [CORRECTED if one.corrected else "its stated prior of" for one in instruments]
     said = [
-        f"{name} is {with_sigma(p.value, p.sigma, p.unit)} by the readings, which contradicts "
-        f"its stated prior of {p.prior_sigma:.3g} {p.unit}: the estimate follows the readings"
-        for (name, p), is_freed in zip(rows, freed.ravel(), strict=True)
+        f"{name} is {with_sigma(p.value, p.sigma, p.unit)} by the readings, which contradicts {known[i]} "
+        f"{p.prior_sigma:.3g} {p.unit}: the estimate follows the readings"
+        for (name, p), i, is_freed in zip(rows, np.nonzero(freed | True)[0], freed.ravel(), strict=True)
         if is_freed
     ]
-    found = _beyond(w)
+    found = _beyond(w, freed.shape[1] * (len(freed) > 1))
     if not found:
-        return (*said, *_of_combinations(calibration, prior))
+        return (*said, *_of_combinations(calibration, prior, scale))
     for k in found[:MOST_SAID]:
         name, p = rows[k]
         said.append(
@@ -98,14 +120,18 @@ def _normalised(calibration: Calibration, mean: Floats) -> Floats:
     return np.where(heard, (calibration.values - mean) / np.sqrt(np.where(heard, told, 1.0)), 0.0)
 
 
-def _beyond(w: Floats) -> list[int]:
-    """Places of values that chance does not make, the largest first; zeros were not tested."""
-    tested = int(np.count_nonzero(w))
-    limit = float(-special.ndtri(LEVEL / (4 * tested))) if tested else np.inf
+def _limit(tested: int) -> float:
+    """The normalised deviation that chance exceeds at so many places with half the `LEVEL`."""
+    return float(-special.ndtri(LEVEL / (4 * tested))) if tested else float("inf")
+
+
+def _beyond(w: Floats, further: int = 0) -> list[int]:
+    """Places of values that chance does not make, the largest first; zeros were not tested, `further` ones were."""
+    limit = _limit(int(np.count_nonzero(w)) + further)
     return [int(k) for k in np.argsort(-np.abs(w)) if abs(w[k]) > limit]
 
 
-def _of_combinations(calibration: Calibration, prior: ParameterPrior) -> tuple[str, ...]:
+def _of_combinations(calibration: Calibration, prior: ParameterPrior, scale: float) -> tuple[str, ...]:
     """A sentence on the combination that contradicts the prior most: in prior sigmas these are independent."""
     size = calibration.construction.size
     for i in range(len(calibration.instruments)):
@@ -115,7 +141,7 @@ def _of_combinations(calibration: Calibration, prior: ParameterPrior) -> tuple[s
         left, vectors = np.linalg.eigh(root @ own @ root.T)
         gain = np.clip(1.0 - left, 0.0, 1.0)
         told = vectors.T @ root @ (calibration.values[i] - prior.mean[i])[at]
-        w = np.where(gain > SILENT, told / np.sqrt(np.maximum(gain, SILENT)), 0.0)
+        w = np.where(gain > SILENT, told / np.sqrt(np.maximum(gain, SILENT)), 0.0) / scale
         found = _beyond(w)
         if found:
             k = found[0]

@@ -1,7 +1,7 @@
 """What estimates and their covariance say: without the prior, several parameters together, as amplitude and phase."""
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +17,8 @@ DETERMINED = 0.25
 """A combination is told where its deviation is at most this share of what it would be were its members independent."""
 WHOLE = 1.2
 """Members are told until they leave so many times the deviation that all parameters together have."""
+ALIKE = 0.9
+"""The first member whose weight is more than this share of the largest stands for all."""
 DEFINED = 2.0
 """Least amplitude, in its sigmas, at which a phase is given."""
 # 'azimuth-eccentricity-cos', and 'J1.eY_cos2' with an order behind.
@@ -58,12 +60,41 @@ def change_seen(information: Floats, surprise: Floats, variance: Floats) -> tupl
     return keeps @ surprise, keeps @ information
 
 
+def changes_found(scores: Callable[[Collection[int]], Floats], least: float) -> dict[int, Floats]:
+    """Changes beside each other, and the `scores` (h,) with which each was chosen beside the others.
+
+    One after another while one scores more than `least`; each gives way to one that scores more in its place.
+    """
+    found: dict[int, Floats] = {}
+    while (values := scores(found)).max(initial=-np.inf) > least:
+        found[int(np.argmax(values))] = values
+        for one in list(found)[:-1]:
+            values = scores([k for k in found if k != one])
+            del found[one]
+            found[int(np.argmax(values))] = values
+    return found
+
+
+def by_plausible_sizes(
+    parameters: Sequence[Parameter], values: Floats, covariance: Floats, prior_sigma: Floats
+) -> tuple[Floats, Floats]:
+    """Estimates (p,), covariance (p, p) [SI] as by priors of plausible sizes: a tight prior (p,) hides combinations."""
+    free = np.flatnonzero(np.diag(covariance) > 0)
+    unit, block = np.array([p.prior_sigma for p in parameters])[free], np.ix_(free, free)
+    if np.array_equal(unit, prior_sigma[free]):
+        return values, covariance
+    said = evidence(values[free], covariance[block], prior_sigma[free], unit)
+    own, values, covariance = np.linalg.inv(said.information + np.eye(len(free))), values.copy(), covariance.copy()
+    values[free], covariance[block] = unit * (own @ said.told), own * np.outer(unit, unit)
+    return values, covariance
+
+
 def determined(parameters: Sequence[Parameter], values: Floats, covariance: Floats) -> list[DeterminedEntry]:
     """Combinations that are known far better than each of their members; values (p,), covariance (p, p) [SI].
 
     On a single face, say, the vertical index and two eccentricities of the circle are known to 12 urad each, and their
-    weighted sum to 0.3 urad: a person who asks whether something changed asks the combination. Combinations are of one
-    unit: eigenvectors of the covariance that join several parameters.
+    sum to 0.3 urad: a person who asks whether something changed asks the combination. Combinations are of one unit:
+    eigenvectors of the covariance that join several parameters, as large as the first of them if it were alone.
     """
     found = []
     for unit in dict.fromkeys(p.unit for p in parameters):
@@ -81,9 +112,11 @@ def determined(parameters: Sequence[Parameter], values: Floats, covariance: Floa
                     break
             if count < 2 or sigma > DETERMINED * float(np.linalg.norm(weights * alone[members])):
                 continue
-            told = {parameters[at[i]].name: float(w) for i, w in zip(members, weights, strict=True)}
-            value = float(weights @ values[at[members]]) / factor
-            found.append(DeterminedEntry(combination=told, value=value, sigma=sigma / factor, unit=unit))
+            first = int(np.flatnonzero(np.abs(weights) > ALIKE * np.abs(weights).max())[0])
+            order, unit_of_first = [first, *np.delete(np.arange(count), first)], weights[first] * factor
+            told = {parameters[at[members[i]]].name: float(weights[i] / weights[first]) for i in order}
+            value, sigma = float(weights @ values[at[members]]) / unit_of_first, sigma / abs(unit_of_first)
+            found.append(DeterminedEntry(combination=told, value=value, sigma=sigma, unit=unit))
     return found
 
 

@@ -120,8 +120,8 @@ def _calibration(content: CalibrationFile, file: Path) -> Calibration:
     covariance = np.diag(filled(prior, [row.sigma for row in rows]) ** 2)
     if content.covariance:
         covariance[np.ix_(at, at)] = np.array(content.covariance) * np.outer(factor, factor)
-    held = np.zeros(len(place), dtype=bool)
-    held[at] = [row.held for row in rows]
+    held, beyond_prior = np.zeros((2, len(place)), dtype=bool)
+    held[at], beyond_prior[at] = [row.held for row in rows], [row.beyond_prior for row in rows]
     shape = (len(instruments), built.size)
     return Calibration(
         method=content.method,
@@ -131,6 +131,7 @@ def _calibration(content: CalibrationFile, file: Path) -> Calibration:
         prior_sigma=prior.reshape(shape),
         covariance=covariance,
         held=held.reshape(shape),
+        beyond_prior=beyond_prior.reshape(shape),
         informed=content.informed,
         effects=content.effects,
         correction=content.correction,

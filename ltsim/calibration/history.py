@@ -149,7 +149,7 @@ class History(Result):
 
     @cached_property
     def _evidence(self) -> list[Evidence]:
-        return [evidence(c.values[0], c.covariance, c.prior_sigma[0], self.prior_sigma) for c in self.calibrations]
+        return [evidence(c.values[0], c.covariance, c.prior_used[0], self.prior_sigma) for c in self.calibrations]
 
     @cached_property
     def _told(self) -> Floats:
@@ -262,7 +262,7 @@ class History(Result):
         known, unit = self.population, self.prior_sigma
         own = one_instrument(calibration, None, "the calibration")
         spread = known.spread / unit
-        said = evidence(own.values[0], own.covariance, own.prior_sigma[0], unit)
+        said = evidence(own.values[0], own.covariance, own.prior_used[0], unit)
         covariance = np.linalg.inv(said.information + np.diag(spread**-2))
         values = covariance @ (said.told + known.mean / unit * spread**-2)
         return replace(

@@ -130,8 +130,12 @@ class Choice:
 
     def applied(self, recording: Recording, construction: Construction) -> ParameterPrior:
         """The prior of a recording's instruments that follows; raises ModelError, SetupError."""
+        return self.over(prior_sigmas(recording, construction), recording, construction)
+
+    def over(self, sigma: Floats, recording: Recording, construction: Construction) -> ParameterPrior:
+        """The same where standard deviations (I, p) [SI] are expected."""
         check_names(recording, construction)
-        stated = ParameterPrior.independent(prior_sigmas(recording, construction) * (WIDE if self.free else 1.0))
+        stated = ParameterPrior.independent(sigma * (WIDE if self.free else 1.0))
         if self.prior is not None:
             stated = self.prior.over(stated, construction, recording.instruments)
 

@@ -10,11 +10,11 @@ import numpy as np
 from ltsim.adjustment import Adjustment, adjust as adjusted_network
 from ltsim.adjustment.components import Grouping
 from ltsim.adjustment.doubt import require_result
-from ltsim.adjustment.prior import ParameterPrior
+from ltsim.adjustment.prior import ParameterPrior, expected_sigmas, prior_sigmas
 from ltsim.calibration import result
 from ltsim.calibration.beside import Wanted, estimated_beside
 from ltsim.calibration.calibration import Calibration
-from ltsim.calibration.conflict import beyond_prior, disagreement, widened
+from ltsim.calibration.conflict import beyond_prior, disagreement, too_quiet
 from ltsim.calibration.known import WIDE, Choice
 from ltsim.calibration.worth import correction_of
 from ltsim.effects.range_mode import RangeMode
@@ -25,6 +25,9 @@ from ltsim.model.construction import Construction, ideal, stated_construction
 from ltsim.recording.exchange import RecordingSource, recording_of
 from ltsim.recording.recording import MODE_COLUMN, Recording
 from ltsim.recording.result_file import SourceEntry
+
+PASSES = 5
+"""Adjustments until the noise and the parameters that contradict their prior are settled."""
 
 
 def calibrate_network(
@@ -55,22 +58,31 @@ def calibrate_network(
     chosen = choice or Choice()
     for wanted in beside:
         wanted.check(recording, built)
-    adjusted = partial(_adjusted, recording, built, robust, noise_from_data, datum)
     modes = [RangeMode()] if built.size and MODE_COLUMN in recording.circumstances else []
-    prior, informed = chosen.applied(recording, built), chosen.prior is not None
-    found, fits = estimated_beside(partial(adjusted, prior), modes, beside)
-    freed = beyond_prior(found)
-    freed &= weigh and not (informed or chosen.free)
-    if freed.any():
-        found, fits = estimated_beside(partial(adjusted, widened(prior, freed)), modes, beside)
+    expected = expected_sigmas(recording, built) if weigh else prior_sigmas(recording, built)
+    prior, informed = chosen.over(expected, recording, built), chosen.prior is not None
+    freed, grouping = np.zeros(prior.mean.shape, dtype=bool), _grouping(noise_from_data)
+    quiet_by = ""
+    for left in reversed(range(PASSES if weigh else 1)):
+        adjusted = partial(_adjusted, recording, built, robust, grouping, datum, prior.widened(freed))
+        found, fits = estimated_beside(adjusted, modes, beside)
+        further = freed if informed or chosen.free or not left else beyond_prior(found, prior)
+        if left and grouping is None and too_quiet(found):
+            grouping, quiet_by = "observable", f"{found.sigma0:.2f}"
+        elif np.array_equal(freed, further):
+            break
+        else:
+            freed = further
     calibration = replace(_calibration(recording, found, "network", advise=advise, robust=robust), effects=fits)
     if weigh:
         wider = WIDE if chosen.free else None
         worth, weighed = correction_of(found, calibration.names, informed=informed, wider=wider)
         criteria = result.criteria_of(found.recording, found, built, weighed)
         calibration = replace(calibration, correction=worth, weighed=weighed, criteria=criteria)
-    calibration = replace(calibration, prior_sigma=prior.sigma, informed=informed)
-    return replace(calibration, notes=(*calibration.notes, *disagreement(calibration, freed)))
+    calibration = replace(calibration, prior_sigma=prior.sigma, beyond_prior=freed, informed=informed)
+    quiet = f"the readings scatter {quiet_by} times as much as stated, which only the noise does: it is estimated"
+    notes = [*calibration.notes, *([quiet] if quiet_by else []), *disagreement(calibration)]
+    return replace(calibration, notes=tuple(notes))
 
 
 def adjust(
@@ -110,20 +122,23 @@ def adjust(
     (28, 7)
     """
     seen = recording_of(recording)
-    found = _adjusted(seen, ideal(), robust, noise_from_data, None if datum is None else names(datum))
+    found = _adjusted(seen, ideal(), robust, _grouping(noise_from_data), None if datum is None else names(datum))
     return _calibration(seen, found, "adjustment", advise=False, robust=robust)
+
+
+def _grouping(noise_from_data: bool) -> Grouping | None:
+    return "instrument" if noise_from_data else None
 
 
 def _adjusted(
     recording: Recording,
     construction: Construction,
     robust: bool,
-    noise_from_data: bool,
+    grouping: Grouping | None,
     datum: Sequence[str] | None,
     prior: ParameterPrior | None = None,
     effects: Sequence[Signature] = (),
 ) -> Adjustment:
-    grouping: Grouping | None = "instrument" if noise_from_data else None
     how: dict[str, Any] = {"robust": robust, "variance_components": grouping, "datum": datum, "prior": prior}
     found = adjusted_network(recording, construction, effects=effects, **how)
     require_result(found)

@@ -6,7 +6,7 @@ from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.datum import about
 from ltsim.adjustment.frame import Frame
 from ltsim.adjustment.known import KnownTest
-from ltsim.adjustment.verdict import Case, Verdict, verdict
+from ltsim.adjustment.verdict import Verdict, verdict
 from ltsim.arrays import Bools, Floats
 from ltsim.calibration.calibration import SHOWN_UNITS
 from ltsim.calibration.schema import AxesEntry, Combination, Fit, KnownEntry, NoiseRow, OutlierRow, StationPose
@@ -81,9 +81,8 @@ def outliers_of(adjustment: Adjustment) -> tuple[OutlierRow, ...]:
     single = adjustment.rejected & ~adjustment.gross[:, None] & _has_size(adjustment, scaled)
     for i, k in sorted(np.argwhere(single).tolist(), key=lambda at: -abs(scaled[at[0], at[1]])):
         found.append(row(i, k, adjustment.residuals[i, k], float(scaled[i, k]), left_out=True))
-    judged = verdict_of(adjustment)
-    estimated = judged.case is Case.SMALLER_NOISE and judged.by_estimate
-    return (*found, *(row(o.row, o.observable, o.size, o.w) for o in adjustment.outliers(estimated=estimated)))
+    trusted = adjustment.outliers(estimated=verdict_of(adjustment).by_estimate)
+    return (*found, *(row(o.row, o.observable, o.size, o.w) for o in trusted))
 
 
 def _has_size(adjustment: Adjustment, scaled: Floats) -> Bools:
@@ -109,8 +108,8 @@ def noise_of(adjustment: Adjustment) -> tuple[NoiseRow, ...]:
         else:
             column = OBSERVABLES.index(c.observable)
             unit, factor = SHOWN_UNITS[column]
-            own = recording.instrument == recording.instruments.index(c.instrument)
-            sigmas = problem.sigma[own & problem.use[:, column], column]
+            names = np.array(recording.instruments)[recording.instrument]
+            sigmas = problem.sigma[problem.use[:, column] & ((names == c.instrument) | (c.instrument == "")), column]
         if len(sigmas):
             typical = float(np.median(sigmas)) / factor
             rows.append(

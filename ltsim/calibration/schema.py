@@ -76,6 +76,8 @@ class ParameterEntry(Entry):
     """What was known before, one standard deviation."""
     held: bool = False
     """Not estimated: held at this value."""
+    beyond_prior: bool = False
+    """The readings contradict the prior, and the estimate follows them."""
     applied: Known = None
     """What to take out of readings, where that is not the value."""
     instrument: str = ""

@@ -23,7 +23,7 @@ from scipy.linalg import block_diag
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.arrays import Floats, Ints
 from ltsim.calibration.calibration import Correction
-from ltsim.calibration.conflict import UNEXPLAINED
+from ltsim.calibration.conflict import UNEXPLAINED, rest_of
 from ltsim.calibration.evidence import cosine_and_sine
 from ltsim.geometry.rigid import less_rigid
 from ltsim.recording.recording import Recording
@@ -72,8 +72,7 @@ def correction_of(
     spread = np.linalg.inv(root)[np.ix_(within, within)] / unit
     information = (known[np.ix_(within, within)] - np.eye(len(used))) / unit**2
     least, unstated = (1.0 if informed else 0.0), wider is not None
-    gap = prior.residual(adjustment.state.instrument)
-    rest = float(np.sqrt(max(adjustment.chi2 - float(gap @ gap), 0.0) / max(adjustment.dof, 1)))
+    rest = rest_of(adjustment)
     evidence = ScaledPrior(information, heard[within] / unit, least=least, unstated=unstated, rest=rest)
     by_unit = spread.T @ point_errors(adjustment)[np.ix_(used, used)] @ spread
     middle: Floats = np.asarray(np.linalg.solve(spread, mean[used]), dtype=np.float64)

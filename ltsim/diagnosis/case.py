@@ -13,7 +13,6 @@ from ltsim.adjustment import Adjustment, adjust
 from ltsim.adjustment.refit import Refit, refit
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.arrays import Bools, Floats
-from ltsim.calibration.conflict import widened
 from ltsim.diagnosis.evidence import WIDE
 from ltsim.diagnosis.hypotheses import Found
 from ltsim.diagnosis.instruments import Contradiction
@@ -115,7 +114,7 @@ class Case:
         for one in constants:
             owners = [self.recording.instruments.index(name) for name in one.instruments]
             freed[owners, old.construction.names.index(one.parameter.name)] = True
-        prior = widened(old.problem.prior, freed)
+        prior = old.problem.prior.widened(freed)
         self.baseline = adjust(
             self.recording, old.construction, sigma=self.recording.sigma(), use=self.use, start=old.state, prior=prior
         )

@@ -7,9 +7,9 @@ import numpy as np
 from scipy.special import erfc
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.adjustment.prior import prior_sigmas
+from ltsim.adjustment.prior import LEFT, prior_sigmas
 from ltsim.arrays import Floats
-from ltsim.calibration.evidence import change_seen, determined, evidence
+from ltsim.calibration.evidence import by_plausible_sizes, change_seen, changes_found, determined, evidence
 from ltsim.diagnosis.evidence import log_average, log_evidence, shares
 from ltsim.diagnosis.prior import SIZES, log_share
 from ltsim.diagnosis.schema import Estimate, InstrumentEntry
@@ -19,10 +19,6 @@ CHANGED = sum(share * size**2 for size, share in SIZES.items())
 """Variance in guarantees of a constant that is taken to have changed, when the others are looked at."""
 NOT_APART = 0.01
 """Share of the evidence from which another constant may be the one that is off."""
-LEFT = 0.3
-"""What a correction leaves of a constant, in the maker's guarantees; nobody states it, and none is exact. Between the
-share to which an ordinary calibration knows it on the day (0.1: a beam tilt of 10 urad to about 1), and all of it: the
-constants of instruments that are said to be corrected scatter in real halls by half a guarantee and more."""
 TINY = 1e-12
 """Weight under which nothing is told of a constant."""
 WORDS = {True: "the correction that it is said to have", False: "the other instruments"}
@@ -38,11 +34,11 @@ def _entry(adjustment: Adjustment, instrument: int) -> InstrumentEntry:
     parameters = adjustment.construction.parameters
     values = adjustment.state.instrument[instrument]
     covariance = adjustment.instrument_covariance_of(instrument)
-    sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    sigma, prior = np.sqrt(np.maximum(np.diag(covariance), 0.0)), adjustment.problem.prior.sigma[instrument]
     return InstrumentEntry(
         name=adjustment.recording.instruments[instrument],
         parameters=tuple(Estimate.of(p, v, s) for p, v, s in zip(parameters, values, sigma, strict=True)),
-        determined=tuple(determined(parameters, values, covariance)),
+        determined=tuple(determined(parameters, *by_plausible_sizes(parameters, values, covariance, prior))),
     )
 
 
@@ -159,13 +155,7 @@ def compared(adjustment: Adjustment, expected: Expected, least: float) -> list[C
             found[k] = odds + _change(told[k] / seen[k], 1.0 / seen[k] + change.further, change.log_weights)
         return found
 
-    found: dict[int, Floats] = {}
-    while len(found) < len(ways) and (values := logs(found)).max() > least:
-        found[int(np.argmax(values))] = values
-        for one in list(found)[:-1]:
-            values = logs([k for k in found if k != one])
-            del found[one]
-            found[int(np.argmax(values))] = values
+    found = changes_found(logs, least)
     told = sorted((k for k in found if found[k][k] > least), key=lambda k: -found[k][k])
     if not told:
         return []

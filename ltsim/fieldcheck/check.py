@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import special
 
+from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.reliability import surprise
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.effects.index_drift import IndexDrift
@@ -20,7 +21,7 @@ from ltsim.effects.station_bump import StationBump
 from ltsim.errors import NetworkError
 from ltsim.fieldcheck.faces import Faces
 from ltsim.fieldcheck.items import Family, Item, Kind, two_sided
-from ltsim.fieldcheck.network import NETWORK_TESTS, items_of_network
+from ltsim.fieldcheck.network import NETWORK_TESTS, items_of_network, plain_network, with_own_noise
 from ltsim.fieldcheck.visit import Explained, Visit
 from ltsim.fieldcheck.words import (
     bump_sentence,
@@ -135,8 +136,12 @@ def check(recording: RecordingSource, *, level: float = LEVEL, mpe: tuple[float,
     """
     whole = recording_of(recording)
     family = Family(level, 2 * TESTS * max(len(whole.stations), 1))
-    setups = tuple(_set_up(whole, s, family, mpe) for s in range(len(whole.stations)))
-    found = Check(whole, setups, items_of_network(whole, Family(level, 2 * NETWORK_TESTS)), level)
+    plain = plain_network(whole) if len(whole.stations) > 1 else None
+    shown, scattering = with_own_noise(whole, plain) if isinstance(plain, Adjustment) else (whole, ())
+    setups = tuple(_set_up(shown, s, family, mpe) for s in range(len(whole.stations)))
+    shared = Family(level, 2 * NETWORK_TESTS)
+    network = () if plain is None else items_of_network(shown, plain, shared, own_noise=shown is not whole)
+    found = Check(whole, setups, (*scattering, *network), level)
     if not found.items:
         message = "no station measured a target twice, so nothing can be checked yet; "
         raise NetworkError(message + "measure some targets on both faces, or the first ones again at the end")

@@ -9,14 +9,16 @@ from ltsim.adjustment.estimate import adjust
 from ltsim.adjustment.gross import mistakes
 from ltsim.adjustment.known import Kind
 from ltsim.adjustment.occupations import moved_tripods
-from ltsim.adjustment.verdict import LEVEL as RARE
+from ltsim.adjustment.reliability import FEW
+from ltsim.adjustment.verdict import LEVEL as RARE, Case, verdict
 from ltsim.arrays import Bools
-from ltsim.errors import ConvergenceError, NetworkError
+from ltsim.errors import ConvergenceError, LtsimError, NetworkError
 from ltsim.fieldcheck.items import Family, Item, two_sided
 from ltsim.model.construction import stated_construction
 from ltsim.notation import with_sigma
-from ltsim.recording.recording import Recording
-from ltsim.units import ARCSECOND
+from ltsim.recording.recording import SIGMA_COLUMNS, Recording
+from ltsim.solve.design import median_deviation
+from ltsim.units import ARCSECOND, MILLIMETRE
 
 NETWORK_TESTS = 2
 """Tests of all stations together: common targets, and levels."""
@@ -28,17 +30,48 @@ EXPLAINED = 0.05
 """Chance of what the instrument's errors explain, below which they are at work; otherwise the plain network counts."""
 
 
-def items_of_network(recording: Recording, family: Family) -> tuple[Item, ...]:
-    """Whether the stations agree, the instrument's errors estimated; nothing where they cannot be compared."""
-    if len(recording.stations) < 2:
-        return ()
+def plain_network(recording: Recording) -> Adjustment | LtsimError:
+    """The network as `adjust` has it, or why there is none."""
+    try:
+        plain = adjust(recording, judging=TESTED)
+        require_result(plain)
+    except (NetworkError, ConvergenceError) as problem:
+        return problem
+    return plain
+
+
+def with_own_noise(recording: Recording, plain: Adjustment) -> tuple[Recording, tuple[Item, ...]]:
+    """The recording with readings to targets that scatter far more than all others as uncertain as they show.
+
+    What `adjust` says of such targets is an item; none of their pointings is one to measure again for that alone.
+    """
+    named, own, rest = plain.restless
+    if not len(named) or not own > 1.0 or verdict(plain).case is not Case.LARGER_NOISE:
+        return recording, ()
+    rows = np.isin(recording.target, named)
+    told = [one[share > CHECKED] for one, share in zip(plain.w[rows].T, plain.redundancy[rows].T, strict=True)]
+    seen = [median_deviation(one) if len(one) >= FEW else own for one in told]
+    sigma = np.where(rows[:, None], np.maximum(seen, 1.0), 1.0) * recording.sigma() / [MILLIMETRE, ARCSECOND, ARCSECOND]
+    shown = recording.replace(covariates={**recording.covariates, **dict(zip(SIGMA_COLUMNS, sigma.T, strict=True))})
+    names = tuple(recording.targets[t] for t in named)
+    sentence = f"readings to {', '.join(names)} scatter {own:.2g} times as stated, the others {rest:.2g} times"
+    return shown, (Item.of("", "closure", False, f"{sentence}: it belongs to the target", targets=names),)
+
+
+def items_of_network(
+    recording: Recording, plain: Adjustment | LtsimError, family: Family, *, own_noise: bool
+) -> tuple[Item, ...]:
+    """Whether the stations agree, the instrument's errors estimated; nothing where they cannot be compared.
+
+    `plain` is the network as `adjust` has it, with the stated noise even where the recording has its `own_noise`.
+    """
     try:
         built = stated_construction(recording)
     except NetworkError as problem:
         return (Item.of("", "network", True, f"the stations are not compared: {problem}"),)
     try:
-        plain = adjust(recording, judging=TESTED)
-        require_result(plain)
+        if isinstance(plain, LtsimError):
+            raise plain
         found = adjust(recording, built, robust=True, judging=TESTED)
     except (NetworkError, ConvergenceError) as problem:
         return (Item.of("", "network", False, f"the set-ups make no network: {problem}"),)
@@ -55,11 +88,14 @@ def items_of_network(recording: Recording, family: Family) -> tuple[Item, ...]:
     items += [Item.of("", "network", False, test.sentence, targets=(test.name,)) for test in found.wrong]
     if found.solution.converged and found.dof > 0:
         use, some = found.problem.use, found.rejected.any()
-        without = adjust(recording, use=use, judging=TESTED) if some else plain
+        without = adjust(recording, use=use, judging=TESTED) if some or own_noise else plain
         if _at_work(without, found):
             without = found
         elif some:
             without = adjust(recording, robust=True, judging=TESTED)
+        alone, less = two_sided(without.chi2, without.dof)
+        if own_noise and not less and family.adjusted(alone) < family.level:  # noise: what stands out of it, by adjust
+            known |= ~np.isin(np.arange(len(known)), [one.row for one in plain.outliers(estimated=True)])
         items += [*_of_targets(without, known, family), *_of_levels(found, family)]
     return tuple(items)
 

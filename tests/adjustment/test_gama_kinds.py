@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from ltsim.adjustment import adjust
+from ltsim.adjustment.doubt import curvature
 from ltsim.randomness import stream
 from ltsim.recording import read
 
@@ -188,3 +189,32 @@ def test_a_network_agrees_with_plain_numpy_beyond_the_digit_that_gama_prints(
     open_ = {names[t] for t in np.flatnonzero(found.open_heights)}
     fixed = {name for name, said in network.points.items() if "adj" not in said or 'fix="z"' in said}
     assert set(network.points) - fixed - open_ == told
+
+
+def test_a_point_with_a_distance_alone_is_left_out_and_a_turn_that_nothing_holds_has_no_bend(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As where azimuths are left out: neither a search without end nor an eigenvector of what is unknown."""
+    points = placed("A", 'fix="xy"') | dict.fromkeys("BCDEF", 'adj="xy"')
+    network = Network(points, [*PLAN, *sights("distance", "AF")], "Bx By Cx Cy Dx Dy Ex Ey").measured(0)
+    found = adjust(read(network.write(tmp_path / "network.gkf")))
+    assert found.solution.converged
+    assert found.lost_targets == ("F",)
+    assert found.dof == network.solve()[3] - 1
+    spread = found.pose_covariance.copy()
+    spread[1, :3, 3:], spread[1, 5, 5] = np.nan, 1.0
+    monkeypatch.setattr(type(found), "pose_covariance", spread)
+    assert np.array_equal(np.isnan(curvature(found)), np.isnan(spread).any(axis=(1, 2)))
+
+
+def test_a_far_point_is_fixed_by_angles_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """At kilometres a direction tells centimetres and a fixed coordinate micrometres: both are known."""
+    for name, place in PLACES.items():
+        monkeypatch.setitem(PLACES, name, [40.0 * x for x in place])
+    sights = [Sight("angle", at, "E", back) for back, at in ("BA", "AB", "DB", "BD")]
+    network = Network(placed("A B D", 'fix="xy"') | {"E": 'adj="xy"'}, sights, "Ex Ey").measured(0)
+    found, (x, _, square_sum, dof) = adjust(read(network.write(tmp_path / "network.gkf"))), network.solve()
+    assert not found.lost_targets
+    assert found.dof == dof == 2
+    assert found.chi2 == pytest.approx(square_sum, rel=1e-6)
+    assert np.abs(found.state.points[found.recording.targets.index("E"), :2] - x).max() < PRINTED

@@ -11,6 +11,7 @@ from ltsim.calibration import calibrate_network
 from ltsim.errors import ModelError
 from ltsim.geometry.rigid import rigid_motion
 from ltsim.model.construction import dh, misalignment
+from ltsim.recording.setup import Gauge, GaugeDistance, Instrument, Prior, Station
 from ltsim.remedies.network import Network
 from ltsim.remedies.undetermined import gains, simple_rotation, undetermined
 
@@ -160,3 +161,42 @@ def test_constants_of_the_stated_size_contradict_nothing(make, drawn) -> None:
     for seed in range(10):
         found = calibrate_network(make(drawn(misalignment(), 27, seed), trial=seed), advise=False)
         assert not [note for note in found.notes if "contradict" in note]
+
+
+def test_a_scale_of_two_corrected_trackers_is_found_under_noise_that_is_stated_too_large(make, points) -> None:
+    """A correction leaves 0.3 of the guarantee; the noise is told by the readings where they scatter less."""
+    scale, found = misalignment().names.index("range-scale"), []
+    ends = [(k, k + 12) for k in range(12)]
+    lengths = [1e3 * float(np.linalg.norm(points[a] - points[b])) for a, b in ends]
+    walls = [
+        GaugeDistance(**{"from": f"T{a + 1:02d}", "to": f"T{b + 1:02d}"}, length_mm=length, sigma_mm=0.002)
+        for (a, b), length in zip(ends, lengths, strict=True)
+    ]
+    for seed in range(5):
+        values = np.zeros(16)
+        values[scale] = 12e-6
+        recording = make(values, trial=seed)
+        noise = recording.setup.instrument.noise
+        noise = noise.model_copy(update={k: 3 * v for k, v in noise.model_dump().items()})
+        own = {name: Instrument(corrected=True, noise=noise) for name in "AB"}
+        stations = {s: Station(instrument="AB"[k % 2]) for k, s in enumerate(recording.stations)}
+        setup = recording.setup.model_copy(
+            update={"instruments": own, "stations": stations, "gauge": Gauge(distance=tuple(walls))}
+        )
+        one = calibrate_network(recording.replace(setup=setup), advise=False)
+        assert one.beyond_prior.sum(axis=0)[scale] == 2
+        assert one.beyond_prior.sum() == 2
+        assert np.max(one.prior_sigma[:, scale]) == pytest.approx(0.6e-6)
+        assert sum("which leaves 0.6 ppm: the estimate follows the readings" in note for note in one.notes) == 2
+        assert [round(3 * n.factor) for n in one.noise] == [1, 1, 1]
+        found.append((one.values[:, scale] - 12e-6) / one.sigma[:, scale])
+    assert np.sqrt(np.mean(np.square(found))) < 1.8
+
+
+def test_a_stated_prior_holds_for_a_corrected_instrument_too(make) -> None:
+    recording = make(np.zeros(16))
+    own = Instrument(corrected=True, prior=Prior(parameters={"beam-tilt": 3.0}))
+    found = calibrate_network(recording.replace(setup=recording.setup.model_copy(update={"instrument": own})))
+    sizes = dict(zip(found.names, found.prior_sigma[0], strict=True))
+    assert sizes["beam-tilt"] == pytest.approx(3e-6)
+    assert sizes["range-offset"] == pytest.approx(3e-6)

@@ -15,6 +15,7 @@ from ltsim.calibration import calibrate_distance, calibrate_network, correct, wr
 from ltsim.calibration.files import calibration_file
 from ltsim.errors import ModelError, NetworkError
 from ltsim.recording import Hints, read
+from ltsim.recording.recording import OBSERVABLES
 from ltsim.recording.setup import Target
 
 
@@ -88,9 +89,13 @@ def test_the_verdict_is_written_where_tests_conflict(make) -> None:
     wide = noise.model_copy(update={k: 3 * v for k, v in noise.model_dump().items()})
     instrument = recording.setup.instrument.model_copy(update={"noise": wide})
     setup = recording.setup.model_copy(update={"instrument": instrument})
-    said = calibration_file(calibrate_network(quiet.replace(setup=setup), advise=False)).content()["verdict"]
+    quiet = quiet.replace(setup=setup)
+    said = calibration_file(calibrate_network(quiet, advise=False, weigh=False)).content()["verdict"]
     assert said["case"] == "smaller noise"
     assert said["scale_by_sigma0"] is True
+    found = calibrate_network(quiet, advise=False)
+    assert any("which only the noise does" in note for note in found.notes)
+    assert {n.observable: round(3 * n.factor) for n in found.noise} == dict.fromkeys(OBSERVABLES, 1)
 
 
 def test_a_target_without_a_place_is_named_and_has_no_coordinates(make, tmp_path: Path) -> None:

@@ -372,3 +372,16 @@ def test_the_girder_epochs(shared: Path) -> None:
     assert "K6" in gross.targets
     assert not found.passed
     assert check_file(found).sentence.startswith("no-go: Instrument_0 to K6: rows 81 and 82 are 52")
+
+
+def test_readings_to_targets_that_scatter_are_told_as_that_and_none_is_gross() -> None:
+    """Directions to four targets are ten times as noisy: neither a set-up nor the network blames a pointing of them."""
+    for seed in range(5):
+        recording = network(faces=2, seed=seed)[0]
+        extra = 10.0 * recording.sigma() * stream(seed, "noisy").standard_normal(recording.readings.shape)
+        noisy = recording.readings + np.isin(recording.target, [3, 9, 14, 20])[:, None] * extra * [0.0, 1.0, 1.0]
+        found = check(recording.with_readings(noisy), level=0.001)
+        failed = [item for item in found.items if not item.passed]
+        (told,) = (item for item in failed if "scatter" in item.sentence and not item.station)
+        assert set(told.targets) == {"T04", "T10", "T15", "T21"}
+        assert not [item for item in failed if item.rows]
