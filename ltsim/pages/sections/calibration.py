@@ -67,12 +67,8 @@ def calibration_section(content: CalibrationFile, beside: Beside) -> Section:
     shown = len(blocks) + 1
     if targets is not None and content.stations:
         blocks += workshop_blocks(lambda: workshop_of(content, recording, targets, after), beside.detail)
-<<<<<<< HEAD
-    blocks += [*([] if ahead else known), *first[1:], *(product if content.parameters else ()), *_stations(content)]
-=======
     blocks += combined("Determined in combination", content.determined)
-    blocks += [*first[1:], *(product if content.parameters else ()), *_stations(content)]
->>>>>>> s12-field
+    blocks += [*([] if ahead else known), *first[1:], *(product if content.parameters else ()), *_stations(content)]
     if after is not None and not beside.brief:
         blocks += residual_blocks(after, before, what="the instrument's parameters")
     if content.effects:
