@@ -52,6 +52,7 @@ def test_heights_and_sigmas_of_every_row_are_read(tmp_path: Path) -> None:
     assert "distances taken as m: 'fromhgt' beside them holds heights of metres" in said
     assert "'date' holds days without a clock" in said
     assert "the circle was turned between rounds: 3 rounds" in said
+    assert "states no noise" not in said
     assert found.stations == ("A", "A#2", "B")
     assert [found.station_setup(name).over for name in found.stations] == ["A", "A", "B"]
     assert all(found.station_setup(name).levelled for name in found.stations)
@@ -66,6 +67,7 @@ def test_columns_names_heights_and_sigmas(tmp_path: Path) -> None:
     found = read(file_of(tmp_path, text), hints=Hints(columns=wanted))
     np.testing.assert_allclose(found.covariates["target_height_mm"], [1500, 1600])
     np.testing.assert_allclose(found.covariates["sigma_azimuth_arcsec"], 0.972)
+    assert any("states no noise" in note for note in found.notes)
 
 
 def test_a_distance_that_may_be_metres_is_asked_for(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from ltsim.geometry.polar import to_face
 from ltsim.recording.conventions import NO_HINTS, NO_NOISE, Hints, poses_of
 from ltsim.recording.files import MAX_TEXT, shown
 from ltsim.recording.pointings import NAN, Pointing, recording_of
-from ltsim.recording.recording import HEIGHT_COLUMNS, KIND_COLUMN, OCCUPATION_COLUMNS, Recording
+from ltsim.recording.recording import HEIGHT_COLUMNS, KIND_COLUMN, OCCUPATION_COLUMNS, SIGMA_COLUMNS, Recording
 from ltsim.recording.settings import read_setup
 from ltsim.recording.setup import Setup
 from ltsim.recording.tables import cells
@@ -54,7 +54,8 @@ def read(path: Path, hints: Hints = NO_HINTS, *, positional: bool = False) -> Re
     poses = poses_of(setup, tuple(dict.fromkeys(p.station for p in table.pointings)))
     meaning, readings = readings_of(table, poses, hints, path)
     found = assembled(table, meaning, readings, setup, hints, path)
-    return found.replace(notes=(*found.notes, *notes))
+    stated = all(np.isfinite(found.covariates.get(name, np.nan)).all() for name in SIGMA_COLUMNS)
+    return found.replace(notes=(*found.notes, *(note for note in notes if not (stated and note == NO_NOISE))))
 
 
 def assembled(table: Table, meaning: Meaning, readings: Floats, setup: Setup, hints: Hints, file: Path) -> Recording:
