@@ -10,6 +10,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from ltsim.errors import SetupError
+
 WORD = 2**32
 BLOCK = 256
 """Trials whose numbers come from one stream; part of what the numbers are, so it never changes."""
@@ -35,7 +37,14 @@ def stream(seed: int, *key: str | int) -> np.random.Generator:
     -------
     numpy.random.Generator
         Independent of the stream of every other key.
+
+    Raises
+    ------
+    SetupError
+        When the seed is negative.
     """
+    if seed < 0:
+        raise SetupError(f"seed: found {seed}, expected 0 or more")
     spawn_key = tuple([_number(part) if isinstance(part, str) else part for part in key])
     if max(seed, *spawn_key) >= WORD:
         return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=spawn_key))

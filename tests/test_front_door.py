@@ -14,7 +14,7 @@ import pytest
 
 import ltsim as lt
 from ltsim.cli.main import run
-from ltsim.errors import ModelError, RecordError, SetupError
+from ltsim.errors import LtsimError, ModelError, RecordError, SetupError
 from ltsim.results import MOST_SHOWN, Result
 
 SMALL_PLAN = """
@@ -215,3 +215,21 @@ def test_an_option_is_called_what_its_reader_calls_it(recording, tmp_path: Path,
     lt.write(recording, tmp_path / "rec")
     assert run(["calibrate", str(tmp_path / "rec"), "--method", "distance", "--robust"]) == 2
     assert "--prior and --with go with --method network" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("call", "says"),
+    [
+        (lambda rec, cal: lt.simulate("paper-workshop", seed=-1), "seed: found -1, expected 0 or more"),
+        (lambda rec, cal: lt.calibrate(cal), "expected a recording or the path of one, found a Calibration"),
+        (lambda rec, cal: lt.compare(rec, cal), "expected a recording or the path of one, found a Calibration"),
+        (
+            lambda rec, cal: lt.inject(rec, "index-drift", noncentrality=-4),
+            "noncentrality: found -4, expected more than 0",
+        ),
+        (lambda rec, cal: lt.Effect("index-drift", index_drft=3), "sizes, where drawn: index-drift"),
+    ],
+)
+def test_what_is_no_input_gets_one_sentence(recording, call, says: str):
+    with pytest.raises(LtsimError, match=says):
+        call(recording, lt.calibrate(recording, advise=False))

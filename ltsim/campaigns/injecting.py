@@ -141,6 +141,8 @@ def inject(
         raise ModelError(
             "nothing to inject: name an effect (ltsim effects lists them) or a law such as 'azimuth ~ time'"
         )
+    if noncentrality is not None and not noncentrality > 0.0:
+        raise ModelError(f"noncentrality: found {noncentrality:g}, expected more than 0")
     for cause in causes:
         if isinstance(cause, (list, tuple)):
             raise ModelError("causes are given one after another, not as a list: inject(recording, first, second)")

@@ -87,8 +87,8 @@ def effect_from(name: str, places: Mapping[str, tuple[str, ...]], shape: Mapping
     constants: dict[str, Any] = {}
     for key, value in shape.items():
         if key not in fields:
-            known = ", ".join(sorted(fields)) or "none"
-            raise ModelError(f"{name} has no constant called '{key}'; constants: {known}")
+            known, sizes = ", ".join(sorted(fields)) or "none", ", ".join(p.name for p in kind.parameters)
+            raise ModelError(f"{name} has no constant called '{key}'; constants: {known}; sizes, where drawn: {sizes}")
         constants[key] = _fitted(f"{name}.{key}", value, fields[key], units.get(key, 1.0))
     effect = kind(**{**places, **constants})
     _check_constants(effect)

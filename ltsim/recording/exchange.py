@@ -110,7 +110,9 @@ def is_recording(path: Path) -> bool:
 
 
 def recording_of(source: RecordingSource) -> Recording:
-    """The recording itself, read where a path was given."""
+    """The recording itself, read where a path was given; raises RecordError where it is neither."""
+    if not isinstance(source, Recording | str | Path):
+        raise RecordError(f"expected a recording or the path of one, found a {type(source).__name__}")
     return source if isinstance(source, Recording) else read(source)
 
 

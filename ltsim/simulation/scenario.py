@@ -10,7 +10,7 @@ from pydantic import Field
 
 from ltsim.arrays import Floats
 from ltsim.effects.effect import Effect
-from ltsim.effects.verbs import Sized
+from ltsim.effects.verbs import Sized, effect_from
 from ltsim.errors import ModelError, SetupError, as_setup_error
 from ltsim.recording.files import Where, shown
 from ltsim.recording.settings import above, checked, read_toml, to_toml, with_instruments
@@ -150,19 +150,20 @@ def changed(scenario: Scenario, changes: Mapping[str, Any], file: Path, where: s
     of_sheets = [key for key, value in changes.items() if key.endswith(".preset") and value in sheet_names()]
     brought += [key.removesuffix("preset") + "limits" for key in of_sheets]
     for key, value in [*((key, NONE) for key in brought), *changes.items()]:
-        _set(table, key, _as_table(value), where or str(file))
+        _set(table, key, _as_table(value, effects=key == "effects"), where or str(file))
     return scenario_from(table, file)
 
 
-def _as_table(value: Any) -> Any:
-    """A new value as a file has it: effects (`lt.Effect`), alone or in a list, as their tables."""
-    if isinstance(value, Effect | Sized):
+def _as_table(value: Any, *, effects: bool) -> Any:
+    """A new value as a file has it: effects (`lt.Effect`, or their names), alone or in a list, as their tables."""
+    if isinstance(value, Effect | Sized) or (effects and isinstance(value, str)):
         value = [value]
     if not isinstance(value, (list, tuple)):
         return value
+    given = [effect_from(v, {}, {}) if effects and isinstance(v, str) else v for v in value]
     return [
         EffectEntry.of(v).model_dump(mode="json", exclude_defaults=True) if isinstance(v, Effect | Sized) else v
-        for v in value
+        for v in given
     ]
 
 
