@@ -251,7 +251,8 @@ def test_every_result_is_drawn_with_what_its_axes_mean_and_has_a_table(drawn: li
         assert isinstance(figure, Figure)
         for ax in figure.axes:
             assert ax.lines or ax.collections or ax.patches or ax.texts, "no panel is empty without a word"
-        told = [words for ax in figure.axes for words in (ax.get_xlabel(), ax.get_ylabel(), ax.get_title("left"))]
+        told = [words for ax in figure.axes for words in (ax.get_xlabel(), ax.get_ylabel())]
+        told += [ax.get_title(loc) for ax in figure.axes for loc in ("left", "right")]
         assert any(told) or figure.get_supxlabel(), type(result)
         assert isinstance(result, View | Scenario | Adjustment) or len(result.to_dataframe().columns), type(result)
 

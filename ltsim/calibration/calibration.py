@@ -36,7 +36,6 @@ from ltsim.effects.signature import Parameter
 from ltsim.errors import RecordError
 from ltsim.evaluation.criteria import Criteria
 from ltsim.model.construction import Construction
-from ltsim.notation import with_sigma
 from ltsim.recording.recording import OBSERVABLES, Recording
 from ltsim.recording.result_file import SourceEntry
 from ltsim.results import Column, Result, Table, columns_of
@@ -201,10 +200,6 @@ class Calibration(Result):
             undetermined = f"{len(self.undetermined)} combinations are not determined"
             held = f" ({int(self.held.sum())} held)" if self.held.any() else ""
             lines.append(f"{count} parameters{held}, {known} better known than before; {undetermined}")
-            told = (
-                (f"{c.terms} {c.instrument}".rstrip(), with_sigma(c.value, c.sigma), c.unit) for c in self.determined
-            )
-            lines += [f"{terms}: {size} {unit}" for terms, size, unit in told]
         lines += [effect.sentence for effect in self.effects]
         if self.outliers:
             lines.append(f"{len(self.outliers)} readings do not belong")

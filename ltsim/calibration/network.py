@@ -20,7 +20,7 @@ from ltsim.calibration.worth import correction_of
 from ltsim.effects.range_mode import RangeMode
 from ltsim.effects.signature import Signature
 from ltsim.effects.verbs import names
-from ltsim.errors import NetworkError
+from ltsim.errors import ConvergenceError, NetworkError
 from ltsim.model.construction import Construction, ideal, stated_construction
 from ltsim.recording.exchange import RecordingSource, recording_of
 from ltsim.recording.recording import MODE_COLUMN, Recording
@@ -62,12 +62,18 @@ def calibrate_network(
     expected = expected_sigmas(recording, built) if weigh else prior_sigmas(recording, built)
     prior, informed = chosen.over(expected, recording, built), chosen.prior is not None
     freed, grouping = np.zeros(prior.mean.shape, dtype=bool), _grouping(noise_from_data)
-    quiet_by = ""
+    quiet_by, heard = "", True
     for left in reversed(range(PASSES if weigh else 1)):
         adjusted = partial(_adjusted, recording, built, robust, grouping, datum, prior.widened(freed))
-        found, fits = estimated_beside(adjusted, modes, beside)
+        try:
+            found, fits = estimated_beside(adjusted, modes, beside)
+        except ConvergenceError:
+            if not quiet_by:
+                raise
+            grouping, quiet_by, heard = None, "", False  # what scatters so little has no noise of its own
+            continue
         further = freed if informed or chosen.free or not left else beyond_prior(found, prior)
-        if left and grouping is None and too_quiet(found):
+        if left and heard and grouping is None and too_quiet(found):
             grouping, quiet_by = "observable", f"{found.sigma0:.2f}"
         elif np.array_equal(freed, further):
             break

@@ -89,7 +89,7 @@ def correction_of(
         plausible_scale=evidence.plausible,
         uncorrected_um=before / MICROMETRE,
         corrected_um=after / MICROMETRE,
-        noise_um=reading_noise(adjustment.recording) / MICROMETRE,
+        noise_um=reading_noise(adjustment.recording, adjustment.problem.sigma) / MICROMETRE,
         left_out=left_out,
         sentences=tuple(notes),
     )
@@ -202,14 +202,14 @@ class ScaledPrior:
         return float(np.sqrt(mean @ by_unit @ mean + rest)), float(np.sqrt(missed @ by_unit @ missed + rest))
 
 
-def reading_noise(recording: Recording) -> float:
-    """Rms [m] of the distance by which the stated noise of one reading shifts a point, over all whole pointings."""
+def reading_noise(recording: Recording, sigma: Floats) -> float:
+    """Rms [m] of the distance by which noise (n, 3) of one reading shifts a point, over all whole pointings."""
     whole = recording.measured.all(axis=1)
     if not whole.any():
         return 0.0
-    (range_, _, elevation), sigma = recording.readings[whole].T, recording.sigma()[whole].T
-    across = range_ * np.cos(elevation) * sigma[1]
-    return float(np.sqrt(np.mean(sigma[0] ** 2 + across**2 + (range_ * sigma[2]) ** 2)))
+    (range_, _, elevation), (along, aside, above) = recording.readings[whole].T, sigma[whole].T
+    across = range_ * np.cos(elevation) * aside
+    return float(np.sqrt(np.mean(along**2 + across**2 + (range_ * above) ** 2)))
 
 
 def point_errors(adjustment: Adjustment) -> Floats:

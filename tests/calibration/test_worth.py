@@ -116,7 +116,7 @@ def test_an_error_of_a_new_point_says_the_noise_of_its_reading() -> None:
         seen.append(cloud_error(recording, measured_points(recording), truth.state.points))
     found = lt.calibrate(recording, advise=False)
     assert found.correction is not None
-    stated = reading_noise(recording)
+    stated = reading_noise(recording, recording.sigma())
     free = 1 - 6 / (3 * len(recording.targets))  # a rigid fit of each station takes six of its numbers
     assert np.sqrt(np.mean(np.square(seen))) == pytest.approx(stated * np.sqrt(free), rel=0.05)
     assert found.correction.noise_um == pytest.approx(1e6 * stated)
