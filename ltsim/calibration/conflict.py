@@ -80,22 +80,20 @@ def disagreement(calibration: Calibration) -> tuple[str, ...]:
     """
     if not calibration.values.size or calibration.adjustment is None:
         return ()
-    prior, rows = (
-        calibration.adjustment.problem.prior,
-        list(zip(calibration.names, calibration.parameters, strict=True)),
-    )
-    scale = max(1.0, calibration.adjustment.sigma0)
     prior, freed = calibration.adjustment.problem.prior, calibration.beyond_prior
+    rows, size = list(zip(calibration.names, calibration.parameters, strict=True)), freed.shape[1]
+    scale = max(1.0, calibration.adjustment.sigma0)
     w = np.where(freed, 0.0, _normalised(calibration, prior.mean)).ravel() / scale
     instruments = [stated_instrument(calibration.adjustment.recording, name) for name in calibration.instruments]
     known = [CORRECTED if one.corrected else "its stated prior of" for one in instruments]
-    said = [
-        f"{name} is {with_sigma(p.value, p.sigma, p.unit)} by the readings, which contradicts {known[i]} "
-        f"{p.prior_sigma:.3g} {p.unit}: the estimate follows the readings"
-        for (name, p), i, is_freed in zip(rows, np.nonzero(freed | True)[0], freed.ravel(), strict=True)
-        if is_freed
-    ]
-    found = _beyond(w, freed.shape[1] * (len(freed) > 1))
+    said = []
+    for k in np.flatnonzero(freed).tolist():
+        name, p = rows[k]
+        said.append(
+            f"{name} is {with_sigma(p.value, p.sigma, p.unit)} by the readings, which contradicts {known[k // size]} "
+            f"{p.prior_sigma:.3g} {p.unit}: the estimate follows the readings"
+        )
+    found = _beyond(w, size * (len(freed) > 1))
     if not found:
         return (*said, *_of_combinations(calibration, prior, scale))
     for k in found[:MOST_SAID]:
