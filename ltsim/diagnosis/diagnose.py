@@ -163,16 +163,18 @@ def _explain(case: Case, threshold: float, compared: Compared) -> tuple[Case, Fo
     beside them, found or not, noise comes first as well, and the explanation that is worth more stays.
     """
     most, noise = case.searcher.first_look(threshold).score, case.noises(case.empty)[0][0]
-    own, found = _in_order(case.copied(), threshold, compared, noise_first=noise >= max(threshold, most))
+    both = threshold < noise < most
+    own = case.copied() if both else case
+    found = _in_order(own, threshold, compared, noise_first=noise >= max(threshold, most))
     left, dof = float(found.residual @ found.residual), own.space.adjustment.dof - found.extension.shape[1]
-    if threshold < noise < most and (own.noise or chdtrc(dof, left) < NEXT_LEVEL):
-        other, instead = _in_order(case.copied(), threshold, compared, noise_first=True)
-        if other.worth(instead) > own.worth(found):
-            return other, instead
+    if both and (own.noise or chdtrc(dof, left) < NEXT_LEVEL):
+        instead = _in_order(case, threshold, compared, noise_first=True)
+        if case.worth(instead) > own.worth(found):
+            return case, instead
     return own, found
 
 
-def _in_order(case: Case, threshold: float, compared: Compared, *, noise_first: bool) -> tuple[Case, Found]:
+def _in_order(case: Case, threshold: float, compared: Compared, *, noise_first: bool) -> Found:
     """What explains a case, noise or shifts first."""
     if noise_first:
         _noise_alone(case, threshold)
@@ -183,7 +185,7 @@ def _in_order(case: Case, threshold: float, compared: Compared, *, noise_first: 
     if apart and sum(one.evidence for one in apart) > found.score:
         case.free(apart)
         found = case.searcher.search(threshold, something=False)
-    return case, _in_turn(case, found, threshold)
+    return _in_turn(case, found, threshold)
 
 
 def _noise_alone(case: Case, threshold: float) -> None:
