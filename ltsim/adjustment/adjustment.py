@@ -257,12 +257,13 @@ class Adjustment(Result):
         """
         count = int(self.problem.use.sum())
         limit = np.full((len(self.w), 1), critical_w(count, level))
-        own = np.isin(self.recording.target, self.restless[0]) if estimated else np.zeros(len(self.w), dtype=bool)
-        for rows in (own, ~own) if own.any() else ():
-            square, dof = np.nansum((self.residuals / self.problem.sigma)[rows] ** 2), np.nansum(self.redundancy[rows])
-            limit[rows] = np.sqrt(square / dof) * critical_tau(count, int(dof), level)
-        if estimated and not own.any():
+        if estimated:
             limit[:] = self.sigma0 * critical_tau(count, self.dof, level)
+            own: Bools = np.isin(self.recording.target, self.restless[0])
+            for group in (own, ~own) if own.any() else ():
+                square = np.nansum((self.residuals / self.problem.sigma)[group] ** 2)
+                dof = np.nansum(self.redundancy[group])
+                limit[group] = np.sqrt(square / dof) * critical_tau(count, int(dof), level)
         rows, columns = np.nonzero(np.nan_to_num(np.abs(self.w)) > limit)
         size = self.residuals[rows, columns] / self.redundancy[rows, columns]
         found = map(Outlier, rows.tolist(), columns.tolist(), size.tolist(), self.w[rows, columns].tolist())

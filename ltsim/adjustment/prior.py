@@ -10,7 +10,6 @@ import numpy as np
 from ltsim.arrays import Bools, Floats
 from ltsim.model.construction import Construction
 from ltsim.recording.recording import Recording
-from ltsim.recording.setup import Instrument
 
 LEFT = 0.3
 """What a correction leaves of a constant, in the maker's guarantees; nobody states it, and none is exact. Between the
@@ -71,7 +70,7 @@ class ParameterPrior:
 
 def prior_sigmas(recording: Recording, construction: Construction) -> Floats:
     """Prior standard deviations (I, p) [SI] of the construction's parameters for each instrument of a recording."""
-    chosen = [stated_instrument(recording, name).prior for name in recording.instruments]
+    chosen = [recording.setup.instrument_named(name).prior for name in recording.instruments]
     rows = [[p.sigma_from(prior) for p in construction.parameters] for prior in chosen]
     return np.array(rows, dtype=np.float64).reshape(len(chosen), construction.size)
 
@@ -79,14 +78,8 @@ def prior_sigmas(recording: Recording, construction: Construction) -> Floats:
 def expected_sigmas(recording: Recording, construction: Construction) -> Floats:
     """The same (I, p), where an instrument is said to be corrected what that leaves, unless a parameter's is stated."""
     sigma, names = prior_sigmas(recording, construction), construction.names
-    for own, instrument in zip(
-        sigma, (stated_instrument(recording, name) for name in recording.instruments), strict=True
-    ):
+    instruments = map(recording.setup.instrument_named, recording.instruments)
+    for own, instrument in zip(sigma, instruments, strict=True):
         if instrument.corrected:
             own[[name not in instrument.prior.parameters for name in names]] *= LEFT
     return sigma
-
-
-def stated_instrument(recording: Recording, name: str) -> Instrument:
-    """What the set-up says of an instrument by its name."""
-    return recording.setup.instruments.get(name, recording.setup.instrument)

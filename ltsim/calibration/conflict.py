@@ -6,7 +6,7 @@ import numpy as np
 from scipy import special
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.adjustment.prior import FREED, ParameterPrior, stated_instrument
+from ltsim.adjustment.prior import FREED, ParameterPrior
 from ltsim.adjustment.reliability import FEW
 from ltsim.arrays import Bools, Floats
 from ltsim.calibration.calibration import Calibration
@@ -84,7 +84,7 @@ def disagreement(calibration: Calibration) -> tuple[str, ...]:
     rows, size = list(zip(calibration.names, calibration.parameters, strict=True)), freed.shape[1]
     scale = max(1.0, calibration.adjustment.sigma0)
     w = np.where(freed, 0.0, _normalised(calibration, prior.mean)).ravel() / scale
-    instruments = [stated_instrument(calibration.adjustment.recording, name) for name in calibration.instruments]
+    instruments = map(calibration.adjustment.recording.setup.instrument_named, calibration.instruments)
     known = [CORRECTED if one.corrected else "its stated prior of" for one in instruments]
     said = []
     for k in np.flatnonzero(freed).tolist():

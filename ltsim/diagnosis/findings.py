@@ -218,7 +218,7 @@ class Explained:
         recording = self.case.recording
         if isinstance(effect, BASELINE_KINDS):
             name = recording.instruments[self._instrument(effect)]
-            prior = recording.setup.instruments.get(name, recording.setup.instrument).prior
+            prior = recording.setup.instrument_named(name).prior
             stated = ((p.sigma_from(prior) / p.factor, p.unit) for p in effect.parameters)
             said = ", ".join(f"{number(sigma, 2)} {unit}" for sigma, unit in stated)
             return f" It was stated to be zero with a standard deviation of {said}."

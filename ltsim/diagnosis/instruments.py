@@ -114,7 +114,7 @@ def contradictions(adjustment: Adjustment, least: float) -> list[Contradiction]:
     """
     recording = adjustment.recording
     setup, unit = recording.setup, prior_sigmas(recording, adjustment.construction)
-    corrected = np.array([setup.instruments.get(name, setup.instrument).corrected for name in recording.instruments])
+    corrected = np.array([setup.instrument_named(name).corrected for name in recording.instruments])
     alike = ~corrected & (np.sum(~corrected) > 1)
     common = np.where(np.outer(alike, alike)[:, :, None], np.minimum(unit[:, None], unit) ** 2, 0.0)
     common /= unit[:, None] * unit  # what all have in common is within the least of their guarantees

@@ -142,10 +142,7 @@ class Searcher:
         self, layout: StationBlocks, slot: int, candidates: StationBlocks, *, anywhere: bool = False
     ) -> Floats:
         """Values (N,) of the layout with each candidate as station `slot`; infinite where the rules forbid it."""
-        count = len(candidates.position)
-        position = np.broadcast_to(layout.position, (count, *layout.position.shape)).copy()
-        seen = np.broadcast_to(layout.seen, (count, *layout.seen.shape)).copy()
-        position[:, slot], seen[:, slot] = candidates.position, candidates.seen
+        count, (position, seen) = len(candidates.position), _with_each(layout, slot, candidates)
         good = np.arange(count) if anywhere else np.flatnonzero(self.site.joined(position, seen))
         values = np.full(count, np.inf)
         chosen = np.tile(np.arange(self.stations), (len(good), 1))
@@ -240,9 +237,7 @@ class Searcher:
         """A layout that falls apart with stations exchanged for those that bind most of them, until it holds."""
         for slot in self._free * 2:
             table = self.table(slot)
-            seen = np.repeat(layout.seen[None], len(table.position), axis=0)
-            position = np.repeat(layout.position[None], len(table.position), axis=0)
-            seen[:, slot], position[:, slot] = table.seen, table.position
+            position, seen = _with_each(layout, slot, table)
             worth = np.where(self.site.joined(position, seen), self.site.bonds(seen), -1.0)
             if worth.max() < 0:
                 continue
@@ -271,3 +266,12 @@ class Searcher:
         layout, value = self.exchange(layout, value)
         layout, value = self.refine(layout, value, rng)
         return Layout(layout.position, np.mod(layout.yaw, 2 * np.pi), value)
+
+
+def _with_each(layout: StationBlocks, slot: int, candidates: StationBlocks) -> tuple[Floats, Bools]:
+    """Places (N, S, 3) and sights (N, S, T) of the layout with each candidate as station `slot`."""
+    count = len(candidates.position)
+    position: Floats = np.repeat(layout.position[None], count, axis=0)
+    seen: Bools = np.repeat(layout.seen[None], count, axis=0)
+    position[:, slot], seen[:, slot] = candidates.position, candidates.seen
+    return position, seen

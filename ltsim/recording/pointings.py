@@ -50,6 +50,14 @@ def indices(names: Iterable[str], kind: str, file: object) -> tuple[tuple[str, .
     return tuple(place), np.array(index, dtype=np.int64)
 
 
+def states_noise(recording: Recording) -> bool:
+    """Whether the rows themselves state the noise of every reading."""
+    sigmas = np.full((len(recording), len(SIGMA_COLUMNS)), NAN)
+    for k, name in enumerate(SIGMA_COLUMNS):
+        sigmas[:, k] = recording.covariates.get(name, NAN)
+    return bool(np.isfinite(sigmas[recording.measured]).all())
+
+
 def recording_of(
     pointings: Sequence[Pointing], setup: Setup, *, notes: Sequence[str] = (), file: object = None
 ) -> Recording:

@@ -327,8 +327,11 @@ class Setup(Section):
 
     def instrument_of(self, station: str) -> Instrument:
         """Give the instrument that stood at `station`."""
-        name = self.stations.get(station, Station()).instrument
-        return self.instruments.get(name or "", self.instrument)
+        return self.instrument_named(self.stations.get(station, Station()).instrument or "")
+
+    def instrument_named(self, name: str) -> Instrument:
+        """Give the instrument of this name; the only one where no table has it."""
+        return self.instruments.get(name, self.instrument)
 
     @property
     def measured(self) -> str | None:

@@ -17,7 +17,7 @@ from ltsim.geometry.polar import to_polar
 from ltsim.recording.conventions import NO_HINTS, NO_NOISE, Hints
 from ltsim.recording.files import as_title, shown
 from ltsim.recording.formats.xml import Node, parse
-from ltsim.recording.pointings import NAN, Pointing, recording_of
+from ltsim.recording.pointings import NAN, Pointing, recording_of, states_noise
 from ltsim.recording.recording import SIGMA_COLUMNS, Recording
 from ltsim.recording.setup import Setup
 from ltsim.units import ARCSECOND, MILLIMETRE
@@ -57,7 +57,8 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     pointings = [replace(p, time=p.time - start) for p in pointings]
     said = [f"{count} {what}" for what, count in notes.items()]
     setup = Setup(title=as_title(root.get("name", path.stem)))
-    return recording_of(pointings, setup, notes=[*said, NO_NOISE], file=path)
+    recording = recording_of(pointings, setup, notes=said, file=path)
+    return recording if states_noise(recording) else recording.replace(notes=(*recording.notes, NO_NOISE))
 
 
 def _pointing(

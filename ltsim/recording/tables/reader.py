@@ -10,8 +10,8 @@ from ltsim.arrays import Floats
 from ltsim.geometry.polar import to_face
 from ltsim.recording.conventions import NO_HINTS, NO_NOISE, Hints, poses_of
 from ltsim.recording.files import MAX_TEXT, shown
-from ltsim.recording.pointings import NAN, Pointing, recording_of
-from ltsim.recording.recording import HEIGHT_COLUMNS, KIND_COLUMN, OCCUPATION_COLUMNS, SIGMA_COLUMNS, Recording
+from ltsim.recording.pointings import NAN, Pointing, recording_of, states_noise
+from ltsim.recording.recording import HEIGHT_COLUMNS, KIND_COLUMN, OCCUPATION_COLUMNS, Recording
 from ltsim.recording.settings import read_setup
 from ltsim.recording.setup import Setup
 from ltsim.recording.tables import cells
@@ -54,7 +54,7 @@ def read(path: Path, hints: Hints = NO_HINTS, *, positional: bool = False) -> Re
     poses = poses_of(setup, tuple(dict.fromkeys(p.station for p in table.pointings)))
     meaning, readings = readings_of(table, poses, hints, path)
     found = assembled(table, meaning, readings, setup, hints, path)
-    stated = all(np.isfinite(found.covariates.get(name, np.nan)).all() for name in SIGMA_COLUMNS)
+    stated = states_noise(found)
     return found.replace(notes=(*found.notes, *(note for note in notes if not (stated and note == NO_NOISE))))
 
 
