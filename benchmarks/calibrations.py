@@ -41,9 +41,9 @@ from ltsim.campaigns.rows import run_task, shard_rows, task_of
 from ltsim.campaigns.spec import Campaign
 from ltsim.campaigns.store import Store
 from ltsim.campaigns.truth import BLOCK, Block
-from ltsim.cli.terminal import table
 from ltsim.evaluation.clouds import on_points
 from ltsim.model.construction import misalignment
+from ltsim.notation import aligned
 from ltsim.simulation.scenario import load_scenario
 
 SEED = 11
@@ -114,7 +114,7 @@ def peers(trials: int) -> None:
             print(f"{name}: left out, it is not installed (pip install pyceres)")
             continue
         rows.append(_peer(name, solver, engine, block, trials, batch))
-    print(table(["solver", "per trial", "trials a second", "ratio", "agreement [sigma]"], rows))
+    print(aligned(["solver", "per trial", "trials a second", "ratio", "agreement [sigma]"], rows))
 
 
 def _peer(name: str, solver: Solver, engine: Engine, block: Block, trials: int, batch: float) -> list[str]:
@@ -164,7 +164,7 @@ def parts() -> None:
     }
     print("\nWhere the time goes, us a trial:\n")
     rows = [[name, f"{1e6 * seconds(step, 20) / BLOCK:.1f}"] for name, step in steps.items()]
-    print(table(["step", "us"], rows))
+    print(aligned(["step", "us"], rows))
 
 
 def other_paths() -> None:
@@ -194,7 +194,7 @@ def other_paths() -> None:
         ["distance objective, absolute, single", f"{1e3 * alone:.0f} ms", f"{1 / alone:.0f}", ""],
         ["geometry of its own for each trial, all included", f"{1e3 * own:.1f} ms", f"{1 / own:.0f}", ""],
     ]
-    print(table(["path", "per trial", "trials a second", "agreement [sigma]"], rows))
+    print(aligned(["path", "per trial", "trials a second", "agreement [sigma]"], rows))
 
 
 def scaling(short: bool) -> None:
@@ -217,7 +217,7 @@ def scaling(short: bool) -> None:
         )  # fmt: skip
     print("\nCost against the network: simulation and calibration, one core\n")
     heads = ["stations", "targets", "unknowns", "batch [us]", "single [ms]", "ratio", "preparation [s]"]
-    print(table(heads, rows, left=0))
+    print(aligned(heads, rows, left=0))
 
 
 def trials_against_time(short: bool) -> None:
@@ -237,7 +237,7 @@ def trials_against_time(short: bool) -> None:
         "\nCost against the number of trials: simulated, calibrated, judged, two of each 4 096 verified by the single"
     )
     print("solver, written; two processes, wall clock\n")
-    print(table(["trials", "s", "trials a second"], rows[1:], left=0))
+    print(aligned(["trials", "s", "trials a second"], rows[1:], left=0))
     largest = max(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
     print(f"\nlargest process: {largest / 1024:.0f} MiB; it does not grow with the number of trials")
 

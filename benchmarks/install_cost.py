@@ -1,6 +1,6 @@
 """What each dependency costs to install and to load, beside what it saves: the table of benchmarks/README.md.
 
-    python -m benchmarks.install_cost [results/install_cost]
+    python -m benchmarks.install_cost > results/install_cost/install_cost.md
 
 `whole` is the size of a package with all that it needs itself; `freed` is what would go if ltsim did without it, since
 packages share what they need. Seconds are processor time of loading it in a process of its own, the interpreter's own
@@ -9,7 +9,6 @@ start taken off, least of three; nothing is downloaded.
 
 from __future__ import annotations
 
-import json
 import re
 import subprocess
 import sys
@@ -18,9 +17,6 @@ from importlib.metadata import Distribution, PackageNotFoundError, distribution,
 from pathlib import Path
 
 from packaging.requirements import Requirement
-
-from experiments.common import manifest, refuse_changes
-from ltsim.recording.files import write_text
 
 ROOT = Path(__file__).resolve().parents[1]
 SAVES = {
@@ -42,6 +38,7 @@ SAVES = {
     "numba": "the campaigns' compiled kernels",
     "defusedxml": "XML from strangers (gama-local, OpenIndy)",
     "pandas": "results as data frames in notebooks",
+    "xarray": "sweeps as datasets with axes in notebooks",
     "openpyxl": "readings from workbooks",
     "dask": "campaigns on a cluster",
     "distributed": "campaigns on a cluster",
@@ -105,28 +102,20 @@ def rows() -> list[list[str]]:
         others = set().union(*(closure[other] for other, kind in packages.items() if other != name and not kind))
         whole, freed = sum(size[n] for n in closure[name]), sum(size[n] for n in closure[name] - others)
         loaded = seconds(MODULE.get(name, name.replace("-", "_")))
-        table.append([name, extra, f"{whole:.0f}", f"{freed:.0f}", f"{loaded:.2f}", SAVES.get(name, "")])
+        table.append([name, version(name), extra, f"{whole:.0f}", f"{freed:.0f}", f"{loaded:.2f}", SAVES.get(name, "")])
     plain = set().union(*(closure[name] for name, extra in packages.items() if not extra))
     for title, extras in (("**all without an extra**", ()), ('**with the extra "campaigns"**', ("campaigns",))):
         held = plain.union(*(closure[name] for name, extra in packages.items() if extra in extras))
-        table.append([title, "", f"{sum(size[n] for n in held):.0f}", "", "", ""])
+        table.append([title, "", "", f"{sum(size[n] for n in held):.0f}", "", "", ""])
     return table
 
 
 def main() -> None:
-    """Print the table, and write it where a folder is named."""
-    if sys.argv[1:]:
-        refuse_changes(Path(sys.argv[1]).resolve())
-    header = ["package", "extra", "whole [MB]", "freed [MB]", "loads in [s]", "what it saves"]
-    lines = [header, ["---"] * len(header), *sorted(rows(), key=lambda row: -float(row[3] or -1))]
+    """Print the table."""
+    header = ["package", "version", "extra", "whole [MB]", "freed [MB]", "loads in [s]", "what it saves"]
+    lines = [header, ["---"] * len(header), *sorted(rows(), key=lambda row: -float(row[4] or -1))]
     text = "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
     sys.stdout.write(text)
-    if sys.argv[1:]:
-        folder = Path(sys.argv[1])
-        write_text(folder / "install_cost.md", text)
-        versions = {name: version(name) for name in declared() if needs(name, {})}
-        made = manifest(f"python -m benchmarks.install_cost {folder}", versions=versions)
-        write_text(folder / "manifest.json", json.dumps(made, indent=1) + "\n")
 
 
 if __name__ == "__main__":

@@ -19,8 +19,8 @@ from matplotlib.figure import Figure
 import ltsim as lt
 from ltsim.campaigns import spec
 from ltsim.campaigns.paired import Paired
+from ltsim.campaigns.results import Results
 from ltsim.campaigns.spec import Campaign, Cell, load_campaign
-from ltsim.campaigns.statistics import Results
 from ltsim.pages.style import svg
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -7,6 +7,8 @@ of `__all__`, each loaded from its package when it is first used. `lt.effects` i
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from ltsim.drawing import drawn_by
+
 if TYPE_CHECKING:
     from ltsim import effects as effects, errors as errors
     from ltsim.acceptance.verbs import accept as accept
@@ -18,7 +20,6 @@ if TYPE_CHECKING:
         history as history,
         verify as verify,
     )
-    from ltsim.campaigns.injecting import inject as inject, injection_curve as injection_curve
     from ltsim.campaigns.judging import judge as judge
     from ltsim.campaigns.recovery import recover as recover
     from ltsim.campaigns.recovery_checks import recovery_checks as recovery_checks
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from ltsim.evaluation.bench import bench as bench
     from ltsim.fieldcheck.check import check as check
     from ltsim.files import convert as convert, read as read, write as write
+    from ltsim.injection import inject as inject, injection_curve as injection_curve
     from ltsim.pages.verbs import report as report, view as view
     from ltsim.planning.verbs import (
         next_measurement as next_measurement,
@@ -50,7 +52,7 @@ _ROOMS = {
     "campaigns.judging": ("judge",),
     "campaigns.recovery": ("recover",),
     "campaigns.recovery_checks": ("recovery_checks",),
-    "campaigns.injecting": ("inject", "injection_curve"),
+    "injection": ("inject", "injection_curve"),
     "planning.verbs": ("plan", "next_measurement", "without_station"),
     "pages.verbs": ("view", "report"),
     "effects.verbs": ("Effect", "add_effect", "catalogue"),
@@ -63,6 +65,9 @@ _ROOMS = {
 _HOME = {name: room for room, names in _ROOMS.items() for name in names}
 
 __all__ = sorted([*_HOME, "effects", "errors"])
+
+
+drawn_by(lambda module: import_module(f"ltsim.pages.{module}"))
 
 
 def _load(name: str) -> Any:

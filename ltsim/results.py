@@ -13,7 +13,6 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from html import escape
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -22,6 +21,7 @@ from pydantic import BaseModel
 
 from ltsim.arrays import Floats
 from ltsim.chances import p_text
+from ltsim.drawing import pictures
 from ltsim.errors import ModelError, RecordError, missing_extra, unknown_name
 from ltsim.notation import NONE, aligned, decimals, number, with_sigma
 from ltsim.saved import Valued, save
@@ -347,7 +347,7 @@ class Result(Valued):
 
     def plot(self) -> Figure:
         """The picture of the result, a matplotlib figure; raises ModelError for what has none."""
-        figure: Figure = import_module("ltsim.pages.plots").figure_of(self)  # by name: only the room above draws
+        figure: Figure = pictures("plots").figure_of(self)
         return figure
 
 

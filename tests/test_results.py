@@ -19,11 +19,11 @@ from matplotlib.figure import Figure
 
 import ltsim as lt
 from ltsim.adjustment import Adjustment
-from ltsim.campaigns.injecting import InjectionCurve
 from ltsim.errors import ModelError, RecordError
 from ltsim.pages.verbs import View
 from ltsim.results import Column, Result, Table, flags, numbers, texts
 from ltsim.saved import Valued, load, same, save
+from ltsim.simulation.inject import InjectionCurve
 from ltsim.simulation.scenario import Scenario
 
 POINTS = Table(

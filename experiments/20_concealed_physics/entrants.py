@@ -23,11 +23,9 @@ HUBER, HUBER_ROUNDS = 1.5, 8
 
 def ltsim(recording: Path, out: Path) -> None:
     """`ltsim diagnose`, without the repeated search on held-out readings: it changes nothing that is told."""
-    from ltsim.cli.main import run
+    import ltsim as lt
 
-    status = run(["diagnose", str(recording), "--no-held-out", "--out", str(out), "--quiet"])
-    if status not in (0, 1):
-        raise RuntimeError(f"exit status {status}")
+    lt.write(lt.diagnose(recording), out)
 
 
 def plain(recording: Path, out: Path) -> None:

@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ltsim.campaigns.schema import column_of
+from ltsim.campaigns.statistics import Statistics
 from ltsim.errors import missing_extra
 
 if TYPE_CHECKING:
     import xarray as xr
-
-    from ltsim.campaigns.statistics import Results
 
 CALIBRATOR = "calibrator"
 """Axis of the methods: `method` is an argument of `sel` already."""
@@ -22,7 +21,7 @@ ARGUMENTS = frozenset({CALIBRATOR, "indexers", "method", "tolerance", "drop"})
 """Names that an axis of a factor cannot have; it has an underscore behind then."""
 
 
-def cube(results: Results, statistics: Sequence[str]) -> xr.Dataset:
+def cube(results: Statistics, statistics: Sequence[str]) -> xr.Dataset:
     """As `Results.to_xarray`."""
     try:
         from xarray import Dataset
@@ -51,7 +50,7 @@ def _in_order(values: Iterable[Any]) -> list[Any]:
     return sorted(listed) if all(isinstance(value, int | float) for value in listed) else listed
 
 
-def _axes(results: Results) -> tuple[dict[str, Any], list[tuple[int, ...]], dict[str, Any]]:
+def _axes(results: Statistics) -> tuple[dict[str, Any], list[tuple[int, ...]], dict[str, Any]]:
     """Axes with their values, where each cell is on them, and what else is known along them.
 
     Factors of a full grid are axes; other cells are one axis, the factors' values along it.

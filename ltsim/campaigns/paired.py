@@ -5,17 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from ltsim.arrays import Floats
-from ltsim.campaigns.schema import SHARES
+from ltsim.campaigns.statistics import Statistics, terms_of
 from ltsim.errors import ModelError, unknown_name
 from ltsim.results import Columns, Result, by_row
-
-if TYPE_CHECKING:
-    from ltsim.campaigns.statistics import Results
 
 Place = tuple[int, str]
 """Cell and method."""
@@ -63,21 +60,7 @@ class Paired(Result):
         return {"differences": lambda: by_row(plain)}
 
 
-def errors_of(share: str) -> tuple[str, str, str]:
-    """The columns that a share is made of: raw, calibrated, with the true parameters."""
-    prefix = share.removesuffix("share_removed")
-    return f"{prefix}error_raw_um", f"{prefix}error_calibrated_um", f"{prefix}error_true_parameters_um"
-
-
-def terms_of(statistic: str) -> tuple[str, ...]:
-    """SQL of what is averaged: a column; of a share the mean square that was removed, and that which could be."""
-    if statistic not in SHARES:
-        return (f'"{statistic}"',)
-    raw, calibrated, perfect = (f'"{name}"::DOUBLE ^ 2' for name in errors_of(statistic))
-    return f"({raw} - {calibrated})", f"({raw} - {perfect})"
-
-
-def paired(results: Results, statistic: str, **between: tuple[Any, Any]) -> Paired:
+def paired(results: Statistics, statistic: str, **between: tuple[Any, Any]) -> Paired:
     """As `Results.paired`."""
     if len(between) != 1:
         raise ModelError("paired compares along one thing: method=(A, B), or a factor with two of its levels")
@@ -94,7 +77,7 @@ def paired(results: Results, statistic: str, **between: tuple[Any, Any]) -> Pair
     return Paired(tuple(found))
 
 
-def _pairs(results: Results, along: str, first: Any, second: Any) -> Iterator[tuple[dict[str, Any], Place, Place]]:
+def _pairs(results: Statistics, along: str, first: Any, second: Any) -> Iterator[tuple[dict[str, Any], Place, Place]]:
     methods, levels = results.manifest.methods, results.levels
     factors = [factor.name for factor in results.factors]
     if along not in ("method", *factors):
@@ -113,7 +96,7 @@ def _pairs(results: Results, along: str, first: Any, second: Any) -> Iterator[tu
                 yield rest | several, (cell, method), (levels.index(own | {along: second}), method)
 
 
-def _values(results: Results, statistic: str, cell: int, method: str) -> tuple[Floats, Floats]:
+def _values(results: Statistics, statistic: str, cell: int, method: str) -> tuple[Floats, Floats]:
     """Trials (N,) of a place and what is averaged of each, (1, N), or (2, N) of a share."""
     terms = terms_of(statistic)
     table = results.of_trials(("trial", *terms), cell, method, f"{terms[0]} IS NOT NULL")

@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import duckdb
 import numpy as np
@@ -16,18 +15,12 @@ import pyarrow.parquet as pq
 
 from ltsim.arrays import Floats
 from ltsim.campaigns.columns import TYPES
-from ltsim.campaigns.cube import cube
 from ltsim.campaigns.engine import FAILED, FULL
-from ltsim.campaigns.paired import Paired, errors_of, paired, terms_of
 from ltsim.campaigns.schema import CHECKED, LEVELS, SHARES, column_of, summary_table
 from ltsim.campaigns.stopping import level_of, quantile
 from ltsim.campaigns.store import Store, literal
 from ltsim.errors import ModelError, SetupError, unknown_name
-from ltsim.results import Columns, Result, Table, by_row
-
-if TYPE_CHECKING:
-    import xarray as xr
-    from matplotlib.figure import Figure
+from ltsim.results import Columns, Table, by_row
 
 NORMAL_95 = 1.959963984540054
 MEMORY = "1GB"
@@ -83,7 +76,7 @@ class Checked:
     largest_difference_sigma: float | None
 
 
-class Results(Result):
+class Statistics:
     """The rows of a campaign's folder, as tables to query.
 
     Parameters
@@ -136,9 +129,6 @@ class Results(Result):
         except (duckdb.Error, pa.ArrowException, OSError, ValueError) as problem:
             raise _damaged(folder, problem) from None
         self.folder = folder
-
-    def __reduce__(self) -> tuple[type[Results], tuple[Path]]:
-        return Results, (self.folder.resolve(),)
 
     def _cells(self) -> pa.Table:
         listed = self.manifest.cells
@@ -272,69 +262,6 @@ class Results(Result):
         ended = f"count(*) FILTER (status = '{FAILED}'), count(*) FILTER (status = '{FULL}')"
         return [Checked(*row) for row in self._each(f"count(*), {ended}, count({CHECKED}), max({CHECKED})")]
 
-    def paired(self, statistic: str, **between: tuple[Any, Any]) -> Paired:
-        """Differences of a statistic between two methods, or two levels of a factor, on the same draws.
-
-        Parameters
-        ----------
-        statistic : str
-            A column of the rows, or a share.
-        **between
-            One of ``method=("distance", "network")`` or a factor with two of its levels, ``faces=(1, 2)``: the first
-            less the second, for every combination of the other settings.
-
-        Raises
-        ------
-        ModelError
-            When there is no such statistic, method, factor or level.
-        """
-        self._known(statistic)
-        return paired(self, statistic, **between)
-
-    def plot(self, statistic: str = "", along: str = "", *, panel: str = "", **levels: Any) -> Figure:
-        """Means of a statistic along a factor, a line a method, with 95 % intervals and the middle 90 % of the trials.
-
-        Parameters
-        ----------
-        statistic : str
-            A column of the rows, or a share; without one it is what the campaign's page shows first.
-        along, panel : str
-            The factor of the axis; one that has a panel a level.
-        **levels
-            Only the cells with these levels, ``faces=1``, or one ``method``.
-
-        Raises
-        ------
-        ModelError
-            When there is no such statistic or factor.
-        """
-        if not statistic:
-            return super().plot()
-        figures = import_module("ltsim.pages.figures.campaign")  # by name, as in Result.plot
-        figure: Figure = figures.sweep_figure(self, statistic, along, panel=panel, **levels)
-        return figure
-
-    def to_xarray(self, *statistics: str) -> xr.Dataset:
-        """Means over the trials with their 95 % intervals, on axes that `sel` takes.
-
-        Parameters
-        ----------
-        *statistics : str
-            Columns of the rows, or shares; default all but those of single parameters.
-
-        Returns
-        -------
-        xarray.Dataset
-            Each statistic with ``NAME_low`` and ``NAME_high``, its unit in `attrs`; axes are `calibrator` (the methods)
-            and the factors, or `cell` with the factors along it where the cells are no grid.
-
-        Raises
-        ------
-        ModelError, SetupError
-            When there is no such statistic; without xarray.
-        """
-        return cube(self, statistics or [c for c in self.columns if ":" not in c and c != CHECKED])
-
     def summary(self) -> dict[str, Any]:
         """Everything a report needs, as plain data."""
         wanted = [c for c in self.columns if not c.startswith(("z:", "estimate:", "true:")) and c != CHECKED]
@@ -356,6 +283,20 @@ class Results(Result):
             ],
             "z_scores": [_known(asdict(entry)) for entry in self.z_scores()],
         }
+
+
+def errors_of(share: str) -> tuple[str, str, str]:
+    """The columns that a share is made of: raw, calibrated, with the true parameters."""
+    prefix = share.removesuffix("share_removed")
+    return f"{prefix}error_raw_um", f"{prefix}error_calibrated_um", f"{prefix}error_true_parameters_um"
+
+
+def terms_of(statistic: str) -> tuple[str, ...]:
+    """SQL of what is averaged: a column; of a share the mean square that was removed, and that which could be."""
+    if statistic not in SHARES:
+        return (f'"{statistic}"',)
+    raw, calibrated, perfect = (f'"{name}"::DOUBLE ^ 2' for name in errors_of(statistic))
+    return f"({raw} - {calibrated})", f"({raw} - {perfect})"
 
 
 def _known(value: Any) -> Any:

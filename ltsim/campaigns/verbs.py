@@ -12,7 +12,7 @@ from ltsim.errors import SetupError
 from ltsim.recording.settings import to_toml
 
 if TYPE_CHECKING:
-    from ltsim.campaigns.statistics import Results
+    from ltsim.campaigns.results import Results
 
 
 def campaign(
@@ -80,7 +80,7 @@ def campaign(
                 raise SetupError(str(problem).replace(str(file), "the campaign")) from None
     require_packages()
     from ltsim.campaigns.campaign import Workers, run_campaign
-    from ltsim.campaigns.statistics import Results
+    from ltsim.campaigns.results import Results
 
     path = Path(source)
     if path.is_dir():

@@ -23,8 +23,8 @@ from ltsim.workers import MOST
 
 if TYPE_CHECKING:
     from ltsim.campaigns.recovery import Recovery
+    from ltsim.campaigns.results import Results
     from ltsim.campaigns.schema import RecoveryFile
-    from ltsim.campaigns.statistics import Results
 
 
 AGREED = 1e-3
@@ -82,8 +82,8 @@ def campaign(
     # The compiler, the columns and the queries take a second to load: no other verb should wait for them.
     from ltsim.campaigns.campaign import Workers, run_campaign
     from ltsim.campaigns.kernels import compiled_before
+    from ltsim.campaigns.results import Results
     from ltsim.campaigns.spec import load_campaign
-    from ltsim.campaigns.statistics import Results
     from ltsim.campaigns.store import Store
     from ltsim.pages.sections.campaign import campaign_section
 

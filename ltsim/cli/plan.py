@@ -147,8 +147,8 @@ def _write(terminal: Terminal, made: Plan, folder: Path | None) -> None:
 def _drawn(made: Plan) -> dict[str, bytes]:
     """The page for the shop floor, the plan from above, and cost against quality."""
     from ltsim.pages.figures.plan import trade_off
-    from ltsim.pages.sections.work_order import work_order_page
     from ltsim.pages.style import png
+    from ltsim.pages.work_order import work_order_page
     from ltsim.planning.files import plan_file
 
     content = plan_file(made)

@@ -11,7 +11,6 @@ from ltsim.adjustment import Adjustment
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.files import history_file
 from ltsim.calibration.history import History
-from ltsim.campaigns.injecting import InjectionCurve
 from ltsim.campaigns.judging import Judged
 from ltsim.campaigns.paired import Paired
 from ltsim.campaigns.recovery import Recovery
@@ -40,6 +39,7 @@ from ltsim.planning.planner import Plan
 from ltsim.recording import Recording
 from ltsim.remedies.next_measurement import NextMeasurement
 from ltsim.results import Result
+from ltsim.simulation.inject import InjectionCurve
 from ltsim.simulation.scenario import Scenario
 from ltsim.tasks.comparison import Comparison
 from ltsim.tasks.evaluation import Evaluation
@@ -51,7 +51,7 @@ MOST_PROPOSALS = 12
 @singledispatch
 def figure_of(result: Result) -> Figure:
     """The picture of a result; raises ModelError for one that has none."""
-    if type(result).__module__ == "ltsim.campaigns.statistics":  # not registered: its packages may be missing
+    if type(result).__module__ == "ltsim.campaigns.results":  # not registered: its packages may be missing
         from ltsim.pages.sections.campaign import campaign_figure
 
         return campaign_figure(cast(Any, result))

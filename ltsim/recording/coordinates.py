@@ -20,10 +20,10 @@ import numpy as np
 from ltsim.arrays import Floats, Ints
 from ltsim.errors import RecordError
 from ltsim.recording.files import Where, decoded, shown
-from ltsim.recording.formats.xml import Node, banded, parse
 from ltsim.recording.tables import cells
 from ltsim.recording.tables.header import PLACE, READINGS, SIGMA_OF, Column, columns_of, words_of
 from ltsim.recording.tables.sheets import Row, Sheet, rows_of_head, sheets_of
+from ltsim.recording.xml import Node, banded, parse
 from ltsim.units import FACTOR, MILLIMETRE
 
 AXES = "xyz"

@@ -5,8 +5,9 @@ pointings as the adjustment of the recording has them; how far these are from th
 range, 1e-4 for 1 mm in 10 m.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
@@ -19,7 +20,7 @@ from ltsim.errors import ModelError
 from ltsim.geometry.polar import wrap
 from ltsim.model.measurement import State
 from ltsim.recording.recording import Recording
-from ltsim.results import Columns, Result
+from ltsim.results import Columns, Result, Table, numbers
 from ltsim.simulation.simulator import certified_by
 from ltsim.units import MICROMETRE, MICRORADIAN
 
@@ -70,6 +71,67 @@ class Injected(Result):
             "observables": list(cause.observables), "covariates": list(cause.covariates), "shape": shape,
             "parameters": self.table().json(), "noncentrality": self.noncentrality, "largest": self.largest,
         }  # fmt: skip
+
+
+@dataclass(frozen=True, repr=False)
+class InjectionTruth(Result):
+    """What was put into a recording."""
+
+    seed: int
+    causes: tuple[Injected, ...]
+
+    def _lines(self) -> list[str]:
+        return [repr(cause) for cause in self.causes]
+
+    def to_json(self) -> dict[str, Any]:
+        """The contents of a truth file."""
+        return {"format": FORMAT, "seed": self.seed, "injected": [cause.to_json() for cause in self.causes]}
+
+
+class Injection(NamedTuple):
+    """A recording with something in it and, apart from it, what was put in."""
+
+    recording: Recording
+    truth: InjectionTruth
+
+
+CURVE = Table(
+    "curve.csv",
+    "Injections of one cause at several strengths, each diagnosed with default settings; 95 % intervals (Wilson).",
+    (
+        *numbers(form=".4g", noncentrality="What the adjustment leaves of the cause."),
+        *numbers(form=".4g", largest_um="Largest change of a distance, mean of the injections."),
+        *numbers(form=".4g", largest_urad="Largest change of an angle, mean of the injections."),
+        *numbers(injections="How many."),
+        *numbers(
+            found="Told something that was not told before.", placed="... at its place.", named="... by its name.",
+            right="Name and place right in the first new finding.",
+        ),
+        *numbers(form=".3f", found_low="", found_high="", placed_low="", placed_high="", named_low="", named_high=""),
+    ),
+)  # fmt: skip
+
+
+@dataclass(frozen=True, repr=False)
+class InjectionCurve(Result):
+    """Strength of a cause against the chance of being found, placed and named in one recording."""
+
+    words: str
+    background: tuple[str, ...]
+    """What is told of the recording as it is."""
+    rows: tuple[Mapping[str, float], ...]
+
+    def _lines(self) -> list[str]:
+        told = ", ".join(self.background) or "nothing"
+        lines = [f"{self.words}, put into the recording; told without it: {told}"]
+        return lines + [
+            f"noncentrality {row['noncentrality']:.0f}: found {row['found']}, placed {row['placed']}, "
+            f"named {row['named']} of {row['injections']}"
+            for row in self.rows
+        ]
+
+    def _tables(self) -> dict[str, Any]:
+        return {"curve": lambda: CURVE.filled(self.rows)}
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,10 +18,11 @@ import pytest
 
 from ltsim.campaigns import engine, statistics, store
 from ltsim.campaigns.campaign import Workers, run_campaign
+from ltsim.campaigns.results import Results
 from ltsim.campaigns.rows import shard_rows, task_of
 from ltsim.campaigns.schema import CHECKED
 from ltsim.campaigns.spec import load_campaign
-from ltsim.campaigns.statistics import LEVELS, Results
+from ltsim.campaigns.statistics import LEVELS
 from ltsim.campaigns.store import Store, table_of
 from ltsim.errors import NetworkError, SetupError
 from ltsim.simulation.scenario import load_scenario, scenario_to_toml

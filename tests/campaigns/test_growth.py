@@ -8,8 +8,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from ltsim.campaigns.campaign import run_campaign
+from ltsim.campaigns.results import Results
 from ltsim.campaigns.spec import load_campaign
-from ltsim.campaigns.statistics import Results
 from ltsim.cli.main import run
 from ltsim.errors import SetupError
 from ltsim.pages.sections.campaign import MOST_ROWS

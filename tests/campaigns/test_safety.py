@@ -9,7 +9,7 @@ import pytest
 import trimesh
 
 from ltsim.campaigns.campaign import run_campaign
-from ltsim.campaigns.statistics import Results
+from ltsim.campaigns.results import Results
 from ltsim.campaigns.store import Store
 from ltsim.errors import SetupError
 from ltsim.randomness import stream

@@ -10,8 +10,8 @@ import pytest
 from scipy import stats
 
 from ltsim.campaigns.campaign import Workers, run_campaign
+from ltsim.campaigns.results import Results
 from ltsim.campaigns.spec import Campaign, Stop
-from ltsim.campaigns.statistics import Results
 from ltsim.campaigns.stopping import Mean, level_of, quantile, rounds, schedule
 from ltsim.errors import ModelError
 from ltsim.randomness import stream

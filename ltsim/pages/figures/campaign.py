@@ -13,7 +13,8 @@ from matplotlib.ticker import MaxNLocator
 
 from ltsim.arrays import Floats
 from ltsim.campaigns.design import Factor
-from ltsim.campaigns.statistics import NORMAL_95, Results, Scores
+from ltsim.campaigns.results import Results
+from ltsim.campaigns.statistics import NORMAL_95, Scores
 from ltsim.errors import ModelError, unknown_name
 from ltsim.notation import number
 from ltsim.pages import style

@@ -12,9 +12,9 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from ltsim.campaigns.design import Factor
-from ltsim.campaigns.paired import errors_of
+from ltsim.campaigns.results import Results
 from ltsim.campaigns.schema import SHARES, ManifestFile, column_of
-from ltsim.campaigns.statistics import Checked, Results, Scores, Spread
+from ltsim.campaigns.statistics import Checked, Scores, Spread, errors_of
 from ltsim.notation import number
 from ltsim.pages.document import Block, Fact, Listing, Picture, Section, Table, mood, table_block
 from ltsim.pages.figures.campaign import (

@@ -20,7 +20,6 @@ from ltsim.arrays import Floats, Ints
 from ltsim.errors import RecordError
 from ltsim.recording.conventions import NO_HINTS, Hints
 from ltsim.recording.files import Where, as_title, shown
-from ltsim.recording.formats.xml import Node, banded, parse
 from ltsim.recording.pointings import NAN, Observed, merged, numbered, recording_of, settled_heights
 from ltsim.recording.recording import Recording
 from ltsim.recording.setup import (
@@ -34,6 +33,7 @@ from ltsim.recording.setup import (
     Target,
     Vector,
 )
+from ltsim.recording.xml import Node, banded, parse
 from ltsim.units import ARCSECOND, DEGREE, FACTOR, GON, MILLIMETRE
 
 LEFT_HANDED, RIGHT_HANDED = ("ne", "sw", "es", "wn"), ("en", "nw", "se", "ws")

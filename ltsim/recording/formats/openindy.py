@@ -16,10 +16,10 @@ from ltsim.errors import RecordError
 from ltsim.geometry.polar import to_polar
 from ltsim.recording.conventions import NO_HINTS, NO_NOISE, Hints
 from ltsim.recording.files import as_title, shown
-from ltsim.recording.formats.xml import Node, parse
 from ltsim.recording.pointings import NAN, Pointing, recording_of, states_noise
 from ltsim.recording.recording import SIGMA_COLUMNS, Recording
 from ltsim.recording.setup import Setup
+from ltsim.recording.xml import Node, parse
 from ltsim.units import ARCSECOND, MILLIMETRE
 
 ROOT = "oiProjectData"

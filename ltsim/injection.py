@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from scipy.stats import binomtest
@@ -24,10 +23,8 @@ from ltsim.errors import ModelError
 from ltsim.laws.law import Law
 from ltsim.model.construction import stated_construction
 from ltsim.randomness import stream
-from ltsim.recording import Recording
 from ltsim.recording.exchange import RecordingSource, recording_of
-from ltsim.results import Result, Table, numbers
-from ltsim.simulation.inject import FORMAT, Injected, Injector
+from ltsim.simulation.inject import Injected, Injection, InjectionCurve, InjectionTruth, Injector
 
 SIZE = "size"
 """Of a law in words: rms of what its carrier does, in the carrier's unit."""
@@ -36,67 +33,6 @@ TRIES = 25
 """Draws of what was not said until one is seen."""
 ALIKE = 0.5
 """Share of the targets or stations in common from which several are the right ones."""
-
-
-class Injection(NamedTuple):
-    """A recording with something in it and, apart from it, what was put in."""
-
-    recording: Recording
-    truth: InjectionTruth
-
-
-@dataclass(frozen=True, repr=False)
-class InjectionTruth(Result):
-    """What was put into a recording."""
-
-    seed: int
-    causes: tuple[Injected, ...]
-
-    def _lines(self) -> list[str]:
-        return [repr(cause) for cause in self.causes]
-
-    def to_json(self) -> dict[str, Any]:
-        """The contents of a truth file."""
-        return {"format": FORMAT, "seed": self.seed, "injected": [cause.to_json() for cause in self.causes]}
-
-
-CURVE = Table(
-    "curve.csv",
-    "Injections of one cause at several strengths, each diagnosed with default settings; 95 % intervals (Wilson).",
-    (
-        *numbers(form=".4g", noncentrality="What the adjustment leaves of the cause."),
-        *numbers(form=".4g", largest_um="Largest change of a distance, mean of the injections."),
-        *numbers(form=".4g", largest_urad="Largest change of an angle, mean of the injections."),
-        *numbers(injections="How many."),
-        *numbers(
-            found="Told something that was not told before.", placed="... at its place.", named="... by its name.",
-            right="Name and place right in the first new finding.",
-        ),
-        *numbers(form=".3f", found_low="", found_high="", placed_low="", placed_high="", named_low="", named_high=""),
-    ),
-)  # fmt: skip
-
-
-@dataclass(frozen=True, repr=False)
-class InjectionCurve(Result):
-    """Strength of a cause against the chance of being found, placed and named in one recording."""
-
-    words: str
-    background: tuple[str, ...]
-    """What is told of the recording as it is."""
-    rows: tuple[Mapping[str, float], ...]
-
-    def _lines(self) -> list[str]:
-        told = ", ".join(self.background) or "nothing"
-        lines = [f"{self.words}, put into the recording; told without it: {told}"]
-        return lines + [
-            f"noncentrality {row['noncentrality']:.0f}: found {row['found']}, placed {row['placed']}, "
-            f"named {row['named']} of {row['injections']}"
-            for row in self.rows
-        ]
-
-    def _tables(self) -> dict[str, Any]:
-        return {"curve": lambda: CURVE.filled(self.rows)}
 
 
 def inject(
