@@ -1,6 +1,6 @@
-"""What each dependency costs to install and to load, beside what it saves: the table of benchmarks/README.md.
+"""What each dependency costs to install and to load, beside what it saves: the table of docs/install.md.
 
-    python -m benchmarks.install_cost > results/install_cost/install_cost.md
+    python -m benchmarks.install_cost
 
 `whole` is the size of a package with all that it needs itself; `freed` is what would go if ltsim did without it, since
 packages share what they need. Seconds are processor time of loading it in a process of its own, the interpreter's own
