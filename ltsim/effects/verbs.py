@@ -28,7 +28,9 @@ class Sized:
 S = TypeVar("S", bound=Signature | Sized)
 
 
-class Effect:
+def Effect(  # noqa: N802 - it stands for a class of the catalogue
+    name: str, *, stations: str | Sequence[str] = (), targets: str | Sequence[str] = (), **constants: Any
+) -> AnyEffect | Sized:
     """An effect of the catalogue at some places, with some of its constants: `lt.Effect("index-drift", stations="S3")`.
 
     Parameters
@@ -41,6 +43,11 @@ class Effect:
         In the units that the catalogue shows, such as ``law="visit"``; parameters too where the effect is simulated or
         injected, such as ``index_drift=60``. What is not given, the readings or the draws choose.
 
+    Returns
+    -------
+    ltsim.effects.effect.Effect
+        Of its own class; with the sizes that are given, where any are.
+
     Raises
     ------
     ModelError
@@ -52,17 +59,12 @@ class Effect:
     >>> lt.Effect("index-drift", stations="S3", law="visit").stations
     ('S3',)
     """
-
-    def __new__(  # type: ignore[misc]  # the object is one of the effect's own class
-        cls, name: str, *, stations: str | Sequence[str] = (), targets: str | Sequence[str] = (), **constants: Any
-    ) -> AnyEffect | Sized:
-        """The effect itself, with the sizes that are given."""
-        places = dict(zip(PLACES, (names(stations), names(targets)), strict=True))
-        given = {key.replace("_", "-"): key for key in constants}
-        sized = {p.name: given[key] for p in find_effect(name).parameters if (key := p.name.replace("_", "-")) in given}
-        sizes = {parameter: float(constants.pop(key)) for parameter, key in sized.items()}
-        effect = effect_from(name, places, constants)
-        return Sized(effect, sizes) if sizes else effect
+    places = dict(zip(PLACES, (names(stations), names(targets)), strict=True))
+    given = {key.replace("_", "-"): key for key in constants}
+    sized = {p.name: given[key] for p in find_effect(name).parameters if (key := p.name.replace("_", "-")) in given}
+    sizes = {parameter: float(constants.pop(key)) for parameter, key in sized.items()}
+    effect = effect_from(name, places, constants)
+    return Sized(effect, sizes) if sizes else effect
 
 
 def names(given: str | Sequence[str]) -> tuple[str, ...]:
