@@ -52,6 +52,8 @@ AT_ONCE = 64
 """Known values that are tested together."""
 PLAIN = 20.0
 """w from which a known value is not compared with several bad readings in its place."""
+USUAL = 3
+"""Known values of a kind that tell by how much such values are usually off; fewer may be wrong, each by itself."""
 RIVAL = 100.0
 """How many times likelier than another the error of one known value must be before it alone is blamed."""
 MOST_OUT = 1 / 3
@@ -268,15 +270,17 @@ def judged(
         solution = solve(aside, solution.x)
     gone = [test for test in out if test.left_out]
     if solution.factor is None or _too_many(*given, gone):
-        return *given, ()
+        return *given, _each_other(gone, known_tests(*given))
     if not gone:
         return *given, tuple(out)
     kept = problem.on(aside.model)
     ended = solve(kept, solution.x)
-    usual = {kind: _usual(kept, ended, kind) for kind in {test.kind for test in gone}}
-    weak = {(test.kind, test.name) for test in gone if test.w < SIGMAS * usual[test.kind]}
+    others = {kind: [test for test in known_tests(kept, ended) if test.kind == kind] for kind in {t.kind for t in gone}}
+    weak = [test for test in gone if test.w < SIGMAS * _usual(others[test.kind])]
     if weak:
-        return judged(*given, kinds, spared | weak)
+        contradictory = _each_other(weak, [*weak, *(test for some in others.values() for test in some)])
+        again = spared | {(test.kind, test.name) for test in weak}
+        return (*given, contradictory) if contradictory else judged(*given, kinds, again)
     if min(test.w for test in gone) < PLAIN and _price(kept, ended, gone) >= _price(problem, given[1], ()):
         return *given, ()
     off = {(value.kind, value.name): value.residual for value in known_values(problem, ended.x)}
@@ -286,9 +290,17 @@ def judged(
     return kept, ended, tuple(out)
 
 
-def _usual(problem: NetworkProblem, solution: Solution[State], kind: Kind) -> float:
+def _each_other(wrong: Sequence[KnownTest], every: Sequence[KnownTest]) -> tuple[KnownTest, ...]:
+    """The first of some wrong known values beside those that contradict it, where there are too few to judge them."""
+    for test in wrong:
+        alike = [other for other in every if other.kind == test.kind and other.name != test.name]
+        if 0 < len(alike) < USUAL and (rivals := tuple(other.name for other in alike if other.w > SIGMAS)):
+            return (replace(test, left_out=False, rivals=rivals),)
+    return ()
+
+
+def _usual(tests: Sequence[KnownTest]) -> float:
     """How many stated standard deviations known values of a kind are off usually; 1 at least."""
-    tests = [test for test in known_tests(problem, solution) if test.kind == kind]
     return float(np.sqrt(max(1.0, sum(t.drop for t in tests) / max(sum(t.rank for t in tests), 1))))
 
 

@@ -82,14 +82,14 @@ def _patterns(sightings: Sightings, trackers: Sequence[Place]) -> Iterator[tuple
     """Noise that no effect of the catalogue describes: family, pattern, sizes."""
     known = ["elevation", "distance", "time", "station-time", "move-azimuth", "move-elevation"]
     known += ["incidence"] if np.isfinite(sightings.incidence).any() else []
-    single: list[tuple[str, ...]] = [(observable,) for observable in OBSERVABLES]
+    some: list[tuple[str, ...]] = [*((observable,) for observable in OBSERVABLES), OBSERVABLES[1:]]
     places = [NoisePattern(), *(NoisePattern(stations=p.stations, instruments=p.instruments) for p in trackers)]
-    for at, acts, name, falling in product(places, single, [*known, *further(sightings)], (False, True)):
+    for at, acts, name, falling in product(places, some, [*known, *further(sightings)], (False, True)):
         pattern = replace(at, observables=acts, covariates=(name,), falling=falling)
-        yield acts[0], pattern, GROWING
+        yield " and ".join(acts), pattern, GROWING
     names = sightings.target_names
     groups = [(t,) for t in range(len(names))] + sorted(branches(sightings)) if len(names) <= MOST_TARGETS else []
-    for acts in (*single, OBSERVABLES):
+    for acts in (*some, OBSERVABLES):
         for faces in REPEATS if acts == ("distance",) and np.ptp(sightings.face) else REPEATS[:1]:
             yield "repeating", NoisePattern(acts, repeating=faces), EVERYWHERE
         yield "scatter", NoisePattern(acts), EVERYWHERE

@@ -38,12 +38,13 @@ Drivers = Mapping[str, Sequence[Driver]]
 def panels(space: ResidualSpace, *, ordinary: bool = True) -> list[Panel]:
     """All panels of a recording; their priors sum to that of laws without a card.
 
-    Constants of the instruments are among them as long as they are `ordinary`: a history is compared with by itself.
+    Constants of the instruments are among them as long as they are `ordinary`: a history is compared with by itself. A
+    target that is displaced alike for every pointing is none: that is its place, which is estimated.
     """
     made = _Maker(space)
     for place, where, drivers in _places(space):
         held = () if ordinary or place not in ("everywhere", "instrument") else ("instrument", "circle")
-        made.ask(place, where, drivers, held)
+        made.ask(place, where, drivers, ("target", *held))
     return made.panels()
 
 
