@@ -14,6 +14,7 @@ from ltsim.adjustment.doubt import doubts
 from ltsim.calibration import calibrate_network
 from ltsim.calibration.files import calibration_file
 from ltsim.errors import RecordError
+from ltsim.geometry.alignment import align
 from ltsim.randomness import stream
 from ltsim.recording.recording import Recording
 from ltsim.recording.setup import Station, Target
@@ -132,6 +133,35 @@ def test_of_two_points_that_contradict_each_other_nobody_can_tell_which() -> Non
     assert {test.name, *test.rivals} == {"T01", "T06"}
     assert not test.left_out
     assert "nobody can tell which is wrong" in doubts(found)[0]
+
+
+def with_two_lengths(recording: Recording, first_mm: float, second_mm: float) -> Recording:
+    """The network with two lengths that share no end, wrong by so much."""
+    wrong = with_length(with_length(recording, 0, first_mm), 5, second_mm)
+    assert wrong.setup.gauge is not None
+    two = tuple(wrong.setup.gauge.distance[i] for i in (0, 5))
+    assert len({end for line in two for end in (line.from_, line.to)}) == 4
+    gauge = wrong.setup.gauge.model_copy(update={"distance": two})
+    return wrong.replace(setup=wrong.setup.model_copy(update={"gauge": gauge}))
+
+
+@pytest.mark.parametrize("wrong", [0.03, 0.08, 0.3])
+def test_of_two_lengths_that_are_exchanged_none_is_believed(wrong: float) -> None:
+    """Each contradicts the ranges and the other one: both are told in one sentence, no law is made of them."""
+    recording, truth = network(seed=2, faces=2)
+    found = adjust(with_two_lengths(recording, wrong, -wrong))
+    (test,) = found.wrong
+    assert (test.kind, test.left_out, len(test.rivals)) == ("length", False, 1)
+    told = lt.diagnose(with_two_lengths(recording, wrong, -wrong))
+    assert [finding.carrier for finding in told.findings] == ["known length"]
+    assert "nobody can tell which is wrong" in told.findings[0].sentence
+    rotation, shift = align(told.targets.points, truth.state.points)
+    off = told.targets.points @ rotation.T + shift - truth.state.points
+    assert np.sqrt(np.mean(np.sum(off**2, axis=1))) < 20e-6
+
+
+def test_two_lengths_that_are_right_contradict_nothing() -> None:
+    assert all(adjust(with_two_lengths(network(seed=k, faces=2)[0], 0.0, 0.0)).wrong == () for k in range(10))
 
 
 def test_calibration_keeps_its_lengths_and_its_table_is_saved() -> None:

@@ -51,6 +51,18 @@ def test_scatter_that_repeats_is_told_from_noise(repeated, shared):
     assert more > 20.0 if shared else more < -20.0
 
 
+def test_shaken_targets_scatter_in_both_angles_as_one_change(repeated):
+    space, _, bank = repeated
+    shaken = space.sightings.target < 6
+    more = 1.5 * stream(4, "shaken").standard_normal(space.use.shape) * shaken[:, None] * np.array([0.0, 1.0, 1.0])
+    change = np.zeros((space.size, 1))
+    change[: int(space.use.sum()), 0] = more[space.use]
+    residual = space.residual + space.project(change)[:, 0]
+    first = bank.ranked(residual, space.redundancy, np.zeros((space.size, 0)))[0][1].effect
+    assert first.observables == ("azimuth", "elevation")
+    assert {space.sightings.target_names.index(name) for name in first.targets} <= set(range(7))
+
+
 def test_evidence_is_the_restricted_likelihood_of_correlated_residuals(repeated):
     """Against determinants of the whole covariance in coordinates of the residual space."""
     space, pair, bank = repeated

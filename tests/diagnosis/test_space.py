@@ -55,6 +55,11 @@ def alone(space: ResidualSpace, law: Tunable, residual: np.ndarray, extension: n
     return posterior(left.T @ left, left.T @ residual, sizes)[2]
 
 
+def test_a_target_that_is_displaced_for_every_pointing_alike_is_no_law(made):
+    """That is its place, which is estimated; known lengths alone would feel it, and they have errors of their own."""
+    assert not [p for p in made[1] if p.carriers[0].kind == "target" and CONSTANT in p.drivers]
+
+
 def test_priors_sum_to_one_over_everything(space, made):
     """Every kind of explanation, every card, law and change of the noise that is tried, at every place."""
     for table in (PRIOR, PLACES, KINDS, AT_TARGETS):
