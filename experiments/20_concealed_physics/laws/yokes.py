@@ -1,4 +1,4 @@
-"""Fresh laws about constants of the tracker that do not stay constant."""
+"""Laws about constants of the tracker that do not stay constant."""
 
 from ..law import Change, Draw, Hall, law, np, reads, varies
 

@@ -1,4 +1,4 @@
-"""Fresh laws about what trackers stand on."""
+"""Laws about what trackers stand on."""
 
 from ..law import UP, Change, Draw, Hall, law, leans, level, np, shifts
 

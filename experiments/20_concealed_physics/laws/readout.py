@@ -1,4 +1,4 @@
-"""Fresh laws about the electronics that read range and circles."""
+"""Laws about the electronics that read range and circles."""
 
 from ..law import Change, Draw, Hall, law, np, reads, varies
 

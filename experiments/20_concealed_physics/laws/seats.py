@@ -1,4 +1,4 @@
-"""Fresh laws about reflectors, nests and the bars of known length."""
+"""Laws about reflectors, nests and the bars of known length."""
 
 from ..law import UP, Change, Draw, Hall, gauge, law, moves, np, reads
 

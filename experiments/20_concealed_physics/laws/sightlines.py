@@ -1,4 +1,4 @@
-"""Fresh laws about the air along lines of sight."""
+"""Laws about the air along lines of sight."""
 
 from ..law import Change, Draw, Hall, law, np, reads, varies
 from ..tracker import Array

@@ -1,4 +1,4 @@
-"""Fresh laws about scatter."""
+"""Laws about scatter."""
 
 from ..law import Change, Draw, Hall, law, np, scatters
 

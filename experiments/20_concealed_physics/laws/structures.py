@@ -1,4 +1,4 @@
-"""Fresh laws about walls, floors, galleries and tables that move with their targets."""
+"""Laws about walls, floors, galleries and tables that move with their targets."""
 
 from ..law import OUT, UP, Change, Draw, Hall, law, moves, np
 
