@@ -313,10 +313,11 @@ def with_reachable_sights(file: PlanFile, site: Site) -> PlanFile:
         return file
     if not found:
         raise problem
+    cure = "take a station out of stations.fixed" if len(site.fixed) else "widen the floor"
     raise SetupError(
         f"stations.seen_from asks that every reflector is seen from {site.least} of {count} stations; {found} is "
         f"the best that was found, and {limiting} is seen from the fewest places: set stations.seen_from = "
-        f"{found}, move {limiting}, or widen the floor"
+        f"{found}, move {limiting}, or {cure}"
     )
 
 
