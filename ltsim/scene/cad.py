@@ -67,7 +67,7 @@ class Cad:
 
 
 def read_mesh(path: Path, unit: str | None = None, up: str | None = None) -> Cad:
-    """A CAD file; `unit` (`mm`, `m`, `in`) and `up` (`y`, `z`) where its format's convention does not hold; SetupError."""
+    """A CAD file; `unit` (`mm`, `m`, `in`) and `up` (`y`, `z`) where its convention does not hold; SetupError."""
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
         raise SetupError(f"{path}: the suffix is '{path.suffix}', expected one of {', '.join(SUFFIXES)}")
