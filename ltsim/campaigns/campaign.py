@@ -104,7 +104,7 @@ def run_campaign(
             notes += damaged
             done, kept = done + len(waiting), kept + len(wanted) - len(waiting)
             try:
-                for task, content in _results(waiting, workers or Workers()):
+                for task, content in _results(waiting, workers or Workers(), store):
                     store.write_shard(task.cell, task.shard, content)
                     progress(rows_of(campaign, task.shard))
             except WorkerError as problem:
@@ -262,14 +262,19 @@ def _waiting(
     return waiting, notes
 
 
-def _results(tasks: list[Task], workers: Workers) -> Iterator[tuple[Task, bytes]]:
+def _results(tasks: list[Task], workers: Workers, store: Store) -> Iterator[tuple[Task, bytes]]:
+    """Shards as they are done; what of one is there already goes with its task."""
+    given = (
+        replace(t, held=store.rows(t.cell, t.shard) if store.shard_path(t.cell, t.shard).exists() else None)
+        for t in tasks
+    )
     if workers.backend == "local":
         jobs = min(workers.jobs, max(len(tasks), 1))
-        yield from parallel(run_task, ((task,) for task in tasks), jobs, ordered=False)
+        yield from parallel(run_task, ((task,) for task in given), jobs, ordered=False)
         return
     with _cluster(workers):
         pool = Parallel(n_jobs=-1, return_as="generator_unordered", batch_size=1)
-        yield from pool(delayed(run_task)(task) for task in tasks)
+        yield from pool(delayed(run_task)(task) for task in given)
 
 
 @contextmanager

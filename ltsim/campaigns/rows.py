@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute
 from threadpoolctl import threadpool_limits
 
 from ltsim.arrays import Floats, Ints
@@ -25,18 +26,20 @@ from ltsim.campaigns.engine import FAILED, STATUSES, Calibrated, Calibrator
 from ltsim.campaigns.judge import Columns, Judge
 from ltsim.campaigns.schema import CHECKED, column_of
 from ltsim.campaigns.spec import JUDGE, Campaign
-from ltsim.campaigns.store import encoded
+from ltsim.campaigns.store import encoded, statistics_of
 from ltsim.campaigns.truth import Block, Truth, truth_of
 from ltsim.effects import CATALOGUE
 from ltsim.effects.effect import Effect
 from ltsim.errors import SetupError
-from ltsim.randomness import BLOCK, stream
+from ltsim.randomness import BLOCK
 from ltsim.simulation.draws import Normal
 from ltsim.simulation.physics import construction_of, effects_of
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.simulator import place_key
 from ltsim.simulation.workshop import Layout, planned
 
+JUDGED = {"criteria", "errors"}
+"""Statistics that take corrected readings."""
 TOGETHER = 64
 """Trials with geometries of their own that are done side by side, as far as their stations see the same."""
 
@@ -56,6 +59,8 @@ class Task:
     """The scenario of `judge_in`, as JSON; empty for none."""
     effects: tuple[type[Effect], ...] = ()
     """Classes of the session, which a worker does not know."""
+    held: pa.Table | None = None
+    """Rows of the shard that stay, where it lacks trials, or statistics."""
 
     @property
     def key(self) -> dict[str, str]:
@@ -144,23 +149,43 @@ def run_task(task: Task) -> tuple[Task, bytes]:
     for kind in task.effects:
         CATALOGUE.add(kind)
     with threadpool_limits(limits=1):
-        return task, encoded(shard_rows(task), task.key)
+        return replace(task, held=None), encoded(shard_rows(task), task.key)
 
 
 def shard_rows(task: Task) -> pa.Table:
-    """The rows of a shard: by method, then by trial."""
+    """The rows of a shard, by method, then by trial; beside those that stay only what is missing is computed."""
+    if task.held is None:
+        return _computed(task, 0)
+    campaign, held = Campaign.model_validate_json(task.campaign), task.held
+    more = tuple(name for name in campaign.statistics if name not in statistics_of(held))
+    if not more:
+        order = pa.array([method.title for method in campaign.methods])
+        whole = pa.concat_tables([held, _computed(task, len(held) // len(order))], promote_options="default")
+        places = pa.compute.index_in(whole["method"], order).to_numpy()
+        return whole.take(np.lexsort((whole["trial"].to_numpy(), places))).combine_chunks()
+    if len(held) < rows_of(campaign, task.shard):
+        return _computed(task, 0)
+    only = campaign.model_copy(update={"statistics": more, "verify": 0, "stop": None})
+    beside = _computed(replace(task, campaign=only.model_dump_json(by_alias=True)), 0, drawn=more == ("truth",))
+    for field in beside.schema:
+        held = held if field.name in held.column_names else held.append_column(field, beside[field.name])
+    return held
+
+
+def _computed(task: Task, done: int, *, drawn: bool = False) -> pa.Table:
+    """The rows of a shard behind so many of its trials; without a calibration where only what was `drawn` is asked."""
     cell = prepared(task.campaign, task.scenario, task.judge)
     campaign = cell.campaign
-    first = task.shard * campaign.shard
-    last = min(first + campaign.shard, campaign.trials)
-    checked = _checked_trials(campaign, task.shard, first, last)
+    start = task.shard * campaign.shard
+    first, last = start + done, min(start + campaign.shard, campaign.trials)
     parts: list[list[Columns]] = [[] for _ in campaign.methods]
     missing = set(range(first, last))
     for judge, calibrators, block in cell.blocks(first, last):
         numbers = block.trials
         wanted = np.flatnonzero((numbers >= first) & (numbers < last))
         missing -= set(numbers[wanted].tolist())
-        work = Work(campaign, judge, block, cell.elsewhere, wanted, wanted[np.isin(numbers[wanted], checked)])
+        checked = wanted[numbers[wanted] < start + campaign.verify]
+        work = Work(campaign, judge, block, cell.elsewhere, wanted, checked, drawn)
         for part, calibrator in zip(parts, calibrators, strict=True):
             columns = {"trial": numbers} | work.columns(calibrator)
             part.append({name: column[wanted] for name, column in columns.items()})
@@ -187,6 +212,8 @@ class Work:
     wanted: Ints
     checked: Ints
     """Places in the block of the trials that rows are wanted of, and of those that the full solver repeats."""
+    drawn: bool
+    """Nothing is calibrated."""
 
     @cached_property
     def shared(self) -> Columns:
@@ -214,16 +241,20 @@ class Work:
 
     def columns(self, calibrator: Calibrator) -> Columns:
         """The columns of a method that the campaign wants."""
-        found, wanted = calibrator.calibrate(self.block, self.wanted), self.campaign.statistics
+        wanted, block, truth = self.campaign.statistics, self.block, self.judge.truth
         construction, effects = calibrator.construction, calibrator.effects
-        truth, block = self.judge.truth, self.block
+        if self.drawn:
+            found = Calibrated.none(truth, construction, effects, len(block.trials))
+        else:
+            found = calibrator.calibrate(block, self.wanted)
         columns: Columns = {"status": found.status, "chi2": found.chi2}
         columns[CHECKED] = np.full(len(found.chi2), np.nan)
         for place in self.checked:
             columns[CHECKED][place] = calibrator.difference(block, int(place), found)
-        judged = self.shared | self.judge.after(block, found, construction, effects)
-        judged |= self._elsewhere(found, calibrator)
-        columns |= {name: own for name, own in judged.items() if (known := column_of(name)) and known.group in wanted}
+        if JUDGED & {*wanted}:
+            judged = self.shared | self.judge.after(block, found, construction, effects)
+            judged |= self._elsewhere(found, calibrator)
+            columns |= {n: own for n, own in judged.items() if (known := column_of(n)) and known.group in wanted}
         labels = labels_of(construction, truth.recording.instruments, effects)
         true_labels = labels_of(truth.construction, truth.recording.instruments, [law.effect for law in truth.effects])
         (values, sigma), true = found.estimates, block.true_values
@@ -242,12 +273,6 @@ class Work:
         nowhere = np.full((*there.truth.state.points.shape, len(found.chi2)), np.nan)  # no target is adjusted there
         after = there.after(block, replace(found, points=nowhere), calibrator.construction, calibrator.effects)
         return {f"new_point_{name}": own for name, own in (before | after).items() if name.startswith("error_")}
-
-
-def _checked_trials(campaign: Campaign, shard: int, first: int, last: int) -> Ints:
-    """Trials of a shard that the full solver repeats: a sample drawn by key."""
-    draw = stream(campaign.seed, "campaign", "verify", shard)
-    return first + draw.choice(last - first, size=min(campaign.verify, last - first), replace=False)
 
 
 def task_of(

@@ -105,7 +105,7 @@ class Campaign(Section):
     geometry: Literal["shared", "per-trial"] = "shared"
     """All trials of a cell share one placing of stations and targets, or each has its own."""
     verify: Annotated[int, Field(ge=0, le=1000)] = 2
-    """Trials of each shard that the full solver repeats."""
+    """Trials of each shard, its first ones, that the full solver repeats."""
     statistics: tuple[Statistic, ...] = ("criteria", "errors", "z-scores")
     """What each row holds."""
     judge_in: str = ""

@@ -158,7 +158,7 @@ class Store:
             table = table_of(path)
             noted, label = known.get(path.relative_to(self.folder).as_posix()), _label(table)
             same = noted in (None, _digest(path)) and all(label[k] == key[k] for k in ("campaign", "cell", "shard"))
-            short = len(table) < rows or not set(key["statistics"].split()) <= set(label["statistics"].split())
+            short = len(table) < rows or not set(key["statistics"].split()) <= {*statistics_of(table)}
         except (pa.ArrowException, OSError, ValueError, KeyError):
             return "damaged"
         if not same or len(table) > rows:
@@ -205,6 +205,11 @@ class Store:
             raise SetupError(
                 f"{self.folder}: {reason}; finished shards are kept: {cure} and go on with --resume"
             ) from None
+
+
+def statistics_of(table: pa.Table) -> list[str]:
+    """What the rows of a shard hold."""
+    return _label(table)["statistics"].split()
 
 
 def _label(table: pa.Table) -> dict[str, str]:

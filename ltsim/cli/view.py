@@ -91,8 +91,8 @@ def view(
 
 def _by_hand(terminal: Terminal, plan: str, out: Path, port: int, *, force: bool) -> None:
     """Serve the page of a plan until somebody presses Ctrl-C."""
-    from ltsim.planning.files import SCENARIO
-    from ltsim.viewer.board import PLAN, Board
+    from ltsim.planning.files import PLAN, SCENARIO
+    from ltsim.viewer.board import Board
     from ltsim.viewer.server import Door, serve
 
     for name in (SCENARIO, PLAN):

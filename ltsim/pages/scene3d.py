@@ -124,8 +124,8 @@ def write_legend(plotter: pv.Plotter, title: str, legend: Legend) -> None:
             width=0.33,
             height=0.07,
             n_labels=3,
-            title_font_size=18,
-            label_font_size=16,
+            title_font_size=26,
+            label_font_size=24,
             fmt="%.3g",
             mapper=plotter.actors["sights"].mapper,
         )

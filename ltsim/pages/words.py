@@ -56,7 +56,11 @@ def sentence(words: str) -> str:
 
 def typeset(text: str) -> str:
     """A text with the signs of print: plus-minus, minus before a number, micro, chi, a dash for what does not exist."""
-    signs = re.sub(r"\bu(m|rad)\b", "µ\\1", text.replace("+-", "±").replace("chi2", "χ²").replace("[deg]", "[°]"))
+    signs = re.sub(
+        r"\bu(m|rad)\b",
+        "µ\\1",
+        text.replace("+-", "±").replace("chi2", "χ²").replace("[deg]", "[°]").replace(" %", "\u00a0%"),
+    )
     return "–" if signs == "-" else re.sub(r"(?<![\w.,)\]-])-(?=\.?\d)", "−", signs)
 
 

@@ -43,6 +43,8 @@ from ltsim.units import DEGREE, FACTOR, MICROMETRE, MILLIMETRE
 
 SCENARIO = "scenario.toml"
 """The hall with the plan's stations, in the plan's folder."""
+PLAN = "plan.toml"
+"""The plan that the board saves beside it."""
 
 
 def plan_file(plan: Plan, found: Detectability | None = None) -> PlanResult:
@@ -226,10 +228,11 @@ def with_cad_beside(scenario: Scenario) -> tuple[Scenario, dict[str, bytes]]:
 
 
 def opened(source: str | Path) -> tuple[PlanFile, Scenario]:
-    """A plan and its scenario from a plan file, a scenario, or a folder that `ltsim plan` wrote, with its stations."""
+    """A plan and its scenario: a plan file, a scenario, a plan's folder with its stations, or what the board saved."""
     folder = Path(source)
-    if not folder.is_dir():
-        return load_plan(source)
+    saved = folder / PLAN
+    if not folder.is_dir() or saved.is_file():
+        return load_plan(saved if saved.is_file() else source)
     file = PlanFile.model_validate(read_result(folder, PlanResult).settings)
     return file, load_scenario(folder / SCENARIO)
 

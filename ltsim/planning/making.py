@@ -169,8 +169,8 @@ class _Search:
         judgements: list[tuple[float, Option]] = []
         k = 0
         for n in counts:
-            if n < counts[-1] and not _serves(self.problem.site(Task(n, faces[-1], 0)), placement):
-                self.tried.append(Tried(n, None, False))
+            if n < counts[-1] and (lacking := _lacking(self.problem.site(Task(n, faces[-1], 0)), placement)):
+                self.tried.append(Tried(n, None, False, lacking))
                 continue
             tasks = [Task(n, f, start) for f in faces for start in range(file.search.starts)]
             if not k:
@@ -242,12 +242,12 @@ class _Search:
         return tuple(replace(o, efficient=bool(o.value < before)) for o, before in zip(made, earlier, strict=True))
 
 
-def _serves(site: Site, placement: Placement) -> bool:
-    """Some layout has every point in sight: the site's own, or one on the grid."""
+def _lacking(site: Site, placement: Placement) -> str:
+    """Points out of sight, in words; empty where some layout has them all, the site's own or one on the grid."""
     own = site.survey.position
     if site.joined(own[None], site.seen(own)[None])[0]:
-        return True
-    return not placement.missing(placement.stations(len(own) - len(site.fixed), site.least), site.least)
+        return ""
+    return site.lacking(placement, placement.stations(len(own) - len(site.fixed), site.least))
 
 
 def _seen_from(file: PlanFile, least: int) -> PlanFile:
@@ -280,7 +280,7 @@ def most_sights(site: Site, step: float, heights: int) -> tuple[int, str]:
         return 0, names[0]
     limiting = names[int(np.argmin(placement.seen.mean(axis=0)))]
     count = len(site.survey.position) - len(site.fixed)
-    enough = (k for k in range(site.least, 0, -1) if not placement.missing(placement.stations(count, k), k))
+    enough = (k for k in range(site.least, 0, -1) if not placement.missing(placement.stations(count, k), k).any())
     return next(enough, 0), limiting
 
 
@@ -313,10 +313,11 @@ def with_reachable_sights(file: PlanFile, site: Site) -> PlanFile:
         return file
     if not found:
         raise problem
+    cure = "take a station out of stations.fixed" if len(site.fixed) else "widen the floor"
     raise SetupError(
         f"stations.seen_from asks that every reflector is seen from {site.least} of {count} stations; {found} is "
         f"the best that was found, and {limiting} is seen from the fewest places: set stations.seen_from = "
-        f"{found}, move {limiting}, or widen the floor"
+        f"{found}, move {limiting}, or {cure}"
     )
 
 

@@ -64,6 +64,8 @@ class Tried:
     """Largest error over its tolerance in the best of them; None without any."""
     found: bool
     """Some layout keeps points in sight."""
+    lacking: str = ""
+    """Points that the nearest one has not, in words."""
 
 
 @dataclass(frozen=True, repr=False)

@@ -82,8 +82,12 @@ def _came_of(tried: Sequence[Tried], least: int) -> list[str]:
         in_sight = f"in sight{f' of {least}' if least > 1 else ''}"
         return "the best found leaves a point open" if one.found else f"no layout was found with every point {in_sight}"
 
-    runs = [(said, [one.stations for one in same]) for said, same in groupby(tried, key=words)]
-    return [f"{n[0]}{f' to {n[-1]}' if len(n) > 1 else ''} stations: {said}" for said, n in runs]
+    def came_of(said: str, same: Sequence[Tried]) -> str:
+        first, last = same[0].stations, same[-1].stations
+        nearest = f" (the nearest one lacks {same[-1].lacking})" if same[-1].lacking else ""
+        return f"{first}{f' to {last}' if last > first else ''} stations: {said}{nearest}"
+
+    return [came_of(said, list(same)) for said, same in groupby(tried, key=words)]
 
 
 def _air(plan: Plan) -> list[str]:

@@ -5,7 +5,7 @@ own contributions are computed anew. Every step lowers the objective, so a start
 single station improves.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -14,10 +14,9 @@ import numpy as np
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.errors import SetupError
 from ltsim.model.construction import Construction, misalignment
-from ltsim.notation import listing
 from ltsim.planning.fast import Reducer, StationBlocks
 from ltsim.planning.objective import LEAST_IMPROVEMENT, Objective
-from ltsim.planning.site import MOST_NAMED, Placement, Site
+from ltsim.planning.site import Placement, Site
 from ltsim.randomness import stream
 from ltsim.remedies.next_measurement import quiet
 
@@ -209,12 +208,12 @@ class Searcher:
         """
         survey, free, places = self.site.survey, self._free, self.placement
         tables = {slot: self.table(slot) for slot in free}
-        lacking: Sequence[int] = ()
+        lacking = ""
         loose: StationBlocks | None = None
         for _ in range(TRIES):
             chosen = places.stations(len(free), self.site.least, rng)
-            if len(chosen) < len(free) or places.missing(chosen, self.site.least):
-                lacking = chosen
+            if len(chosen) < len(free) or places.missing(chosen, self.site.least).any():
+                lacking = self.site.lacking(places, chosen) if chosen else ""
                 break
             made = self.layout(survey.position, survey.yaw)
             for slot, place in zip(free, chosen, strict=True):
@@ -230,7 +229,7 @@ class Searcher:
         raise SetupError(
             f"no layout of {self.stations} stations was found among {len(places.position)} places that keeps "
             f"them {self.site.spacing:g} m apart and every reflector in sight of {self.site.least}"
-            f"{self._lacking(lacking)}; ask for less, or widen the floor"
+            f"{f' (the nearest one lacks {lacking})' if lacking else ''}; ask for less, or widen the floor"
         )
 
     def _bound(self, layout: StationBlocks) -> StationBlocks:
@@ -245,14 +244,6 @@ class Searcher:
             if np.isfinite(self._value(layout)):
                 break
         return layout
-
-    def _lacking(self, chosen: Sequence[int]) -> str:
-        """Which targets lack sights where the fewest are missing, in words."""
-        if not chosen:
-            return ""
-        count = self.placement.counted + self.placement.seen[list(chosen)].sum(axis=0)
-        names = [n for n, k in zip(self.site.survey.target_names, count, strict=True) if k < self.site.least]
-        return f" (the nearest one lacks {listing(names, MOST_NAMED)})" if names else ""
 
     def from_start(self, seed: int, start: int) -> Layout:
         """One start: number 0 begins at the site's own layout where that is allowed, the others at random."""

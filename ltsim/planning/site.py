@@ -128,6 +128,11 @@ class Site:
             cure = f"{listing(within, MOST_NAMED)} {lie} inside an obstacle: move points or bodies"
         return f"no place on the floor sees {listing(names, MOST_NAMED)}, from heads at {low:g} to {high:g} mm; {cure}"
 
+    def lacking(self, placement: Placement, chosen: list[int]) -> str:
+        """Targets that stations at places of a placement leave with too few sights, in words; empty for none."""
+        few = np.flatnonzero(placement.missing(chosen, self.least))
+        return listing([self.survey.target_names[t] for t in few], MOST_NAMED) if len(few) else ""
+
     def places(self, step: float, heights: int) -> Floats:
         """Places (N, 3) of a grid where a tripod may stand."""
         grid = np.concatenate([over(area, step, heights) for area in self.areas])
@@ -165,13 +170,13 @@ class Placement:
         chosen: list[int] = []
         while len(chosen) < count and (one := self._best(chosen, wanted, rng)) >= 0:
             chosen.append(one)
-        if len(chosen) == count and not self.missing(chosen, wanted):
+        if len(chosen) == count and not self.missing(chosen, wanted).any():
             return chosen
         return self._exact(count, wanted, rng) or chosen
 
-    def missing(self, chosen: list[int], wanted: int) -> int:
-        """How many sights are missing until each target is seen `wanted` times."""
-        return int(np.maximum(wanted - self.counted - self.seen[chosen].sum(axis=0), 0).sum())
+    def missing(self, chosen: list[int], wanted: int) -> Ints:
+        """(T,): how many sights of each target are missing until it is seen `wanted` times."""
+        return np.asarray(np.maximum(wanted - self.counted - self.seen[chosen].sum(axis=0), 0))
 
     def _best(self, others: list[int], wanted: int, rng: np.random.Generator | None) -> int:
         """The place that brings most beside others, further sights a little; -1 where none may stand."""

@@ -25,12 +25,12 @@ from ltsim.units import FACTOR
 GLTF = (".glb", ".gltf")
 EXACT = (".step", ".stp", ".iges", ".igs")
 SUFFIXES = (".stl", ".obj", ".ply", *GLTF, *EXACT)
-WORDS = {"mm": "millimetres", "m": "metres"}
+WORDS = {"mm": "millimetres", "m": "metres", "in": "inches"}
 MAX_BYTES = 512 * 1024 * 1024
 DEVIATION = 1.0
 """[mm] that a triangle may lie off an exact surface: enough to know what hides what."""
-SMALL = 0.1
-"""[m]: nothing shorter is worth its place in a hall without a word."""
+SMALL = FACTOR["mm"] / FACTOR["in"]
+"""Of the room's length: a body that is shorter may be one whose numbers are inches."""
 BEYOND = 0.05
 """[m] that a body may reach beyond the room or below its floor."""
 PER_METRE = 1e5
@@ -47,7 +47,7 @@ class Cad:
     triangles: Floats
     """(m, 3, 3) [m], z up."""
     unit: str
-    """`mm` or `m`; empty where the file states its own."""
+    """`mm`, `m` or `in`; empty where the file states its own."""
     up: str
     """`y` or `z`."""
     sure: bool
@@ -67,7 +67,7 @@ class Cad:
 
 
 def read_mesh(path: Path, unit: str | None = None, up: str | None = None) -> Cad:
-    """A CAD file; `unit` (`mm`, `m`) and `up` (`y`, `z`) where its format's convention does not hold; SetupError."""
+    """A CAD file; `unit` (`mm`, `m`, `in`) and `up` (`y`, `z`) where its convention does not hold; SetupError."""
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
         raise SetupError(f"{path}: the suffix is '{path.suffix}', expected one of {', '.join(SUFFIXES)}")
@@ -157,13 +157,15 @@ def extent(triangles: Floats) -> str:
 
 def size_question(cad: Cad, room: Floats) -> str:
     """What has to be asked about the size of a body in a room (3,) [m]; empty for nothing."""
-    length = np.ptp(cad.triangles, axis=(0, 1))
-    if cad.sure or SMALL <= length.max() <= 1.5 * room.max():
+    length, least, most = np.ptp(cad.triangles, axis=(0, 1)), SMALL * room.max(), 1.5 * room.max()
+    if cad.sure or least <= length.max() <= most:
         return ""
-    size, other = " x ".join(f"{v:.3g}" for v in length), "m" if cad.unit == "mm" else "mm"
+    others = {unit: length.max() * FACTOR[unit] / FACTOR[cad.unit] for unit in WORDS if unit != cad.unit}
+    fitting = [unit for unit, size in others.items() if least <= size <= most] or list(others)
+    size, other = " x ".join(f"{v:.3g}" for v in length), " or ".join(f'"{unit}"' for unit in fitting)
     return (
         f"{cad.file}: is {size} m large if its numbers are {WORDS[cad.unit]}, which it does not say; "
-        f'state unit = "{other}", or unit = "{cad.unit}" if it is so'
+        f'state unit = {other}, or unit = "{cad.unit}" if it is so'
     )
 
 

@@ -64,7 +64,7 @@ class Obstacle(Section):
     """What messages and pictures call it."""
     file: str | None = None
     """STL, OBJ, PLY, GLB, glTF, STEP or IGES file, named from the scenario's folder."""
-    unit: Literal["mm", "m"] | None = None
+    unit: Literal["mm", "m", "in"] | None = None
     """Unit of the file's coordinates; without it metres for glTF, their own for STEP and IGES, else millimetres."""
     up: Literal["y", "z"] | None = None
     """Which of the file's axes points up; without it y for glTF, else z."""

@@ -15,7 +15,7 @@ from ltsim.model.construction import Construction
 from ltsim.pages.scene3d import Camera
 from ltsim.pages.scene_page import scene_page
 from ltsim.pages.workshop import from_scenario
-from ltsim.planning.files import SCENARIO, opened, with_cad_beside, with_layout
+from ltsim.planning.files import PLAN, SCENARIO, opened, with_cad_beside, with_layout
 from ltsim.planning.information import LayoutInformation
 from ltsim.planning.planner import sight_table
 from ltsim.planning.site import Site
@@ -31,7 +31,6 @@ from ltsim.simulation.physics import planned_construction
 from ltsim.simulation.scenario import Scenario, scenario_to_toml
 from ltsim.units import DEGREE, MICROMETRE, MILLIMETRE
 
-PLAN = "plan.toml"
 MOST_TRIANGLES = 20_000
 """Of obstacles seen from above that are drawn, the largest."""
 TOUCH = 1e-3

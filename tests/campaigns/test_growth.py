@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pyarrow.parquet as pq
 import pytest
 
 from ltsim.campaigns.campaign import run_campaign
+from ltsim.campaigns.engine import Engine
+from ltsim.campaigns.judge import Judge
 from ltsim.campaigns.results import Results
 from ltsim.campaigns.spec import load_campaign
 from ltsim.cli.main import run
@@ -19,7 +22,7 @@ format = "ltsim-campaign/1"
 seed = 5
 trials = 24
 shard = 16
-verify = 0
+verify = 1
 statistics = ["errors"]
 
 [grid]
@@ -40,27 +43,49 @@ def rows(folder: Path, columns: str = "trial, error_raw_um") -> set[tuple[object
 
 
 @pytest.mark.parametrize(
-    ("change", "shards", "kept"),
+    ("change", "shards", "kept", "trials", "repeated", "judged"),
     [
-        (("[1.0, 2.0]", "[1.0, 1.5, 2.0]"), 2, 4),
-        (("[1.0, 2.0]", "[0.5, 2.0, 1.0]"), 2, 4),
-        (("trials = 24", "trials = 40"), 4, 2),
-        (('["errors"]', '["errors", "truth"]'), 4, 0),
+        (("[1.0, 2.0]", "[1.0, 1.5, 2.0]"), 2, 4, 24, 2, 2),
+        (("[1.0, 2.0]", "[0.5, 2.0, 1.0]"), 2, 4, 24, 2, 2),
+        (("trials = 24", "trials = 40"), 4, 2, 2 * 16, 2, 4),
+        (('["errors"]', '["truth", "errors"]'), 4, 0, 0, 0, 0),
+        (('["errors"]', '["errors", "z-scores", "truth"]'), 4, 0, 2 * 24, 0, 0),
     ],
 )
 def test_a_grown_campaign_takes_what_is_missing(
-    change: tuple[str, str], shards: int, kept: int, begun: tuple[Path, Path], tmp_path: Path
+    change: tuple[str, str],
+    shards: int,
+    kept: int,
+    trials: int,
+    repeated: int,
+    judged: int,
+    begun: tuple[Path, Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     file, out = begun
     before = rows(out)
     file.write_text(FILE.replace(*change))
-    outcome = run_campaign(file, out, resume=True)
+    calls = {name: list[int]() for name in ("calibrate", "difference", "after")}
+    with monkeypatch.context() as counted:
+        for owner, name, size in ((Engine, "calibrate", len), (Engine, "difference", int), (Judge, "after", id)):
+            plain = getattr(owner, name)
+
+            def noted(*given: Any, plain: Any = plain, done: list[int] = calls[name], size: Any = size) -> Any:
+                done.append(size(given[2]))
+                return plain(*given)
+
+            counted.setattr(owner, name, noted)
+        outcome = run_campaign(file, out, resume=True)
     assert (outcome.shards, outcome.kept, outcome.notes) == (shards, kept, ())
+    assert (sum(calls["calibrate"]), len(calls["difference"]), len(calls["after"])) == (trials, repeated, judged)
     run_campaign(file, tmp_path / "anew")
     assert before <= rows(out) == rows(tmp_path / "anew")
+    for name in () if change[0] == "[1.0, 2.0]" else [p.relative_to(out) for p in out.rglob("*.parquet")]:
+        anew, grown = tmp_path / "anew" / name, out / name
+        assert pq.read_table(grown).select(pq.read_table(anew).column_names).equals(pq.read_table(anew))
+        assert anew.read_bytes() == grown.read_bytes() or '["truth' in change[1]  # whose order is another
     assert run_campaign(file, out, resume=True).shards == 0
-    if "truth" in change[1]:
-        assert rows(out, 'trial, "true:beam-tilt"') == rows(tmp_path / "anew", 'trial, "true:beam-tilt"')
 
 
 def test_a_smaller_file_loses_nothing(begun: tuple[Path, Path]) -> None:

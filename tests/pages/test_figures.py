@@ -330,7 +330,9 @@ def test_a_plan_lists_where_each_tripod_goes() -> None:
     words = [text.get_text() for text in floors.floor_plan(workshop, coordinates=True).legends[0].get_texts()]
     x, y, z = workshop.position[1]
     assert f"S2: {x:.3f}, {y:.3f}, {z:.3f} m, {np.degrees(workshop.yaw[1]) % 360:.0f}°" in words
-    assert len(words) == len(floor_plan().legends[0].get_texts()) + 2 + len(workshop.stations)
+    others = len(floor_plan().legends[0].get_texts())
+    assert len(words) == 2 * max(others, 1 + len(workshop.stations))  # two columns: what is drawn, and the places
+    assert words[len(words) // 2] == "station: x, y, z, azimuth 0"
 
 
 def test_labels_lose_what_they_share() -> None:

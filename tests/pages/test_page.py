@@ -18,6 +18,7 @@ from ltsim.cli.main import run
 from ltsim.errors import LtsimError, RecordError
 from ltsim.fieldcheck import write_check
 from ltsim.fieldcheck.check import check
+from ltsim.fieldcheck.files import check_file
 from ltsim.pages.document import Document
 from ltsim.pages.page import document, render
 from ltsim.pages.verbs import report
@@ -331,6 +332,17 @@ def test_a_check_has_its_tests_in_a_table(tmp_path: Path) -> None:
     (table,) = (block for block in section.blocks if block.kind == "table")
     assert list(table.header)[:3] == ["station", "test", "what was found"]
     assert len(table.rows) == int(section.facts[0].value)
+    assert (
+        section.title.startswith("Check in the field: ") and section.answer.startswith("Go: ") and not section.actions
+    )
+    content = check_file(check(samples.recording()))
+    failed = content.items[0].model_copy(update={"passed": False, "kind": "network"})
+    content = content.model_copy(update={"passed": False, "items": (failed, *content.items[1:])})
+    (tmp_path / "check.json").write_text(content.text())
+    (section,) = document(tmp_path).sections
+    assert section.actions == [
+        "Find out why the stations disagree: ltsim diagnose names what is missing from the model."
+    ]
 
 
 def test_the_page_of_a_diagnosis_needs_no_3d(folder: Path, tmp_path: Path) -> None:

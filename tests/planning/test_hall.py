@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,9 +11,12 @@ import pytest
 import ltsim as lt
 from ltsim.cli.main import run
 from ltsim.errors import SetupError
+from ltsim.planning import reasons
 from ltsim.planning.files import plan_file
 from ltsim.planning.floor import Floor, fault, ground_of, inside, may_stand
 from ltsim.planning.loading import load_plan, read_points
+from ltsim.planning.planner import Tried
+from ltsim.planning.site import Placement, Site
 from ltsim.planning.tolerances import Demands, Kept, radius, verdict
 from ltsim.planning.work_order import settings_of
 from ltsim.scene.meshes import cylinder, together
@@ -269,3 +273,15 @@ def test_a_network_that_falls_apart_keeps_no_tolerance() -> None:
         "with any one station lost not kept without S1, the network falls apart"
     )
     assert kept.remains == "C is seen from nowhere, the network falls apart"
+
+
+def test_numbers_without_a_layout_name_the_points_that_the_nearest_one_lacks() -> None:
+    tried = [Tried(3, None, False, "M1, M2"), Tried(4, None, False, "M2"), Tried(5, 1.2, True)]
+    assert reasons._came_of(tried, 2) == [
+        "3 to 4 stations: no layout was found with every point in sight of 2 (the nearest one lacks M2)",
+        "5 stations: the best found has an error of 1.20 times its tolerance",
+    ]
+    site = SimpleNamespace(least=2, survey=SimpleNamespace(target_names=["M1", "M2", "M3"]))
+    seen = np.array([[True, True, True], [True, False, False], [True, False, True]])
+    placement = Placement(np.zeros((3, 3)), seen, 0.0, np.zeros((0, 3)), np.array([0, 0, 1]))
+    assert [Site.lacking(site, placement, chosen) for chosen in ([0, 1], [0, 0], [1])] == ["M2", "", "M1, M2, M3"]

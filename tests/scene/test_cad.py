@@ -200,6 +200,7 @@ PLACE = "position_mm = [0, 0, 0]"
     ("name", "turn", "scale", "place", "sentence"),
     [
         ("fuselage.stl", None, 1e-3, PLACE, 'does not say; state unit = "m", or unit = "mm" if it is so'),
+        ("fuselage.stl", None, 1 / 25.4, PLACE, 'does not say; state unit = "in", or unit = "mm" if it is so'),
         ("fuselage.obj", None, 1e3, PLACE, "is 3e+04 x 4e+03 x 4e+03 m large if its numbers are millimetres"),
         ("fuselage.glb", np.eye(3), 1.0, PLACE, 'with up = "z" it would'),
         ("fuselage.stl", None, 1.0, "position_mm = [0, 0, -3000]", "reaches below the floor of 40 x 25 x 12 m"),
@@ -220,6 +221,9 @@ def test_a_body_that_cannot_be_meant_so_is_a_question(
     assert str(caught.value).startswith(str(tmp_path / name))
     assert sentence in str(caught.value)
     assert "\n" not in str(caught.value)
+    if '"in"' in sentence:
+        plan.write_text(plan.read_text().replace("position_mm", 'unit = "in"\nposition_mm', 1))
+        assert "30 x 4 x 4 m" in bodies_of(load_plan(plan)[1])[0].words
     if "beyond_room" in str(caught.value):
         plan.write_text(plan.read_text().replace("position_mm", "beyond_room = true\nposition_mm", 1))
         load_plan(plan)

@@ -1,6 +1,7 @@
 """Statistics over the trials of a campaign: distributions, means over what is varied, coverage."""
 
 import math
+import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -22,6 +23,8 @@ from ltsim.pages.words import typeset
 from ltsim.units import BY_ENDING
 
 MOST_PANELS, MOST_LINES = 12, 8
+LETTERS = 26
+"""Of a name beside a panel."""
 NINETY, FLOOR = "90 % of trials", "noise floor"
 PAPER = MappingProxyType(
     {
@@ -176,7 +179,7 @@ def by_factor(
     for ax in axes.flat[max(len(panels) - across, 0) : len(panels)]:
         ax.tick_params(labelbottom=True)
     figure.supxlabel(axis, fontsize=8.5)
-    figure.supylabel(label, fontsize=8.5)
+    figure.supylabel(textwrap.fill(label, LETTERS * down), fontsize=8.5)
     style.legend_of(figure, axes.flat[: len(panels)], ncols=2)
     return figure
 

@@ -70,8 +70,8 @@ FEW_DOTS = 150
 MOST_PLACES, MOST_STACKED = 16, 4
 NEAR = 0.05
 """Share of the floor within which targets share a label."""
-WIDE, HEIGHTS = 4.3, (3.6, 6.6)
-"""Inches: width of the axes, and the figure's least and greatest height."""
+WIDE, HEIGHTS, ROW = 4.3, (3.6, 6.6), 0.16
+"""Inches: width of the axes, the figure's least and greatest height, and what each listed place adds to it."""
 ON_A_WALL = 0.35
 """[m] from a side of the floor within which its wall is taken to hold a target."""
 
@@ -126,8 +126,9 @@ def floor_plan(
         labels_of += _target_labels(workshop)
     handles, labels = ax.get_legend_handles_labels()
     if coordinates and len(workshop.stations) <= MOST_PLACES:
-        blank, places = _places(workshop)
+        blank, places = _places(workshop, beside=len(labels))
         handles, labels = [*handles, *blank], [*labels, *places]
+        figure.set_figheight(figure.get_figheight() + ROW * len(places))
     figure.legend(handles, labels, loc="outside lower center", ncols=2)
     place_labels(figure, ax, labels_of, np.concatenate([workshop.position[:, :2], workshop.points[:, :2]]))
     return figure
@@ -316,12 +317,14 @@ def _station_labels(workshop: Workshop) -> list[Label]:
     ]
 
 
-def _places(workshop: Workshop) -> tuple[list[Line2D], list[str]]:
+def _places(workshop: Workshop, beside: int) -> tuple[list[Line2D], list[str]]:
+    """Lines of a legend that are its second column beside so many others."""
     lines = [
         f"{style.shorten(name, 10)}: {x:.3f}, {y:.3f}, {z:.3f} m, {yaw / DEGREE % 360:.0f}°"
         for name, (x, y, z), yaw in zip(workshop.stations, workshop.position, workshop.yaw, strict=True)
     ]
-    words = ["", "station: x, y, z, azimuth 0", *lines]
+    words = ["station: x, y, z, azimuth 0", *lines]
+    words = [""] * (len(words) - beside) + words + [""] * (beside - len(words))
     return [Line2D([], [], linestyle="none") for _ in words], words
 
 

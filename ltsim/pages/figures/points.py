@@ -86,6 +86,8 @@ def shares_of_limits(content: AcceptanceFile) -> Figure:
 OBSERVABLES = (("range", style.BLUE, "o"), ("across the beam", style.ORANGE, "s"), ("elevation", style.GREEN, "^"))
 MOST_NAMES = 40
 MOST_STATIONS = 8
+BELOW_LEGEND = 0.86
+"""Share of the axes that a legend inside them leaves."""
 
 
 @style.styled
@@ -115,7 +117,7 @@ def _faces(ax: Axes, check: Check) -> None:
         rows = setup.rows[setup.faces.pairs.rows[:, 0]] - 1
         names += [check.recording.targets[check.recording.target[row]] for row in rows]
         at += len(share)
-        ax.axvline(at - 0.5, color=style.INK, lw=0.4)
+        ax.axvline(at - 0.5, ymax=BELOW_LEGEND, color=style.INK, lw=0.4)
     for limit in (-1.0, 1.0):
         ax.axhline(limit, color=style.RED, lw=1.0)
     style.quiet_axis(ax)
@@ -126,6 +128,8 @@ def _faces(ax: Axes, check: Check) -> None:
         ax.set_xticks([])
         return
     ax.set_xlim(-0.8, at - 0.2)
+    low, high = ax.get_ylim()
+    ax.set_ylim(low, low + (high - low) / BELOW_LEGEND)
     few = len(names) <= MOST_NAMES
     ax.set_xticks(range(at) if few else [], [style.shorten(n) for n in names] if few else [], rotation=90, fontsize=6)
     ax.legend(loc="upper right", ncols=3)

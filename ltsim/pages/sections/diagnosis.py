@@ -69,10 +69,9 @@ def diagnosis_section(content: DiagnosisFile, beside: Beside) -> Section:
     lead = len(blocks)
     for number_, finding in enumerate(content.findings, start=1):
         blocks += _finding(finding, number_, sentence(content.summary), pair, before, after)
+    modelled = ", with the findings modelled" if content.findings else ""
     if constants := clear_constants(content.instruments):
-        blocks.append(
-            Note("The clearest constants of the instruments, with the findings modelled", f"{'; '.join(constants)}.")
-        )
+        blocks.append(Note(f"The clearest constants of the instruments{modelled}", f"{'; '.join(constants)}."))
     blocks += _hidden(content)
     shown = len(blocks)
     blocks += _fit(content)
@@ -80,7 +79,7 @@ def diagnosis_section(content: DiagnosisFile, beside: Beside) -> Section:
         blocks += over_covariates(after)
     for entry in content.instruments:
         name = f" of {entry.name}" if entry.name else ""
-        title = f"Constants{name}, with the findings modelled"
+        title = f"Constants{name}{modelled}"
         blocks += table_of(title, entry.parameters, "name=constant", "value+-sigma", "unit")
         blocks += combined(f"What the recording determines{name} in combination", entry.determined)
     blocks += _found_from(content)
@@ -128,8 +127,8 @@ def _facts(content: DiagnosisFile) -> list[Fact]:
     if test.search_p_value is not None:
         facts.append(Fact("whole search, p", p_text(test.search_p_value)))
     if content.fit is not None:
-        before, after = content.fit.before, content.fit.after
-        facts.append(Fact("chi2 per degree of freedom", f"{_ratio(before)} to {_ratio(after)}"))
+        ratios = dict.fromkeys(_ratio(fit) for fit in (content.fit.before, content.fit.after))
+        facts.append(Fact("chi2 per degree of freedom", " to ".join(ratios)))
     return facts
 
 

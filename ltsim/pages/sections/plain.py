@@ -27,6 +27,14 @@ UNITED = (
     "(JCGM 101, clause 8)."
 )
 MOST_BARS, MOST_TESTS = 40, 200
+AGAINST = {
+    ("two-face",): "Run the tracker's own two-face compensation, or calibrate it: ltsim calibrate.",
+    ("gross", "bump", "drift", "instrument-drift", "closure", "level", "mistake"): (
+        "Measure what is named here anew before the tripod is carried on."
+    ),
+    ("network",): "Find out why the stations disagree: ltsim diagnose names what is missing from the model.",
+}
+"""What to do where a check of these kinds fails."""
 
 
 def check_section(content: CheckFile, beside: Beside) -> Section:
@@ -41,7 +49,10 @@ def check_section(content: CheckFile, beside: Beside) -> Section:
     facts = [Fact("tests", str(len(content.items))), Fact("against going on", str(failed), mood(not failed))]
     blocks = [*blocks[1:2], *blocks[:1], *blocks[2:]] if failed and drawn else blocks
     shown = 2 if failed else 1
-    return Section("Check in the field", "Check", content.sentence, mood(content.passed), facts, blocks, shown=shown)
+    named = content.recording.title if content.recording else ""
+    title, answer = f"Check in the field: {named}" if named else "Check in the field", sentence(content.sentence)
+    actions = [does for kinds, does in AGAINST.items() if any(not i.passed and i.kind in kinds for i in content.items)]
+    return Section(title, "Check", answer, mood(content.passed), facts, blocks, shown=shown, actions=actions)
 
 
 def comparison_section(content: Comparison, _: Beside) -> Section:
@@ -59,9 +70,10 @@ def comparison_section(content: Comparison, _: Beside) -> Section:
         *([] if content.scale_ppm is None else [Fact("scale", f"{content.scale_ppm:+.2f} ppm")]),
     ]
     drawn = Picture("Displacements", lambda: figures.points.displacement_figure(content), caption)
+    answer = sentence(content.sentence if moved else content.sentence.partition("; ")[2])  # the headline says the rest
     said = f"Look at what moved, and measure it again before it is used as a reference: {listing(moved)}."
     return Section(
-        "Comparison of two epochs", "Comparison", content.sentence, mood(not moved), facts, [drawn, *table],
+        "Comparison of two epochs", "Comparison", answer, mood(not moved), facts, [drawn, *table],
         axes="the first epoch's", actions=[said] if moved else [],
     )  # fmt: skip
 
@@ -176,7 +188,7 @@ def next_section(content: NextFile, _: Beside) -> Section:
         blocks.append(Table("What would decide", heads, [now, *seen], note=told))
     blocks += [Note("What the diagnosis of the recording said", content.diagnosis)] if content.diagnosis else []
     facts = [Fact("time for it", duration(60 * best.minutes)), Fact("instrument sharper by", f"{saved[0]:.0f} %")]
-    actions = [sentence(proposal.do) for proposal in content.proposals[:2]]
+    actions = [sentence(proposal.do) for proposal in content.proposals[:1]]
     return Section("What to measure next", "Next measurement", answer, decided, facts, blocks, actions=actions)
 
 
