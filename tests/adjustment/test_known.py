@@ -106,6 +106,24 @@ def test_a_wrong_gauge_length_is_named_and_no_reading(more: float) -> None:
     assert "The known length T25-T28 is off by" in found.verdict.sentence
 
 
+@pytest.mark.parametrize("degrees", [7.0, -4.0])
+def test_a_wrong_temperature_of_the_gauge_is_told_of_all_its_lengths_and_of_no_reading(degrees: float) -> None:
+    recording = network(seed=2, faces=2)[0]
+    assert recording.setup.gauge is not None
+    stated = {"measured_at_c": 20.0 + degrees, "expansion_per_k": 23.2e-6}
+    gauge = recording.setup.gauge.model_copy(update=stated)
+    recording = recording.replace(setup=recording.setup.model_copy(update={"gauge": gauge}))
+    found = lt.adjust(recording)
+    assert found.known[0].kind == "scale"
+    assert found.known[0].error == pytest.approx(23.2 * degrees, abs=15.0)
+    assert found.verdict is not None
+    assert f"too {'long' if degrees > 0 else 'short'} (w = " in found.verdict.sentence
+    told = lt.check(recording)
+    no_go = [item.sentence for item in told.items if item.kind == "network" and not item.passed]
+    assert len(no_go) == 1
+    assert no_go[0].startswith("all known lengths are ")
+
+
 def test_a_wrong_level_and_a_wrong_height_are_named() -> None:
     recording, _ = network(seed=6, faces=2)
     stations = {name: Station(levelled=True, levelling_sigma_arcsec=1.0) for name in recording.stations}
