@@ -232,8 +232,11 @@ def _idle_settings(recording: Recording) -> tuple[str, ...]:
                 f"stations.{name}.over names '{shown(over)}', which no pointing and no other set-up names: "
                 f"it holds nothing{_near(over, recording.targets)}"
             )
-    for name in (name for name in setup.stations if name not in recording.stations):
-        notes.append(f"stations.{name} was never measured: it changes nothing{_near(name, recording.stations)}")
+    notes += [
+        f"stations.{name} was never measured: it changes nothing{_near(name, recording.stations)}"
+        for name in setup.stations
+        if name not in recording.stations
+    ]
     for name, target in setup.targets.items():
         if target.known_mm and name not in recording.targets and name not in marks:
             notes.append(f"targets.{name} is known but was never measured{_near(name, recording.targets)}")
