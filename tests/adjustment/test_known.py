@@ -15,6 +15,7 @@ from ltsim.calibration import calibrate_network
 from ltsim.calibration.files import calibration_file
 from ltsim.errors import RecordError
 from ltsim.randomness import stream
+from ltsim.recording.coordinates import read_points
 from ltsim.recording.recording import Recording
 from ltsim.recording.setup import Station, Target
 from tests.networks import mesh, network
@@ -176,6 +177,11 @@ def test_a_point_that_misses_the_axes_of_the_others_is_left_out_of_the_datum(siz
         rest = {n: place for n, place in points.items() if n != name}
         sound = adjust(in_axes_of_points(recording, rest, "hall.csv"))
         np.testing.assert_allclose(found.state.points, sound.state.points, atol=1e-8)
+
+
+def test_a_sigma_in_millimetres_stays_one_beside_coordinates_in_metres(tmp_path: Path) -> None:
+    (tmp_path / "list.csv").write_text("name,x_m,y_m,z_m,sigma_mm\nP1,4.5,11.25,0.25,0.1\nP2,1.5,1.25,0.5,0.2\n")
+    np.testing.assert_allclose(read_points(tmp_path / "list.csv").sigma, np.outer([1e-4, 2e-4], np.ones(3)))
 
 
 def test_control_points_of_a_table_have_weight(tmp_path: Path) -> None:
