@@ -6,6 +6,10 @@ LEAST = 1e-6
 """A smaller chance is told as smaller than this: no test is that exact."""
 AGREES = 0.02
 """Two-sided chance of a chi-square from which readings agree with model and stated noise: 1 % on each side."""
+SIZES = {0.03: 0.15, 0.1: 0.2, 0.3: 0.25, 1.0: 0.22, 3.0: 0.13, 10.0: 0.05}
+"""Sizes of what is missing over a plausible one, and their shares: ten times as large is rare, a tenth is common."""
+CONSTANT = 0.04
+"""Share of a constant of an instrument that is not what is known of it, in what may be missing."""
 
 
 def two_sided(upper: float) -> float:

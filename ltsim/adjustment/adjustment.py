@@ -11,6 +11,7 @@ from scipy import special
 
 from ltsim.adjustment.components import Component
 from ltsim.adjustment.datum import InnerDatum
+from ltsim.adjustment.frame import on_a_line
 from ltsim.adjustment.known import KnownTest, known_tests
 from ltsim.adjustment.problem import NetworkProblem
 from ltsim.adjustment.reliability import (
@@ -160,14 +161,28 @@ class Adjustment(Result):
         return float(special.chdtrc(self.dof, self.chi2)) if self.dof > 0 else float("nan")
 
     def require_solution(self) -> None:
-        """ConvergenceError where there is no solution; NetworkError that names pointings to the zenith among them."""
-        rows = np.flatnonzero(np.abs(np.cos(self.recording.readings[:, 2])) < STEEP)
-        if not self.solution.converged and len(rows):
-            where = ", ".join(self.recording.where(int(row) + 1) for row in rows[:MOST_NAMED])
-            raise NetworkError(
-                f"the adjustment did not converge; {where}: at the zenith an azimuth means nothing, leave it out"
-            )
+        """ConvergenceError where there is no solution; NetworkError where its cause can be named."""
+        why = "" if self.solution.converged else self._no_solution()
+        if why:
+            raise NetworkError(f"the adjustment did not converge; {why}")
         self.solution.require_success()
+
+    def _no_solution(self) -> str:
+        """Pointings to the zenith, a scale without source, a station whose shared targets lie on a line; or empty."""
+        recording, problem = self.recording, self.problem
+        rows = np.flatnonzero(np.abs(np.cos(recording.readings[:, 2])) < STEEP)
+        if len(rows):
+            where = ", ".join(recording.where(int(row) + 1) for row in rows[:MOST_NAMED])
+            return f"{where}: at the zenith an azimuth means nothing, leave it out"
+        held = problem.control.axes[:, :2].all(axis=1).sum() + len(problem.known_marks)
+        if held < 2 and not problem.use[:, 0].any() and not len(problem.gauge):
+            return "no distance, no known length and no two known points give the network its scale"
+        seen = np.zeros((len(recording.stations), len(recording.targets)), dtype=bool)
+        seen[recording.station, recording.target] = True
+        for name, own in zip(recording.stations, seen & (seen.sum(axis=0) > 1), strict=True):
+            if own.sum() > 2 and on_a_line(self.state.points[own]):
+                return f"station {name}: the {own.sum()} targets that it shares with others lie on a line, or nearly so"
+        return ""
 
     @property
     def factor(self) -> Factor:

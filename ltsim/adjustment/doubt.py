@@ -155,7 +155,8 @@ def weaknesses(adjustment: Adjustment) -> tuple[str, ...]:
 
 def _known(adjustment: Adjustment) -> Iterator[str]:
     """Known values that contradict the rest."""
-    told = [test.sentence for test in (*adjustment.wrong, *adjustment.axes) if test.left_out or test.rivals]
+    every = (*adjustment.wrong, *adjustment.axes)
+    told = [test.sentence for test in every if test.left_out or test.rivals or test.kind == "scale"]
     yield from told[:MOST_NAMED]
     if len(told) > MOST_NAMED:
         yield f"{len(told) - MOST_NAMED} more known values contradict the rest"

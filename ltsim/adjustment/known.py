@@ -31,15 +31,18 @@ from ltsim.solve.design import as_dense
 from ltsim.solve.gauss_newton import Solution, solve
 from ltsim.units import ARCSECOND, MILLIMETRE
 
-Kind = Literal["point", "length", "level", "mark", "axes"]
+Kind = Literal["point", "length", "level", "mark", "axes", "scale"]
 WORDS: dict[Kind, str] = {
     "point": "the known coordinates of",
     "length": "the known length",
     "level": "the level of",
     "mark": "the set-up of",
     "axes": "the stated coordinates of",
+    "scale": "the scale of",
 }
-KINDS: tuple[Kind, ...] = ("point", "length", "level", "mark")
+UNITS = {"level": ("arcsec", ARCSECOND), "scale": ("ppm", 1e-6)}
+"""Of an error; millimetres where nothing is said."""
+KINDS: tuple[Kind, ...] = ("point", "length", "level", "mark", "scale")
 SIGMAS = 5.0
 """Standard deviations of what the rest says from which a known value is left out."""
 CHECKED = 1e-3
@@ -62,7 +65,7 @@ MOST_OUT = 1 / 3
 
 @dataclass(frozen=True)
 class Known:
-    """A known value: a point, a length, a level, or that a set-up stands on its mark; (q,) [m or rad], a component."""
+    """A point, length or level, all lengths, or that a set-up stands on its mark; (q,) [m, rad or 1], a component."""
 
     kind: Kind
     name: str
@@ -114,7 +117,7 @@ class KnownTest(Known):
         size = float(np.linalg.norm(self.error))
         along = self.error / size if size else np.zeros(len(self.error))
         sigma = float(np.linalg.norm(along * np.where(np.isfinite(self.sigma_error), self.sigma_error, 0.0)))
-        unit, factor = ("arcsec", ARCSECOND) if self.kind == "level" else ("mm", MILLIMETRE)
+        unit, factor = UNITS.get(self.kind, ("mm", MILLIMETRE))
         return with_sigma(size / factor, sigma / factor, unit)
 
     @property
@@ -124,6 +127,10 @@ class KnownTest(Known):
         if self.kind == "mark":
             mark = f"the mark of {', '.join(self.rivals)}" if self.rivals else "its mark"
             return f"set-up {self.name} stands {self.off} beside {mark} (w = {self.w:.3g}): given a place of its own"
+        if self.kind == "scale":
+            long, short = ("long", "short") if self.error[0] > 0 else ("short", "long")
+            causes = "a temperature, an expansion or the scale of the ranges is not what is stated"
+            return f"{self.name} are {self.off} too {long} (w = {self.w:.3g}), or all ranges too {short}: {causes}"
         if self.rivals:
             both = ", ".join((self.name, *self.rivals))
             return f"{both} contradict each other ({what} by {self.off}) and nobody can tell which is wrong"
@@ -185,6 +192,16 @@ def known_values(problem: NetworkProblem, state: State) -> Iterator[KnownValue]:
     yield from _centrings(problem, state)
 
 
+def _scale(problem: NetworkProblem, state: State) -> Iterator[KnownValue]:
+    """What all known lengths share, if there are several: their temperature, and what they are measured against."""
+    gauge, felt = problem.gauge, np.isfinite(problem.gauge.sigma)
+    if felt.sum() > 1:
+        shown = gauge.whitened(np.where(felt, gauge.length, 0.0)[:, None])
+        weight, gap = float(np.sum(shown**2)), gauge.whitened(np.where(felt, problem.length_residuals(state), 0.0))
+        rows, sigma = int(problem.use.sum()) + np.arange(len(gauge)), np.array([weight**-0.5])
+        yield KnownValue("scale", "all known lengths", "", sigma, gap @ shown / weight, rows, shown)
+
+
 def _centrings(problem: NetworkProblem, state: State) -> Iterator[KnownValue]:
     """Set-ups over marks that something else shows too: each is said to stand there exactly."""
     marks, recording = problem.marks, problem.model.recording
@@ -201,7 +218,7 @@ def _centrings(problem: NetworkProblem, state: State) -> Iterator[KnownValue]:
 
 
 def known_tests(problem: NetworkProblem, solution: Solution[State], least: float = 0.0) -> list[KnownTest]:
-    """The test of each known value of an adjustment whose whitened residual is `least` at least."""
+    """The test of each known value of an adjustment; of those with a residual of `least`, and of all lengths alike."""
     if not least and solution.factor is not None:
         problem, given = loosened(problem, solution.x), problem
         solution = solution if problem is given else solve(problem, solution.x)
@@ -209,6 +226,7 @@ def known_tests(problem: NetworkProblem, solution: Solution[State], least: float
         return []
     residual, tests = problem.residual(solution.x), []
     values = [v for v in known_values(problem, solution.x) if float(np.linalg.norm(residual[v.rows])) >= least]
+    values += _scale(problem, solution.x) if least else []
     for some in (values[i : i + AT_ONCE] for i in range(0, len(values), AT_ONCE)):
         inside = np.hstack([as_dense(solution.system.design[value.rows]).T @ value.signature for value in some])
         response, first = solution.factor.covariance_columns(inside), 0
@@ -345,6 +363,8 @@ def _most_suspect(
         alike = [k for k, (other, _) in enumerate(chances) if other > chance - np.log(RIVAL)]
         if len(alike) > 1 and tests[best].kind == "level":
             return None  # A few levels against each other: nothing that others would not tell better.
+        if tests[best].kind == "scale":
+            return tests[best]
         marks = all(tests[k].kind == "mark" for k in alike)  # Either way they stand apart: the later one goes.
         chosen = alike[-1] if marks else best
         rivals = tuple(tests[k].name for k in alike if k != chosen)

@@ -36,6 +36,8 @@ RELAXATIONS = 8
 STILL = 1e-2
 """Squared length of a step, in standard deviations, after which a relaxed network moves no more."""
 ROUNDS = 20
+ALONE = 100.0
+"""Standard deviations of a reading that was left out: a target that the rest places no better has no place by it."""
 
 
 def copied_rows(recording: Recording) -> Bools:
@@ -209,6 +211,7 @@ def snooped(problem: NetworkProblem, state: State) -> tuple[NetworkProblem, Solu
     w, scale, _ = _tested(problem, problem, state, factor)
     rejected: Bools = w > limit * scale
     seen: set[bytes] = set()
+    placed, target = state.points, problem.model.recording.target
     while True:
         kept = without_loose(replace(problem, use=problem.use & ~rejected), state)
         solution = solve(kept, state)
@@ -227,6 +230,8 @@ def snooped(problem: NetworkProblem, state: State) -> tuple[NetworkProblem, Solu
             ended = solve(last, state)
             return (kept, solution) if ended.factor is None else (last, ended)
         rejected = new
+        held = np.bincount(target, (problem.use & ~rejected).any(axis=1), len(placed)) > 0
+        state = replace(state, points=np.where(held[:, None], state.points, placed))  # misses are told from there
 
 
 def _whitened(problem: NetworkProblem, state: State) -> Floats:
@@ -252,13 +257,14 @@ def _retested(
     new: Bools = (w > limit * scale) & (redundancy > UNCHECKED)
     if new.any():
         new &= w > 0.5 * w.max()
-    out = rejected & problem.use
+    out, targets = rejected & problem.use, problem.model.recording.target
     if out.any():
         rows = as_dense(problem.linearise(solution.x).design[np.flatnonzero(rejected[problem.use])])
         response = solution.factor.covariance_columns(np.ascontiguousarray(rows.T))
         spread = np.sqrt(1.0 + np.maximum(np.sum(rows * response.T, axis=1), 0.0))
-        still = np.zeros_like(rejected)
+        still, alone = np.zeros_like(rejected), np.zeros(len(kept.structure.unseen), dtype=bool)
         still[out] = _whitened(problem, solution.x)[out] / spread > limit * scale
-        # A target that is left out by now cannot speak for its readings.
-        new |= still | (rejected & kept.structure.unseen[problem.model.recording.target][:, None])
+        alone[targets[np.argwhere(out)[spread > ALONE, 0]]] = True
+        # A target that is left out by now cannot speak for its readings, nor can one that is as good as that.
+        new |= still | (rejected & kept.structure.unseen[targets][:, None]) | (problem.use & alone[targets][:, None])
     return new

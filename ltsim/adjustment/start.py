@@ -14,8 +14,9 @@ from ltsim.geometry.rotations import about_z, smallest_turn
 from ltsim.model.measurement import lift_of
 from ltsim.recording.recording import Recording
 
-BEGINNINGS = ("frame", "cloud", "ranges")
-"""How a network can begin: with known points, with what one station measured whole, with ranges alone."""
+BEGINNINGS = ("frame", "cloud", "ranges", "places")
+"""How a network can begin: with known points, with what one station measured whole, with ranges alone, with all that is
+stated roughly."""
 PARALLEL = 1e-5
 """Mean squared sine below which beams do not meet in a point."""
 
@@ -306,6 +307,20 @@ class Growth:
         found = multilaterate(ranges[np.ix_(stations, targets)])
         if found is not None:
             self._located[targets], self._planned = self._frame.placed(stations, found[0], targets, found[1])
+
+    def _begin_with_places(self) -> None:
+        """Begin with every place that is stated, well or roughly; stations look as their azimuths say on average."""
+        self._begin_with_frame()
+        self._located, marks = self._frame.near.copy(), self._frame.marks
+        stated = np.where(
+            (marks.target >= 0)[:, None], self._located[marks.target] + marks.offset, self._frame.stations
+        )
+        stated = np.where(np.isnan(stated), self._frame.plan, stated)
+        for station in np.flatnonzero(np.isfinite(stated).all(axis=1)).tolist():
+            rows = np.flatnonzero(self._recording.station == station)
+            x, y, _ = (self._located[self._recording.target[rows]] - stated[station]).T
+            turns = np.exp(1j * (np.arctan2(y, x) - self._front[rows, 1]))
+            self._place(station, stated[station], about_z(float(np.angle(np.nansum(turns)))))
 
     # --- the end ---------------------------------------------------------------------------------------------------
 

@@ -11,11 +11,12 @@ from ltsim.adjustment.reliability import FEW
 from ltsim.arrays import Bools, Floats
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.evidence import change_seen, changes_found, evidence
+from ltsim.chances import CONSTANT, SIZES
 from ltsim.notation import with_sigma
 from ltsim.remedies.undetermined import SILENT, Direction
 
 LEVEL = 0.01
-"""Chance that any parameter of a correct prior is said to contradict it."""
+"""Chance that any combination under a correct prior is said to contradict it."""
 RARE = 1e-3
 """Chance of as little scatter by the stated noise, under which the noise is estimated."""
 NONE = 0.1
@@ -58,16 +59,16 @@ def beyond_prior(adjustment: Adjustment, prior: ParameterPrior) -> Bools:
     ways = np.concatenate([np.eye(found.size)[free], alike])[:, free]
 
     def beyond(others: Collection[int]) -> Floats:
-        """|w| (h,) of each change beside others, to a tenth: of those that explain alike the first is taken."""
+        """Log odds (h,) of each change beside others, to a tenth: of those that explain alike the first is taken."""
         given = FREED * ways[list(others)]
         score, weight = change_seen(said.information, said.told, np.eye(len(free)) + given.T @ given)
         seen = np.einsum("hi,ij,hj->h", ways, weight, ways)
         heard = (seen > SILENT) & ~np.isin(np.arange(len(ways)), list(others))
-        told = np.abs(ways @ score) / np.where(heard, seen, np.inf)
-        return np.where(told < FREED, np.round(told * np.sqrt(np.abs(seen)) / scale, 1), 0.0)
+        told = ways @ score / np.where(heard, seen, np.inf)
+        odds = np.round(log_odds(told * np.sqrt(np.abs(seen)) / scale, seen, len(ways)), 1)
+        return np.where(heard & (np.abs(told) < FREED), odds, -np.inf)
 
-    limit = _limit(int(np.count_nonzero(beyond([]))))
-    chosen = [k for k, scores in changes_found(beyond, limit).items() if scores[k] > limit]
+    chosen = [k for k, odds in changes_found(beyond, 0.0).items() if odds[k] > 0.0]
     found.flat[free] = ways[chosen].any(axis=0)
     return found & (found.sum(axis=1, keepdims=True) <= MOST_FREED * size)
 
@@ -75,15 +76,14 @@ def beyond_prior(adjustment: Adjustment, prior: ParameterPrior) -> Bools:
 def disagreement(calibration: Calibration) -> tuple[str, ...]:
     """Sentences about the parameters that contradict their prior most, or else the combinations of them.
 
-    Those whose estimate follows the readings are told as such. Two-sided tests at a level shared out over all that is
-    tested, parameters and then combinations.
+    Those whose estimate follows the readings are told as such. All that is tested, parameters and then combinations,
+    shares the odds of one of them.
     """
     if not calibration.values.size or calibration.adjustment is None:
         return ()
     prior, freed = calibration.adjustment.problem.prior, calibration.beyond_prior
     rows, size = list(zip(calibration.names, calibration.parameters, strict=True)), freed.shape[1]
     scale = max(1.0, calibration.adjustment.sigma0)
-    w = np.where(freed, 0.0, _normalised(calibration, prior.mean)).ravel() / scale
     instruments = map(calibration.adjustment.recording.setup.instrument_named, calibration.instruments)
     known = [CORRECTED if one.corrected else "its stated prior of" for one in instruments]
     said = []
@@ -93,7 +93,12 @@ def disagreement(calibration: Calibration) -> tuple[str, ...]:
             f"{name} is {with_sigma(p.value, p.sigma, p.unit)} by the readings, which contradicts {known[k // size]} "
             f"{p.prior_sigma:.3g} {p.unit}: the estimate follows the readings"
         )
-    found = _beyond(w, size * (len(freed) > 1))
+    # The prior is an observation like any other: its residual has its variance less that of the estimate (Baarda).
+    gain = np.where(calibration.held | freed, 0.0, 1.0 - (calibration.sigma / calibration.prior_sigma) ** 2).ravel()
+    told = ((calibration.values - prior.mean) / calibration.prior_sigma).ravel()
+    w = _normalised(told, gain) / scale
+    odds = log_odds(w, gain, freed.size + size * (len(freed) > 1))
+    found = [int(k) for k in np.argsort(-odds) if odds[k] > 0.0]
     if not found:
         return (*said, *_of_combinations(calibration, prior, scale))
     for k in found[:MOST_SAID]:
@@ -107,26 +112,22 @@ def disagreement(calibration: Calibration) -> tuple[str, ...]:
     return tuple(said)
 
 
-def _normalised(calibration: Calibration, mean: Floats) -> Floats:
-    """Estimates less prior over the standard deviation of that difference (I, p); 0 where the readings are silent.
+def log_odds(z: Floats, weight: Floats, count: int) -> Floats:
+    """Log odds (h,) that each of `count` constants is off, by normalised changes (h,) of such weights in priors.
 
-    The prior is an observation like any other: its residual has the variance of the prior less that of the estimate
-    (Baarda's w-test of the prior's row).
+    As in a diagnosis, averaged over sizes: a constant that the readings hardly see would be off by more than any is.
     """
-    told = calibration.prior_sigma**2 - calibration.sigma**2
-    heard = ~calibration.held & (told > SILENT * calibration.prior_sigma**2)
-    return np.where(heard, (calibration.values - mean) / np.sqrt(np.where(heard, told, 1.0)), 0.0)
+    size = np.array(list(SIZES))[:, None] ** 2
+    strength = 1.0 + size * np.maximum(weight, 0.0)
+    logs = 0.5 * (z**2 * (1.0 - 1.0 / strength) - np.log(strength))
+    shares = np.array(list(SIZES.values()))[:, None] * CONSTANT / count
+    found: Floats = special.logsumexp(logs, axis=0, b=shares)
+    return found
 
 
-def _limit(tested: int) -> float:
-    """The normalised deviation that chance exceeds at so many places with half the `LEVEL`."""
-    return float(-special.ndtri(LEVEL / (4 * tested))) if tested else float("inf")
-
-
-def _beyond(w: Floats, further: int = 0) -> list[int]:
-    """Places of values that chance does not make, the largest first; zeros were not tested, `further` ones were."""
-    limit = _limit(int(np.count_nonzero(w)) + further)
-    return [int(k) for k in np.argsort(-np.abs(w)) if abs(w[k]) > limit]
+def _normalised(told: Floats, gain: Floats) -> Floats:
+    """Deviations (k,) from the prior, told in its sigmas with such gains, over their own; 0 where nothing is heard."""
+    return np.where(gain > SILENT, told / np.sqrt(np.maximum(gain, SILENT)), 0.0)
 
 
 def _of_combinations(calibration: Calibration, prior: ParameterPrior, scale: float) -> tuple[str, ...]:
@@ -139,10 +140,9 @@ def _of_combinations(calibration: Calibration, prior: ParameterPrior, scale: flo
         left, vectors = np.linalg.eigh(root @ own @ root.T)
         gain = np.clip(1.0 - left, 0.0, 1.0)
         told = vectors.T @ root @ (calibration.values[i] - prior.mean[i])[at]
-        w = np.where(gain > SILENT, told / np.sqrt(np.maximum(gain, SILENT)), 0.0) / scale
-        found = _beyond(w)
-        if found:
-            k = found[0]
+        w = _normalised(told, gain) / scale
+        k = int(np.argmax(np.abs(w)))
+        if abs(w[k]) > -special.ndtri(LEVEL / (4 * max(int(np.count_nonzero(w)), 1))):
             shown = Direction(vectors[:, k], float(gain[k])).coefficients([calibration.names[i * size + j] for j in at])
             terms = " ".join(f"{value:+.2f} {name}" for name, value in list(shown.items())[:MOST_TERMS])
             return (f"the readings contradict the prior of a combination (w = {w[k]:.1f}): {terms}",)

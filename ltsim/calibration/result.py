@@ -5,7 +5,7 @@ import numpy as np
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.datum import about
 from ltsim.adjustment.frame import Frame
-from ltsim.adjustment.known import KnownTest
+from ltsim.adjustment.known import UNITS, KnownTest
 from ltsim.adjustment.verdict import Verdict, verdict
 from ltsim.arrays import Bools, Floats
 from ltsim.calibration.calibration import SHOWN_UNITS
@@ -132,7 +132,7 @@ def known_of(adjustment: Adjustment) -> tuple[KnownEntry, ...]:
 
 
 def _known_entry(test: KnownTest, k: int) -> KnownEntry:
-    unit, factor = ("arcsec", ARCSECOND) if test.kind == "level" else ("mm", MILLIMETRE)
+    unit, factor = UNITS.get(test.kind, ("mm", MILLIMETRE))
     one, sure = len(test.error) == 1 and not test.axes, bool(np.isfinite(test.sigma_error[k]))
     return KnownEntry(
         kind=test.kind,

@@ -209,10 +209,10 @@ class OutlierRow(Entry):
 class KnownEntry(Entry):
     """A component of a known value, tested like a reading; what gives only axes has the kind `axes`."""
 
-    kind: Literal["point", "length", "level", "mark", "axes"]
+    kind: Literal["point", "length", "level", "mark", "axes", "scale"]
     """What is known."""
     name: str
-    """Target, both ends of a length, or station."""
+    """Target, both ends of a length, station, or what `scale` is of."""
     component: str = ""
     """x, y or z of a point; the two tilts of a level are x and y."""
     residual: Finite

@@ -11,7 +11,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-PRIOR = {"named": 0.53, "law": 0.33, "noise": 0.095, "scatter": 0.005, "constant": 0.04}
+from ltsim.chances import CONSTANT, SIZES as SIZES
+
+PRIOR = {"named": 0.53, "law": 0.33, "noise": 0.095, "scatter": 0.005, "constant": CONSTANT}
 """What is missing where something is missing."""
 ABOUT = {
     "named": "an effect of the catalogue that shifts readings, all effects alike",
@@ -51,8 +53,6 @@ FORMS = {"curve": 0.5, "formula": 0.4, "fine": 0.1, "cycle": 0.2, "members": 0.2
 """Weights of what a curve turns out to be, among those that there are: mostly itself, or a short formula."""
 PIECES, OWN_WAY = 0.1, 0.1
 """Shares of curves that are made of a few steps and ramps; of laws that every set-up follows in its own way."""
-SIZES = {0.03: 0.15, 0.1: 0.2, 0.3: 0.25, 1.0: 0.22, 3.0: 0.13, 10.0: 0.05}
-"""Sizes over a plausible one: ten times as large is rare, a tenth is common."""
 SECOND_ALIKE = float(np.log(0.03))
 """Log odds of a second effect of a kind that hardly comes twice (two windows, two laws that nobody knows), against any
 other second effect."""

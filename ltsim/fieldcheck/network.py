@@ -22,7 +22,7 @@ from ltsim.units import ARCSECOND, MILLIMETRE
 
 NETWORK_TESTS = 2
 """Tests of all stations together: common targets, and levels."""
-TESTED: tuple[Kind, ...] = ("point", "length")
+TESTED: tuple[Kind, ...] = ("point", "length", "scale")
 """Known values that may be left out; levels are tested one by one."""
 CHECKED = 0.05
 """Redundancy below which no other station checks a level."""
@@ -46,7 +46,7 @@ def with_own_noise(recording: Recording, plain: Adjustment) -> tuple[Recording, 
     What `adjust` says of such targets is an item; none of their pointings is one to measure again for that alone.
     """
     named, own, rest = plain.restless
-    if not len(named) or not own > 1.0 or verdict(plain).case is not Case.LARGER_NOISE:
+    if plain.wrong or not len(named) or not own > 1.0 or verdict(plain).case is not Case.LARGER_NOISE:
         return recording, ()
     rows = np.isin(recording.target, named)
     told = [one[share > CHECKED] for one, share in zip(plain.w[rows].T, plain.redundancy[rows].T, strict=True)]
@@ -85,8 +85,12 @@ def items_of_network(
     if moved is not None:
         marks = tuple(dict.fromkeys(one.mark for one in moved.found))
         items.append(Item.of("", "mistake", False, moved.sentence, targets=marks))
-    items += [Item.of("", "network", False, test.sentence, targets=(test.name,)) for test in found.wrong]
-    if found.solution.converged and found.dof > 0:
+    items += [
+        Item.of("", "network", False, test.sentence, targets=() if test.kind == "scale" else (test.name,))
+        for test in found.wrong
+    ]
+    alike = any(test.kind == "scale" for test in found.wrong)  # readings at the lengths bear it
+    if found.solution.converged and found.dof > 0 and not alike:
         use, some = found.problem.use, found.rejected.any()
         without = adjust(recording, use=use, judging=TESTED) if some or own_noise else plain
         if _at_work(without, found):

@@ -154,7 +154,9 @@ class _List:
         self.sheet, self.rows, self.columns = sheet, sheet.rows[start:], columns
         self.width = columns[-1].place + 1
         overall = next((c for c in columns if not c.role and words_of(c.title)[0] in SIGMA_OF_ALL), None)
-        self.columns = [replace(c, role="sigma") if c is overall else c for c in columns]
+        if overall is not None:
+            unit = "mm" if words_of(overall.title)[0] == "sigmamm" else overall.unit  # whatever the coordinates are in
+            self.columns = [replace(c, role="sigma", unit=unit) if c is overall else c for c in columns]
         sigmas = ("sigma", "covariance")
         self.numbers = {c.role: c for c in self.columns if c.role in PLACE or c.role.startswith(sigmas)}
         self.name = next(c for c in columns if c.role == "target")

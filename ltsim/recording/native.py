@@ -222,7 +222,7 @@ def _check_smrs(recording: Recording, folder: Path) -> None:
 
 
 def _idle_settings(recording: Recording) -> tuple[str, ...]:
-    """Notes on settings without effect: marks and datum points that nothing reaches, a lone reference radius."""
+    """Notes on settings without effect: stations, marks and points that nothing reaches, a lone reference radius."""
     setup, notes = recording.setup, []
     marks = Counter(s.over for name, s in setup.stations.items() if s.over and name in recording.stations)
     for name in recording.stations:
@@ -232,8 +232,15 @@ def _idle_settings(recording: Recording) -> tuple[str, ...]:
                 f"stations.{name}.over names '{shown(over)}', which no pointing and no other set-up names: "
                 f"it holds nothing{_near(over, recording.targets)}"
             )
+    notes += [
+        f"stations.{name} was never measured: it changes nothing{_near(name, recording.stations)}"
+        for name in setup.stations
+        if name not in recording.stations
+    ]
     for name, target in setup.targets.items():
-        if target.datum and name not in recording.targets and name not in marks:
+        if target.known_mm and name not in recording.targets and name not in marks:
+            notes.append(f"targets.{name} is known but was never measured{_near(name, recording.targets)}")
+        elif target.datum and name not in recording.targets and name not in marks:
             notes.append(
                 f"targets.{name} is of the datum but was never measured: left out{_near(name, recording.targets)}"
             )

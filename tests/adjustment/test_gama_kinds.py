@@ -10,6 +10,7 @@ import pytest
 
 from ltsim.adjustment import adjust
 from ltsim.adjustment.doubt import curvature
+from ltsim.errors import NetworkError, RecordError
 from ltsim.randomness import stream
 from ltsim.recording import read
 
@@ -162,6 +163,21 @@ NETWORKS = {
         SPACE,
         "Az Bz Cx Cy Ex Ey Ez",
     ),
+    "distances alone in plan": Network(
+        placed("A B D", 'fix="xy"') | {"C": 'x="95" y="100" adj="xy"', "E": 'x="50" y="70" adj="xy"'},
+        sights("distance", "AC BC DE AE CE"),
+        "Cx Cy Ex Ey",
+    ),
+    "distances alone in space": Network(
+        placed("A B C D", 'fix="xyz"') | {"E": 'x="50" y="65" z="20" adj="xyz"'},
+        sights("s-distance", "AE BE CE DE"),
+        "Ex Ey Ez",
+    ),
+    "angles at one point": Network(
+        placed("A B C D", 'fix="xy"') | {"E": 'x="50" y="65" adj="xy"'},
+        [*(Sight("angle", "E", on, back) for back, on in ("AB", "BC", "CD")), *sights("distance", "AE")],
+        "Ex Ey",
+    ),
     "plan beside space": Network(
         placed("A B", 'fix="xyz"') | dict.fromkeys("CE", 'adj="xyz"') | {"D": 'adj="xy"'},
         [*SPACE, *sights("direction distance", "AD DA DE ED DC")],
@@ -205,6 +221,21 @@ def test_a_point_with_a_distance_alone_is_left_out_and_a_turn_that_nothing_holds
     spread[1, :3, 3:], spread[1, 5, 5] = np.nan, 1.0
     monkeypatch.setattr(type(found), "pose_covariance", spread)
     assert np.array_equal(np.isnan(curvature(found)), np.isnan(spread).any(axis=(1, 2)))
+
+
+def test_a_network_of_directions_alone_has_no_scale(tmp_path: Path) -> None:
+    points = placed("A B C D E", 'adj="XY"')
+    network = Network(points, sights("direction", "AB AC AD BA BC BD CA CB CE DA DB EC EA"), "").measured(0)
+    with pytest.raises(NetworkError, match="no two known points give the network its scale"):
+        adjust(read(network.write(tmp_path / "network.gkf"))).require_solution()
+
+
+def test_a_file_of_levelling_alone_says_what_it_holds(tmp_path: Path) -> None:
+    levelled = '<height-differences><dh from="A" to="B" val="1.5" stdev="1"/></height-differences>'
+    inside = f"<network><points-observations>{levelled}</points-observations></network>"
+    (tmp_path / "levelling.gkf").write_text(f"<gama-local>{inside}</gama-local>")
+    with pytest.raises(RecordError, match="holds no pointings, and 1 <dh> left out"):
+        read(tmp_path / "levelling.gkf")
 
 
 def test_a_far_point_is_fixed_by_angles_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -179,6 +179,25 @@ def test_a_target_whose_readings_contradict_each_other_leaves_a_robust_adjustmen
     assert found.chi2 == pytest.approx(rest.chi2, rel=1e-9)
 
 
+def test_a_target_that_two_ranges_place_leaves_a_robust_adjustment_where_they_contradict_each_other():
+    """Two set-ups side by side, ranges 0.1 mm apart: which is right nobody can say, angles alone miss by metres."""
+    recording, truth = network()
+    places = truth.state.position.copy()
+    places[1] = places[0] + [2e-4, 0.0, 0.0]
+    readings = MeasurementModel(recording, ideal()).predict(dataclasses.replace(truth.state, position=places))
+    readings += recording.sigma() * stream(5, "noise").standard_normal(readings.shape)
+    kept = (recording.target != 5) | (recording.station < 2)
+    recording = recording.with_readings(readings).select(kept)
+    rows = np.flatnonzero(recording.target == 5)
+    readings = recording.readings.copy()
+    readings[rows, 0] += [5e-5, -5e-5]
+    found = adjust(recording.with_readings(readings), robust=True)
+    assert found.lost_targets == ("T06",)
+    assert set(np.argwhere(found.rejected)[:, 0]) == set(rows)
+    assert np.abs(found.residuals[rows, 0]).max() < 2e-4
+    assert not adjust(recording, robust=True).rejected.any()
+
+
 def gauge_without(recording, name):
     gauge = recording.gauge
     kept = tuple(d for d in gauge.distance if name not in (d.from_, d.to))

@@ -16,6 +16,7 @@ from ltsim.calibration.files import calibration_file
 from ltsim.errors import RecordError
 from ltsim.geometry.alignment import align
 from ltsim.randomness import stream
+from ltsim.recording.coordinates import read_points
 from ltsim.recording.recording import Recording
 from ltsim.recording.setup import Station, Target
 from tests.networks import mesh, network
@@ -107,6 +108,24 @@ def test_a_wrong_gauge_length_is_named_and_no_reading(more: float) -> None:
     assert "The known length T25-T28 is off by" in found.verdict.sentence
 
 
+@pytest.mark.parametrize("degrees", [7.0, -4.0])
+def test_a_wrong_temperature_of_the_gauge_is_told_of_all_its_lengths_and_of_no_reading(degrees: float) -> None:
+    recording = network(seed=2, faces=2)[0]
+    assert recording.setup.gauge is not None
+    stated = {"measured_at_c": 20.0 + degrees, "expansion_per_k": 23.2e-6}
+    gauge = recording.setup.gauge.model_copy(update=stated)
+    recording = recording.replace(setup=recording.setup.model_copy(update={"gauge": gauge}))
+    found = lt.adjust(recording)
+    assert found.known[0].kind == "scale"
+    assert found.known[0].error == pytest.approx(23.2 * degrees, abs=15.0)
+    assert found.verdict is not None
+    assert f"too {'long' if degrees > 0 else 'short'} (w = " in found.verdict.sentence
+    told = lt.check(recording)
+    no_go = [item.sentence for item in told.items if item.kind == "network" and not item.passed]
+    assert len(no_go) == 1
+    assert no_go[0].startswith("all known lengths are ")
+
+
 def test_a_wrong_level_and_a_wrong_height_are_named() -> None:
     recording, _ = network(seed=6, faces=2)
     stations = {name: Station(levelled=True, levelling_sigma_arcsec=1.0) for name in recording.stations}
@@ -188,6 +207,11 @@ def test_a_point_that_misses_the_axes_of_the_others_is_left_out_of_the_datum(siz
         rest = {n: place for n, place in points.items() if n != name}
         sound = adjust(in_axes_of_points(recording, rest, "hall.csv"))
         np.testing.assert_allclose(found.state.points, sound.state.points, atol=1e-8)
+
+
+def test_a_sigma_in_millimetres_stays_one_beside_coordinates_in_metres(tmp_path: Path) -> None:
+    (tmp_path / "list.csv").write_text("name,x_m,y_m,z_m,sigma_mm\nP1,4.5,11.25,0.25,0.1\nP2,1.5,1.25,0.5,0.2\n")
+    np.testing.assert_allclose(read_points(tmp_path / "list.csv").sigma, np.outer([1e-4, 2e-4], np.ones(3)))
 
 
 def test_control_points_of_a_table_have_weight(tmp_path: Path) -> None:

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy import stats
 
 import ltsim as lt
 from ltsim.adjustment import adjust
 from ltsim.calibration import calibrate_network
+from ltsim.calibration.conflict import log_odds
+from ltsim.chances import CONSTANT, SIZES
 from ltsim.errors import ModelError
 from ltsim.geometry.rigid import rigid_motion
 from ltsim.model.construction import dh, misalignment
@@ -191,6 +194,16 @@ def test_a_scale_of_two_corrected_trackers_is_found_under_noise_that_is_stated_t
         assert [round(3 * n.factor) for n in one.noise] == [1, 1, 1]
         found.append((one.values[:, scale] - 12e-6) / one.sigma[:, scale])
     assert np.sqrt(np.mean(np.square(found))) < 1.8
+
+
+def test_a_constant_that_the_readings_hardly_see_contradicts_nothing_where_one_that_they_see_does() -> None:
+    """Two changes of five sigmas: of 35 and of 2.5 times what was known of the constant, by a mixture of normals."""
+    odds = log_odds(np.full(2, 5.0), np.array([7.0, 0.5]) ** -2.0, 48)
+    assert odds[0] < 0.0 < odds[1]
+    for own, weight in zip(odds, (7.0**-2, 0.5**-2), strict=True):
+        spreads = np.sqrt([1.0 + weight * size**2 for size in SIZES])
+        changed = np.sum(np.array(list(SIZES.values())) * stats.norm.pdf(5.0, scale=spreads))
+        assert own == pytest.approx(np.log(CONSTANT / 48 * changed / stats.norm.pdf(5.0)))
 
 
 def test_a_stated_prior_holds_for_a_corrected_instrument_too(make) -> None:

@@ -454,11 +454,14 @@ def test_printed_digits_stay(folder: Path) -> None:
 
 def test_what_a_setup_says_of_points_that_nobody_measured_is_told(folder: Path) -> None:
     setup = folder / "setup.toml"
-    setup.write_text(setup.read_text() + '\n[stations.S1]\nover = "T11"\n\n[targets.NOPE]\ndatum = true\n')
-    over, datum = read_recording(folder).notes
+    said = '\n[stations.S1]\nover = "T11"\n\n[targets.NOPE]\ndatum = true\n\n[targets.T0]\nknown_mm = [1.0, 2.0, 3.0]\n'
+    setup.write_text(f"{setup.read_text()}{said}\n[stations.s1]\nyaw_deg = 3.0\n")
+    over, station, datum, known = read_recording(folder).notes
     assert over.startswith("stations.S1.over names 'T11', which no pointing and no other set-up names")
     assert over.endswith("did you mean T1?")
+    assert station == "stations.s1 was never measured: it changes nothing; did you mean S1?"
     assert datum == "targets.NOPE is of the datum but was never measured: left out"
+    assert known.startswith("targets.T0 is known but was never measured; did you mean ")
 
 
 @pytest.mark.parametrize(

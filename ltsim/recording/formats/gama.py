@@ -305,8 +305,11 @@ def _finished(network: _Network) -> Recording:
     _in_plan(network)
     gauge, observed = _lengths(network)
     pointings, instrument_heights, target_heights = settled_heights(merged(observed, network.file.name))
-    for what, count in network.left_out.items():
-        network.notes.append(f"{count} <{shown(what)}> left out: a recording has no place for it")
+    no_place = "left out: a recording has no place for it"
+    left = [f"{count} <{shown(what)}> {no_place}" for what, count in network.left_out.items()]
+    if left and not pointings:
+        raise RecordError(f"holds no pointings, and {'; '.join(left)}", file=network.file)
+    network.notes += left
     stations = {
         name: Station(
             levelled=True,
