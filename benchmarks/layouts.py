@@ -22,7 +22,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from ltsim.planning.loading import load_plan
-from ltsim.planning.search import Searcher
+from ltsim.planning.search import LayoutSearcher
 from ltsim.planning.workshop import objective_of, site_of
 from ltsim.randomness import stream
 
@@ -30,14 +30,14 @@ PROCESSES, BATCH, SECONDS, REPEATS = 2, 64, 4.0, 3
 Rate = tuple[int, float, float]
 
 
-def searcher(faces: int) -> Searcher:
+def searcher(faces: int) -> LayoutSearcher:
     """The search of the built-in plan."""
     file, scenario = load_plan("paper-workshop")
     site = site_of(file, scenario, stations=5, faces=faces)
-    return Searcher(site, objective_of(file, site.survey))
+    return LayoutSearcher(site, objective_of(file, site.survey))
 
 
-def from_scratch(search: Searcher, number: int) -> int:
+def from_scratch(search: LayoutSearcher, number: int) -> int:
     """A batch of layouts, everything computed anew; how many of them may be."""
     draw, count = stream(2, "layouts", number), search.stations
     grid = search.table(0).position
@@ -52,7 +52,7 @@ def from_scratch(search: Searcher, number: int) -> int:
     return int(np.sum(np.isfinite(values) & good))
 
 
-def exchanged(search: Searcher, number: int) -> int:
+def exchanged(search: LayoutSearcher, number: int) -> int:
     """One station of a layout replaced by every set-up of the table."""
     draw, table = stream(3, "exchange", number), search.table(0)
     chosen = draw.integers(0, len(table.position), search.stations)

@@ -6,7 +6,7 @@ from itertools import combinations
 
 import numpy as np
 
-from ltsim.campaigns.truth import Truth, truth_of
+from ltsim.campaigns.truth import CellTruth, truth_of
 from ltsim.geometry.polar import to_face, to_polar
 from ltsim.geometry.rotations import about_z
 from ltsim.model.construction import misalignment
@@ -14,16 +14,16 @@ from ltsim.model.measurement import State, sightings_of
 from ltsim.recording.lengths import KnownLengths
 from ltsim.recording.recording import Recording
 from ltsim.recording.setup import Gauge, GaugeDistance, Setup
-from ltsim.simulation.draws import Population
+from ltsim.simulation.draws import TrialDraws
 from ltsim.simulation.scenario import load_scenario
 
 
-def workshop() -> Truth:
+def workshop() -> CellTruth:
     """The paper's: 28 targets, 5 stations, one face."""
     return truth_of(load_scenario("paper-workshop"), 1, "benchmark")
 
 
-def room(stations: int, targets: int) -> Truth:
+def room(stations: int, targets: int) -> CellTruth:
     """Stations on a circle of 1.5 m, targets on a spiral over the walls of a room of 8 m; 4 of them are a gauge."""
     turn = 2 * np.pi * np.arange(stations) / stations
     position = np.stack([1.5 * np.cos(turn), 1.5 * np.sin(turn), 1.6 + 0.3 * np.sin(3 * turn)], axis=1)
@@ -57,7 +57,7 @@ def room(stations: int, targets: int) -> Truth:
     built = misalignment()
     state = State(position, rotation, points, np.zeros((1, built.size)))
     sigma = np.array([[p.sigma_from(recording.setup.instrument.prior) for p in built.parameters]])
-    population = Population(
+    population = TrialDraws(
         sightings=sightings_of(recording, state),
         construction=built,
         instruments=("",),
@@ -67,4 +67,4 @@ def room(stations: int, targets: int) -> Truth:
         lengths=KnownLengths.of(recording),
         names=names,
     )
-    return Truth(recording, state, population)
+    return CellTruth(recording, state, population)

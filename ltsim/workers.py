@@ -57,7 +57,7 @@ def parallel(
 
 
 @dataclass(frozen=True)
-class Notes:
+class ProgressNotes:
     """How far pieces of work are, each written by the process that does it."""
 
     path: Path
@@ -76,11 +76,11 @@ class Notes:
 
 
 @contextmanager
-def followed(count: int, tell: Callable[[float], None]) -> Iterator[Notes]:
+def followed(count: int, tell: Callable[[float], None]) -> Iterator[ProgressNotes]:
     """Notes of so many pieces of work; `tell` hears the share of the whole now and then, from a thread of its own."""
     done = threading.Event()
     with tempfile.TemporaryDirectory() as folder:
-        notes = Notes(Path(folder) / "shares")
+        notes = ProgressNotes(Path(folder) / "shares")
         notes.path.write_bytes(bytes(8 * count))
 
         def look() -> None:

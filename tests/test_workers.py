@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from ltsim.errors import WorkerError
-from ltsim.workers import Notes, followed, parallel
+from ltsim.workers import ProgressNotes, followed, parallel
 
 SLEEPERS = """
 import os, sys, time
@@ -28,7 +28,7 @@ if __name__ == "__main__":
 """
 
 
-def note(notes: Notes, piece: int) -> None:
+def note(notes: ProgressNotes, piece: int) -> None:
     notes.write(piece, 1.0)
 
 

@@ -7,12 +7,12 @@ import pandas as pd
 
 from experiments.common import Made, Options, cells_of, summary, write_figure, write_table
 from ltsim.arrays import Floats
-from ltsim.campaigns.rows import Prepared, Work
+from ltsim.campaigns.rows import Prepared, TrialBlock
 from ltsim.campaigns.spec import Campaign, Cell
 from ltsim.evaluation.clouds import in_first_frame, on_points
 from ltsim.evaluation.criteria import Differences, coordinate_differences, distance_differences, pair_distances
 from ltsim.evaluation.verification import coordinate_errors, distance_errors
-from ltsim.pages.figures.campaign import PAPER, Distribution, distributions
+from ltsim.pages.figures.campaign import PAPER, TrialDistribution, distributions
 from ltsim.simulation.gauge import nominal_points
 from ltsim.units import MICROMETRE
 from ltsim.workers import parallel
@@ -56,7 +56,7 @@ def figures_of(campaign: Campaign, cell: Cell) -> dict[tuple[str, str], pd.DataF
     trials: dict[tuple[str, str], list[dict[str, float]]] = {}
     for here, calibrators, block in ready.blocks(0, campaign.trials):
         wanted = np.flatnonzero(block.trials < campaign.trials)
-        work = Work(campaign, here, block, ready.elsewhere, wanted, wanted[:0])
+        work = TrialBlock(campaign, here, block, ready.elsewhere, wanted, wanted[:0])
         assert work.new_points is not None
         assert cell.judge is not None
         there, elsewhere, _ = work.new_points
@@ -96,16 +96,18 @@ def rows_of(columns: pd.DataFrame, cell: str, method: str, table: str) -> list[d
     return rows
 
 
-def figure_rows(columns: pd.DataFrame, table: str) -> list[Distribution]:
+def figure_rows(columns: pd.DataFrame, table: str) -> list[TrialDistribution]:
     """Panels: the table's eight figures and two improvements, each maximum by both definitions."""
     panels = []
     for name, paper in TABLES[table].items():
         title, unit = name.replace("_percent", "").replace("_", " "), "%" if name.endswith("percent") else "um"
         if not name.endswith("max"):
-            panels.append(Distribution(title, columns[name].to_numpy(), unit, paper))
+            panels.append(TrialDistribution(title, columns[name].to_numpy(), unit, paper))
             continue
-        panels.append(Distribution(f"{title} (averages)", columns[name].to_numpy(), unit, paper))
-        panels.append(Distribution(f"{title} (single)", columns[name.replace("max", "single")].to_numpy(), unit, paper))
+        panels.append(TrialDistribution(f"{title} (averages)", columns[name].to_numpy(), unit, paper))
+        panels.append(
+            TrialDistribution(f"{title} (single)", columns[name.replace("max", "single")].to_numpy(), unit, paper)
+        )
     return panels
 
 

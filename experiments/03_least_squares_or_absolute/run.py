@@ -9,9 +9,9 @@ from experiments.common import ERROR, NEW_POINTS, Made, Options, cells_of, summa
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.arrays import Ints
 from ltsim.campaigns.engine import Calibrated, recording_of
-from ltsim.campaigns.rows import Prepared, Work
+from ltsim.campaigns.rows import Prepared, TrialBlock
 from ltsim.campaigns.spec import Campaign, Cell
-from ltsim.campaigns.truth import Block, Truth
+from ltsim.campaigns.truth import Block, CellTruth
 from ltsim.effects.effect import Effect
 from ltsim.evaluation.clouds import on_points
 from ltsim.model.construction import Construction, misalignment
@@ -30,7 +30,7 @@ MOST_REMOVED = 60
 class WithoutOutliers:
     """The network adjustment; the reading with the largest w-test goes, one after the other, while any is too large."""
 
-    def __init__(self, truth: Truth) -> None:
+    def __init__(self, truth: CellTruth) -> None:
         self.truth = truth
         self.construction: Construction = misalignment()
         self.effects: tuple[Effect, ...] = ()
@@ -64,7 +64,7 @@ class WithoutOutliers:
         return float("nan")
 
 
-def with_outliers(truth: Truth, block: Block, percent: float, seed: int) -> Block:
+def with_outliers(truth: CellTruth, block: Block, percent: float, seed: int) -> Block:
     """The block with some readings shifted; the same readings are hit first whatever the share."""
     draw = stream(seed, "outliers", int(block.trials[0]))
     shape = block.deviation.shape
@@ -84,7 +84,7 @@ def errors_of(campaign: Campaign, cell: Cell, percent: float) -> dict[str, pd.Da
     for here, calibrators, clean in ready.blocks(0, campaign.trials):
         block = with_outliers(here.truth, clean, percent, campaign.seed)
         wanted = np.flatnonzero(block.trials < campaign.trials)
-        work = Work(campaign, here, block, ready.elsewhere, wanted, wanted[:0])
+        work = TrialBlock(campaign, here, block, ready.elsewhere, wanted, wanted[:0])
         named = {method.title: own for method, own in zip(campaign.methods, calibrators, strict=True)}
         for title, calibrator in (named | {"network, outliers removed": WithoutOutliers(here.truth)}).items():
             columns = {name: own[wanted] for name, own in work.columns(calibrator).items()}

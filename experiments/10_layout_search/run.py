@@ -18,7 +18,7 @@ from ltsim.planning.making import make_plan
 from ltsim.planning.objective import a_criterion, d_criterion, e_criterion
 from ltsim.planning.planner import Plan
 from ltsim.planning.reasons import fewest
-from ltsim.planning.search import Searcher
+from ltsim.planning.search import LayoutSearcher
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import Survey
 from ltsim.planning.workshop import objective_of, site_of, survey_of
@@ -33,7 +33,7 @@ PROMISED = ("before", "um", MICRO), ("after", "um", MICRO), ("improvement", "per
 def unsearched(file: PlanFile, scenario: Scenario, count: int, seed: int) -> tuple[Floats, Survey]:
     """Values of layouts that are drawn evenly over floor, heights and turns, `count` that keep all rules; the best."""
     site = site_of(file, scenario, stations=file.stations.count, faces=scenario.work.faces)
-    search = Searcher(site, objective_of(file, site.survey))
+    search = LayoutSearcher(site, objective_of(file, site.survey))
     corners = np.vstack([search.table(0).position.min(axis=0), search.table(0).position.max(axis=0)])
     rng, values, best = stream(seed, "unsearched"), np.zeros(0), (np.inf, site.survey)
     while len(values) < count:

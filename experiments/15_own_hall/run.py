@@ -13,20 +13,20 @@ from ltsim.pages.workshop import from_scenario
 from ltsim.planning.files import plan_file, planned_scenario
 from ltsim.planning.loading import load_plan
 from ltsim.planning.making import make_plan
-from ltsim.planning.schema import ChangeEntry
+from ltsim.planning.schema import PlanChange
 from ltsim.simulation.scenario import Scenario
-from ltsim.simulation.sections import Target
+from ltsim.simulation.sections import PlannedTarget
 from ltsim.units import MICROMETRE
 from ltsim.workers import parallel
 
 TRIALS, SEED = 100_000, 15
 
 
-def changed(scenario: Scenario, change: ChangeEntry) -> Scenario:
+def changed(scenario: Scenario, change: PlanChange) -> Scenario:
     """The scenario with a reflector moved (under its own name), added or left out."""
     targets = {name: target for name, target in scenario.targets.items() if name != change.reflector}
     if change.position_mm is not None:
-        targets[change.reflector or change.place] = Target(position_mm=change.position_mm)
+        targets[change.reflector or change.place] = PlannedTarget(position_mm=change.position_mm)
     return scenario.model_copy(update={"targets": targets})
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from experiments.common import Made, Options, batches, show_table
 from ltsim.arrays import Floats
 from ltsim.campaigns.engine import Engine
-from ltsim.campaigns.truth import BLOCK, Truth, truth_of
+from ltsim.campaigns.truth import BLOCK, CellTruth, truth_of
 from ltsim.model.construction import misalignment
 from ltsim.simulation.scenario import Scenario, load_scenario
 from ltsim.simulation.sections import EffectEntry
@@ -28,7 +28,7 @@ def scenario_of(name: str, case: dict[str, str]) -> Scenario:
     return plain.model_copy(update={"effects": tuple(effects)})
 
 
-def errors_of(truth: Truth, tasks: Tasks, placed: Floats, seed: int, number: int) -> Floats:
+def errors_of(truth: CellTruth, tasks: Tasks, placed: Floats, seed: int, number: int) -> Floats:
     """Errors (BLOCK, k) [SI] of the results of one block of measured and calibrated workshops.
 
     Each network is fitted over all targets to the true one where the prediction has it, `placed` (T, 3): that is the
@@ -48,7 +48,7 @@ Names = list[tuple[str, str, str, float]]
 """Task, result, unit and its factor of each result."""
 
 
-def predicted(truth: Truth, tasks: Tasks, dropped: str = "") -> tuple[Propagated, Names, Floats]:
+def predicted(truth: CellTruth, tasks: Tasks, dropped: str = "") -> tuple[Propagated, Names, Floats]:
     """Uncertainty of an error-free recording, without one source; its results, and where it has the targets (T, 3)."""
     budget = tuple(entry for entry in tasks.type_b if entry.effect != dropped)
     told = tasks.model_copy(update={"type_b": budget, "datum": truth.recording.targets})

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 
 from experiments.common import Made, Options, Row, show_table, write_figure
-from ltsim.acceptance.prediction import Plan, harm_of
+from ltsim.acceptance.prediction import AcceptancePlan, harm_of
 from ltsim.acceptance.tests import builtin, envelope
 from ltsim.geometry.polar import to_polar
 from ltsim.model.construction import misalignment
@@ -23,7 +23,9 @@ def population(config: dict[str, Any], trials: int) -> pd.DataFrame:
     limits, built, points = sheet(config["sheet"]), misalignment(), envelope()
     stated = limits.instrument()
     plans = {
-        name: Plan(tuple(builtin(name, config["nearest_m"], config["lengths_m"])), built, limits, stated.noise)
+        name: AcceptancePlan(
+            tuple(builtin(name, config["nearest_m"], config["lengths_m"])), built, limits, stated.noise
+        )
         for name in config["standards"]
     }
     prior = np.array([p.sigma_from(stated.prior) for p in built.parameters])

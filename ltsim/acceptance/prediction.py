@@ -26,7 +26,7 @@ PLAUSIBLE = 3.0
 
 
 @dataclass(frozen=True)
-class Plan:
+class AcceptancePlan:
     """Tests of an instrument of one construction, with their limits."""
 
     tests: tuple[Test, ...]
@@ -96,7 +96,7 @@ class Plan:
         sigma = noise_sigma([self.noise], flat.astype(int), polar[:, 0], flat)
         return axes, sigma * np.where([True, False, False], 1.0, polar[:, :1])
 
-    def predict(self, mean: Floats, covariance: Floats, *, trials: int, seed: int) -> Prediction:
+    def predict(self, mean: Floats, covariance: Floats, *, trials: int, seed: int) -> AcceptancePrediction:
         """Errors of an instrument whose constants have a mean (p,) and a covariance (p, p) [SI].
 
         The chance to pass is that of `trials` draws of constants and noise; the errors of each draw are linear in its
@@ -120,7 +120,7 @@ class Plan:
             for name, mine in of_group.items():
                 groups[name] += int(within[:, mine].all(axis=1).sum())
         variance = np.einsum("kip,pq,kiq->ki", self.sensitivities, covariance, self.sensitivities) + self.scatter**2
-        return Prediction(
+        return AcceptancePrediction(
             errors=middle,
             sigma=np.sqrt(variance),
             passes=passed / trials,
@@ -172,7 +172,7 @@ class Plan:
 
 
 @dataclass(frozen=True)
-class Prediction:
+class AcceptancePrediction:
     """What tests will find."""
 
     errors: Floats
@@ -216,7 +216,7 @@ def _root(covariance: Floats) -> Floats:
 
 
 def predicted(
-    plan: Plan, found: Prediction, worst: Worst, prior: Floats, *, title: str, name: str, of: str
+    plan: AcceptancePlan, found: AcceptancePrediction, worst: Worst, prior: Floats, *, title: str, name: str, of: str
 ) -> AcceptanceFile:
     """What tests will find, for the instrument that `of` names."""
     size = np.hypot(found.errors[:, 0], found.errors[:, 1])

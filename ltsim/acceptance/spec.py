@@ -9,13 +9,13 @@ from pydantic import Field, model_validator
 from ltsim.acceptance.tests import LENGTHS_OPEN, Standard, Test, builtin, read_tests
 from ltsim.errors import ModelError, SetupError, as_setup_error
 from ltsim.recording.settings import checked, read_toml
-from ltsim.recording.setup import Positive, Section
+from ltsim.recording.setup import Positive, TomlSection
 from ltsim.recording.specification import Specification, completed, sheet
 
 MOST = 10_000_000
 
 
-class Acceptance(Section):
+class Acceptance(TomlSection):
     """The whole file. Names of other files are seen from this one.
 
     Without a `recording` or `measured` the tests are predicted: for the instrument of a `calibration`, or for any

@@ -8,7 +8,7 @@ import numpy as np
 
 from ltsim.acceptance.files import AcceptanceFile
 from ltsim.acceptance.judged import by_network, judged, read_measured
-from ltsim.acceptance.prediction import Plan, predicted
+from ltsim.acceptance.prediction import AcceptancePlan, predicted
 from ltsim.acceptance.spec import Acceptance, acceptance_from, load_acceptance
 from ltsim.acceptance.tests import envelope
 from ltsim.calibration.calibration import Calibration
@@ -59,7 +59,7 @@ def _answer(acceptance: Acceptance, folder: Path) -> AcceptanceFile:
     stated = limits.instrument(acceptance.construction)
     built = of_design(acceptance.construction)
     if acceptance.measured is not None:
-        plan = Plan(tests, built, limits, stated.noise)
+        plan = AcceptancePlan(tests, built, limits, stated.noise)
         errors = read_measured(folder / acceptance.measured, tests, plan.limits)
         return judged(errors, limits, title=acceptance.title, name=name, left=len(tests) - len(errors))
     known = None if acceptance.calibration is None else _known(folder / acceptance.calibration)
@@ -73,7 +73,7 @@ def _answer(acceptance: Acceptance, folder: Path) -> AcceptanceFile:
         of = "the instrument as it reads"
         if acceptance.corrected:
             mean, of = mean - known.applied[0], "the corrected instrument"
-    plan = Plan(tests, built, limits, stated.noise)
+    plan = AcceptancePlan(tests, built, limits, stated.noise)
     outcome = plan.predict(mean, covariance, trials=acceptance.trials, seed=acceptance.seed)
     worst = plan.worst_passing(prior, envelope())
     return predicted(plan, outcome, worst, prior, title=acceptance.title, name=name, of=of)

@@ -33,7 +33,7 @@ from ltsim.model.measurement import MeasurementModel, State
 from ltsim.recording.recording import Recording
 from ltsim.results import Result
 from ltsim.scene.sightings import Sightings
-from ltsim.solve.blocks import Factor, SingularSystemError
+from ltsim.solve.blocks import BlockFactor, SingularSystemError
 from ltsim.solve.gauss_newton import Solution, planned, solve
 from ltsim.solve.projection import Projection, projection_of
 from ltsim.solve.threads import in_one_thread
@@ -44,7 +44,7 @@ MOST_NAMED = 4
 
 
 @dataclass(frozen=True)
-class Outlier:
+class FlaggedReading:
     """One reading that does not belong, by the w-test (Baarda 1968) or the tau-test (Pope 1976)."""
 
     row: int
@@ -185,7 +185,7 @@ class Adjustment(Result):
         return ""
 
     @property
-    def factor(self) -> Factor:
+    def factor(self) -> BlockFactor:
         """Factorised normal equations at the optimum."""
         self.require_solution()
         assert self.solution.factor is not None
@@ -264,7 +264,7 @@ class Adjustment(Result):
         """(n, 3) bool: measured readings that were not used."""
         return self.recording.measured & ~self.problem.use
 
-    def outliers(self, level: float = FAMILY_LEVEL, *, estimated: bool = False) -> list[Outlier]:
+    def outliers(self, level: float = FAMILY_LEVEL, *, estimated: bool = False) -> list[FlaggedReading]:
         """Readings whose residual is too large for chance over the whole recording, largest first.
 
         By the stated noise (w), or with sigma0 as `estimated` from the residuals themselves (tau), that of readings to
@@ -281,7 +281,7 @@ class Adjustment(Result):
                 limit[group] = np.sqrt(square / dof) * critical_tau(count, int(dof), level)
         rows, columns = np.nonzero(np.nan_to_num(np.abs(self.w)) > limit)
         size = self.residuals[rows, columns] / self.redundancy[rows, columns]
-        found = map(Outlier, rows.tolist(), columns.tolist(), size.tolist(), self.w[rows, columns].tolist())
+        found = map(FlaggedReading, rows.tolist(), columns.tolist(), size.tolist(), self.w[rows, columns].tolist())
         return sorted(found, key=lambda outlier: -abs(outlier.w))
 
     def covariance_of(self, columns: Ints) -> Floats:

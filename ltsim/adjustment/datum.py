@@ -17,7 +17,7 @@ from ltsim.errors import ModelError, unknown_name
 from ltsim.geometry.rigid import rigid_motion
 from ltsim.geometry.rotations import from_rotation_vector
 from ltsim.model.measurement import State
-from ltsim.solve.blocks import Factor
+from ltsim.solve.blocks import BlockFactor
 from ltsim.solve.design import FORMED, unit_diagonal
 from ltsim.units import MILLIMETRE
 
@@ -130,7 +130,7 @@ class InnerDatum:
         return cls(motion, response @ back.T, back @ (held.T @ response) @ back.T)
 
     @classmethod
-    def of(cls, problem: NetworkProblem, state: State, factor: Factor, names: Sequence[str]) -> InnerDatum | None:
+    def of(cls, problem: NetworkProblem, state: State, factor: BlockFactor, names: Sequence[str]) -> InnerDatum | None:
         """The datum tied to some points; None where no motion is free.
 
         ModelError when these points do not hold the free motions.

@@ -64,7 +64,7 @@ MOST_OUT = 1 / 3
 
 
 @dataclass(frozen=True)
-class Known:
+class KnownValue:
     """A point, length or level, all lengths, or that a set-up stands on its mark; (q,) [m, rad or 1], a component."""
 
     kind: Kind
@@ -79,7 +79,7 @@ class Known:
 
 
 @dataclass(frozen=True)
-class KnownValue(Known):
+class KnownInRows(KnownValue):
     """A known value in the rows of an adjustment."""
 
     rows: Ints
@@ -89,7 +89,7 @@ class KnownValue(Known):
 
 
 @dataclass(frozen=True)
-class KnownTest(Known):
+class KnownTest(KnownValue):
     """What the rest of a network says about a known value."""
 
     error: Floats
@@ -165,7 +165,7 @@ def loosened(problem: NetworkProblem, state: State) -> NetworkProblem:
     return replace(problem, control=control, known_marks=marks, levels=levels)
 
 
-def known_values(problem: NetworkProblem, state: State) -> Iterator[KnownValue]:
+def known_values(problem: NetworkProblem, state: State) -> Iterator[KnownInRows]:
     """The known values of a problem, in the order of its rows."""
     recording, first, gauge = problem.model.recording, int(problem.use.sum()), problem.gauge
     shown, gap = gauge.whitened(np.eye(len(gauge))), problem.length_residuals(state)
@@ -173,7 +173,7 @@ def known_values(problem: NetworkProblem, state: State) -> Iterator[KnownValue]:
         name = f"{recording.targets[gauge.first[i]]}-{recording.targets[gauge.second[i]]}"
         reached = np.flatnonzero(shown[:, i])
         column = shown[reached, i : i + 1]
-        yield KnownValue("length", name, "", gauge.sigma[i : i + 1], gap[i : i + 1], first + reached, column)
+        yield KnownInRows("length", name, "", gauge.sigma[i : i + 1], gap[i : i + 1], first + reached, column)
     first += len(gauge)
     marks = problem.known_marks, problem.marks.names, state.position
     for known, names, here in ((problem.control, recording.targets, state.points), marks):
@@ -183,26 +183,26 @@ def known_values(problem: NetworkProblem, state: State) -> Iterator[KnownValue]:
             sigma = np.linalg.norm(np.linalg.inv(root), axis=1)
             said = "".join(axis for axis, stated in zip("xyz", axes, strict=True) if stated)
             rows = first + np.arange(len(root))
-            yield KnownValue("point", names[place], said, sigma, (known.points[i] - here[place])[axes], rows, root)
+            yield KnownInRows("point", names[place], said, sigma, (known.points[i] - here[place])[axes], rows, root)
             first += len(root)
     tilts = -problem.levels.predict(state.rotation)
     for i, station in enumerate(problem.levels.station.tolist()):
         sigma, rows = np.full(2, problem.levels.sigma[i]), problem.level_rows.start + 2 * i + np.arange(2)
-        yield KnownValue("level", recording.stations[station], "", sigma, tilts[i], rows, np.diag(1.0 / sigma))
+        yield KnownInRows("level", recording.stations[station], "", sigma, tilts[i], rows, np.diag(1.0 / sigma))
     yield from _centrings(problem, state)
 
 
-def _scale(problem: NetworkProblem, state: State) -> Iterator[KnownValue]:
+def _scale(problem: NetworkProblem, state: State) -> Iterator[KnownInRows]:
     """What all known lengths share, if there are several: their temperature, and what they are measured against."""
     gauge, felt = problem.gauge, np.isfinite(problem.gauge.sigma)
     if felt.sum() > 1:
         shown = gauge.whitened(np.where(felt, gauge.length, 0.0)[:, None])
         weight, gap = float(np.sum(shown**2)), gauge.whitened(np.where(felt, problem.length_residuals(state), 0.0))
         rows, sigma = int(problem.use.sum()) + np.arange(len(gauge)), np.array([weight**-0.5])
-        yield KnownValue("scale", "all known lengths", "", sigma, gap @ shown / weight, rows, shown)
+        yield KnownInRows("scale", "all known lengths", "", sigma, gap @ shown / weight, rows, shown)
 
 
-def _centrings(problem: NetworkProblem, state: State) -> Iterator[KnownValue]:
+def _centrings(problem: NetworkProblem, state: State) -> Iterator[KnownInRows]:
     """Set-ups over marks that something else shows too: each is said to stand there exactly."""
     marks, recording = problem.marks, problem.model.recording
     shared = (marks.target >= 0) | (np.bincount(marks.first, minlength=len(marks.first))[marks.first] > 1)
@@ -214,7 +214,7 @@ def _centrings(problem: NetworkProblem, state: State) -> Iterator[KnownValue]:
         own = problem.use & (recording.station == s)[:, None]
         if own.any():
             name = recording.stations[s]
-            yield KnownValue("mark", name, "xyz", np.zeros(3), np.zeros(3), number[own], -by_place[own])
+            yield KnownInRows("mark", name, "xyz", np.zeros(3), np.zeros(3), number[own], -by_place[own])
 
 
 def known_tests(problem: NetworkProblem, solution: Solution[State], least: float = 0.0) -> list[KnownTest]:
@@ -237,7 +237,7 @@ def known_tests(problem: NetworkProblem, solution: Solution[State], least: float
     return tests
 
 
-def _test(value: KnownValue, left: Floats, pull: Floats) -> KnownTest:
+def _test(value: KnownInRows, left: Floats, pull: Floats) -> KnownTest:
     """The test from what the adjustment leaves of the signature (q, q) and its product with the residuals (q,)."""
     size = np.linalg.norm(value.signature, axis=0)
     size = np.where(size > 0, size, 1.0)  # no reading feels the height of a mark in a plan
@@ -380,7 +380,7 @@ def _too_many(problem: NetworkProblem, solution: Solution[State], out: Sequence[
     return any(gone.count(kind) > max(1.0, MOST_OUT * every.count(kind)) for kind in KINDS)
 
 
-def without(recording: Recording, test: Known) -> Recording:
+def without(recording: Recording, test: KnownValue) -> Recording:
     """The recording whose set-up does not state one known value."""
     setup, name = recording.setup, test.name
     if test.kind == "length":

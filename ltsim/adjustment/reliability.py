@@ -7,7 +7,7 @@ from scipy import optimize, special
 
 from ltsim.adjustment.problem import NetworkProblem
 from ltsim.arrays import Bools, Floats, Ints
-from ltsim.solve.blocks import Factor
+from ltsim.solve.blocks import BlockFactor
 from ltsim.solve.design import median_deviation
 
 FAMILY_LEVEL = 0.01
@@ -28,7 +28,7 @@ UNCHECKED = 1e-6
 """Redundancy below which no other reading checks a reading: its residual is rounding error."""
 
 
-def redundancy_of(problem: NetworkProblem, factor: Factor) -> Floats:
+def redundancy_of(problem: NetworkProblem, factor: BlockFactor) -> Floats:
     """Redundancy numbers (n, 3): share of an error of a reading that shows in its residual; NaN where unused."""
     share = np.full(problem.use.shape, np.nan)
     share[problem.use] = 1.0 - factor.leverage()[: int(problem.use.sum())]

@@ -17,7 +17,7 @@ from ltsim.geometry.rigid import holds_pose
 from ltsim.model.construction import ideal
 from ltsim.model.measurement import MeasurementModel, State
 from ltsim.recording.recording import Recording
-from ltsim.solve.blocks import Factor, SingularSystemError
+from ltsim.solve.blocks import BlockFactor, SingularSystemError
 from ltsim.solve.design import POINT, as_dense, median_deviation, unit_diagonal
 from ltsim.solve.gauss_newton import Solution, solve
 
@@ -182,7 +182,7 @@ def _step(problem: NetworkProblem, state: State, loose: Floats) -> tuple[State, 
     """The state after a step with standard deviations so many times as large, and its squared length; 0: singular."""
     try:
         system = replace(problem, sigma=problem.sigma * loose).linearise(state)
-        step = Factor(system).step()
+        step = BlockFactor(system).step()
     except SingularSystemError:
         return state, 0.0
     return problem.retract(state, step), float(np.sum((system.design @ step) ** 2))
@@ -204,7 +204,7 @@ def snooped(problem: NetworkProblem, state: State) -> tuple[NetworkProblem, Solu
         if length < STILL:
             break
     try:
-        factor = Factor(problem.linearise(state))
+        factor = BlockFactor(problem.linearise(state))
     except SingularSystemError:
         return problem, solve(problem, state)
     limit = critical_w(int(problem.use.sum()))
@@ -240,7 +240,7 @@ def _whitened(problem: NetworkProblem, state: State) -> Floats:
 
 
 def _tested(
-    problem: NetworkProblem, kept: NetworkProblem, state: State, factor: Factor
+    problem: NetworkProblem, kept: NetworkProblem, state: State, factor: BlockFactor
 ) -> tuple[Floats, float, Floats]:
     """|w| (n, 3) of the readings of `kept`, the scale of its noise, and the redundancy (n, 3)."""
     redundancy = redundancy_of(kept, factor)

@@ -15,7 +15,7 @@ ONLY_A_FEW = 0.05
 """Share of readings up to which outliers are single errors and not the noise itself."""
 
 
-class Case(Enum):
+class Agreement(Enum):
     """How the tests agree or disagree."""
 
     CLEAN = "clean"
@@ -31,7 +31,7 @@ class Case(Enum):
 class Verdict:
     """What to believe."""
 
-    case: Case
+    case: Agreement
     sentence: str
     """The verdict and why, for a person."""
     by_estimate: bool
@@ -46,7 +46,7 @@ def verdict(adjustment: Adjustment, level: float = LEVEL) -> Verdict:
     if not open_:
         return judged
     sentence = " ".join(f"{doubt[0].upper()}{doubt[1:]}." for doubt in open_)
-    case = Case.IN_DOUBT if judged.case is Case.CLEAN else judged.case
+    case = Agreement.IN_DOUBT if judged.case is Agreement.CLEAN else judged.case
     return replace(judged, case=case, sentence=f"{sentence} {judged.sentence}")
 
 
@@ -55,39 +55,41 @@ def _by_tests(adjustment: Adjustment, level: float) -> Verdict:
     dof, sigma0, chi2 = adjustment.dof, adjustment.sigma0, adjustment.chi2
     if dof <= 0:
         sentence = "There is no redundancy: nothing can be tested, the stated noise holds."
-        return Verdict(Case.UNCHECKED, sentence, False, 0)
+        return Verdict(Agreement.UNCHECKED, sentence, False, 0)
     low, high = np.sqrt(2.0 * special.gammaincinv(0.5 * dof, [level / 2, 1 - level / 2]) / dof)
     outliers, by_tau = adjustment.outliers(), len(adjustment.outliers(estimated=True))
     by_w, wrong = len(outliers), _readings(len(outliers))
     shown = f"sigma0 = {sigma0:.3f} ({dof} degrees of freedom, {low:.3f} to {high:.3f} expected)"
     if low <= sigma0 <= high and not by_w:
-        return Verdict(Case.CLEAN, f"Noise and model agree with the readings: {shown}, no outlier.", False, 0)
+        return Verdict(Agreement.CLEAN, f"Noise and model agree with the readings: {shown}, no outlier.", False, 0)
     if low <= sigma0 <= high:
         sentence = f"Trust the test of single readings: {wrong} although {shown} passes, because one sum over many "
-        return Verdict(Case.HIDDEN_ERRORS, f"{sentence}readings hardly feels a few wrong ones.", False, by_w)
+        return Verdict(Agreement.HIDDEN_ERRORS, f"{sentence}readings hardly feels a few wrong ones.", False, by_w)
     if sigma0 < low and dof < FEW:
         sentence = f"Trust the stated noise: {shown} is smaller, but so few degrees of freedom prove little."
-        return Verdict(Case.SMALLER_NOISE, sentence, False, by_w)
+        return Verdict(Agreement.SMALLER_NOISE, sentence, False, by_w)
     if sigma0 < low:
         sentence = f"Trust the estimated sigma0: {shown}, the stated noise is too large, and the w-test by it too "
-        return Verdict(Case.SMALLER_NOISE, f"{sentence}lenient; by the tau-test {_readings(by_tau)}.", True, by_tau)
+        return Verdict(
+            Agreement.SMALLER_NOISE, f"{sentence}lenient; by the tau-test {_readings(by_tau)}.", True, by_tau
+        )
     rest = chi2 - sum(o.w**2 for o in outliers)
     healed = dof > by_w and rest <= high**2 * (dof - by_w)
     if by_w and healed and by_w <= max(1, ONLY_A_FEW * int(adjustment.problem.use.sum())):
         sentence = f"Trust the test of single readings: {shown} fails only because {wrong}; "
-        return Verdict(Case.SINGLE_ERRORS, f"{sentence}without them the stated noise holds.", False, by_w)
+        return Verdict(Agreement.SINGLE_ERRORS, f"{sentence}without them the stated noise holds.", False, by_w)
     if dof < FEW:
         sentence = (
             f"Trust the global test: {shown}, noise or model are wrong; with so few degrees of freedom neither "
             "the estimated sigma0 nor a test of single readings says by how much or where."
         )
-        return Verdict(Case.LARGER_NOISE, sentence, True, by_tau)
+        return Verdict(Agreement.LARGER_NOISE, sentence, True, by_tau)
     sentence = (
         f"Trust the global test and the estimated sigma0: {shown}; the noise is larger than stated or a systematic "
         f"effect is missing from the model, and of the {by_w} readings that the w-test blames {by_tau or 'none'} stand "
         f"out from the noise they show{_by_targets(adjustment)}."
     )
-    return Verdict(Case.LARGER_NOISE, sentence, True, by_tau)
+    return Verdict(Agreement.LARGER_NOISE, sentence, True, by_tau)
 
 
 def _by_targets(adjustment: Adjustment) -> str:

@@ -15,7 +15,7 @@ from ltsim.arrays import Floats, Ints
 from ltsim.calibration import result
 from ltsim.calibration.calibration import Calibration, Combination, Fit
 from ltsim.calibration.correct import corrected_readings
-from ltsim.calibration.distance_solver import Estimate, Norm, solve_distances, solve_equation_9, with_minimum
+from ltsim.calibration.distance_solver import Estimates, Norm, solve_distances, solve_equation_9, with_minimum
 from ltsim.calibration.known import Choice
 from ltsim.calibration.objective import DistanceProblem
 from ltsim.model.construction import Construction, stated_construction
@@ -120,7 +120,7 @@ def _fit(propagation: Propagation) -> Fit:
 
 
 def _undetermined(
-    adjustment: Adjustment, construction: Construction, estimate: Estimate, *, advise: bool
+    adjustment: Adjustment, construction: Construction, estimate: Estimates, *, advise: bool
 ) -> tuple[Combination, ...]:
     instruments = adjustment.recording.instruments
     if len(instruments) == 1:
@@ -147,7 +147,7 @@ class Propagation:
     construction: Construction
     values: Floats
     """(I, p)."""
-    estimate: Estimate
+    estimate: Estimates
     adjustment: Adjustment
     """Of the corrected readings, without parameters."""
 

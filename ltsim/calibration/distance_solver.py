@@ -35,7 +35,7 @@ Norm = Literal["squares", "absolute"]
 
 
 @dataclass(frozen=True)
-class Rows:
+class Separations:
     """Compared distances: what compares them (R, D), residuals (R,), derivatives (R, q) and noise (R, 3 n + g)."""
 
     compare: sp.csr_array
@@ -45,7 +45,7 @@ class Rows:
 
 
 @dataclass(frozen=True)
-class Estimate:
+class Estimates:
     """Unknowns in units of their prior sigmas, and how they depend on the noise."""
 
     unknowns: Floats
@@ -61,14 +61,14 @@ class Estimate:
     converged: bool
 
 
-def mean_rows(problem: DistanceProblem, distances: Distances) -> Rows:
+def mean_rows(problem: DistanceProblem, distances: Distances) -> Separations:
     """Rows whose sum of squares is eq. 9 squared: deviations from the mean over sets times the root of their number."""
     centre, count = centring(distances)
     scaled = sp.diags_array(np.sqrt(count)) @ centre
     return _with_gauge(problem, distances, sp.csr_array(scaled))
 
 
-def pair_rows(problem: DistanceProblem, distances: Distances) -> Rows:
+def pair_rows(problem: DistanceProblem, distances: Distances) -> Separations:
     """The terms of eq. 9 one by one: differences between pairs of sets, then gauge terms."""
     first, second = set_pairs(distances)
     problem._check_size(len(first))
@@ -81,7 +81,7 @@ def _selected(at: Ints, count: int) -> sp.csr_array:
     return sp.csr_array((np.ones(len(at)), (np.arange(len(at)), at)), shape=(len(at), count))
 
 
-def _with_gauge(problem: DistanceProblem, distances: Distances, compare: sp.csr_array) -> Rows:
+def _with_gauge(problem: DistanceProblem, distances: Distances, compare: sp.csr_array) -> Separations:
     at, which = problem.gauge_matches(distances)
     known = len(problem.gauge)
     pick = _selected(at, len(distances.length))
@@ -92,12 +92,12 @@ def _with_gauge(problem: DistanceProblem, distances: Distances, compare: sp.csr_
     residual[compare.shape[0] :] -= problem.gauge.length[which]
     own = sp.vstack([sp.csr_array((compare.shape[0], known)), spread], format="csr")
     noise = sp.hstack([matrix @ distances.by_reading, own], format="csr")
-    return Rows(sp.csr_array(matrix), residual, matrix @ distances.by_parameter, sp.csr_array(noise))
+    return Separations(sp.csr_array(matrix), residual, matrix @ distances.by_parameter, sp.csr_array(noise))
 
 
 def solve_distances(
     problem: DistanceProblem, norm: Norm, *, start: Floats | None = None, held: Bools | None = None
-) -> Estimate:
+) -> Estimates:
     """Minimise eq. 9 over the combinations that the readings determine.
 
     From zero, or from `start` (q,), where unknowns that are `held` (q,) stay.
@@ -128,7 +128,7 @@ def solve_equation_9(
     box: float | None = None,
     start: Floats | None = None,
     held: Bools | None = None,
-) -> Estimate:
+) -> Estimates:
     """The minimum of eq. 9, with every unknown within `box` prior sigmas; arguments and errors of `solve_distances`.
 
     Raises
@@ -159,33 +159,33 @@ def _begun(problem: DistanceProblem, start: Floats | None, held: Bools | None) -
     return unknowns, np.ones(size, dtype=bool) if held is None else ~held
 
 
-def _require_compared(rows: Rows, free: Bools) -> None:
+def _require_compared(rows: Separations, free: Bools) -> None:
     if not np.any(rows.by_unknown[:, free]):
         raise NetworkError("no distance can be compared: stations share no pair of targets, and there is no gauge")
 
 
 def _estimate(
-    rows: Rows, norm: Norm, found: tuple[Floats, Floats, tuple[Direction, ...]], iterations: int, converged: bool
-) -> Estimate:
+    rows: Separations, norm: Norm, found: tuple[Floats, Floats, tuple[Direction, ...]], iterations: int, converged: bool
+) -> Estimates:
     """What was found: unknowns, the combinations (q, k) that were estimated, and those that were left out."""
     unknowns, kept, left = found
     covariance, noise = uncertainty(rows, kept, norm)
     prior = np.array([d.vector for d in left]).reshape(len(left), len(unknowns))
-    return Estimate(unknowns, covariance + prior.T @ prior, noise, left, objective(rows, norm), iterations, converged)
+    return Estimates(unknowns, covariance + prior.T @ prior, noise, left, objective(rows, norm), iterations, converged)
 
 
-def compared_rows(problem: DistanceProblem, unknowns: Floats, norm: Norm) -> Rows:
+def compared_rows(problem: DistanceProblem, unknowns: Floats, norm: Norm) -> Separations:
     """The rows whose sum of squares, or of absolute values, is eq. 9."""
     distances = problem.at(unknowns)
     return mean_rows(problem, distances) if norm == "squares" else pair_rows(problem, distances)
 
 
-def objective(rows: Rows, norm: Norm) -> float:
+def objective(rows: Separations, norm: Norm) -> float:
     """Eq. 9 [m^2], or its sum of absolute values [m]."""
     return float(np.sum(rows.residual**2) if norm == "squares" else np.sum(np.abs(rows.residual)))
 
 
-def determined(rows: Rows, free: Bools) -> tuple[Floats, tuple[Direction, ...]]:
+def determined(rows: Separations, free: Bools) -> tuple[Floats, tuple[Direction, ...]]:
     """Combinations (q, k) of the `free` (q,) unknowns to estimate, and those to leave at zero with their gains."""
     strength, own = np.linalg.eigh(rows.by_unknown[:, free].T @ rows.by_unknown[:, free])
     vectors = np.zeros((len(free), len(own)))
@@ -200,7 +200,7 @@ def determined(rows: Rows, free: Bools) -> tuple[Floats, tuple[Direction, ...]]:
     return vectors[:, keep], tuple(sorted(left, key=lambda d: d.gain))
 
 
-def _seen(rows: Rows, free: Bools) -> tuple[Floats, Floats]:
+def _seen(rows: Separations, free: Bools) -> tuple[Floats, Floats]:
     """Combinations (q, k) of the free unknowns that change a compared distance, and those that do not."""
     _, strength, own = np.linalg.svd(rows.by_unknown[:, free], full_matrices=False)
     vectors = np.zeros((len(free), len(own)))
@@ -216,7 +216,7 @@ def _least(design: Floats, residual: Floats, norm: Norm) -> Floats:
     return -least_absolute(design, residual)
 
 
-def _step(rows: Rows, at: Floats, free: Bools, norm: Norm, box: float | None) -> Floats:
+def _step(rows: Separations, at: Floats, free: Bools, norm: Norm, box: float | None) -> Floats:
     """Step (f,) of the free unknowns to the minimum of the linearised objective."""
     design = rows.by_unknown[:, free]
     if box is None:
@@ -247,8 +247,8 @@ def _absolute_in_box(design: Floats, residual: Floats, bounds: tuple[Floats, Flo
 
 
 def _searched(
-    problem: DistanceProblem, unknowns: Floats, step: Floats, rows: Rows, norm: Norm
-) -> tuple[Floats, Rows, float]:
+    problem: DistanceProblem, unknowns: Floats, step: Floats, rows: Separations, norm: Norm
+) -> tuple[Floats, Separations, float]:
     """Go along a step as far as the objective falls; unknowns, rows there, and by what share it fell."""
     before, share = objective(rows, norm), 1.0
     while share > 1e-3:
@@ -261,7 +261,7 @@ def _searched(
     return unknowns, rows, 0.0
 
 
-def uncertainty(rows: Rows, kept: Floats, norm: Norm) -> tuple[Floats, Floats]:
+def uncertainty(rows: Separations, kept: Floats, norm: Norm) -> tuple[Floats, Floats]:
     """Covariance (q, q) of the estimate and its covariance (q, 3 n + g) with the whitened noise.
 
     For absolute deviations by the asymptotic law of the median for correlated normal rows: the score is the sign,
@@ -284,7 +284,7 @@ def uncertainty(rows: Rows, kept: Floats, norm: Norm) -> tuple[Floats, Floats]:
     return covariance, kept @ (-inverse @ carried)
 
 
-def with_minimum(problem: DistanceProblem, norm: Norm, estimate: Estimate, held: Bools) -> tuple[str, ...]:
+def with_minimum(problem: DistanceProblem, norm: Norm, estimate: Estimates, held: Bools) -> tuple[str, ...]:
     """A sentence: the objective at an estimate that leaves combinations out, and the least that eq. 9 reaches."""
     least = solve_equation_9(problem, norm, start=estimate.unknowns, held=held).objective
     power, unit = (1e6, "mm^2") if norm == "squares" else (1e3, "mm")

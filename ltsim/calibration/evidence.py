@@ -26,7 +26,7 @@ _COSINE = re.compile(r"^(?P<front>.+[-_])cos(?P<order>\d?)$")
 
 
 @dataclass(frozen=True)
-class Evidence:
+class ReadingsEvidence:
     """What a calibration's readings say without its prior, in units of common prior sigmas."""
 
     remaining: Floats
@@ -37,7 +37,7 @@ class Evidence:
     """(p,): `information` times the estimate that the readings alone would give."""
 
 
-def evidence(values: Floats, covariance: Floats, prior_sigma: Floats, unit: Floats) -> Evidence:
+def evidence(values: Floats, covariance: Floats, prior_sigma: Floats, unit: Floats) -> ReadingsEvidence:
     """The evidence of estimates (p,) with covariance (p, p) under priors (p,) centred at 0, in units (p,), all [SI]."""
     prior = prior_sigma / unit
     remaining = covariance / np.outer(unit, unit)
@@ -47,7 +47,7 @@ def evidence(values: Floats, covariance: Floats, prior_sigma: Floats, unit: Floa
     basis = vectors / prior[:, None]
     information = (basis * np.where(heard, inverse - 1.0, 0.0)) @ basis.T
     told = (basis * inverse) @ basis.T @ (values / unit)
-    return Evidence(0.5 * (remaining + remaining.T), information, told)
+    return ReadingsEvidence(0.5 * (remaining + remaining.T), information, told)
 
 
 def change_seen(information: Floats, surprise: Floats, variance: Floats) -> tuple[Floats, Floats]:

@@ -9,7 +9,7 @@ import numpy as np
 from ltsim.arrays import Floats
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.events import Event, events
-from ltsim.calibration.history import Change, History
+from ltsim.calibration.history import CalibrationChange, History
 from ltsim.calibration.history_schema import (
     CalibrationOf,
     ChangeEntry,
@@ -215,7 +215,7 @@ def _event(history: History, event: Event) -> EventEntry:
     )
 
 
-def _change(history: History, change: Change) -> ChangeEntry:
+def _change(history: History, change: CalibrationChange) -> ChangeEntry:
     parameters = history.construction.parameters
     told: dict[str, Any] = {"from": change.first, "to": change.second, **change.joint.model_dump()}
     return ChangeEntry(

@@ -17,7 +17,7 @@ from scipy import linalg, special
 
 from ltsim.arrays import Floats
 from ltsim.calibration.calibration import Calibration
-from ltsim.calibration.evidence import Evidence, evidence
+from ltsim.calibration.evidence import ReadingsEvidence, evidence
 from ltsim.calibration.history_schema import ChiSquareEntry
 from ltsim.chances import p_is
 from ltsim.errors import RecordError, option
@@ -33,7 +33,7 @@ LEVEL = 0.01
 
 
 @dataclass(frozen=True)
-class Change:
+class CalibrationChange:
     """Later minus earlier calibration."""
 
     first: str
@@ -148,7 +148,7 @@ class History(Result):
         return np.max([c.prior_sigma[0] for c in self.calibrations], axis=0)
 
     @cached_property
-    def _evidence(self) -> list[Evidence]:
+    def _evidence(self) -> list[ReadingsEvidence]:
         return [evidence(c.values[0], c.covariance, c.prior_used[0], self.prior_sigma) for c in self.calibrations]
 
     @cached_property
@@ -186,7 +186,7 @@ class History(Result):
         columns = {f"{p.name} [{p.unit}]": numbers[:, k] / p.factor for k, p in enumerate(self.construction.parameters)}
         return {"label": list(self.labels), **{name: column.tolist() for name, column in columns.items()}}
 
-    def change(self, first: int, second: int) -> Change:
+    def change(self, first: int, second: int) -> CalibrationChange:
         """What calibration number `second` says against number `first`."""
         contrast = np.zeros((1, len(self)))
         contrast[0, [first, second]] = -1.0, 1.0
@@ -194,14 +194,14 @@ class History(Result):
         variance = np.where(self._gain > SILENT, np.diag(spread), 0.0)
         difference, sigma = gap * self.prior_sigma, np.sqrt(variance) * self.prior_sigma
         joint = _test(*self._contrasted(contrast, self._told))
-        return Change(self.labels[first], self.labels[second], difference, sigma, joint)
+        return CalibrationChange(self.labels[first], self.labels[second], difference, sigma, joint)
 
     @cached_property
     def _gain(self) -> Floats:
         """(p,) mean share of each parameter's prior variance that the readings removed."""
         return 1.0 - np.mean([np.diag(e.remaining) for e in self._evidence], axis=0)
 
-    def changes(self) -> list[Change]:
+    def changes(self) -> list[CalibrationChange]:
         """Each calibration against the one before."""
         return [self.change(i, i + 1) for i in range(len(self) - 1)]
 

@@ -2,7 +2,7 @@
 
 The estimates and their covariance are those of the stated prior. What is taken out of readings may be less:
 
-* a term that predicts targets worse than going without it, when they take no part in its estimation (`HeldOut`);
+* a term that predicts targets worse than going without it, when they take no part in its estimation (`HeldOutTarget`);
 * where the readings contradict the scale of the prior, the correction follows the scale that they make most likely;
 * where some scale that they leave plausible expects the correction to do harm, the correction of the smallest plausible
   scale, which none of them expects to.
@@ -236,7 +236,7 @@ def point_errors(adjustment: Adjustment) -> Floats:
 
 
 @dataclass(frozen=True)
-class HeldOut:
+class HeldOutTarget:
     """What one target's readings leave when the others predict them.
 
     They check each other once its place is eliminated. With r their residual (m,) and A (m, K) their design by poses
@@ -302,7 +302,7 @@ def _terms(adjustment: Adjustment) -> list[Ints]:
     return [np.array(term, dtype=np.int64) for term in chosen if term]
 
 
-def held_out_targets(adjustment: Adjustment) -> list[HeldOut]:
+def held_out_targets(adjustment: Adjustment) -> list[HeldOutTarget]:
     """Every target whose readings check each other and whose place is an unknown of its own, held out."""
     problem, unknowns = adjustment.problem, adjustment.problem.unknowns
     system, kept = adjustment.solution.system, adjustment.problem.unknowns.kept
@@ -325,11 +325,11 @@ def _without(place: Floats, design: Floats, residual: Floats) -> tuple[Floats, F
     return design - basis @ (basis.T @ design), residual - basis @ (basis.T @ residual)
 
 
-def _held_out(adjustment: Adjustment, design: Floats, residual: Floats) -> HeldOut:
+def _held_out(adjustment: Adjustment, design: Floats, residual: Floats) -> HeldOutTarget:
     covariance, at = adjustment.kept_covariance, adjustment.problem.unknowns.instrument.ravel()
     spread = covariance @ design.T
     alone = np.linalg.inv(np.eye(len(residual)) - design @ spread)
     by_parameter = alone @ spread[at].T
     own = covariance[np.ix_(at, at)] + spread[at] @ by_parameter
     left = alone @ residual
-    return HeldOut(left, by_parameter, own, spread[at] @ left)
+    return HeldOutTarget(left, by_parameter, own, spread[at] @ left)

@@ -17,10 +17,10 @@ from ltsim.campaigns.distance import BatchDistance
 from ltsim.campaigns.engine import Calibrated, Calibrator, Engine, Single, suspects
 from ltsim.campaigns.judge import Judge
 from ltsim.campaigns.kernels import readings_of
-from ltsim.campaigns.network import BatchNetwork, Known, Stacked
+from ltsim.campaigns.network import BatchNetwork, NetworkKnowns, Stacked
 from ltsim.campaigns.program import ChainProgram
 from ltsim.campaigns.spec import Method
-from ltsim.campaigns.truth import Block, Truth
+from ltsim.campaigns.truth import Block, CellTruth
 from ltsim.effects.effect import Effect
 from ltsim.errors import NetworkError, SetupError
 from ltsim.model.construction import Construction, built_as
@@ -38,7 +38,7 @@ def fitted_effects(method: Method) -> tuple[Effect, ...]:
     return tuple(e.effect(f"methods.{method.title}.effects.{i}") for i, e in enumerate(method.effects, 1))
 
 
-def calibrator_of(method: Method, truth: Truth) -> Calibrator:
+def calibrator_of(method: Method, truth: CellTruth) -> Calibrator:
     """The calibrator that a campaign file asks for."""
     if method.method != "network" and not truth.recorded.all():
         raise SetupError(f"methods.{method.title}: {method.method} compares points, which ranges or angles alone lack")
@@ -51,19 +51,19 @@ def calibrator_of(method: Method, truth: Truth) -> Calibrator:
 
 
 @dataclass(frozen=True)
-class Stack(Truth):
+class Stack(CellTruth):
     """Truths whose stations see the same targets; geometries end in the trial."""
 
-    truths: tuple[Truth, ...] = ()
+    truths: tuple[CellTruth, ...] = ()
     """One a trial; what they share is that of the first."""
     rows: Ints = field(default_factory=lambda: np.zeros((0, 0), dtype=np.int64))
     """(n, B): where the pointings of the first are in each trial, which may take them in another order."""
 
     @classmethod
-    def of(cls, truths: tuple[Truth, ...]) -> Self:
+    def of(cls, truths: tuple[CellTruth, ...]) -> Self:
         """The stack of truths of one pattern."""
         first = truths[0]
-        shared = {f.name: getattr(first, f.name) for f in fields(Truth) if f.name != "state"}
+        shared = {f.name: getattr(first, f.name) for f in fields(CellTruth) if f.name != "state"}
         states = [truth.state for truth in truths]
         position, rotation, points = (
             np.ascontiguousarray(np.stack([getattr(state, name) for state in states], axis=-1))
@@ -133,7 +133,7 @@ class Stack(Truth):
         return Block(numbers, values, amounts, deviation, gauge_error, alone)
 
 
-def stacks(truths: dict[int, Truth]) -> Iterator[tuple[Stack, Ints]]:
+def stacks(truths: dict[int, CellTruth]) -> Iterator[tuple[Stack, Ints]]:
     """Stacks of trials that see the same and can be judged in the same way, with the numbers of their trials."""
     groups: dict[tuple[object, ...], list[int]] = {}
     for number, truth in truths.items():
@@ -147,7 +147,7 @@ def stacks(truths: dict[int, Truth]) -> Iterator[tuple[Stack, Ints]]:
         yield Stack.of(tuple(truths[number] for number in numbers)), np.array(numbers)
 
 
-def _keys(truth: Truth) -> Ints:
+def _keys(truth: CellTruth) -> Ints:
     """(n,) what tells a pointing from the others of its recording."""
     r = truth.recording
     return ((r.repeat * len(r.stations) + r.station) * 3 + r.face) * len(r.targets) + r.target
@@ -190,7 +190,7 @@ class StackCalibrator(Calibrator):
         parts: list[BatchNetwork] = []
         for k, truth in enumerate(stack.truths):
             recording = stack.recording.with_readings(stack.nominal[:, :, k])
-            known = Known(parts[0], stack.jacobian[..., k], by_value[..., k]) if parts else None
+            known = NetworkKnowns(parts[0], stack.jacobian[..., k], by_value[..., k]) if parts else None
             parts.append(BatchNetwork(recording, truth.state, built, program, known=known, recorded=truth.recorded))
         network = Stacked(stack.recording, stack.state, built, program, parts=tuple(parts))
         try:

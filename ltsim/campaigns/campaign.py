@@ -19,7 +19,7 @@ from joblib import Parallel, delayed, parallel_config
 
 from ltsim.campaigns.calibrators import fitted_construction, fitted_effects
 from ltsim.campaigns.design import Factor, label
-from ltsim.campaigns.rows import Task, rows_of, run_task, task_of
+from ltsim.campaigns.rows import ShardTask, rows_of, run_task, task_of
 from ltsim.campaigns.schema import CellEntry, ManifestFile
 from ltsim.campaigns.spec import JUDGE, Campaign, Cell, beside, cad_files, cells_of, load_campaign, read_cad
 from ltsim.campaigns.stopping import Shard, rounds
@@ -244,7 +244,7 @@ def _manifest(campaign: Campaign, factors: Sequence[Factor], cells: Sequence[Cel
 
 def _waiting(
     store: Store, campaign: Campaign, cells: Sequence[Cell], wanted: list[Shard], progress: Progress
-) -> tuple[list[Task], list[str]]:
+) -> tuple[list[ShardTask], list[str]]:
     """Shards to be done of those that are wanted; those that are damaged are set aside and done again."""
     waiting, notes, known = [], [], store.digests()
     numbers = {cell for cell, _ in wanted}
@@ -262,7 +262,7 @@ def _waiting(
     return waiting, notes
 
 
-def _results(tasks: list[Task], workers: Workers, store: Store) -> Iterator[tuple[Task, bytes]]:
+def _results(tasks: list[ShardTask], workers: Workers, store: Store) -> Iterator[tuple[ShardTask, bytes]]:
     """Shards as they are done; what of one is there already goes with its task."""
     given = (
         replace(t, held=store.rows(t.cell, t.shard) if store.shard_path(t.cell, t.shard).exists() else None)

@@ -18,7 +18,7 @@ from ltsim.model.construction import Construction
 TYPES = {"number": pa.float64(), "integer": pa.int64(), "boolean": pa.bool_()}
 
 
-class Label(NamedTuple):
+class ParameterLabel(NamedTuple):
     """A parameter of an instrument, or of an effect, as the rows call it."""
 
     name: str
@@ -27,26 +27,28 @@ class Label(NamedTuple):
     effect: Effect | None = None
 
 
-def labels_of(construction: Construction, instruments: Sequence[str], effects: Sequence[Effect]) -> list[Label]:
+def labels_of(
+    construction: Construction, instruments: Sequence[str], effects: Sequence[Effect]
+) -> list[ParameterLabel]:
     """The parameters of all instruments, then those of effects."""
     names, seen = construction.names_of(instruments), Counter[str]()
-    found = [Label(*own) for own in zip(names, construction.parameters * len(instruments), strict=True)]
+    found = [ParameterLabel(*own) for own in zip(names, construction.parameters * len(instruments), strict=True)]
     for effect in effects:
         for parameter in effect.parameters:
             name = f"{effect.name}:{parameter.name}" + (f" {effect.place}" if effect.place else "")
             seen[name] += 1
             again = f" #{seen[name]}" if seen[name] > 1 else ""
-            found.append(Label(name + again, parameter, effect))
+            found.append(ParameterLabel(name + again, parameter, effect))
     return found
 
 
-def parameter_columns(labels: Sequence[Label], values: Floats, prefix: str) -> Columns:
+def parameter_columns(labels: Sequence[ParameterLabel], values: Floats, prefix: str) -> Columns:
     """Parameters (P, B) [SI] as columns in display units: ``estimate:beam-tilt``."""
     return {f"{prefix}:{own.name}": row / own.parameter.factor for own, row in zip(labels, values, strict=True)}
 
 
 def z_scores(
-    labels: Sequence[Label], values: Floats, sigma: Floats, true_labels: Sequence[Label], true: Floats
+    labels: Sequence[ParameterLabel], values: Floats, sigma: Floats, true_labels: Sequence[ParameterLabel], true: Floats
 ) -> Columns:
     """(estimate - truth) / sigma of the parameters (P, B) that are among the true ones."""
     known = {(label.name, label.effect): own for label, own in zip(true_labels, true, strict=True)}

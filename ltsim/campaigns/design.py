@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 from ltsim.arrays import Floats
 from ltsim.randomness import stream
 from ltsim.recording.result_file import Entry
-from ltsim.recording.setup import Finite, Section
+from ltsim.recording.setup import Finite, TomlSection
 from ltsim.simulation.keys import Kind, kind_of, value_at
 from ltsim.units import unit_of_key
 
@@ -27,7 +27,7 @@ DIGITS = 4
 MOST_RANGES = 64
 
 
-class Range(Section):
+class Range(TomlSection):
     """Where the points of a design lie along one key, in the key's unit; whole numbers where the key takes those."""
 
     low: Finite
@@ -50,7 +50,7 @@ class Range(Section):
         return [int(min(v, self.high)) if whole else float(f"{v:.{DIGITS}g}") for v in values]
 
 
-class Design(Section):
+class Design(TomlSection):
     """Points spread evenly over ranges of several keys at once, where a grid would need too many cells."""
 
     kind: Literal["latin-hypercube", "sobol"]

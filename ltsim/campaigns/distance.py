@@ -17,7 +17,14 @@ import numpy as np
 from ltsim.adjustment.prior import prior_sigmas
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.calibration.distance import METHODS
-from ltsim.calibration.distance_solver import Estimate, Rows, mean_rows, pair_rows, solve_distances, solve_equation_9
+from ltsim.calibration.distance_solver import (
+    Estimates,
+    Separations,
+    mean_rows,
+    pair_rows,
+    solve_distances,
+    solve_equation_9,
+)
 from ltsim.calibration.objective import DistanceProblem, Distances
 from ltsim.campaigns.cloud_kernels import distance_forces, station_means
 from ltsim.campaigns.engine import Calibrated, Engine, members
@@ -57,7 +64,7 @@ class BatchDistance(Engine):
         return DistanceProblem(recording, self.construction, prior_sigmas(recording, self.construction))
 
     @cached_property
-    def estimate(self) -> Estimate:
+    def estimate(self) -> Estimates:
         """What the estimator gives at nominal readings: zero, its covariance, and what it leaves out."""
         if self.as_printed:
             return solve_equation_9(self.problem, "absolute" if self.absolute else "squares")
@@ -81,11 +88,11 @@ class BatchDistance(Engine):
         return kept @ np.linalg.inv(kept.T @ normal @ kept) @ kept.T
 
     @cached_property
-    def _mean_rows(self) -> Rows:
+    def _mean_rows(self) -> Separations:
         return mean_rows(self.problem, self._distances)
 
     @cached_property
-    def _pair_rows(self) -> Rows:
+    def _pair_rows(self) -> Separations:
         return pair_rows(self.problem, self._distances)
 
     @property

@@ -16,7 +16,7 @@ from ltsim.adjustment.datum import InnerDatum
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.calibration import calibrate_distance, calibrate_network
 from ltsim.campaigns.network import BatchNetwork
-from ltsim.campaigns.truth import Block, Truth
+from ltsim.campaigns.truth import Block, CellTruth
 from ltsim.effects.effect import Effect
 from ltsim.errors import LtsimError
 from ltsim.evaluation.clouds import on_points
@@ -64,7 +64,7 @@ class Calibrated:
         return np.concatenate(values), np.concatenate(sigmas)
 
     @classmethod
-    def none(cls, truth: Truth, construction: Construction, effects: Sequence[Effect], trials: int) -> Calibrated:
+    def none(cls, truth: CellTruth, construction: Construction, effects: Sequence[Effect], trials: int) -> Calibrated:
         """Trials that have given nothing yet, each with a sigma of its own."""
         values = np.full((len(truth.recording.instruments), construction.size, trials), np.nan)
         points = np.full((*truth.state.points.shape[:2], trials), np.nan)
@@ -86,7 +86,7 @@ class Calibrated:
 class Calibrator:
     """What a campaign needs of a method."""
 
-    truth: Truth
+    truth: CellTruth
     construction: Construction
     """Whose parameters are estimated."""
     effects: tuple[Effect, ...] = ()
@@ -103,7 +103,7 @@ class Calibrator:
         return float("nan")
 
 
-def recording_of(truth: Truth, block: Block, trial: int) -> Recording:
+def recording_of(truth: CellTruth, block: Block, trial: int) -> Recording:
     """One trial as the recording that any calibrator takes: readings and stated lengths, no truth."""
     recording = truth.recording.with_readings(truth.readings(block, trial))
     known = KnownLengths.of(recording)
@@ -123,7 +123,7 @@ def placed_on(adjustment: Adjustment, goal: Floats) -> Floats:
     return min(hands, key=lambda moved: float(np.nansum((moved - goal) ** 2)))
 
 
-def members(truth: Truth, sets: Ints) -> tuple[Bools, Floats]:
+def members(truth: CellTruth, sets: Ints) -> tuple[Bools, Floats]:
     """Which set (O, T) of the pointings (n,) saw which target whole, and the share (n,) of each in its set's mean."""
     recording, targets = truth.recording, len(truth.recording.targets)
     whole = np.asarray(recording.measured.all(axis=1) & truth.recorded.all())

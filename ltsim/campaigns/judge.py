@@ -23,7 +23,7 @@ from ltsim.campaigns.cloud_kernels import (
 )
 from ltsim.campaigns.engine import Calibrated, members
 from ltsim.campaigns.kernels import points_of
-from ltsim.campaigns.truth import Block, Truth
+from ltsim.campaigns.truth import Block, CellTruth
 from ltsim.effects.effect import Effect
 from ltsim.geometry.rigid import holds_pose
 from ltsim.model.construction import Construction, ideal
@@ -39,7 +39,7 @@ Columns = dict[str, NDArray[Any]]
 class Judge:
     """Judges any method on the blocks of a truth; what does not depend on the method is computed once a block."""
 
-    truth: Truth
+    truth: CellTruth
 
     @cached_property
     def _means(self) -> tuple[Bools, Floats]:

@@ -60,7 +60,7 @@ class BatchFit:
 
 
 @dataclass(frozen=True)
-class Known:
+class NetworkKnowns:
     """What a network need not find out again."""
 
     network: BatchNetwork
@@ -84,7 +84,7 @@ class BatchNetwork:
     """Its chain around the nominal readings."""
     effects: tuple[Effect, ...] = ()
     """Further effects that are estimated."""
-    known: Known | None = None
+    known: NetworkKnowns | None = None
     """Without it everything is found out; not for networks with further effects."""
     recorded: Bools = field(default_factory=lambda: np.ones(3, dtype=bool))
     """(3,): which of range, azimuth and elevation are adjusted."""
@@ -144,7 +144,7 @@ class BatchNetwork:
         system = self.problem.system(self.nominal, known)
         return as_dense(system.design), system.residual
 
-    def _prediction(self, known: Known) -> Prediction:
+    def _prediction(self, known: NetworkKnowns) -> Prediction:
         """`MeasurementModel.linearised` at the nominal state from what is known of the readings."""
         recording, state = self.recording, self.state
         by_target = known.by_point @ np.swapaxes(state.rotation, 1, 2)[recording.station]

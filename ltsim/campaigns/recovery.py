@@ -31,7 +31,7 @@ from ltsim.calibration.verbs import wanted
 from ltsim.campaigns.recovery_checks import (
     COVERED,
     FALSE_ALARM,
-    Check,
+    RecoveryCheck,
     chi_square_check,
     mean_check,
     parameter_checks,
@@ -54,7 +54,7 @@ from ltsim.units import in_unit
 from ltsim.workers import parallel
 
 
-class Tolerance(NamedTuple):
+class RecoveryTolerance(NamedTuple):
     """What an error may be: in the parameter's unit, and as it was given."""
 
     value: float
@@ -67,7 +67,7 @@ class Recovery(Result):
 
     trials: tuple[Trial | None, ...]
     errors: Errors = "drawn"
-    tolerance: Mapping[str, Tolerance] = field(default_factory=dict)
+    tolerance: Mapping[str, RecoveryTolerance] = field(default_factory=dict)
     """By parameter; only these are checked, if there are any."""
     seconds: float = 0.0
     """How long the trials took."""
@@ -144,10 +144,10 @@ class Recovery(Result):
             "larger_high": (gap.mean(axis=0) + half).tolist(),
         }
 
-    def checks(self) -> list[Check]:
+    def checks(self) -> list[RecoveryCheck]:
         """All checks; bounds are shared out so that a correct model fails any in one run of a hundred."""
         lost = len(self.trials) - len(self.converged)
-        found = [Check.of("convergence", "trials that did not converge", lost, 0, 0)]
+        found = [RecoveryCheck.of("convergence", "trials that did not converge", lost, 0, 0)]
         if len(self.converged) < 2:
             return found
         chosen = [k for k, name in enumerate(self.names) if not self.tolerance or name in self.tolerance]
@@ -161,13 +161,13 @@ class Recovery(Result):
             if self.errors == "stated" and np.all(np.isfinite(z[:, k])):
                 coverage = parameter_checks(name, z[:, k], level)[-1]
                 said = f"{coverage.statistic}, as stated"
-                found.append(Check.of(name, said, coverage.value or 0.0, coverage.low, 1.0))
+                found.append(RecoveryCheck.of(name, said, coverage.value or 0.0, coverage.low, 1.0))
             if self.tolerance:
                 given = self.tolerance[name]
                 found.append(tolerance_check(name, error[:, k], given.value, given.words))
         return found if self.tolerance else found + self._whole(level)
 
-    def _whole(self, level: float) -> list[Check]:
+    def _whole(self, level: float) -> list[RecoveryCheck]:
         parts, found = [trial.network for trial in self.converged], []
         if all(np.isfinite(part.expected) for part in parts):
             chi2, expected, spread = (np.array([getattr(p, n) for p in parts]) for n in ("chi2", "expected", "spread"))
@@ -178,7 +178,7 @@ class Recovery(Result):
                 found.append(mean_check(what, "mean squared error over variance", squares, level))
         return found
 
-    def failures(self) -> list[Check]:
+    def failures(self) -> list[RecoveryCheck]:
         """Checks that fail."""
         return [check for check in self.checks() if not check.passed]
 
@@ -261,7 +261,7 @@ def recover(
     seen = simulate(scenario, seed=seed).recording if named else None
     beside = tuple(wanted(text, seen) for text in named if seen is not None)
     how = How(method, own if construction is None else construction_called(construction), beside, calibrator)
-    began, found, within = time.monotonic(), [], dict[str, Tolerance]()
+    began, found, within = time.monotonic(), [], dict[str, RecoveryTolerance]()
     for trial in run_trials(scenario, trials, how, seed=seed, jobs=jobs, errors=mode):
         if trial is not None:
             within = within or _within(given, trial)
@@ -282,7 +282,7 @@ def run_trials(
     return parallel(run_trial, work, min(jobs, trials), batch=4)
 
 
-def _within(tolerance: Mapping[str, str], trial: Trial) -> dict[str, Tolerance]:
+def _within(tolerance: Mapping[str, str], trial: Trial) -> dict[str, RecoveryTolerance]:
     """Tolerances such as ``2 urad`` in the units of a trial's parameters; raises SetupError for another kind."""
     given = {}
     for name, words in tolerance.items():
@@ -292,7 +292,7 @@ def _within(tolerance: Mapping[str, str], trial: Trial) -> dict[str, Tolerance]:
         value = in_unit(words, unit)
         if value is None or not value > 0:
             raise SetupError(f"the tolerance of {name} is '{words}', expected a quantity such as '2 {unit}'")
-        given[name] = Tolerance(value, words)
+        given[name] = RecoveryTolerance(value, words)
     return given
 
 

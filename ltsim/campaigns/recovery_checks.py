@@ -24,7 +24,7 @@ ONE_DEGREE = float(np.sqrt(2.0))
 """Standard deviation of a mean square over its mean where all that it averages is one number."""
 
 
-class Check(Entry):
+class RecoveryCheck(Entry):
     """One number that has to lie between two bounds."""
 
     what: str
@@ -60,7 +60,7 @@ def recovery_checks(
     names: Sequence[str] | None = None,
     tolerance: Mapping[str, float] | None = None,
     false_alarm: float = FALSE_ALARM,
-) -> list[Check]:
+) -> list[RecoveryCheck]:
     """Check that what is true is recovered: within stated sigmas, within given tolerances, or both.
 
     Parameters
@@ -111,13 +111,13 @@ def recovery_checks(
     return found
 
 
-def tolerance_check(name: str, error: Floats, tolerance: float, words: str = "") -> Check:
+def tolerance_check(name: str, error: Floats, tolerance: float, words: str = "") -> RecoveryCheck:
     """That 95 % of errors (N,) lie within a tolerance."""
     share = float(np.mean(np.abs(error) <= tolerance))
-    return Check.of(name, f"share of errors within {words or f'{tolerance:g}'}", share, COVERED, 1.0)
+    return RecoveryCheck.of(name, f"share of errors within {words or f'{tolerance:g}'}", share, COVERED, 1.0)
 
 
-def parameter_checks(name: str, z: Floats, level: float) -> list[Check]:
+def parameter_checks(name: str, z: Floats, level: float) -> list[RecoveryCheck]:
     """Mean, standard deviation and coverage of z-scores (N,); `level` is the false-alarm rate of each."""
     count = len(z)
     shift = max(MEAN_WITHIN, float(stats.norm.isf(level / 2) / np.sqrt(count)))
@@ -127,22 +127,22 @@ def parameter_checks(name: str, z: Floats, level: float) -> list[Check]:
     apart = min(1 - SPREAD_WITHIN, np.sqrt(tails[0])), max(1 + SPREAD_WITHIN, np.sqrt(tails[1]))
     held = min(COVERED - COVERAGE_WITHIN, inside[0]), max(COVERED + COVERAGE_WITHIN, inside[1])
     return [
-        Check.of(name, "mean z-score", float(z.mean()), -shift, shift),
-        Check.of(name, "standard deviation of the z-scores", float(z.std(ddof=1)), *map(float, apart)),
-        Check.of(name, "coverage of 95 % intervals", covered, *map(float, held)),
+        RecoveryCheck.of(name, "mean z-score", float(z.mean()), -shift, shift),
+        RecoveryCheck.of(name, "standard deviation of the z-scores", float(z.std(ddof=1)), *map(float, apart)),
+        RecoveryCheck.of(name, "coverage of 95 % intervals", covered, *map(float, held)),
     ]
 
 
-def chi_square_check(chi2: Floats, expected: Floats, spread: Floats, level: float) -> Check:
+def chi_square_check(chi2: Floats, expected: Floats, spread: Floats, level: float) -> RecoveryCheck:
     """Chi-square of all trials together over what is to be expected of it, as a scaled chi-square (Satterthwaite)."""
     mean, variance = float(np.sum(expected)), float(np.sum(spread**2))
     freedom = 2 * mean**2 / variance
     tails = stats.chi2.ppf([level / 2, 1 - level / 2], freedom) / freedom
     low, high = min(1 - CHI2_WITHIN, float(tails[0])), max(1 + CHI2_WITHIN, float(tails[1]))
-    return Check.of("chi-square", "chi2/dof of all trials", float(np.sum(chi2)) / mean, low, high)
+    return RecoveryCheck.of("chi-square", "chi2/dof of all trials", float(np.sum(chi2)) / mean, low, high)
 
 
-def mean_check(what: str, statistic: str, values: Floats, level: float) -> Check:
+def mean_check(what: str, statistic: str, values: Floats, level: float) -> RecoveryCheck:
     """The mean of values (N,), one a trial, against one.
 
     Chance is judged by their spread relative to their median (median absolute deviation): values that are all too
@@ -152,4 +152,4 @@ def mean_check(what: str, statistic: str, values: Floats, level: float) -> Check
     apart = float(np.median(np.abs(values - middle)))
     relative = min(apart / (stats.norm.ppf(0.75) * middle), ONE_DEGREE) if middle > 0 else ONE_DEGREE
     within = max(WHOLE_WITHIN, float(stats.t.isf(level / 2, len(values) - 1)) * relative / np.sqrt(len(values)))
-    return Check.of(what, statistic, float(values.mean()), max(1 - within, 0.0), 1 + within)
+    return RecoveryCheck.of(what, statistic, float(values.mean()), max(1 - within, 0.0), 1 + within)

@@ -27,7 +27,7 @@ from ltsim.campaigns.judge import Columns, Judge
 from ltsim.campaigns.schema import CHECKED, column_of
 from ltsim.campaigns.spec import JUDGE, Campaign
 from ltsim.campaigns.store import encoded, statistics_of
-from ltsim.campaigns.truth import Block, Truth, truth_of
+from ltsim.campaigns.truth import Block, CellTruth, truth_of
 from ltsim.effects import CATALOGUE
 from ltsim.effects.effect import Effect
 from ltsim.errors import SetupError
@@ -45,7 +45,7 @@ TOGETHER = 64
 
 
 @dataclass(frozen=True)
-class Task:
+class ShardTask:
     """One shard of one cell, as plain data that any worker can take."""
 
     campaign: str
@@ -127,7 +127,7 @@ class Prepared:
             for stack, numbers in stacks(self._own(range(low, min(low + TOGETHER, last)))):
                 yield Judge(stack), [StackCalibrator.of(m, stack) for m in methods], stack.draw_trials(seed, numbers)
 
-    def _own(self, trials: range) -> dict[int, Truth]:
+    def _own(self, trials: range) -> dict[int, CellTruth]:
         """The geometry of each trial that has a possible one; they share the set-up with the common one."""
         found, seed = {}, self.campaign.seed
         for trial in trials:
@@ -144,7 +144,7 @@ def prepared(campaign: str, scenario: str, judge: str) -> Prepared:
     return Prepared(Campaign.model_validate_json(campaign), Scenario.model_validate_json(scenario), there)
 
 
-def run_task(task: Task) -> tuple[Task, bytes]:
+def run_task(task: ShardTask) -> tuple[ShardTask, bytes]:
     """A shard as the bytes of its file, with its task; one thread, so that sums keep their order on any worker."""
     for kind in task.effects:
         CATALOGUE.add(kind)
@@ -152,7 +152,7 @@ def run_task(task: Task) -> tuple[Task, bytes]:
         return replace(task, held=None), encoded(shard_rows(task), task.key)
 
 
-def shard_rows(task: Task) -> pa.Table:
+def shard_rows(task: ShardTask) -> pa.Table:
     """The rows of a shard, by method, then by trial; beside those that stay only what is missing is computed."""
     if task.held is None:
         return _computed(task, 0)
@@ -172,7 +172,7 @@ def shard_rows(task: Task) -> pa.Table:
     return held
 
 
-def _computed(task: Task, done: int, *, drawn: bool = False) -> pa.Table:
+def _computed(task: ShardTask, done: int, *, drawn: bool = False) -> pa.Table:
     """The rows of a shard behind so many of its trials; without a calibration where only what was `drawn` is asked."""
     cell = prepared(task.campaign, task.scenario, task.judge)
     campaign = cell.campaign
@@ -185,7 +185,7 @@ def _computed(task: Task, done: int, *, drawn: bool = False) -> pa.Table:
         wanted = np.flatnonzero((numbers >= first) & (numbers < last))
         missing -= set(numbers[wanted].tolist())
         checked = wanted[numbers[wanted] < start + campaign.verify]
-        work = Work(campaign, judge, block, cell.elsewhere, wanted, checked, drawn)
+        work = TrialBlock(campaign, judge, block, cell.elsewhere, wanted, checked, drawn)
         for part, calibrator in zip(parts, calibrators, strict=True):
             columns = {"trial": numbers} | work.columns(calibrator)
             part.append({name: column[wanted] for name, column in columns.items()})
@@ -202,7 +202,7 @@ def _computed(task: Task, done: int, *, drawn: bool = False) -> pa.Table:
 
 
 @dataclass(frozen=True)
-class Work:
+class TrialBlock:
     """A block that every method calibrates."""
 
     campaign: Campaign
@@ -277,9 +277,9 @@ class Work:
 
 def task_of(
     campaign: Campaign, scenario: Scenario, mark: str, cell: int, shard: int, judge: Scenario | None = None
-) -> Task:
+) -> ShardTask:
     """A task as plain data."""
-    return Task(
+    return ShardTask(
         campaign.model_dump_json(by_alias=True),
         json.dumps(scenario.model_dump(mode="json", by_alias=True)),
         mark,

@@ -7,7 +7,7 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Field
 
 from ltsim.campaigns.design import Factor
-from ltsim.campaigns.recovery_checks import Check
+from ltsim.campaigns.recovery_checks import RecoveryCheck
 from ltsim.recording.result_file import Entry, ResultFile
 from ltsim.results import Column, Table, columns_of, numbers, texts
 
@@ -136,7 +136,7 @@ def summary_table(factors: Mapping[str, str]) -> Table:
     )
 
 
-CHECKS = Table("checks.csv", "numbers that have to lie between two bounds", columns_of(Check))
+CHECKS = Table("checks.csv", "numbers that have to lie between two bounds", columns_of(RecoveryCheck))
 TRIALS = Table(
     "trials.csv",
     "what was found in each trial that gave a result, one row a trial and parameter",
@@ -213,5 +213,5 @@ class RecoveryFile(ResultFile):
     """How many gave a result."""
     seed: Whole
     """Root of the random draws."""
-    checks: tuple[Check, ...]
+    checks: tuple[RecoveryCheck, ...]
     """One number each."""

@@ -41,7 +41,7 @@ NOISELESS = 1e-4
 RECORDING, OUT = "{recording}", "{out}"
 
 
-class Estimate(NamedTuple):
+class ParameterEstimate(NamedTuple):
     """A parameter as a calibrator gives it, in a unit that `ltsim effects` lists."""
 
     value: Finite
@@ -49,9 +49,9 @@ class Estimate(NamedTuple):
     unit: str
 
 
-Calibrator = str | Callable[[Recording], Mapping[str, Estimate | tuple[float, float | None, str]]]
+Calibrator = str | Callable[[Recording], Mapping[str, ParameterEstimate | tuple[float, float | None, str]]]
 """A command with the words {recording} and {out}, or a function that gives value, sigma and unit by name."""
-_ESTIMATES = TypeAdapter(dict[str, Estimate])
+_ESTIMATES = TypeAdapter(dict[str, ParameterEstimate])
 
 
 def checked_command(command: str) -> list[str]:
@@ -65,7 +65,7 @@ def checked_command(command: str) -> list[str]:
         raise SetupError(f"--calibrator '{shown(command)}': {problem}") from None
 
 
-def estimates_by(calibrator: Calibrator, recording: Recording, where: str) -> dict[str, Estimate] | None:
+def estimates_by(calibrator: Calibrator, recording: Recording, where: str) -> dict[str, ParameterEstimate] | None:
     """What a calibrator makes of a recording; None where it ends without a result (another status than 0, None).
 
     Raises SetupError or RecordError, naming `where`, when it cannot be started or gives what is not as documented.
@@ -92,7 +92,7 @@ def estimates_by(calibrator: Calibrator, recording: Recording, where: str) -> di
         return _checked(listed, where)
 
 
-def _checked(given: object, where: str) -> dict[str, Estimate]:
+def _checked(given: object, where: str) -> dict[str, ParameterEstimate]:
     try:
         found = _ESTIMATES.validate_python(given)
     except ValidationError as problem:
@@ -108,7 +108,7 @@ def _checked(given: object, where: str) -> dict[str, Estimate]:
 
 
 @dataclass(frozen=True)
-class Network:
+class NetworkScore:
     """What a trial says of the whole network; NaN where it is not known."""
 
     targets: float = np.nan
@@ -135,7 +135,7 @@ class Trial:
     """(p,): z-scores that are standard normal for the truth as it was made, stated or drawn; NaN where noise has no
     part, or the calibrator's prior is not known.
     """
-    network: Network = Network()
+    network: NetworkScore = NetworkScore()
     other: Trial | None = None
     """What ltsim's own calibrator found in the same recording."""
 
@@ -178,7 +178,7 @@ def score(found: Calibration, truth: Truth, law: Mapping[str, tuple[float, float
     left = stated**2 - found.missed**2 @ (1.0 - drawn**2)
     noisy = left > NOISELESS * stated**2
     standard = np.where(noisy, (error + found.missed @ mean) / np.sqrt(np.where(noisy, left, 1.0)), np.nan)
-    network = Network(
+    network = NetworkScore(
         *_network_scores(found, truth, mean, drawn), found.fit.chi2, found.fit.dof, *_chi2(found, mean, drawn)
     )
     units = tuple(truth.units[name] for name in found.names)
@@ -195,10 +195,10 @@ def score(found: Calibration, truth: Truth, law: Mapping[str, tuple[float, float
     return Trial(names, shown, value, sigma, right, scores, network)
 
 
-def _of_effects(found: Calibration) -> dict[str, Estimate]:
+def _of_effects(found: Calibration) -> dict[str, ParameterEstimate]:
     """Parameters of effects that were estimated beside the calibration, by the names of `true_values`."""
     return {
-        f"{entry.effect}:{own.name}" + (f" {entry.where}" if entry.where else ""): Estimate(
+        f"{entry.effect}:{own.name}" + (f" {entry.where}" if entry.where else ""): ParameterEstimate(
             own.value, own.sigma, own.unit
         )
         for entry in found.effects
@@ -255,7 +255,9 @@ def _network_scores(found: Calibration, truth: Truth, mean: Floats, drawn: Float
     return targets, float(np.mean(squares)) if squares else float("nan")
 
 
-def score_estimates(estimates: Mapping[str, Estimate], truth: Truth, errors: Errors, own: Trial | None) -> Trial:
+def score_estimates(
+    estimates: Mapping[str, ParameterEstimate], truth: Truth, errors: Errors, own: Trial | None
+) -> Trial:
     """The trial of a calibrator of one's own, with what ltsim found of the same parameters."""
     true = true_values(truth)
     check_known(tuple(estimates), true, truth)

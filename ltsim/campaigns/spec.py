@@ -15,7 +15,7 @@ from ltsim.campaigns.schema import Statistic, column_of
 from ltsim.errors import SetupError, as_setup_error
 from ltsim.evaluation.verification import read_nominal
 from ltsim.recording.settings import checked, load_settings
-from ltsim.recording.setup import Positive, Section
+from ltsim.recording.setup import Positive, TomlSection
 from ltsim.simulation.keys import kind_of, quantity, unit_of
 from ltsim.simulation.scenario import NONE, Scenario, changed, load_scenario, scenario_to_toml
 from ltsim.simulation.sections import PlacedEffect
@@ -27,7 +27,7 @@ JUDGE = "judge"
 """Key of the draws in the place of `judge_in`."""
 
 
-class Method(Section):
+class Method(TomlSection):
     """One calibrator.
 
     `solver`: ``batch`` calibrates all trials of a geometry together, ``single`` one recording after the other by the
@@ -68,7 +68,7 @@ class Method(Section):
         return self
 
 
-class Stop(Section):
+class Stop(TomlSection):
     """When a cell needs no further trials, told after each round from the rows so far: half as many again a round.
 
     A cell stops when the mean of `statistic` is known `within` its bound for every method.
@@ -80,7 +80,7 @@ class Stop(Section):
     """Half of the 95 % interval of the mean, in the statistic's unit."""
 
 
-class Campaign(Section):
+class Campaign(TomlSection):
     """The whole file.
 
     `settings` changes the scenario for all cells, `grid` holds lists of values that are combined with each other,

@@ -24,7 +24,7 @@ from ltsim.model.measurement import State
 from ltsim.randomness import BLOCK as BLOCK
 from ltsim.recording.recording import OBSERVABLES, Recording
 from ltsim.scene.sightings import Sightings
-from ltsim.simulation.draws import Draw, EffectLaw, Normal, Population
+from ltsim.simulation.draws import Draw, EffectLaw, Normal, TrialDraws
 from ltsim.simulation.fieldwork import Fieldwork, fieldwork
 from ltsim.simulation.physics import resolution_of, stated_noise
 from ltsim.simulation.scenario import Scenario
@@ -60,14 +60,14 @@ class Block:
 
 
 @dataclass(frozen=True)
-class Truth:
+class CellTruth:
     """What is true in a cell."""
 
     recording: Recording
     """Its readings are the nominal ones: those of an ideal tracker at `state`."""
     state: State
     """True poses and targets, in the frame in which a calibrator starts (that of the first station)."""
-    population: Population
+    population: TrialDraws
     """What is drawn in a trial; its sightings may be in any frame."""
     step: Floats = field(default_factory=lambda: np.zeros((1, 3)))
     """(I, 3) [m, rad, rad]: resolution of the readings; 0 for none."""
@@ -139,7 +139,7 @@ class Truth:
         return self.drawn(Normal(seed, width * number + np.arange(width)))
 
     def drawn(self, numbers: Normal, values: Floats | None = None, *, apart: str = "") -> Block:
-        """Draw trials; `values` (I, p, B) [SI] are those of instruments that are given, `apart` as of `Population`."""
+        """Draw trials; `values` (I, p, B) [SI] are those of instruments that are given, `apart` as of `TrialDraws`."""
         draw = self.population.draw(numbers, values, apart=apart)
         return self.read(draw, self._exact(draw.values))
 
@@ -204,8 +204,8 @@ class Truth:
 
 
 def truth_of(
-    scenario: Scenario, seed: int, *key: str | int, like: Truth | None = None, plan: Layout | None = None
-) -> Truth:
+    scenario: Scenario, seed: int, *key: str | int, like: CellTruth | None = None, plan: Layout | None = None
+) -> CellTruth:
     """The truth of a scenario with its geometry drawn once; raises SetupError.
 
     `key` is of the geometry; without it that of the recording which `simulate` makes. A truth `like` it, of the same
@@ -226,7 +226,7 @@ def truth_of(
         return replace(like, recording=seen, state=state, population=there, work=work)
     recording = error_free(work)
     population = population_of(work, recording)
-    return Truth(
+    return CellTruth(
         recording=recording,
         state=_start_frame(work, population.mean),
         population=population,

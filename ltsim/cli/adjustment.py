@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 import ltsim as lt
-from ltsim.cli.options import CalibrationFile, FramedReading, OptionalCalibrationFile, Reading, Source
+from ltsim.cli.options import CalibrationFile, FramedReading, OptionalCalibrationFile, ReadingOptions, Source
 from ltsim.cli.places import Force, claim_recording
 from ltsim.cli.terminal import ResultTerminal, Terminal
 from ltsim.units import ARCSECOND, MICROMETRE
@@ -104,7 +104,7 @@ def evaluate(
     source: Source,
     calibration: OptionalCalibrationFile = None,
     *,
-    reading: Reading,
+    reading: ReadingOptions,
     terminal: ResultTerminal,
 ) -> None:
     """How far the stations disagree about distances and coordinates, before and after a calibration.
@@ -131,7 +131,7 @@ def verify(
     nominal: Nominal,
     calibration: CalibrationFile,
     *,
-    reading: Reading,
+    reading: ReadingOptions,
     terminal: ResultTerminal,
 ) -> None:
     """Apply a calibration to another recording and compare with nominal points, before and after (eq. 13, 14).

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 import ltsim as lt
-from ltsim.cli.options import Reading, Source
+from ltsim.cli.options import ReadingOptions, Source
 from ltsim.cli.terminal import ResultTerminal, Terminal
 from ltsim.errors import NetworkError, RecordError
 from ltsim.recording.files import is_number
@@ -40,7 +40,7 @@ def check(
     mpe: MpeOption = None,
     watch: Watch = False,
     *,
-    reading: Reading,
+    reading: ReadingOptions,
     terminal: ResultTerminal,
     **options: Any,
 ) -> int:

@@ -9,7 +9,7 @@ import typer
 
 import ltsim as lt
 from ltsim.cli.adjustment import calibration_of
-from ltsim.cli.options import FramedReading, Reading, Source
+from ltsim.cli.options import FramedReading, ReadingOptions, Source
 from ltsim.cli.terminal import ResultTerminal, Terminal
 
 if TYPE_CHECKING:
@@ -79,7 +79,7 @@ def history(
     each_set_up: EachSetUp = False,
     fail_on_change: FailOnChange = False,
     *,
-    reading: Reading,
+    reading: ReadingOptions,
     terminal: ResultTerminal,
     **options: Annotated[Any, "history", "adjust robust noise_from_data"],
 ) -> int:
@@ -114,7 +114,7 @@ def history(
 
 
 def _opened(
-    terminal: Terminal, source: Path, reading: Reading, *, each_set_up: bool
+    terminal: Terminal, source: Path, reading: ReadingOptions, *, each_set_up: bool
 ) -> dict[str, Calibration | Recording]:
     """A calibration that was written before, or a recording, or each of its set-ups, by what it is called."""
     from ltsim.calibration.schema import CalibrationFile

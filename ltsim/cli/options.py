@@ -102,7 +102,7 @@ def hints_of(pairs: list[str] | None, columns: str | None = None, *, growing: bo
 
 
 @dataclass(frozen=True)
-class Reading:
+class ReadingOptions:
     """How a recording is read whose content does not tell."""
 
     format_name: FormatName = None
@@ -124,7 +124,7 @@ class Reading:
 
 
 @dataclass(frozen=True)
-class FramedReading(Reading):
+class FramedReading(ReadingOptions):
     """The same, with the axes of the results."""
 
     frame: FrameFile = None
@@ -160,7 +160,7 @@ def command_of(name: str, verb: Callable[..., Any]) -> Callable[..., Any]:
             taken = [o for source, *wanted in sources for o in public_options(source, wanted) if o.name not in own]
         else:
             single.append(_option(key, hints[key], parameter.default))
-    at = next((i for i, p in enumerate(single) if p.name in ("out", *Reading.__dataclass_fields__)), len(single))
+    at = next((i for i, p in enumerate(single) if p.name in ("out", *ReadingOptions.__dataclass_fields__)), len(single))
     single[at:at] = [option.parameter for option in taken]
 
     def run(**given: Any) -> Any:

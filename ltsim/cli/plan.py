@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 import ltsim as lt
-from ltsim.cli.options import Jobs, Reading
+from ltsim.cli.options import Jobs, ReadingOptions
 from ltsim.cli.places import Force, claim
 from ltsim.cli.terminal import Terminal
 from ltsim.errors import SetupError
@@ -54,7 +54,7 @@ def plan(
     between: Between = None,
     without: Without = None,
     *,
-    reading: Reading,
+    reading: ReadingOptions,
     force: Force = False,
     terminal: Terminal,
     **options: Any,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 import ltsim as lt
-from ltsim.cli.options import Reading, Source
+from ltsim.cli.options import ReadingOptions, Source
 from ltsim.cli.terminal import ResultTerminal, Terminal, table
 from ltsim.errors import SetupError
 from ltsim.simulation.builtin import builtin_names
@@ -33,7 +33,7 @@ def compare(
     source: Source,
     second: Second,
     *,
-    reading: Reading,
+    reading: ReadingOptions,
     terminal: ResultTerminal,
     **options: Any,
 ) -> int:
@@ -124,7 +124,7 @@ def _recording(terminal: Terminal, tasks: Tasks, file: Path, seed: int, *, besid
         return recording
     if not place.exists():
         raise SetupError(f"{file}: source names {place}, which is neither a recording nor a scenario")
-    return Reading().open(place, terminal)
+    return ReadingOptions().open(place, terminal)
 
 
 def _show_against(terminal: Terminal, other: list[tuple[str, float]]) -> None:

@@ -93,12 +93,12 @@ def _by_hand(terminal: Terminal, plan: str, out: Path, port: int, *, force: bool
     """Serve the page of a plan until somebody presses Ctrl-C."""
     from ltsim.planning.files import PLAN, SCENARIO
     from ltsim.viewer.board import Board
-    from ltsim.viewer.server import Door, serve
+    from ltsim.viewer.server import BoardAccess, serve
 
     for name in (SCENARIO, PLAN):
         claim_file(out / name, force=force)
     with terminal.busy("reading the plan"):
-        door = Door(Board.of(plan), out)
+        door = BoardAccess(Board.of(plan), out)
 
     def tell(address: str) -> None:
         print(address, flush=True)

@@ -25,12 +25,12 @@ from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.diagnosis.evidence import log_average, restricted
 from ltsim.diagnosis.findings import Explained, among, noise_finding
 from ltsim.diagnosis.held_out import HeldOut, held_out as left_out
-from ltsim.diagnosis.history import History
+from ltsim.diagnosis.history import HistoryExpectation
 from ltsim.diagnosis.hypotheses import Found
 from ltsim.diagnosis.instruments import Contradiction, contradictions, instrument_entries
 from ltsim.diagnosis.noise import NoiseHypothesis, most_likely
 from ltsim.diagnosis.probe import TRIALS
-from ltsim.diagnosis.schema import Finding, Fit
+from ltsim.diagnosis.schema import Finding, Misfit
 from ltsim.diagnosis.search import MOST_MEMBERS
 from ltsim.diagnosis.stray import stray_readings
 from ltsim.diagnosis.words import LIKELY, summarise
@@ -94,7 +94,9 @@ def diagnose(
     if not LEAST_LEVEL <= level < 1.0:
         raise RecordError(f"level: found {level:g}, expected a false-alarm rate from {LEAST_LEVEL:g} to 1")
     construction = stated_construction(recording)
-    compared = contradictions if history is None else History.of(history, recording, construction).contradictions
+    compared = (
+        contradictions if history is None else HistoryExpectation.of(history, recording, construction).contradictions
+    )
     baseline, use, gross, wrong = _mended(recording, construction)
     trials = max(TRIALS, ceil(1.0 / level))
     case = Case(baseline, use, seed, trials, ordinary=history is None)
@@ -324,10 +326,10 @@ def _told(
     likely = sorted(likely, key=lambda finding: -finding.evidence.chi2_drop)
     room = max(MOST_TOLD - len(certain), 0)
     findings = sorted([*certain, *likely[:room]], key=lambda finding: -finding.evidence.chi2_drop)
-    before = after = Fit(chi2=baseline.chi2, dof=baseline.dof, held_out_rms=errors.before)
+    before = after = Misfit(chi2=baseline.chi2, dof=baseline.dof, held_out_rms=errors.before)
     if found.members or case.noise:
         dof = baseline.dof - found.extension.shape[1]
-        after = Fit(chi2=adjusted.chi2, dof=dof, held_out_rms=errors.after)
+        after = Misfit(chi2=adjusted.chi2, dof=dof, held_out_rms=errors.after)
     verdict = "mismatch" if mismatch or certain else "consistent"
     detectable, undetectable = sight
     return Diagnosis(

@@ -14,9 +14,9 @@ from ltsim.diagnosis.schema import (
     DiagnosisFile,
     Estimate,
     Finding,
-    Fit,
     GlobalTest,
     InstrumentEntry,
+    Misfit,
     Undetectable,
 )
 from ltsim.recording.recording import Recording
@@ -45,8 +45,8 @@ class Diagnosis(Result):
     p_value: float
     search_p_value: float
     findings: tuple[Finding, ...]
-    before: Fit
-    after: Fit
+    before: Misfit
+    after: Misfit
     undetectable: tuple[Undetectable, ...]
     detectable: tuple[MinimalSize, ...]
     instruments: tuple[InstrumentEntry, ...]

@@ -26,7 +26,7 @@ ALIKE = 4
 
 
 @dataclass(frozen=True)
-class History:
+class HistoryExpectation:
     """What earlier calibrations lead to expect of the constants of a recording's instruments."""
 
     known: Known
@@ -36,7 +36,7 @@ class History:
     """(I, p) [SI], the maker's: the unit of all that is computed here."""
 
     @classmethod
-    def of(cls, known: Known, recording: Recording, construction: Construction) -> History:
+    def of(cls, known: Known, recording: Recording, construction: Construction) -> HistoryExpectation:
         """Raise RecordError where the earlier calibrations are of other instruments or another construction."""
         names = recording.instruments
         if len(known.instruments) < min(len(names), 2):

@@ -142,7 +142,7 @@ class GlobalTest(Entry):
     """Of the whole search."""
 
 
-class Fit(Entry):
+class Misfit(Entry):
     """Chi-square, and the normalised error on observations that the fit did not see."""
 
     chi2: Finite
@@ -157,9 +157,9 @@ class Fit(Entry):
 class BeforeAfter(Entry):
     """Fit without and with the findings."""
 
-    before: Fit
+    before: Misfit
     """Without the findings."""
-    after: Fit
+    after: Misfit
     """With them."""
 
 

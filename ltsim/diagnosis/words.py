@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ltsim.diagnosis.schema import Estimate, Finding, Fit, InstrumentEntry, Where
+from ltsim.diagnosis.schema import Estimate, Finding, InstrumentEntry, Misfit, Where
 from ltsim.effects import card_of, find_effect
 from ltsim.notation import listing, with_sigma
 
@@ -136,7 +136,7 @@ def without_clock(parameter: Estimate) -> Estimate:
 
 
 def summarise(
-    verdict: str, findings: Sequence[Finding], p_value: float, before: Fit, after: Fit, *, untold: int = 0
+    verdict: str, findings: Sequence[Finding], p_value: float, before: Misfit, after: Misfit, *, untold: int = 0
 ) -> str:
     """The answer in a few sentences, with which a report begins; `untold` smaller findings are modelled alone."""
     if verdict == "consistent":

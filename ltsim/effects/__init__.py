@@ -2,7 +2,7 @@
 
 from importlib import import_module
 
-from ltsim.effects.catalogue import Card as Card, Catalogue, Entry as Entry, card_of as card_of
+from ltsim.effects.catalogue import Card as Card, Catalogue, Listed as Listed, card_of as card_of
 from ltsim.effects.effect import (
     Effect as Effect,
     NoiseEffect as NoiseEffect,

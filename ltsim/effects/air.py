@@ -13,12 +13,12 @@ from ltsim.effects.air_gradient import AirGradient
 from ltsim.effects.rays import bending
 from ltsim.effects.station_weather import StationWeather
 from ltsim.effects.turbulence import Turbulence
-from ltsim.recording.setup import NonNegative, Section
+from ltsim.recording.setup import NonNegative, TomlSection
 from ltsim.scene.sightings import Sightings
 from ltsim.units import MICROMETRE, MILLIMETRE
 
 
-class Air(Section):
+class Air(TomlSection):
     """What is not known of the air, one standard deviation each; 0 for what is known."""
 
     temperature_k: NonNegative = 0.5

@@ -84,7 +84,7 @@ def card_of(kind: type) -> Card:
 
 
 @dataclass(frozen=True)
-class Entry:
+class Listed:
     """An effect of the catalogue, the group it stands in, and the package it comes from."""
 
     kind: type[Effect]
@@ -110,12 +110,12 @@ class Catalogue(Sequence[type[Effect]]):
         points: Callable[[], Iterable[EntryPoint]] = installed,
     ) -> None:
         self._points = points
-        self._shipped = {kind.name: Entry(kind, group, SHIPPED) for group, kinds in shipped.items() for kind in kinds}
+        self._shipped = {kind.name: Listed(kind, group, SHIPPED) for group, kinds in shipped.items() for kind in kinds}
 
     @cached_property
-    def entries(self) -> Mapping[str, Entry]:
+    def entries(self) -> Mapping[str, Listed]:
         """All effects by name; raises ModelError when a package's effect cannot be used: which package, and why."""
-        added: dict[str, Entry] = {}
+        added: dict[str, Listed] = {}
         for point in self._points():
             entry = _loaded(point)
             known = (self._shipped | added).get(entry.kind.name)
@@ -140,7 +140,7 @@ class Catalogue(Sequence[type[Effect]]):
             title = kind.name.replace("-", " ").capitalize()
             parts = "\n\n".join(f"{part}: not stated." for part in PARTS)
             kind.__doc__ = f"{title}: an effect of this session.\n\nnot stated\n\n{parts}\n"
-        self.__dict__["entries"] = {**self.entries, kind.name: Entry(kind, SESSION, SESSION)}
+        self.__dict__["entries"] = {**self.entries, kind.name: Listed(kind, SESSION, SESSION)}
         return kind
 
     @property
@@ -174,7 +174,7 @@ def _refused(point: EntryPoint, why: str) -> ModelError:
     return ModelError(f"the effect '{point.name}' ({place}) cannot be used: {why}; mend or uninstall that package")
 
 
-def _loaded(point: EntryPoint) -> Entry:
+def _loaded(point: EntryPoint) -> Listed:
     try:
         kind = point.load()
     except Exception as problem:  # whatever a stranger's module does when it is imported
@@ -185,7 +185,7 @@ def _loaded(point: EntryPoint) -> Entry:
         card_of(kind)
     except ModelError as problem:
         raise _refused(point, str(problem)) from None
-    return Entry(kind, ADDED, _package(point))
+    return Listed(kind, ADDED, _package(point))
 
 
 def fault_of(kind: object) -> str:

@@ -135,7 +135,7 @@ def shape_of(effect: AnyEffect) -> dict[str, Any]:
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
-class Catalogue(Result):
+class EffectList(Result):
     """Effects of the catalogue; `effects` are their classes."""
 
     effects: tuple[type[AnyEffect], ...]
@@ -165,7 +165,7 @@ class Catalogue(Result):
         }
 
 
-def catalogue(*names: str) -> Catalogue:
+def catalogue(*names: str) -> EffectList:
     """The physical effects that can be simulated, calibrated and diagnosed, or some of them.
 
     Parameters
@@ -185,7 +185,7 @@ def catalogue(*names: str) -> Catalogue:
        parameter  unit
     0  beam-tilt  urad
     """
-    return Catalogue(tuple(find_effect(name) for name in names) if names else tuple(CATALOGUE))
+    return EffectList(tuple(find_effect(name) for name in names) if names else tuple(CATALOGUE))
 
 
 def _meaning(effect: type[AnyEffect]) -> str:

@@ -52,7 +52,7 @@ class Differences:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class Improvement:
     """A criterion before and after calibration; `after` is None where there are no parameters."""
 
     before: Differences
@@ -100,9 +100,9 @@ CRITERIA = Table(
 class Criteria(Result):
     """Both criteria; verification fills only the first and the last."""
 
-    distance: Comparison
-    coordinate: Comparison
-    distance_to_first: Comparison | None = None
+    distance: Improvement
+    coordinate: Improvement
+    distance_to_first: Improvement | None = None
 
     def _lines(self) -> list[str]:
         parts = {"distance": self.distance, "coordinate": self.coordinate}
@@ -239,11 +239,11 @@ def evaluate(
     if len(recording.stations) < 2:
         raise NetworkError("the criteria compare stations; this recording has one station only")
 
-    def compare(measure: Callable[[Floats], Differences], *, aligned: bool) -> Comparison:
+    def compare(measure: Callable[[Floats], Differences], *, aligned: bool) -> Improvement:
         def of(clouds: Floats) -> Differences:
             return measure(in_first_frame(clouds, recording.stations) if aligned else clouds)
 
-        found = Comparison(of(before), None if after is None else of(after))
+        found = Improvement(of(before), None if after is None else of(after))
         if not len(found.before.values):
             raise NetworkError("the criteria need targets, and pairs of targets, seen from two stations")
         return found
@@ -255,9 +255,9 @@ def evaluate(
     )
 
 
-def _to_first(before: Floats, after: Floats | None) -> Comparison | None:
+def _to_first(before: Floats, after: Floats | None) -> Improvement | None:
     """Eq. 11; None where no other station shares a pair of targets with the first."""
     found = distance_differences_to_first(before)
     if not len(found.values):
         return None
-    return Comparison(found, None if after is None else distance_differences_to_first(after))
+    return Improvement(found, None if after is None else distance_differences_to_first(after))

@@ -13,7 +13,7 @@ import numpy as np
 from ltsim.arrays import Floats
 from ltsim.errors import NetworkError, RecordError
 from ltsim.evaluation.clouds import measured_points, on_points, station_means
-from ltsim.evaluation.criteria import Comparison, Criteria, Differences, pair_distances
+from ltsim.evaluation.criteria import Criteria, Differences, Improvement, pair_distances
 from ltsim.model.construction import Construction
 from ltsim.recording.coordinates import read_points
 from ltsim.recording.recording import Recording
@@ -80,6 +80,6 @@ def verify(
 
     distance, coordinate = of(measured_points(recording))
     if construction is None or values is None:
-        return Criteria(Comparison(distance), Comparison(coordinate))
+        return Criteria(Improvement(distance), Improvement(coordinate))
     after = of(measured_points(recording, construction, values))
-    return Criteria(Comparison(distance, after[0]), Comparison(coordinate, after[1]))
+    return Criteria(Improvement(distance, after[0]), Improvement(coordinate, after[1]))

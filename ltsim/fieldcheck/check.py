@@ -22,7 +22,7 @@ from ltsim.errors import NetworkError
 from ltsim.fieldcheck.faces import Faces
 from ltsim.fieldcheck.items import Family, Item, Kind, two_sided
 from ltsim.fieldcheck.network import NETWORK_TESTS, items_of_network, plain_network, with_own_noise
-from ltsim.fieldcheck.visit import Explained, Visit
+from ltsim.fieldcheck.visit import ColumnsFit, Visit
 from ltsim.fieldcheck.words import (
     bump_sentence,
     drift_sentence,
@@ -46,7 +46,7 @@ TESTS = 6
 """Tests of one set-up."""
 
 
-Words = Callable[[Recording, Explained, bool], str]
+Words = Callable[[Recording, ColumnsFit, bool], str]
 OWN_DOF = 6.0
 """Degrees of freedom from which a target shows a scatter of its own."""
 
@@ -220,11 +220,11 @@ def _events(visit: Visit, construction: Construction, family: Family) -> tuple[l
         visit = Visit.of(visit.recording, construction, use, visit.sigma)
 
 
-def best_bump(visit: Visit) -> tuple[StationBump | None, Explained, int]:
+def best_bump(visit: Visit) -> tuple[StationBump | None, ColumnsFit, int]:
     """The gap in which a motion of the station explains most, what it explains, and how many gaps there are."""
     tried = [bump for bump in StationBump.candidates(visit.sightings) if _witnesses(visit, bump) >= WITNESSES]
     if not tried:
-        return None, Explained(0.0, 0, np.zeros(6), np.zeros((6, 6))), 1
+        return None, ColumnsFit(0.0, 0, np.zeros(6), np.zeros((6, 6))), 1
     explained_by = {bump: visit.explained(bump.design(visit.sightings)) for bump in tried}
     for bump in max(explained_by, key=lambda bump: _surprise(explained_by[bump])).finer(visit.sightings):
         if _witnesses(visit, bump) >= WITNESSES:
@@ -240,7 +240,7 @@ def _witnesses(visit: Visit, bump: StationBump) -> int:
     return len(np.intersect1d(target[visit.use & after], target[visit.use & ~after]))
 
 
-def _surprise(explained: Explained) -> float:
+def _surprise(explained: ColumnsFit) -> float:
     """How unlikely such a fall of chi-square is by the stated noise."""
     return float(surprise(explained.drop, explained.rank))
 

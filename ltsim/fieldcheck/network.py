@@ -10,7 +10,7 @@ from ltsim.adjustment.gross import mistakes
 from ltsim.adjustment.known import Kind
 from ltsim.adjustment.occupations import moved_tripods
 from ltsim.adjustment.reliability import FEW
-from ltsim.adjustment.verdict import LEVEL as RARE, Case, verdict
+from ltsim.adjustment.verdict import LEVEL as RARE, Agreement, verdict
 from ltsim.arrays import Bools
 from ltsim.errors import ConvergenceError, LtsimError, NetworkError
 from ltsim.fieldcheck.items import Family, Item, two_sided
@@ -46,7 +46,7 @@ def with_own_noise(recording: Recording, plain: Adjustment) -> tuple[Recording, 
     What `adjust` says of such targets is an item; none of their pointings is one to measure again for that alone.
     """
     named, own, rest = plain.restless
-    if plain.wrong or not len(named) or not own > 1.0 or verdict(plain).case is not Case.LARGER_NOISE:
+    if plain.wrong or not len(named) or not own > 1.0 or verdict(plain).case is not Agreement.LARGER_NOISE:
         return recording, ()
     rows = np.isin(recording.target, named)
     told = [one[share > CHECKED] for one, share in zip(plain.w[rows].T, plain.redundancy[rows].T, strict=True)]

@@ -33,7 +33,7 @@ HELD = 1e-6
 
 
 @dataclass(frozen=True)
-class Explained:
+class ColumnsFit:
     """What columns explain: fall of chi-square, how many directions, the estimate and its covariance.
 
     The covariance is infinite for what no target that was measured again tells.
@@ -129,7 +129,7 @@ class Visit:
         length[length < SHOWN * np.linalg.norm(whole, axis=(0, 1))] = 0.0
         return np.where(length > 0, columns / np.where(length > 0, length, 1.0), 0.0), length
 
-    def explained(self, design: Floats) -> Explained:
+    def explained(self, design: Floats) -> ColumnsFit:
         """What the columns (n, 3, c) of a suspect, changes of the readings, explain."""
         unit, length = self._unit_columns(design)
         left, size, right = np.linalg.svd(unit, full_matrices=False)
@@ -139,9 +139,9 @@ class Visit:
         covariance = back @ back.T
         unseen = np.sum(right[good] ** 2, axis=0) < SEEN
         covariance[unseen, unseen] = np.inf
-        return Explained(float(amount @ amount), int(good.sum()), back @ amount, covariance)
+        return ColumnsFit(float(amount @ amount), int(good.sum()), back @ amount, covariance)
 
-    def p_value(self, explained: Explained) -> float:
+    def p_value(self, explained: ColumnsFit) -> float:
         """Chance of such a fall: by the stated noise and by the noise found, whichever says less."""
         if not explained.rank or self.dof <= explained.rank:
             return 1.0

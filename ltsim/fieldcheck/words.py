@@ -7,7 +7,7 @@ import numpy as np
 
 from ltsim.arrays import Ints
 from ltsim.fieldcheck.faces import Faces
-from ltsim.fieldcheck.visit import Explained, Visit
+from ltsim.fieldcheck.visit import ColumnsFit, Visit
 from ltsim.notation import with_sigma
 from ltsim.recording.recording import OBSERVABLES, Recording
 from ltsim.units import ARCSECOND, MICROMETRE, MICRORADIAN, MILLIMETRE
@@ -79,13 +79,13 @@ def gross_sentence(visit: Visit, gross: Sequence[int], rows: Ints) -> str:
     return f"{name} to {first}, row {rows[gross[0]]}: {away}{more}: measure again"
 
 
-def bump_sentence(recording: Recording, between: tuple[float, float], rows: tuple[int, int], found: Explained) -> str:
+def bump_sentence(recording: Recording, between: tuple[float, float], rows: tuple[int, int], found: ColumnsFit) -> str:
     """When a station moved at once, and by how much."""
     when = f"between {moment(recording, between[0])} and {moment(recording, between[1])}"
     return f"{recording.stations[0]} moved {when} (rows {rows[0]} and {rows[1]}){_motion(found)}"
 
 
-def drift_sentence(recording: Recording, explained: Explained, passed: bool) -> str:
+def drift_sentence(recording: Recording, explained: ColumnsFit, passed: bool) -> str:
     """How far a station crept in its visit, its level with a standard deviation."""
     name = recording.stations[0]
     minutes = float(np.ptp(recording.time)) / 60
@@ -99,7 +99,7 @@ def drift_sentence(recording: Recording, explained: Explained, passed: bool) -> 
     return f"{name}: no drift of the station {within} (level {level})"
 
 
-def instrument_sentence(recording: Recording, explained: Explained, passed: bool) -> str:
+def instrument_sentence(recording: Recording, explained: ColumnsFit, passed: bool) -> str:
     """How far the instrument's zeros crept in a visit."""
     duration = float(np.ptp(recording.time))
     spread = np.sqrt(np.maximum(np.diag(explained.covariance), 0.0))
@@ -122,7 +122,7 @@ def target_sentence(visit: Visit, shown: Ints) -> tuple[str, tuple[str, ...]]:
     return sentence, tuple(names[: (len(names) + 1) // 2])
 
 
-def _motion(found: Explained) -> str:
+def _motion(found: ColumnsFit) -> str:
     """A motion of a station in words: what the targets that were measured again tell of it."""
     kinds = (
         ("shifted", SHIFT, "um", MICROMETRE),

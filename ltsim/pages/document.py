@@ -67,7 +67,7 @@ class Fact:
 
 
 @dataclass(frozen=True)
-class Table:
+class Grid:
     """Cells are texts; `text_columns` are set left, all others right; `meanings` of the columns explain the header."""
 
     title: str
@@ -146,7 +146,7 @@ class Listing:
 
 
 @dataclass(frozen=True)
-class Points:
+class Notes:
     """A few sentences, one a line."""
 
     title: str
@@ -154,7 +154,7 @@ class Points:
     kind: Literal["points"] = "points"
 
 
-Block = Points | Table | Picture | Scene | Note | Listing
+Block = Notes | Grid | Picture | Scene | Note | Listing
 
 
 @dataclass(frozen=True)
@@ -210,9 +210,9 @@ def _told(block: Block) -> str:
     match block:
         case Note():
             return f"{block.title}: {block.text}" if block.title else block.text
-        case Points():
+        case Notes():
             return "\n".join([f"{block.title}:", *(f"- {line}" for line in block.lines)])
-        case Table():
+        case Grid():
             rows = block.rows[:FIRST] if block.long else block.rows
             said = [f"{block.title}:", _lines(replace(block, rows=rows))]
             said += [f"and {len(block.rows) - FIRST} more"] if block.long else []
@@ -220,7 +220,7 @@ def _told(block: Block) -> str:
     return ""
 
 
-def _lines(table: Table) -> str:
+def _lines(table: Grid) -> str:
     """A table in columns, or where its texts are long a sentence a row."""
     said = aligned(table.header, table.rows, table.text_columns)
     if max(map(len, said.split("\n"))) <= WIDEST:
@@ -239,7 +239,7 @@ def table_of(
     note: str = "",
     marked: Callable[[Any], bool] | None = None,
     folds: bool = True,
-) -> list[Table]:
+) -> list[Grid]:
     """Entries of a result file as a table, none where there are none; meanings and units are those of their model.
 
     A field may be `field=head`, and with its standard deviation beside it `field+-sigma`.
@@ -263,7 +263,7 @@ def table_of(
 
 def table_block(
     title: str, table: results.Table, *, note: str = "", marked: frozenset[int] = frozenset(), folds: bool = True
-) -> list[Table]:
+) -> list[Grid]:
     """A table of a result as the page has it, none where it has no rows; text to the left, numbers to the right."""
     if not table.rows:
         return []
@@ -271,7 +271,7 @@ def table_block(
     words = [next(c.kind == "text" for c in table.columns if c.heading == head) for head in heads]
     left = words.index(False) if False in words else len(words)
     meanings = [table.meanings.get(head, "") for head in heads]
-    return [Table(title, heads, table.cells(), left, note, marked, meanings, folds)]
+    return [Grid(title, heads, table.cells(), left, note, marked, meanings, folds)]
 
 
 def _joined(value: Any) -> Any:

@@ -59,7 +59,7 @@ UNREADABLE = "Not readable"
 
 
 @dataclass(frozen=True)
-class Part:
+class PagePart:
     """One section to come: its folder, kind, the recording behind it; `brief` where others tell more of that."""
 
     folder: Path
@@ -72,7 +72,7 @@ KINDS = ("diagnosis.json", "calibration.json", OBSERVATIONS, *(k for k in WRITER
 """What a folder holds, by the file that tells; in the order of the page, the first one's answer heads it."""
 
 
-def section(part: Part, detail: Detail = "none") -> Section:
+def section(part: PagePart, detail: Detail = "none") -> Section:
     """What the page says of one folder; raises RecordError, and SetupError where packages for it are missing."""
     if part.kind == OBSERVATIONS:
         return recording_section(part.folder, detail=detail, brief=part.brief)
@@ -115,7 +115,7 @@ def document(
     )
 
 
-def _about(parts: list[Part], sections: list[Section], given: About) -> list[tuple[str, str]]:
+def _about(parts: list[PagePart], sections: list[Section], given: About) -> list[tuple[str, str]]:
     """Who measured what for whom, when, in which axes: as asked for, else as set-ups and results say."""
     folders = dict.fromkeys(part.recording for part in parts if part.recording)
     setups = [read_setup(place / SETUP) for place in folders if (place / SETUP).is_file()]
@@ -134,10 +134,10 @@ def _about(parts: list[Part], sections: list[Section], given: About) -> list[tup
     return [*said, ("axes", axes or "not stated")]
 
 
-def _parts(folder: Path, recording: Path | None) -> list[Part]:
+def _parts(folder: Path, recording: Path | None) -> list[PagePart]:
     inner = sorted((p for p in folder.iterdir() if p.is_dir()), key=lambda p: natural(p.name))
     found = [
-        Part(place, kind, recording or _recording_of(place, folder))
+        PagePart(place, kind, recording or _recording_of(place, folder))
         for kind in KINDS
         for place in (folder, *inner)
         if (place / kind).is_file()
@@ -155,7 +155,7 @@ def _parts(folder: Path, recording: Path | None) -> list[Part]:
     ]
 
 
-def _sections(parts: list[Part], top: Path) -> Iterator[tuple[Part, Section]]:
+def _sections(parts: list[PagePart], top: Path) -> Iterator[tuple[PagePart, Section]]:
     """The sections; the first recording is shown in 3D, others from above.
 
     So is that of a diagnosis alone, whose page is to be quick and small, unless it stands beside a truth. A folder in
@@ -177,7 +177,7 @@ def _sections(parts: list[Part], top: Path) -> Iterator[tuple[Part, Section]]:
         yield part, made
 
 
-def _digest(part: Part) -> str:
+def _digest(part: PagePart) -> str:
     """Digest of a recording, or of the one that a result names; empty where it names none."""
     try:
         if part.kind == OBSERVATIONS:

@@ -13,7 +13,7 @@ from vtkmodules.vtkCommonCore import vtkLogger
 
 from ltsim.arrays import Floats, Ints
 from ltsim.pages import style
-from ltsim.pages.workshop import Workshop
+from ltsim.pages.workshop import PlacedWorkshop
 from ltsim.units import DEGREE
 
 WALL, FLOOR, LEG = "#D5DBE0", "#E3E7EA", "#5C6166"
@@ -57,7 +57,7 @@ Camera = Sequence[Sequence[float]]
 
 
 def build(
-    workshop: Workshop,
+    workshop: PlacedWorkshop,
     *,
     window_size: tuple[int, int] = (1400, 1000),
     off_screen: bool = True,
@@ -82,7 +82,7 @@ def build(
     return plotter, Legend(tuple(lines), bar)
 
 
-def picture(workshop: Workshop, *, window_size: tuple[int, int] = (1400, 1000)) -> bytes:
+def picture(workshop: PlacedWorkshop, *, window_size: tuple[int, int] = (1400, 1000)) -> bytes:
     """The scene as a PNG, with the legend written on it."""
     plotter, legend = build(workshop, window_size=window_size)
     write_legend(plotter, workshop.title, legend)
@@ -98,7 +98,7 @@ def taken(plotter: pv.Plotter) -> bytes:
     return stream.getvalue()
 
 
-def show(workshop: Workshop) -> None:
+def show(workshop: PlacedWorkshop) -> None:
     """Open a window; returns when it is closed."""
     plotter, legend = build(workshop, off_screen=False)
     write_legend(plotter, workshop.title, legend)
@@ -131,7 +131,7 @@ def write_legend(plotter: pv.Plotter, title: str, legend: Legend) -> None:
         )
 
 
-def _surroundings(plotter: pv.Plotter, workshop: Workshop) -> None:
+def _surroundings(plotter: pv.Plotter, workshop: PlacedWorkshop) -> None:
     z = workshop.floor_height
     corners = np.column_stack([workshop.floor, np.full(len(workshop.floor), z - 0.002)])
     plotter.add_mesh(_polygon(corners), color=FLOOR, lighting=False, name="floor")
@@ -148,7 +148,7 @@ def _surroundings(plotter: pv.Plotter, workshop: Workshop) -> None:
         plotter.add_mesh(stand, color="#B9A98C", name="obstacles")
 
 
-def _sights(plotter: pv.Plotter, workshop: Workshop) -> tuple[str, float, float] | None:
+def _sights(plotter: pv.Plotter, workshop: PlacedWorkshop) -> tuple[str, float, float] | None:
     """Lines of sight, one a pair, coloured by the largest value of the pair."""
     sights = workshop.sights
     if sights is None or not len(sights.station):
@@ -174,7 +174,7 @@ def _sights(plotter: pv.Plotter, workshop: Workshop) -> tuple[str, float, float]
     return sights.label, low, high
 
 
-def _shadows(plotter: pv.Plotter, workshop: Workshop, lines: list[str]) -> None:
+def _shadows(plotter: pv.Plotter, workshop: PlacedWorkshop, lines: list[str]) -> None:
     """The cone under each station that the elevation limit hides, and its rim on the floor."""
     z = workshop.floor_height
     for k, opening in enumerate(workshop.openings):
@@ -224,7 +224,7 @@ def balls(centres: Floats, axes: Floats) -> pv.PolyData:
     return pv.PolyData.from_regular_faces(points.reshape(-1, 3).astype(np.float32), corners)  # type: ignore[arg-type]
 
 
-def _targets(plotter: pv.Plotter, workshop: Workshop) -> None:
+def _targets(plotter: pv.Plotter, workshop: PlacedWorkshop) -> None:
     gauge = set(workshop.gauge_targets)
     radius = 0.009 * workshop.size
     for name, colour, chosen in (
@@ -246,7 +246,7 @@ def _targets(plotter: pv.Plotter, workshop: Workshop) -> None:
         )
 
 
-def _stations(plotter: pv.Plotter, workshop: Workshop) -> None:
+def _stations(plotter: pv.Plotter, workshop: PlacedWorkshop) -> None:
     legs, heads, pointers = [], [], []
     for place, turn in zip(workshop.position, workshop.rotation, strict=True):
         height = max(place[2] - workshop.floor_height, 0.3)
@@ -267,7 +267,7 @@ def _stations(plotter: pv.Plotter, workshop: Workshop) -> None:
     plotter.add_mesh(pv.merge(pointers), color=style.ORANGE, name="azimuth-zero")
 
 
-def _uncertainty(plotter: pv.Plotter, workshop: Workshop, lines: list[str]) -> None:
+def _uncertainty(plotter: pv.Plotter, workshop: PlacedWorkshop, lines: list[str]) -> None:
     """Ellipsoids of one sigma around the targets at a round magnification."""
     if workshop.covariance is None:
         return
@@ -284,7 +284,7 @@ def _uncertainty(plotter: pv.Plotter, workshop: Workshop, lines: list[str]) -> N
     lines.append(f"pale ellipsoids: 1 sigma of a target, enlarged {times(scale)} times")
 
 
-def _corrections(plotter: pv.Plotter, workshop: Workshop, lines: list[str]) -> None:
+def _corrections(plotter: pv.Plotter, workshop: PlacedWorkshop, lines: list[str]) -> None:
     if workshop.correction is None:
         return
     length = np.linalg.norm(workshop.correction, axis=1)
@@ -311,7 +311,7 @@ def _corrections(plotter: pv.Plotter, workshop: Workshop, lines: list[str]) -> N
     lines.append(f"arrows: correction of a target{most}, enlarged {times(scale)} times")
 
 
-def _names(plotter: pv.Plotter, workshop: Workshop) -> None:
+def _names(plotter: pv.Plotter, workshop: PlacedWorkshop) -> None:
     direction = np.array(plotter.camera.position) - np.array(plotter.camera.focal_point)
     size = 0.026 * workshop.size
     groups = [("station-names", workshop.stations, workshop.position, 0.33, 1.5 * size, style.INK)]
@@ -335,7 +335,7 @@ def _letters(name: str, place: Floats, direction: Floats, height: float) -> pv.P
     return mesh
 
 
-def _camera(plotter: pv.Plotter, workshop: Workshop) -> None:
+def _camera(plotter: pv.Plotter, workshop: PlacedWorkshop) -> None:
     """Look from the open side, above, at the middle."""
     low = np.array([*workshop.floor.min(axis=0), workshop.floor_height])
     high = np.array([*workshop.floor.max(axis=0), max(workshop.points[:, 2].max(), workshop.position[:, 2].max())])

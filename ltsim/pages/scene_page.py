@@ -17,7 +17,7 @@ from ltsim.notation import number
 from ltsim.pages import scene3d
 from ltsim.pages.document import POLICY
 from ltsim.pages.words import typeset
-from ltsim.pages.workshop import Workshop
+from ltsim.pages.workshop import PlacedWorkshop
 
 STYLE = """
 .content { position: fixed; inset: 0; touch-action: none; }
@@ -42,7 +42,7 @@ FINEST = 40_000
 """Steps of places across a scene: too small to see on a screen of 1400 pixels, and numbers of few digits pack well."""
 
 
-def scene_page(workshop: Workshop, camera: scene3d.Camera | None = None) -> str:
+def scene_page(workshop: PlacedWorkshop, camera: scene3d.Camera | None = None) -> str:
     """One self-contained HTML page with the scene to turn; it asks nothing of any server."""
     plotter, legend = scene3d.build(workshop, camera=camera)
     html = _page(plotter, workshop, legend)
@@ -50,7 +50,7 @@ def scene_page(workshop: Workshop, camera: scene3d.Camera | None = None) -> str:
     return html
 
 
-def picture_and_page(workshop: Workshop) -> tuple[bytes, scene3d.Legend, str]:
+def picture_and_page(workshop: PlacedWorkshop) -> tuple[bytes, scene3d.Legend, str]:
     """A PNG, what its colours mean, and the page to turn, from one scene."""
     plotter, legend = scene3d.build(workshop, window_size=(1200, 860))
     html = _page(plotter, workshop, legend)
@@ -58,7 +58,7 @@ def picture_and_page(workshop: Workshop) -> tuple[bytes, scene3d.Legend, str]:
     return scene3d.taken(plotter), legend, html
 
 
-def _page(plotter: pv.Plotter, workshop: Workshop, legend: scene3d.Legend) -> str:
+def _page(plotter: pv.Plotter, workshop: PlacedWorkshop, legend: scene3d.Legend) -> str:
     step = 2.0 ** np.floor(np.log2(workshop.size / FINEST))
     for actor in plotter.actors.values():
         mesh = getattr(getattr(actor, "mapper", None), "dataset", None)

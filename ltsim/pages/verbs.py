@@ -7,7 +7,7 @@ from pathlib import Path
 
 from ltsim.errors import require
 from ltsim.pages.page import NAME, UNREADABLE, document, render
-from ltsim.pages.workshop import Workshop, from_recording, from_scenario, with_cad
+from ltsim.pages.workshop import PlacedWorkshop, from_recording, from_scenario, with_cad
 from ltsim.recording import Recording
 from ltsim.recording.exchange import read
 from ltsim.recording.files import write_text
@@ -22,7 +22,7 @@ from ltsim.simulation.verbs import scenario
 class View(Result):
     """A workshop to look at: turned by hand in a notebook, or as a picture, a page or a window."""
 
-    workshop: Workshop
+    workshop: PlacedWorkshop
 
     def _lines(self) -> list[str]:
         w = self.workshop
@@ -92,7 +92,7 @@ def view(
     return View(shown if cad is None else with_cad(shown, Path(cad), cad_unit, cad_up))
 
 
-def _workshop_of(source: Recording | Scenario | str | Path) -> Workshop:
+def _workshop_of(source: Recording | Scenario | str | Path) -> PlacedWorkshop:
     """The workshop of a scenario or a recording; a name that is no file is taken for a scenario's."""
     if isinstance(source, Recording):
         return from_recording(source)

@@ -1,6 +1,6 @@
 """The page for the shop floor: where each tripod goes by tape, what to measure in which order, what to check when."""
 
-from ltsim.pages.document import Block, Document, Note, Picture, Points, Section, Table
+from ltsim.pages.document import Block, Document, Grid, Note, Notes, Picture, Section
 from ltsim.pages.page import render, versions
 from ltsim.pages.words import duration
 from ltsim.planning.planner import Plan
@@ -32,11 +32,11 @@ def _blocks(plan: Plan) -> list[Block]:
         "the head's centre to the reflector. Two set the place, the third checks it."
     )
     blocks: list[Block] = [
-        Table("Where the tripods go", header, rows, 6, note),
+        Grid("Where the tripods go", header, rows, 6, note),
         Picture(
             "Floor plan", plan.plot, "Seen from above; x and y in metres. Inside the circles the floor is out of sight."
         ),
-        Points("What to check, and when", checks(plan)),
+        Notes("What to check, and when", checks(plan)),
     ]
     faces = "in both faces" if len(survey.faces) == 2 else f"in face {survey.faces[0]}"
     rounds = "once" if survey.repeats == 1 else f"{survey.repeats} rounds"
@@ -60,4 +60,4 @@ def _before(plan: Plan) -> list[Block]:
     if not worth:
         return []
     said = [f"{c.deed}: the other points become {c.gain_um:.2f} µm better, most {c.serves}" for c in worth]
-    return [Points("Worth doing before, one of these (z from the floor); then plan again", said)]
+    return [Notes("Worth doing before, one of these (z from the floor); then plan again", said)]

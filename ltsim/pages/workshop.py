@@ -38,7 +38,7 @@ class Sights:
 
 
 @dataclass(frozen=True)
-class Workshop:
+class PlacedWorkshop:
     """Stations, targets and surroundings in one frame whose z axis is vertical; metres and radians."""
 
     title: str
@@ -108,13 +108,13 @@ class Workshop:
         angle = np.arccos(np.clip(cosine[known], -1.0, 1.0)) / DEGREE
         return Sights(station[known], target[known], angle, "incidence on the nest [°]")
 
-    def coloured(self, by: str) -> Workshop:
+    def coloured(self, by: str) -> PlacedWorkshop:
         """The same workshop with lines of sight coloured by 'incidence' or 'residual'; as it is where unknown."""
         sights = self.incidence() if by == "incidence" else None
         return self if sights is None else replace(self, sights=sights)
 
 
-def from_adjustment(adjustment: Adjustment, *, plain: Adjustment | None = None, title: str = "") -> Workshop:
+def from_adjustment(adjustment: Adjustment, *, plain: Adjustment | None = None, title: str = "") -> PlacedWorkshop:
     """The workshop of an adjusted network; `plain` is the adjustment before, for the correction arrows."""
     recording, state = adjustment.recording, adjustment.state
     worst = np.nanmax(np.abs(np.nan_to_num(adjustment.w)), axis=1)
@@ -137,7 +137,7 @@ def from_adjustment(adjustment: Adjustment, *, plain: Adjustment | None = None, 
     )
 
 
-def from_recording(recording: Recording) -> Workshop:
+def from_recording(recording: Recording) -> PlacedWorkshop:
     """The workshop of a recording, adjusted with the instrument's parameters; arrows show what they change."""
     plain = adjust(recording)
     plain.solution.require_success()
@@ -157,7 +157,7 @@ def assemble(
     sights: Sights | None = None,
     covariance: Floats | None = None,
     correction: Floats | None = None,
-) -> Workshop:
+) -> PlacedWorkshop:
     """Bring a network into the frame of the floor plan where the set-up knows one, and add floor, walls and gauge."""
     plan = FloorPlan.by(setup, stations, position, rotation)
     turn, planned = plan.rotation, plan.known
@@ -167,7 +167,7 @@ def assemble(
     notes = () if height == 0.0 else ("the floor is taken at the lowest target",)
     planes = _wall_planes(points, normal) if planned else []
     floor = _floor_between(rectangle(np.concatenate([points, position])[:, :2]), planes)
-    return Workshop(
+    return PlacedWorkshop(
         title=title,
         stations=stations,
         position=position,
@@ -247,7 +247,7 @@ def _wall_corners(planes: list[tuple[int, float, float]], floor: Floats, low: fl
     return walls
 
 
-def from_scenario(scenario: Scenario) -> Workshop:
+def from_scenario(scenario: Scenario) -> PlacedWorkshop:
     """Stations, targets, the room's corner and what stands in it; lines of sight where stations see targets.
 
     Raises
@@ -262,7 +262,7 @@ def from_scenario(scenario: Scenario) -> Workshop:
     lost = (f"{hidden} of {table.visible.size} pairs do not see each other.",) if hidden else ()
     x, y, z = np.array(scenario.workshop.size_mm) * MILLIMETRE
     gauge = range(len(scenario.targets), len(layout.targets))
-    return Workshop(
+    return PlacedWorkshop(
         title=scenario.title,
         stations=layout.stations,
         position=layout.position,
@@ -286,7 +286,7 @@ def from_scenario(scenario: Scenario) -> Workshop:
     )
 
 
-def with_cad(workshop: Workshop, file: Path, unit: str | None = None, up: str | None = None) -> Workshop:
+def with_cad(workshop: PlacedWorkshop, file: Path, unit: str | None = None, up: str | None = None) -> PlacedWorkshop:
     """The workshop with a CAD file standing in it; `unit` and `up` where its format's convention does not hold.
 
     Raises

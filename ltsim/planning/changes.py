@@ -8,8 +8,8 @@ import numpy as np
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.model.construction import Construction
 from ltsim.planning.objective import TARGETS, Objective
-from ltsim.planning.reflectors import Choice
-from ltsim.planning.schema import ChangeEntry, rounded
+from ltsim.planning.reflectors import Movable
+from ltsim.planning.schema import PlanChange, rounded
 from ltsim.planning.site import Site
 from ltsim.planning.survey import Survey
 from ltsim.units import MICROMETRE, MILLIMETRE
@@ -31,7 +31,7 @@ Tried = tuple[float, int | None, int | None, Floats]
 class Changes:
     """All single changes that were tried."""
 
-    told: tuple[ChangeEntry, ...]
+    told: tuple[PlanChange, ...]
     """Moves and additions that help, the best first, then what can be left out at the least cost."""
     tried: dict[What, int]
     """How many of each sort."""
@@ -59,13 +59,13 @@ def reflector_changes(
     """Try every move, addition and removal of one reflector, but of those that stay (T,); places are the site's."""
     if stays.all() and site.nests is None:
         return Changes((), dict.fromkeys(SORTS, 0), dict.fromkeys(SORTS, 0))
-    return _Trial(Choice.of(site, survey, stays, objective, construction), objective, site.reflector_spacing).changes()
+    return _Trial(Movable.of(site, survey, stays, objective, construction), objective, site.reflector_spacing).changes()
 
 
 class _Trial:
     """A choice of places, the reflectors' own in use."""
 
-    def __init__(self, choice: Choice, objective: Objective, spacing: float) -> None:
+    def __init__(self, choice: Movable, objective: Objective, spacing: float) -> None:
         self.choice, self.table, self.objective = choice, choice.table, objective
         self.chosen = np.arange(choice.own)
         self.total = self.table.total(self.chosen)
@@ -124,13 +124,13 @@ class _Trial:
             note("move", i, self._free(np.delete(chosen, i)))
             note("remove", i, chosen[:0])
         note("add", None, self._free(chosen))
-        told: list[ChangeEntry] = []
+        told: list[PlanChange] = []
         for what, made in found.items():
             best = _at_different_places(sorted(made, key=lambda pair: pair[0]))[:SHOWN]
             told += [self._change(what, *one) for one in best if what == "remove" or one[0] < 1 - MATERIAL]
         return Changes(tuple(told), tried, helped)
 
-    def _change(self, what: What, value: float, taken: int | None, place: int | None, total: Floats) -> ChangeEntry:
+    def _change(self, what: What, value: float, taken: int | None, place: int | None, total: Floats) -> PlanChange:
         common = self.chosen if taken is None else np.delete(self.chosen, taken)
         before, after = self.table.target_rms(np.stack([self.total, total]), common)
         if self._of_targets:
@@ -141,7 +141,7 @@ class _Trial:
             ratios = dict(zip(self.table.reducer.construction.names, ratio.tolist(), strict=True))
         serves = (min if what != "remove" else max)(ratios, key=lambda name: ratios[name])
         names, places = self.choice.names, self.choice.places
-        made = ChangeEntry(
+        made = PlanChange(
             do=what,
             reflector="" if taken is None else names[taken],
             place="" if place is None else names[place],
@@ -154,7 +154,7 @@ class _Trial:
         return made.model_copy(update={"words": _words(made)})
 
 
-def _words(change: ChangeEntry) -> str:
+def _words(change: PlanChange) -> str:
     """What to do and what it brings, as a sentence without a stop."""
     if abs(1 - change.quality) < NOTHING:
         return f"{change.deed}: makes no difference"

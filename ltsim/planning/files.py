@@ -10,7 +10,7 @@ import numpy as np
 from ltsim.arrays import Floats
 from ltsim.effects import CATALOGUE
 from ltsim.errors import SetupError
-from ltsim.planning.improvement import Expected
+from ltsim.planning.improvement import ExpectedErrors
 from ltsim.planning.loading import load_plan
 from ltsim.planning.planner import Evaluated, Option, Plan
 from ltsim.planning.reasons import fewest, reasons
@@ -37,7 +37,7 @@ from ltsim.remedies.detectability import Detectability, MinimalSize, detectabili
 from ltsim.remedies.next_measurement import NextMeasurement
 from ltsim.results import Table
 from ltsim.simulation.scenario import Scenario, load_scenario, scenario_to_toml
-from ltsim.simulation.sections import Station, Target
+from ltsim.simulation.sections import PlannedStation, PlannedTarget
 from ltsim.simulation.workshop import bodies_of
 from ltsim.units import DEGREE, FACTOR, MICROMETRE, MILLIMETRE
 
@@ -96,7 +96,7 @@ def _layout(layout: Evaluated, plan: Plan | None = None) -> dict[str, Any]:
     }
 
 
-def _expected(e: Expected) -> dict[str, Any]:
+def _expected(e: ExpectedErrors) -> dict[str, Any]:
     found = {
         "distance": (e.distance_before, e.distance_after, e.distance_improvement),
         "coordinate": (e.coordinate_before, e.coordinate_after, e.coordinate_improvement),
@@ -185,14 +185,14 @@ def with_layout(scenario: Scenario, survey: Survey, title: str = "") -> Scenario
     """A scenario with the stations, reflectors and way of working of a survey."""
     levelled = {name for name, station in scenario.stations.items() if station.levelled}
     stations = {
-        place["name"]: Station(
+        place["name"]: PlannedStation(
             position_mm=place["position_mm"], yaw_deg=place["yaw_deg"], levelled=place["name"] in levelled
         )
         for place in _places(survey)
     }
     fixed = set(scenario.gauge.targets) if scenario.gauge else set()
     targets = {
-        name: scenario.targets.get(name) or Target(position_mm=_millimetres(place, 3))
+        name: scenario.targets.get(name) or PlannedTarget(position_mm=_millimetres(place, 3))
         for name, place in zip(survey.target_names, survey.points, strict=True)
         if name not in fixed
     }

@@ -12,7 +12,7 @@ from pydantic import Field, model_validator
 
 from ltsim.arrays import Bools, Floats
 from ltsim.errors import SetupError
-from ltsim.recording.setup import Finite, NonNegative, Positive, Section
+from ltsim.recording.setup import Finite, NonNegative, Positive, TomlSection
 from ltsim.scene.meshes import Obstacles
 from ltsim.units import MILLIMETRE
 
@@ -27,7 +27,7 @@ EDGE = 1e-9
 """[m] within which a place counts as on an edge."""
 
 
-class FloorArea(Section):
+class FloorArea(TomlSection):
     """One area where tripods may stand."""
 
     name: str = ""
@@ -43,7 +43,7 @@ class FloorArea(Section):
     too, give it as an obstacle."""
 
 
-class FreePlace(Section):
+class FreePlace(TomlSection):
     """A place that stays free of tripods, such as the way of a crane."""
 
     name: str = ""
@@ -54,7 +54,7 @@ class FreePlace(Section):
     """Distance that stays free around it."""
 
 
-class Door(Section):
+class Door(TomlSection):
     """A door, before which no tripod stands."""
 
     name: str = ""
@@ -67,7 +67,7 @@ class Door(Section):
     """Distance that stays free before it."""
 
 
-class Floor(Section):
+class Floor(TomlSection):
     """Where tripods may stand; by default the whole floor but a margin along the walls."""
 
     corners_mm: Corners | None = None

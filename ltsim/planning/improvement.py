@@ -31,7 +31,7 @@ RANGE_NOISE, ANGLE_NOISE, LENGTHS = "range noise", "angle noise", "gauge lengths
 
 
 @dataclass(frozen=True)
-class Expected:
+class ExpectedErrors:
     """Expected mean of both criteria [m] before and after calibration, one value a request (k,)."""
 
     distance_before: Floats
@@ -81,7 +81,7 @@ class Predictor:
                 coordinate[i, g] = across[:, :, at] @ np.swapaxes(across[:, :, at], 1, 2)
         return cls(names, distance, coordinate)
 
-    def expected(self, sizes: Mapping[str, Floats | float] | None = None) -> Expected:
+    def expected(self, sizes: Mapping[str, Floats | float] | None = None) -> ExpectedErrors:
         """The criteria when groups have `sizes` times their stated size (default 1), each (k,) or a number."""
         wanted = dict(sizes or {})
         for name in wanted:
@@ -91,7 +91,7 @@ class Predictor:
         square = scale.astype(np.float64) ** 2
         distance = [np.sqrt(2 / np.pi) * np.mean(np.sqrt(square @ variance), axis=1) for variance in self.distance]
         coordinate = [_mean_gap(square, spread) for spread in self.coordinate]
-        return Expected(distance[0], distance[1], coordinate[0], coordinate[1])
+        return ExpectedErrors(distance[0], distance[1], coordinate[0], coordinate[1])
 
 
 def _mean_gap(square: Floats, spread: Floats) -> Floats:

@@ -16,7 +16,7 @@ from ltsim.arrays import Floats
 from ltsim.errors import NetworkError
 from ltsim.geometry.rigid import rigid_motion
 from ltsim.model.construction import Construction, misalignment
-from ltsim.planning.schema import ParameterEntry
+from ltsim.planning.schema import PlannedParameterEntry
 from ltsim.planning.survey import Survey
 from ltsim.remedies.undetermined import Direction, determining, undetermined
 from ltsim.solve.design import as_dense
@@ -121,10 +121,10 @@ class LayoutInformation:
         """[m] root mean square point error over all targets, weighted as the survey says."""
         return float(np.sqrt(np.mean(self.survey.weight * self.target_sigma**2)))
 
-    def parameters(self) -> list[ParameterEntry]:
+    def parameters(self) -> list[PlannedParameterEntry]:
         """One row a parameter, in the unit a person reads it in."""
         return [
-            ParameterEntry(
+            PlannedParameterEntry(
                 name=p.name,
                 unit=p.unit,
                 sigma=float(sigma / p.factor),

@@ -21,7 +21,7 @@ from ltsim.recording.settings import checked, read_toml
 from ltsim.scene.visibility import visibility
 from ltsim.simulation.builtin import builtin_names
 from ltsim.simulation.scenario import FORMAT, Scenario, load_scenario, scenario_from
-from ltsim.simulation.sections import Station, Target
+from ltsim.simulation.sections import PlannedStation, PlannedTarget
 from ltsim.simulation.workshop import obstacles_of, planned, sight_limits
 from ltsim.units import MILLIMETRE
 
@@ -188,7 +188,7 @@ def _hall_scenario(made: PlanFile, data: Mapping[str, Any], points: Sequence[Poi
     count = made.stations.count or BEGIN
     places = _begin(made, scenario, count)
     stations = {
-        f"S{i}": Station(position_mm=tuple(np.round(place / MILLIMETRE, 1).tolist()), yaw_deg=0.0)
+        f"S{i}": PlannedStation(position_mm=tuple(np.round(place / MILLIMETRE, 1).tolist()), yaw_deg=0.0)
         for i, place in enumerate(places, 1)
     }
     return scenario.model_copy(update={"stations": stations})
@@ -215,7 +215,7 @@ def _with_points(scenario: Scenario, points: Sequence[Point], file: object) -> S
         if point.name in scenario.target_names:
             raise SetupError(f"{file}: points has the name '{point.name}', which is a target elsewhere in the scenario")
     own = scenario.targets
-    added = {p.name: Target(position_mm=(p.x_mm, p.y_mm, p.z_mm)) for p in points if p.name not in own}
+    added = {p.name: PlannedTarget(position_mm=(p.x_mm, p.y_mm, p.z_mm)) for p in points if p.name not in own}
     return scenario.model_copy(update={"targets": {**own, **added}})
 
 

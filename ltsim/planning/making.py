@@ -9,10 +9,10 @@ from ltsim.errors import NetworkError, SetupError
 from ltsim.model.construction import Construction
 from ltsim.planning.floor import grid_step
 from ltsim.planning.planner import Option, Plan, Tried, judge, measure
-from ltsim.planning.search import Searcher
+from ltsim.planning.search import LayoutSearcher
 from ltsim.planning.site import Placement, Site
 from ltsim.planning.spec import PlanFile
-from ltsim.planning.starts import Layouts, Problem, Task, expected_seconds, gathered, search_one
+from ltsim.planning.starts import Layouts, PlanningProblem, SearchTask, expected_seconds, gathered, search_one
 from ltsim.planning.survey import Survey
 from ltsim.planning.tolerances import Demands, holds
 from ltsim.planning.workshop import SIGHTS, objective_of, site_of, ways
@@ -65,7 +65,7 @@ def make_plan(
     _check_size(file, scenario)
     built, heard = construction or planned_construction(scenario), follower or Follower()
     heard.progress("searching layouts", 0.0)
-    search = _Search(Problem(file, scenario, built), jobs, heard)
+    search = _Search(PlanningProblem(file, scenario, built), jobs, heard)
     best = search.fewest() if file.searches_count else search.at_count()
     if not np.isfinite(best.value):
         raise SetupError(OPEN)
@@ -86,7 +86,7 @@ def make_plan(
 class _Search:
     """The layouts for each way of working, and which of them is the plan."""
 
-    problem: Problem
+    problem: PlanningProblem
     jobs: int
     heard: Follower
     found: Layouts = field(default_factory=dict)
@@ -102,7 +102,7 @@ class _Search:
         """Numbers of faces and of rounds to choose from."""
         return ways(self.file, self.problem.scenario)
 
-    def _gather(self, tasks: Sequence[Task], share: Callable[[float], float]) -> Layouts:
+    def _gather(self, tasks: Sequence[SearchTask], share: Callable[[float], float]) -> Layouts:
         """What searches found; who follows hears of the best so far."""
         goal = self.file.goal
 
@@ -130,7 +130,7 @@ class _Search:
         faces, settings = self.ways[0], file.search
         own = work.faces if work.faces in faces else faces[-1]
         tasks = [
-            Task(n, f, start)
+            SearchTask(n, f, start)
             for f in faces
             for n in sorted({*file.stations.tries, count})
             for start in range(settings.starts if (n, f) == (count, own) else settings.starts_of_the_curve)
@@ -138,7 +138,7 @@ class _Search:
         self._estimate(tasks)
         self._gather(tasks, lambda share: share)
         if (count, own) not in self.found and not self.stopped:
-            search_one(self.problem, Task(count, own, 0))  # the same search again, for its sentence
+            search_one(self.problem, SearchTask(count, own, 0))  # the same search again, for its sentence
         options = self.options(self.found)
         if not options:
             raise SetupError(STOPPED)
@@ -169,10 +169,10 @@ class _Search:
         judgements: list[tuple[float, Option]] = []
         k = 0
         for n in counts:
-            if n < counts[-1] and (lacking := _lacking(self.problem.site(Task(n, faces[-1], 0)), placement)):
+            if n < counts[-1] and (lacking := _lacking(self.problem.site(SearchTask(n, faces[-1], 0)), placement)):
                 self.tried.append(Tried(n, None, False, lacking))
                 continue
-            tasks = [Task(n, f, start) for f in faces for start in range(file.search.starts)]
+            tasks = [SearchTask(n, f, start) for f in faces for start in range(file.search.starts)]
             if not k:
                 self._estimate(tasks, f" for {n} stations, as long again and more for each further number")
             # Few stations are likely enough: each further number counts half of what is left.
@@ -211,12 +211,12 @@ class _Search:
         if hours and any(one.found for one in self.tried):
             return f"no layout of {counts[0]} to {counts[-1]} stations was found that takes {hours:g} h at most"
         try:
-            search_one(self.problem, Task(counts[-1], self.ways[0][-1], 0))
+            search_one(self.problem, SearchTask(counts[-1], self.ways[0][-1], 0))
         except (SetupError, NetworkError) as problem:
             return f"{problem}, or give more stations.most"
         return "no layout was found; widen the floor or give more stations.most"
 
-    def _estimate(self, tasks: Sequence[Task], what: str = "") -> None:
+    def _estimate(self, tasks: Sequence[SearchTask], what: str = "") -> None:
         """Say how long these searches may take."""
         if self.heard.say is quiet:
             return
@@ -297,7 +297,7 @@ def with_reachable_sights(file: PlanFile, site: Site) -> PlanFile:
 
     def refused(least: int) -> SetupError | None:
         """Why the search finds no layout to begin from; None where it does."""
-        searcher = Searcher(site.replace(least=least), step=step, yaws=1, heights=settings.heights)
+        searcher = LayoutSearcher(site.replace(least=least), step=step, yaws=1, heights=settings.heights)
         try:
             searcher.random_layout(stream(settings.seed, "plan", "sights"))
         except SetupError as problem:

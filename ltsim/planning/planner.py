@@ -9,7 +9,7 @@ from ltsim.errors import NetworkError
 from ltsim.model.construction import Construction
 from ltsim.planning.changes import Changes, reflector_changes
 from ltsim.planning.fast import Reducer
-from ltsim.planning.improvement import Expected, Predictor
+from ltsim.planning.improvement import ExpectedErrors, Predictor
 from ltsim.planning.information import LayoutInformation
 from ltsim.planning.objective import Objective
 from ltsim.planning.site import Site
@@ -51,7 +51,7 @@ class Evaluated:
     qualities: dict[str, float]
     information: LayoutInformation
     table: Visibility
-    expected: Expected | None
+    expected: ExpectedErrors | None
     """The paper's criteria; None where some target is not seen whole from everywhere."""
 
 

@@ -112,7 +112,7 @@ def with_targets(survey: Survey, stays: Bools, places: Floats, names: tuple[str,
 
 
 @dataclass(frozen=True)
-class Choice:
+class Movable:
     """The places among which movable reflectors are chosen: their own first, then the site's."""
 
     places: Floats
@@ -125,7 +125,7 @@ class Choice:
     table: PlaceTable
 
     @classmethod
-    def of(cls, site: Site, survey: Survey, stays: Bools, objective: Objective, construction: Construction) -> Choice:
+    def of(cls, site: Site, survey: Survey, stays: Bools, objective: Objective, construction: Construction) -> Movable:
         """The places that are in sight; `stays` (T,) are targets that are no matter of choice."""
         offered = np.zeros((0, 3)) if site.nests is None else site.nests
         places = np.concatenate([survey.points[~stays], offered])
@@ -153,7 +153,7 @@ def choose_reflectors(
     """
     if site.nests is None:
         return survey
-    choice, wanted = Choice.of(site, survey, stays, objective, construction), int((~stays).sum())
+    choice, wanted = Movable.of(site, survey, stays, objective, construction), int((~stays).sum())
     places = choice.places
     if len(places) < wanted:
         raise SetupError(

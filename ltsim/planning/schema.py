@@ -112,7 +112,7 @@ class ReflectorEntry(Entry):
     """What it may be."""
 
 
-class ParameterEntry(Entry):
+class PlannedParameterEntry(Entry):
     """How well an instrument parameter becomes known."""
 
     name: str
@@ -162,7 +162,7 @@ class LayoutEntry(WorkEntry):
     """Where the tripods go."""
     reflectors: tuple[ReflectorEntry, ...] = ()
     """The mesh."""
-    parameters: tuple[ParameterEntry, ...] = ()
+    parameters: tuple[PlannedParameterEntry, ...] = ()
     """Of the instrument."""
     undetermined: tuple[Combination, ...] = ()
     """What it would not tell."""
@@ -219,7 +219,7 @@ class AlikeEntry(Entry):
     """Of the trace that is explained."""
 
 
-class ChangeEntry(Entry):
+class PlanChange(Entry):
     """One reflector moved, added or left out; `quality` is a factor on the plan's objective."""
 
     do: Literal["move", "add", "remove"]
@@ -288,7 +288,7 @@ class PlanResult(ResultFile, LayoutEntry):
     """All ways of working that were tried, the cheapest first."""
     starts: tuple[Known, ...] = ()
     """Value that each independent search found."""
-    reflector_changes: tuple[ChangeEntry, ...] = ()
+    reflector_changes: tuple[PlanChange, ...] = ()
     """One reflector moved, added or left out, the best first."""
     changes_tried: str = ""
     """How many such changes were tried, and how many help."""

@@ -30,7 +30,7 @@ FINEST = 0.004
 
 
 @dataclass(frozen=True)
-class Layout:
+class PlannedLayout:
     """Stations of a layout and what they are worth."""
 
     position: Floats
@@ -42,7 +42,7 @@ class Layout:
 
 
 @dataclass
-class Searcher:
+class LayoutSearcher:
     """Search on one site for one objective."""
 
     site: Site
@@ -55,7 +55,7 @@ class Searcher:
     """Turns and heights tried at each place of the grid."""
     tell: Callable[[float], None] = quiet
     """Hears the share of a start that is done."""
-    keep: Callable[[Layout], None] = quiet
+    keep: Callable[[PlannedLayout], None] = quiet
     """Is given each better layout."""
 
     def __post_init__(self) -> None:
@@ -112,11 +112,11 @@ class Searcher:
         """The stations of a layout (S, 3), (S,), each as the one that it is."""
         return StationBlocks.joined([self.pool(position[[s]], yaw[[s]], s) for s in range(self.stations)])
 
-    def evaluate(self, position: Floats, yaw: Floats) -> Layout:
+    def evaluate(self, position: Floats, yaw: Floats) -> PlannedLayout:
         """A layout as it is."""
         here = self.layout(position, yaw)
         good = self.site.allowed(position).all() and self.site.joined(position[None], here.seen[None])[0]
-        return Layout(position, yaw, self._value(here) if good else np.inf)
+        return PlannedLayout(position, yaw, self._value(here) if good else np.inf)
 
     def _value(self, layout: StationBlocks) -> float:
         return float(self._values(layout, np.arange(self.stations)[None])[0])
@@ -167,7 +167,7 @@ class Searcher:
             which, best = self.best_replacement(layout, slot, offered)
             if best < value:
                 layout, value = layout.with_station(slot, offered.take(np.array([which]))), best
-                self.keep(Layout(layout.position, layout.yaw, value))
+                self.keep(PlannedLayout(layout.position, layout.yaw, value))
         return layout, value
 
     def exchange(self, layout: StationBlocks, value: float) -> tuple[StationBlocks, float]:
@@ -245,7 +245,7 @@ class Searcher:
                 break
         return layout
 
-    def from_start(self, seed: int, start: int) -> Layout:
+    def from_start(self, seed: int, start: int) -> PlannedLayout:
         """One start: number 0 begins at the site's own layout where that is allowed, the others at random."""
         rng = stream(seed, "plan", self.stations, start)
         own = self.site.survey.position, self.site.survey.yaw
@@ -253,10 +253,10 @@ class Searcher:
         layout = self.layout(*own) if begins_there else self.random_layout(rng)
         if not np.isfinite(value := self._value(layout)):
             value = self._value(layout := self._bound(layout))
-        self.keep(Layout(layout.position, layout.yaw, value))
+        self.keep(PlannedLayout(layout.position, layout.yaw, value))
         layout, value = self.exchange(layout, value)
         layout, value = self.refine(layout, value, rng)
-        return Layout(layout.position, np.mod(layout.yaw, 2 * np.pi), value)
+        return PlannedLayout(layout.position, np.mod(layout.yaw, 2 * np.pi), value)
 
 
 def _with_each(layout: StationBlocks, slot: int, candidates: StationBlocks) -> tuple[Floats, Bools]:

@@ -8,15 +8,15 @@ from pydantic import Field, model_validator
 
 from ltsim.effects.air import Air
 from ltsim.planning.floor import Floor
-from ltsim.recording.setup import Finite, NonNegative, Positive, Section, Vector
-from ltsim.simulation.sections import Instrument, Smr, Work, Workshop
+from ltsim.recording.setup import Finite, NonNegative, Positive, TomlSection, Vector
+from ltsim.simulation.sections import ScenarioInstrument, Smr, Work, Workshop
 
 WALLS = "walls"
 """Names the walls of the room among the bodies that can hold nests."""
 Few = Annotated[int, Field(ge=2, le=40)]
 
 
-class Point(Section):
+class Point(TomlSection):
     """A point to measure; with ``points = "points.csv"`` the file has these keys as its columns.
 
     The file is a list of coordinates in any dialect that is read: ``Name;X [m];Y [m];Z [m]`` does as well.
@@ -38,7 +38,7 @@ class Point(Section):
     """Largest error that it may have, at the goal's level."""
 
 
-class Stations(Section):
+class Stations(TomlSection):
     """How many stations; `tries` are the numbers of the trade-off curve, `fixed` ones stay where they are.
 
     Every sight holds when an instrument stands up to `play_mm` off its place: nobody sets up to the millimetre.
@@ -60,7 +60,7 @@ class Stations(Section):
     """How many stations must see each reflector; without it all of them, or as many as some layout allows."""
 
 
-class Surface(Section):
+class Surface(TomlSection):
     """A flat surface with candidate places in rows and columns: origin, its two sides, how many along each."""
 
     name: str
@@ -77,7 +77,7 @@ class Surface(Section):
     """Number of rows."""
 
 
-class Place(Section):
+class CandidatePlace(TomlSection):
     """One candidate place."""
 
     name: str
@@ -86,12 +86,12 @@ class Place(Section):
     """The place."""
 
 
-class Reflectors(Section):
+class Reflectors(TomlSection):
     """Candidate places of the mesh's reflectors; without any they stay. The gauge stays in any case."""
 
     surfaces: tuple[Surface, ...] = ()
     """Tables `[[reflectors.surfaces]]`."""
-    places: tuple[Place, ...] = ()
+    places: tuple[CandidatePlace, ...] = ()
     """Tables `[[reflectors.places]]`."""
     on: tuple[str, ...] = ()
     """Names of obstacles whose surfaces can hold a nest, and `walls`: places are found on them."""
@@ -108,7 +108,7 @@ class Reflectors(Section):
     """Smallest distance between two reflectors."""
 
 
-class Budget(Section):
+class Budget(TomlSection):
     """What the work may cost and which settings of it are tried; times default to the scenario's."""
 
     faces: Annotated[tuple[Literal[1, 2], ...], Field(min_length=1)] | None = None
@@ -123,7 +123,7 @@ class Budget(Section):
     """What the whole work may take; without it, and without tolerances to keep, the scenario's way of working stays."""
 
 
-class Tolerance(Section):
+class PointTolerance(TomlSection):
     """A demand on points: all of a group within a distance, at the level of the goal."""
 
     group: str = ""
@@ -132,7 +132,7 @@ class Tolerance(Section):
     """Largest distance of a point from where it truly is, in the datum of all reflectors."""
 
 
-class Goal(Section):
+class Goal(TomlSection):
     """What a layout is for: weights of its qualities (0: of no interest), and tolerances that points must keep.
 
     With tolerances and no number of stations, the fewest stations that keep them are looked for. With a list of points
@@ -156,7 +156,7 @@ class Goal(Section):
         "mesh-expansion",
     )
     """What a diagnosis should see."""
-    tolerances: tuple[Tolerance, ...] = ()
+    tolerances: tuple[PointTolerance, ...] = ()
     """Tables `[[goal.tolerances]]`; one of a point's own, in the list of points, goes before them."""
     level_pct: Annotated[float, Field(ge=50, le=99.9)] = 95.0
     """Share of cases in which a point must be within its tolerance."""
@@ -170,7 +170,7 @@ class Goal(Section):
         return self
 
 
-class Search(Section):
+class Search(TomlSection):
     """How hard to look."""
 
     starts: Annotated[int, Field(ge=1, le=1000)] = 4
@@ -188,7 +188,7 @@ class Search(Section):
     """Root of the search."""
 
 
-class PlanFile(Section):
+class PlanFile(TomlSection):
     """The whole file."""
 
     format: Literal["ltsim-plan/1"] = "ltsim-plan/1"
@@ -202,7 +202,7 @@ class PlanFile(Section):
     workshop: Workshop | None = None
     """The hall, in place of a scenario, as in a scenario file; heads stand at 1400 to 1800 mm unless
     the floor says so."""
-    instrument: Instrument | None = None
+    instrument: ScenarioInstrument | None = None
     """The tracker of that hall, as in a scenario file."""
     smr: Smr | None = None
     """Its reflectors, as in a scenario file."""

@@ -15,7 +15,7 @@ from ltsim.errors import NetworkError, SetupError
 from ltsim.model.construction import Construction
 from ltsim.planning.floor import grid_step
 from ltsim.planning.reflectors import choose_reflectors
-from ltsim.planning.search import Layout, Searcher
+from ltsim.planning.search import LayoutSearcher, PlannedLayout
 from ltsim.planning.site import Site
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import Survey
@@ -23,7 +23,7 @@ from ltsim.planning.workshop import objective_of, site_of, staying
 from ltsim.remedies.next_measurement import quiet
 from ltsim.simulation.physics import planned_construction
 from ltsim.simulation.scenario import Scenario
-from ltsim.workers import Notes, followed, parallel
+from ltsim.workers import ProgressNotes, followed, parallel
 
 ROUNDS = 2
 """Times stations and reflectors are chosen in turn."""
@@ -43,7 +43,7 @@ Layouts = dict[tuple[int, int], list[tuple[float, int, Survey]]]
 
 
 @dataclass(frozen=True)
-class Task:
+class SearchTask:
     """One search."""
 
     stations: int
@@ -52,29 +52,29 @@ class Task:
 
 
 @dataclass(frozen=True)
-class Problem:
+class PlanningProblem:
     """What is searched: a plan file with its scenario, and the construction whose parameters are meant."""
 
     file: PlanFile
     scenario: Scenario
     built: Construction
 
-    def site(self, task: Task) -> Site:
+    def site(self, task: SearchTask) -> Site:
         """The freedom of a search."""
         return site_of(self.file, self.scenario, stations=task.stations, faces=task.faces)
 
     def searcher(
-        self, site: Site, tell: Callable[[float], None] = quiet, keep: Callable[[Layout], None] = quiet
-    ) -> Searcher:
+        self, site: Site, tell: Callable[[float], None] = quiet, keep: Callable[[PlannedLayout], None] = quiet
+    ) -> LayoutSearcher:
         """The search on a site for the file's objective."""
         settings, objective = self.file.search, objective_of(self.file, site.survey)
         step = grid_step(site.areas, settings.grid_mm)
-        return Searcher(site, objective, self.built, step, settings.yaws, settings.heights, tell, keep)
+        return LayoutSearcher(site, objective, self.built, step, settings.yaws, settings.heights, tell, keep)
 
 
 def gathered(
-    problem: Problem,
-    tasks: Sequence[Task],
+    problem: PlanningProblem,
+    tasks: Sequence[SearchTask],
     jobs: int,
     share: Callable[[float], None],
     keep: Callable[[Survey, float], None],
@@ -89,7 +89,7 @@ def gathered(
     own = problem.built if jobs == 1 else None
     stopped, told, last = False, np.inf, -np.inf
 
-    def best_so_far(notes: Notes) -> dict[int, Found]:
+    def best_so_far(notes: ProgressNotes) -> dict[int, Found]:
         """Of each search that goes on, as its process noted it."""
         rows = {number: np.load(path) for number in range(len(tasks)) if (path := _note(notes, number)).is_file()}
         return {
@@ -121,24 +121,24 @@ def gathered(
     return found, stopped
 
 
-def _note(notes: Notes, number: int) -> Path:
+def _note(notes: ProgressNotes, number: int) -> Path:
     return notes.path.with_name(f"{number}.npy")
 
 
 def _task(
-    file: PlanFile, scenario: Scenario, task: Task, built: Construction | None, notes: Notes, number: int
+    file: PlanFile, scenario: Scenario, task: SearchTask, built: Construction | None, notes: ProgressNotes, number: int
 ) -> tuple[int, Found | None]:
     """One start's layout; None where the rules allow none, or ranges from so few stations determine none."""
     if built is None:  # in a process of its own: Ctrl-C is for the one that gathers
         signal(SIGINT, SIG_IGN)
 
-    def keep(layout: Layout) -> None:
+    def keep(layout: PlannedLayout) -> None:
         rows = np.column_stack([layout.position, layout.yaw])
         half = notes.path.with_name(f"{number}.half.npy")
         np.save(half, np.concatenate([np.full((1, 4), layout.value), rows]))
         half.replace(_note(notes, number))
 
-    problem = Problem(file, scenario, built or planned_construction(scenario))
+    problem = PlanningProblem(file, scenario, built or planned_construction(scenario))
     try:
         return number, search_one(problem, task, partial(notes.write, number), keep)
     except (SetupError, NetworkError):
@@ -148,7 +148,10 @@ def _task(
 
 
 def search_one(
-    problem: Problem, task: Task, tell: Callable[[float], None] = quiet, keep: Callable[[Layout], None] = quiet
+    problem: PlanningProblem,
+    task: SearchTask,
+    tell: Callable[[float], None] = quiet,
+    keep: Callable[[PlannedLayout], None] = quiet,
 ) -> Found:
     """One start: stations, then reflectors where they are free, and stations again."""
     site, stays, seed = problem.site(task), staying(problem.file, problem.scenario), problem.file.search.seed
@@ -170,13 +173,13 @@ def _moved(site: Site, position: Floats, yaw: Floats) -> Survey:
     return site.survey.replace(position=position, yaw=yaw, seen=site.seen(position))
 
 
-def expected_seconds(problem: Problem, tasks: Sequence[Task]) -> float:
+def expected_seconds(problem: PlanningProblem, tasks: Sequence[SearchTask]) -> float:
     """How long searches will take, one after the other, from a sample of what they do."""
     ways = Counter((task.stations, task.faces) for task in tasks)
-    return sum(count * _seconds_of_one(problem, Task(*way, 0)) for way, count in ways.items())
+    return sum(count * _seconds_of_one(problem, SearchTask(*way, 0)) for way, count in ways.items())
 
 
-def _seconds_of_one(problem: Problem, task: Task) -> float:
+def _seconds_of_one(problem: PlanningProblem, task: SearchTask) -> float:
     site = problem.site(task)
     work = problem.searcher(site)
     places = site.places(work.step, work.heights)

@@ -13,7 +13,7 @@ from ltsim.planning.making import Follower, make_plan
 from ltsim.planning.planner import Plan, judge
 from ltsim.planning.site import Site
 from ltsim.planning.spec import PlanFile
-from ltsim.planning.starts import Problem
+from ltsim.planning.starts import PlanningProblem
 from ltsim.planning.survey import Survey
 from ltsim.planning.tolerances import Demands, judged, told_losses, verdict
 from ltsim.planning.workshop import site_of
@@ -107,7 +107,7 @@ def without_station(source: str | Path, station: str) -> tuple[Alternative, ...]
         When there is no such station, or no place for it.
     """
     file, scenario = opened(source)
-    problem = Problem(file, scenario, planned_construction(scenario))
+    problem = PlanningProblem(file, scenario, planned_construction(scenario))
     site, survey = _as_it_stands(file, scenario)
     slot = _index(survey, station)
     others = [s for s in range(len(survey.position)) if s != slot]
@@ -167,7 +167,7 @@ def _index(survey: Survey, name: str) -> int:
     return survey.station_names.index(name)
 
 
-def _alternative(problem: Problem, survey: Survey, words: str) -> Alternative:
+def _alternative(problem: PlanningProblem, survey: Survey, words: str) -> Alternative:
     """What a layout is worth: against its tolerances where it has some, else by its worst point."""
     demands, built = Demands.of(problem.file), problem.built
     if demands:

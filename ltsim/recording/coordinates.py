@@ -19,9 +19,9 @@ import numpy as np
 
 from ltsim.arrays import Floats, Ints
 from ltsim.errors import RecordError
-from ltsim.recording.files import Where, decoded, shown
+from ltsim.recording.files import FilePlace, decoded, shown
 from ltsim.recording.tables import cells
-from ltsim.recording.tables.header import PLACE, READINGS, SIGMA_OF, Column, columns_of, words_of
+from ltsim.recording.tables.header import PLACE, READINGS, SIGMA_OF, TableColumn, columns_of, words_of
 from ltsim.recording.tables.sheets import Row, Sheet, rows_of_head, sheets_of
 from ltsim.recording.xml import Node, banded, parse
 from ltsim.units import FACTOR, MILLIMETRE
@@ -114,21 +114,21 @@ def _filled(row: Row) -> Sequence[str]:
     return row.fields[:-1] if row.fields and not row.fields[-1] else row.fields
 
 
-def _without_header(sheet: Sheet) -> tuple[int, list[Column]] | None:
+def _without_header(sheet: Sheet) -> tuple[int, list[TableColumn]] | None:
     """Columns of lines of a name and numbers; None where the first ones are something else."""
     first = next((row for row in sheet.rows if not row.comment), None)
     if first is None or not all(map(cells.is_value, _filled(first)[1:])):
         return None
     width = len(_filled(first))
     if width not in WIDTHS:
-        raise Where(sheet.file, first.line).wrong(f"{width} fields, {EXPECTED}")
+        raise FilePlace(sheet.file, first.line).wrong(f"{width} fields, {EXPECTED}")
     names = ["target", *PLACE, *(SIGMA_OF[axis] for axis in PLACE if width > 6)]
     covariance = [f"covariance {i}" for i in range(9 * (width > 15))]
     names += [""] * (width - len(names) - len(covariance)) + covariance
-    return 0, [Column(place, name, name) for place, name in enumerate(names)]
+    return 0, [TableColumn(place, name, name) for place, name in enumerate(names)]
 
 
-def _header_of(rows: Sequence[Row]) -> tuple[int, list[Column]] | None:
+def _header_of(rows: Sequence[Row]) -> tuple[int, list[TableColumn]] | None:
     """The first row that names coordinates: the place of the one below it, and its columns."""
     for place, row in enumerate(rows):
         columns = columns_of(row.fields)
@@ -150,7 +150,7 @@ def _header_of(rows: Sequence[Row]) -> tuple[int, list[Column]] | None:
 class _List:
     """The rows of a sheet from `start` on, by its columns."""
 
-    def __init__(self, sheet: Sheet, start: int, columns: list[Column]) -> None:
+    def __init__(self, sheet: Sheet, start: int, columns: list[TableColumn]) -> None:
         self.sheet, self.rows, self.columns = sheet, sheet.rows[start:], columns
         self.width = columns[-1].place + 1
         overall = next((c for c in columns if not c.role and words_of(c.title)[0] in SIGMA_OF_ALL), None)
@@ -173,7 +173,7 @@ class _List:
             if name in kept and not np.array_equal(kept[name][1], values, equal_nan=True):
                 what = f"the point {shown(name)} was listed before with other coordinates"
                 if strict:
-                    raise Where(self.sheet.file, row.line).wrong(what)
+                    raise FilePlace(self.sheet.file, row.line).wrong(what)
                 notes.append(f"{what} in {self.sheet.file.name}: the first are taken")
             kept.setdefault(name, (row, values))
         if not kept:
@@ -190,7 +190,7 @@ class _List:
 
     def _values(self, row: Row) -> tuple[str, list[float]]:
         """Name and numbers of one row; NaN where a cell is empty."""
-        where = Where(self.sheet.file, row.line)
+        where = FilePlace(self.sheet.file, row.line)
         if len(_filled(row)) != self.width:
             row.check_width(self.width, self.sheet.file)
         values = []
@@ -306,7 +306,7 @@ def _from_gama(path: Path) -> Coordinates:
     matrix = np.zeros((int(size), int(size)))
     matrix[row, column] = matrix[column, row] = values
     title = parts["description"].text if "description" in parts else ""
-    names = tuple(Where(path).name(row["id"].text if "id" in row else "", "target") for row in rows)
+    names = tuple(FilePlace(path).name(row["id"].text if "id" in row else "", "target") for row in rows)
     return Coordinates(title or path.name, names, axes, points, matrix[:used, :used] * MILLIMETRE**2)
 
 
@@ -322,7 +322,7 @@ def _from_list(path: Path) -> Coordinates:
     at = [AXES.index(axis) for axis in axes]
     if not measured[:, at].all():
         row, axis = np.argwhere(~measured[:, at])[0]
-        raise Where(path, found.lines[row], axes[axis]).wrong("found '', expected a number")
+        raise FilePlace(path, found.lines[row], axes[axis]).wrong("found '', expected a number")
     points = np.where(measured, found.points, 0.0)
     beside = path.with_suffix(".covariance.csv")
     if beside.is_file():
@@ -352,7 +352,7 @@ def _matrix(path: Path, wanted: Sequence[str]) -> Floats:
         raise RecordError(f"lacks {what}", file=path)
     if any(len(row.fields) != len(first.fields) for row in body):
         raise RecordError("holds rows of another length than its header", file=path)
-    matrix = np.array([[Where(path, row.line).number(text) for text in row.fields[1:]] for row in body])
+    matrix = np.array([[FilePlace(path, row.line).number(text) for text in row.fields[1:]] for row in body])
     size = np.sqrt(np.abs(np.diag(matrix)))
     if np.abs(matrix - matrix.T).max() > SYMMETRIC * float(np.outer(size, size).max()):
         raise RecordError("is not symmetric", file=path)

@@ -97,7 +97,7 @@ def shown(text: str, length: int = 40) -> str:
 
 
 @dataclass(frozen=True)
-class Where:
+class FilePlace:
     """A place in a file. What it holds is checked here, and whatever is wrong there is told with it."""
 
     file: object = None
@@ -154,8 +154,8 @@ class Where:
 
 
 def comma_number(text: str, *, file: object, row: int | None = None, column: str | None = None) -> float:
-    """`Where.number` with a decimal point or comma."""
-    return Where(file, row, column).number(text, comma=True)
+    """`FilePlace.number` with a decimal point or comma."""
+    return FilePlace(file, row, column).number(text, comma=True)
 
 
 def as_title(text: str) -> str:

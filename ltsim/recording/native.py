@@ -13,7 +13,7 @@ import numpy as np
 from ltsim.arrays import Floats, Ints
 from ltsim.errors import RecordError
 from ltsim.recording.conventions import NO_HINTS, Hints
-from ltsim.recording.files import Where, is_not_finite, is_number, read_lines, shown, write_texts
+from ltsim.recording.files import FilePlace, is_not_finite, is_number, read_lines, shown, write_texts
 from ltsim.recording.lengths import KnownLengths
 from ltsim.recording.pointings import indices
 from ltsim.recording.recording import (
@@ -78,17 +78,17 @@ def _table(path: Path, *, growing: bool) -> list[list[str]]:
     if lines[-1] and growing:
         lines = lines[:-1]
     elif lines[-1]:
-        raise Where(path, len(lines) - 1).wrong("the file ends inside this row, without a line break: it was cut")
+        raise FilePlace(path, len(lines) - 1).wrong("the file ends inside this row, without a line break: it was cut")
     rows: list[list[str]] = []
     try:
         for fields in csv.reader(lines, strict=True):
             if any(field.strip() for field in fields):
                 if len(fields) > MAX_FIELDS:
-                    raise Where(path, len(rows)).wrong(f"{len(fields)} columns, expected at most {MAX_FIELDS}")
+                    raise FilePlace(path, len(rows)).wrong(f"{len(fields)} columns, expected at most {MAX_FIELDS}")
                 rows.append([field.strip() for field in fields])
                 Row(len(rows) - 1, tuple(fields)).check_width(len(rows[0]), path)
     except csv.Error as problem:
-        raise Where(path, len(rows)).wrong(f"is not CSV here ({problem})") from None
+        raise FilePlace(path, len(rows)).wrong(f"is not CSV here ({problem})") from None
     if len(rows) < 2:
         raise RecordError("holds a header only, expected one row a pointing", file=path)
     return rows
@@ -103,14 +103,14 @@ def parse(rows: list[list[str]], setup: Setup, folder: Path, *, growing: bool = 
     stations, station = indices(columns["station"], "station", file)
     targets, target = indices(columns["target"], "target", file)
     count = len(rows) - 1
-    face = _whole(columns["face"], Where(file, column="face"), (1, 2))
+    face = _whole(columns["face"], FilePlace(file, column="face"), (1, 2))
     repeat = columns.get("repeat", ["1"] * count)
     time = columns.get("time_s", list(map(str, range(count))))
-    measured = np.stack([_floats(columns[name], Where(file, column=name)) for name in MEASURED], axis=1)
+    measured = np.stack([_floats(columns[name], FilePlace(file, column=name)) for name in MEASURED], axis=1)
     nothing = np.flatnonzero(np.all(np.isnan(measured), axis=1))
     if len(nothing):
         message = "nothing was measured here, expected an azimuth, an elevation or a distance"
-        raise Where(file, int(nothing[0]) + 1).wrong(message)
+        raise FilePlace(file, int(nothing[0]) + 1).wrong(message)
     check_degrees(measured, station, target, face, file)
     covariates, labels = _further(columns, file)
     recording = Recording(
@@ -120,8 +120,8 @@ def parse(rows: list[list[str]], setup: Setup, folder: Path, *, growing: bool = 
         station=station,
         target=target,
         face=face,
-        repeat=_whole(repeat, Where(file, column="repeat"), (1, 1_000_000)),
-        time=_floats(time, Where(file, column="time_s"), optional=False),
+        repeat=_whole(repeat, FilePlace(file, column="repeat"), (1, 1_000_000)),
+        time=_floats(time, FilePlace(file, column="time_s"), optional=False),
         readings=measured * [MILLIMETRE, DEGREE, DEGREE],
         covariates=covariates,
         labels=labels,
@@ -135,7 +135,7 @@ def parse(rows: list[list[str]], setup: Setup, folder: Path, *, growing: bool = 
 
 def _check_header(header: Sequence[str], file: Path) -> None:
     """Every required column once, none in another unit."""
-    where = Where(file, 0)
+    where = FilePlace(file, 0)
     if any(";" in name or "\t" in name for name in header):
         raise where.wrong("the header holds ';' or tabs, expected commas between columns")
     for i, name in enumerate(header):
@@ -155,7 +155,7 @@ def _check_header(header: Sequence[str], file: Path) -> None:
             raise where.wrong(f"the required column {name} is missing{hint}")
 
 
-def _whole(column: list[str], where: Where, bounds: tuple[int, int]) -> Ints:
+def _whole(column: list[str], where: FilePlace, bounds: tuple[int, int]) -> Ints:
     low, high = bounds
     for i, text in enumerate(column):
         if not (text.isascii() and text.isdigit() and len(text) < 8 and low <= int(text) <= high):
@@ -164,7 +164,7 @@ def _whole(column: list[str], where: Where, bounds: tuple[int, int]) -> Ints:
     return np.array([int(text) for text in column], dtype=np.int64)
 
 
-def _floats(column: list[str], where: Where, *, optional: bool = True) -> Floats:
+def _floats(column: list[str], where: FilePlace, *, optional: bool = True) -> Floats:
     """A column of numbers within the bounds of its name; empty cells are NaN where that is allowed."""
     low, high = BOUNDS.get(where.column or "", (-1e15, 1e15))
     values = np.full(len(column), np.nan)
@@ -188,10 +188,10 @@ def _further(columns: dict[str, list[str]], file: Path) -> tuple[dict[str, Float
         filled = [text for text in column if text]
         numeric = bool(filled) and all(is_number(t) or is_not_finite(t) for t in filled)
         if (numeric or name in BOUNDS) and name not in TEXTS:
-            covariates[name] = _floats(column, Where(file, column=name))
+            covariates[name] = _floats(column, FilePlace(file, column=name))
             continue
         for i, text in enumerate(column):
-            where = Where(file, i + 1, name)
+            where = FilePlace(file, i + 1, name)
             where.text(text)
             if name in WORDS and text not in WORDS[name]:
                 raise where.wrong(f"found '{shown(text)}', expected {' or '.join(filter(None, WORDS[name]))}")
@@ -205,7 +205,7 @@ def _check_gauge(recording: Recording, file: Path) -> None:
             if name not in recording.targets:
                 near = difflib.get_close_matches(name, recording.targets, n=3, cutoff=0.3)
                 hint = f"; measured were e.g. {', '.join(near)}" if near else ""
-                where = Where(file, column=f"gauge.distance {i + 1}")
+                where = FilePlace(file, column=f"gauge.distance {i + 1}")
                 raise where.wrong(f"the target '{shown(name)}' was never measured{hint}")
     KnownLengths.of(recording, file)
 
@@ -218,7 +218,7 @@ def _check_smrs(recording: Recording, folder: Path) -> None:
         row = names.index("")
         target = recording.targets[recording.target[row]]
         message = f"no SMR is named here or by targets.{target}.reflector, expected one of tables [reflectors.NAME]"
-        raise Where(folder / OBSERVATIONS, row + 1, REFLECTOR_COLUMN).wrong(message)
+        raise FilePlace(folder / OBSERVATIONS, row + 1, REFLECTOR_COLUMN).wrong(message)
 
 
 def _idle_settings(recording: Recording) -> tuple[str, ...]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from ltsim.arrays import Ints
 from ltsim.errors import RecordError
-from ltsim.recording.files import Where
+from ltsim.recording.files import FilePlace
 from ltsim.recording.recording import HEIGHT_COLUMNS, KIND_COLUMN, OBSERVABLES, SIGMA_COLUMNS, Recording
 from ltsim.recording.setup import Setup
 from ltsim.units import ARCSECOND, MILLIMETRE
@@ -45,7 +45,7 @@ def indices(names: Iterable[str], kind: str, file: object) -> tuple[tuple[str, .
     index = []
     for row, name in enumerate(names):
         if name not in place:
-            place[Where(file, row + 1).name(name, kind, kind)] = len(place)
+            place[FilePlace(file, row + 1).name(name, kind, kind)] = len(place)
         index.append(place[name])
     return tuple(place), np.array(index, dtype=np.int64)
 
@@ -88,7 +88,7 @@ def recording_of(
         time=time if has_clock else np.arange(len(pointings), dtype=np.float64),
         readings=readings,
         covariates={c: np.array([p.covariates.get(c, NAN) for p in pointings]) for c in columns},
-        labels={w: tuple(Where(file).text(p.labels.get(w, "")) for p in pointings) for w in words},
+        labels={w: tuple(FilePlace(file).text(p.labels.get(w, "")) for p in pointings) for w in words},
         has_clock=has_clock,
         notes=tuple(notes),
         sources=tuple(p.source for p in pointings) if all(p.source for p in pointings) else (),

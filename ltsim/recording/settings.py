@@ -13,7 +13,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from ltsim.errors import ModelError, RecordError, as_setup_error
-from ltsim.recording.files import Where, read_text, shown
+from ltsim.recording.files import FilePlace, read_text, shown
 from ltsim.recording.setup import Instrument, Setup
 
 Settings = TypeVar("Settings", bound=BaseModel)
@@ -116,16 +116,16 @@ def _check_names(setup: Setup, file: object) -> None:
         ("reflector", setup.reflectors),
     ):
         for name in names:
-            Where(file).name(name, kind)
+            FilePlace(file).name(name, kind)
     for name, station in setup.stations.items():
         wanted = station.instrument
         if wanted is not None and wanted not in setup.instruments:
             known = ", ".join(_close(wanted, setup.instruments)) or "none is declared"
-            where = Where(file, column=f"stations.{name}.instrument")
+            where = FilePlace(file, column=f"stations.{name}.instrument")
             raise where.wrong(f"there is no table [instruments.{shown(wanted)}]; instruments: {known}")
     for i, line in enumerate(setup.gauge.distance if setup.gauge else ()):
         if line.from_ == line.to:
-            where = Where(file, column=f"gauge.distance {i + 1}")
+            where = FilePlace(file, column=f"gauge.distance {i + 1}")
             raise where.wrong(f"a length from '{shown(line.to)}' to itself, expected two different targets")
 
 

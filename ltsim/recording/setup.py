@@ -74,13 +74,13 @@ EXACT_LEVEL_ARCSEC = 1e-3
 """Levelling sigma of formats whose instruments stand upright without a doubt (gama-local, LGC without ROT3D)."""
 
 
-class Section(BaseModel):
+class TomlSection(BaseModel):
     """A table of the file: unknown keys are refused, values cannot change."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True, use_attribute_docstrings=True)
 
 
-class Noise(Section):
+class Noise(TomlSection):
     """One standard deviation of white noise; sigma of a range = distance_mm + distance_ppm * range."""
 
     distance_mm: NonNegative = 0.003
@@ -99,7 +99,7 @@ class Noise(Section):
         return self
 
 
-class Prior(Section):
+class Prior(TomlSection):
     """One standard deviation of what the maker guarantees."""
 
     range_scale_ppm: Positive = 2.0
@@ -114,7 +114,7 @@ class Prior(Section):
     """Of single parameters by name, each in the parameter's unit; they take the place of the kinds above."""
 
 
-class Limits(Section):
+class Limits(TomlSection):
     """Travel of the elevation axis."""
 
     elevation_min_deg: Elevation = -55.0
@@ -129,7 +129,7 @@ class Limits(Section):
         return self
 
 
-class Instrument(Section):
+class Instrument(TomlSection):
     """One instrument: construction, noise, what its maker guarantees, its limits."""
 
     construction: Literal["source-in-head", "steering-mirror"] = "source-in-head"
@@ -150,7 +150,7 @@ class Instrument(Section):
     """What it can point at."""
 
 
-class Material(Section):
+class Material(TomlSection):
     """What a gauge or a scale bar is made of; lengths of one material share the error of its coefficient."""
 
     expansion_per_k: Finite = 0.0
@@ -159,7 +159,7 @@ class Material(Section):
     """Standard deviation of the coefficient; none where it is not given."""
 
 
-class LengthUse(Section):
+class LengthUse(TomlSection):
     """What a known length is made of, and how warm it was when it was used."""
 
     measured_at_c: Finite | Line | None = None
@@ -187,7 +187,7 @@ class GaugeDistance(LengthUse):
     """Standard deviation of the length."""
 
 
-class Gauge(Section):
+class Gauge(TomlSection):
     """Lengths known from elsewhere and the temperatures that bring them to the workshop."""
 
     calibrated_at_c: Finite = 20.0
@@ -206,7 +206,7 @@ class Gauge(Section):
     """One table `[[gauge.distance]]` a length."""
 
 
-class Station(Section):
+class Station(TomlSection):
     """What is known about one set-up, from the floor plan or a level.
 
     `over` names the target whose mark the instrument stands on, `instrument_height_mm` above it along
@@ -232,7 +232,7 @@ class Station(Section):
     """Direction of plumb here, in the network's frame; z where it is not given."""
 
 
-class Target(Section):
+class Target(TomlSection):
     """What is known about one reflector position.
 
     `known_mm` holds with `known_sigma_mm`, or `known_covariance_mm2`, along `known_axes`. `approximate_mm` is a start
@@ -266,7 +266,7 @@ class Target(Section):
     """Height of the reflector above the mark that the name stands for."""
 
 
-class Reflector(Section):
+class Reflector(TomlSection):
     """One SMR, table `[reflectors.NAME]`: pointings name it in the column `reflector`, or its target does."""
 
     radius_mm: Positive
@@ -276,7 +276,7 @@ class Reflector(Section):
     the adjustment takes the radius for exact."""
 
 
-class About(Section):
+class About(TomlSection):
     """Who measured what for whom, table `[report]`: the head of a report; nothing is computed from it."""
 
     instrument: Line | None = None
@@ -289,7 +289,7 @@ class About(Section):
     """Who pays."""
 
 
-class Setup(Section):
+class Setup(TomlSection):
     """The whole file."""
 
     format: Literal["ltsim-recording/1"] = "ltsim-recording/1"

@@ -13,7 +13,7 @@ import numpy as np
 
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.geometry.polar import from_polar
-from ltsim.recording.files import Where
+from ltsim.recording.files import FilePlace
 from ltsim.units import DEGREE, FACTOR, MILLIMETRE
 
 
@@ -147,7 +147,7 @@ def check_degrees(measured: Floats, station: Ints, target: Ints, face: Ints, fil
     longest = float(np.nanmax(measured[:, 0], initial=-np.inf))
     if -np.inf < longest < SHORTEST_MM:
         message = f"no distance exceeds {longest:.4g}, which looks like metres; expected millimetres"
-        raise Where(file, column="distance_mm").wrong(message)
+        raise FilePlace(file, column="distance_mm").wrong(message)
     sums = _two_face_sums(elevation, station, target, face)
     middle = float(np.median(sums)) if len(sums) else float("nan")
     for slip in UNIT_SLIPS:
@@ -157,7 +157,7 @@ def check_degrees(measured: Floats, station: Ints, target: Ints, face: Ints, fil
                 f"the two faces add up to {middle:.4g}, which looks like {slip.found}; "
                 "expected elevations in degrees, where they add up to 180"
             )
-            raise Where(file, column="elevation_deg").wrong(message)
+            raise FilePlace(file, column="elevation_deg").wrong(message)
     _check_not_radians(measured, station, target, file)
     _check_faces(elevation, face, file)
     readings = measured * [MILLIMETRE, DEGREE, DEGREE]
@@ -166,7 +166,7 @@ def check_degrees(measured: Floats, station: Ints, target: Ints, face: Ints, fil
             "two stations see other lengths between their targets, and the same ones if the column holds "
             f"{found.found}; expected {found.expected}"
         )
-        raise Where(file, column=("azimuth_deg", "elevation_deg")[found.columns[0] - 1]).wrong(message)
+        raise FilePlace(file, column=("azimuth_deg", "elevation_deg")[found.columns[0] - 1]).wrong(message)
 
 
 def _sum_of_faces(slip: Slip) -> float | None:
@@ -204,7 +204,7 @@ def _check_not_radians(measured: Floats, station: Ints, target: Ints, file: obje
         values = angles[wide.index(True)]
         looks = f"all angles lie between {values.min():.4g} and {values.max():.4g}, which looks like radians"
         column = "azimuth_deg" if wide[0] else "elevation_deg"
-        raise Where(file, column=column).wrong(f"{looks}; expected degrees")
+        raise FilePlace(file, column=column).wrong(f"{looks}; expected degrees")
 
 
 def _check_faces(elevation: Floats, face: Ints, file: object) -> None:
@@ -216,4 +216,4 @@ def _check_faces(elevation: Floats, face: Ints, file: object) -> None:
             f"face 2 holds {elevation[row]:.6g}, as all its elevations reduced to face 1; "
             f"expected raw encoder readings, here near {180 - elevation[row]:.6g}"
         )
-        raise Where(file, row + 1, "elevation_deg").wrong(message)
+        raise FilePlace(file, row + 1, "elevation_deg").wrong(message)

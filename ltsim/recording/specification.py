@@ -12,7 +12,7 @@ from pydantic import Field
 from ltsim.arrays import Floats
 from ltsim.errors import ModelError, unknown_name
 from ltsim.geometry.polar import to_polar
-from ltsim.recording.setup import Instrument, Noise, NonNegative, Prior, Section
+from ltsim.recording.setup import Instrument, Noise, NonNegative, Prior, TomlSection
 from ltsim.units import ARCSECOND, MICROMETRE, MILLIMETRE
 
 COVERAGE = 2.0
@@ -25,7 +25,7 @@ RANGES = ("distance_", "range_")
 """How keys of noise and prior begin that the limit of a range decides."""
 
 
-class Specification(Section):
+class Specification(TomlSection):
     """Maximum permissible errors of the subsystems, as ISO 10360-10:2021, annex D, and data sheets state them."""
 
     name: str = ""

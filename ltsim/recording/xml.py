@@ -14,7 +14,7 @@ from defusedxml.ElementTree import DefusedXMLParser
 
 from ltsim.arrays import Floats, Ints
 from ltsim.errors import RecordError
-from ltsim.recording.files import Where, read_bytes, shown
+from ltsim.recording.files import FilePlace, read_bytes, shown
 
 LINE = "{ltsim}line"
 """An attribute that no file can set: its namespace is none, and what a file says is overwritten."""
@@ -78,9 +78,9 @@ class Node:
         return int(self.element.get(LINE, "0"))
 
     @property
-    def where(self) -> Where:
+    def where(self) -> FilePlace:
         """Its place."""
-        return Where(self.file, self.line)
+        return FilePlace(self.file, self.line)
 
     @property
     def text(self) -> str:

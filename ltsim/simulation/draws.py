@@ -105,7 +105,7 @@ class Draw:
 
 
 @dataclass(frozen=True)
-class Population:
+class TrialDraws:
     """The trials that a geometry can have."""
 
     sightings: Sightings

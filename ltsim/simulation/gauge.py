@@ -11,7 +11,7 @@ from ltsim.arrays import Floats, Ints
 from ltsim.errors import SetupError
 from ltsim.geometry.expansion import Expansion
 from ltsim.randomness import stream
-from ltsim.simulation.sections import Cmm, Gauge
+from ltsim.simulation.sections import Cmm, ScenarioGauge
 from ltsim.units import DEGREE, MICROMETRE, MILLIMETRE
 
 TABLE_2 = MappingProxyType(
@@ -25,7 +25,7 @@ REALISED = 1e-7
 
 
 @dataclass(frozen=True)
-class Frame:
+class GaugeFrame:
     """The gauge at the temperature of its calibration."""
 
     names: tuple[str, ...]
@@ -42,7 +42,7 @@ class Frame:
         return np.linalg.norm(self.points[self.first] - self.points[self.second], axis=1)
 
 
-def frame_of(gauge: Gauge) -> Frame:
+def frame_of(gauge: ScenarioGauge) -> GaugeFrame:
     """The frame that has the gauge's lengths.
 
     Raises SetupError when a length is missing, twice there, or no frame in space has these lengths.
@@ -51,7 +51,7 @@ def frame_of(gauge: Gauge) -> Frame:
     pairs = list(combinations(range(len(names)), 2))
     lengths = np.array(_lengths(gauge, pairs)) * MILLIMETRE
     first, second = np.array(pairs, dtype=np.int64).T
-    frame = Frame(names, embedded(len(names), first, second, lengths), first, second)
+    frame = GaugeFrame(names, embedded(len(names), first, second, lengths), first, second)
     worst = int(np.argmax(np.abs(frame.length - lengths)))
     if abs(frame.length[worst] - lengths[worst]) > REALISED:
         a, b = names[first[worst]], names[second[worst]]
@@ -61,7 +61,7 @@ def frame_of(gauge: Gauge) -> Frame:
     return frame
 
 
-def _lengths(gauge: Gauge, pairs: list[tuple[int, int]]) -> list[float]:
+def _lengths(gauge: ScenarioGauge, pairs: list[tuple[int, int]]) -> list[float]:
     names = gauge.targets
     if not gauge.distance:
         if len(names) != 4:
@@ -98,19 +98,19 @@ def embedded(count: int, first: Ints, second: Ints, lengths: Floats) -> Floats:
     return points
 
 
-def expansion(gauge: Gauge, workshop_c: float) -> float:
+def expansion(gauge: ScenarioGauge, workshop_c: float) -> float:
     """Factor of all lengths between calibration and workshop."""
     measured = workshop_c if gauge.measured_at_c is None else gauge.measured_at_c
     return Expansion.of(gauge.expansion_per_k, measured - gauge.calibrated_at_c).factor
 
 
-def orientation(gauge: Gauge) -> Floats:
+def orientation(gauge: ScenarioGauge) -> Floats:
     """Rotation (3, 3) from the frame's own axes to the workshop."""
     angles = np.array([gauge.roll_deg, gauge.pitch_deg, gauge.yaw_deg]) * DEGREE
     return Rotation.from_euler("xyz", angles).as_matrix()
 
 
-def in_workshop(gauge: Gauge, frame: Frame, workshop_c: float) -> Floats:
+def in_workshop(gauge: ScenarioGauge, frame: GaugeFrame, workshop_c: float) -> Floats:
     """Points (k, 3) [m] of the frame where the scenario puts it, grown to the workshop's temperature."""
     points: Floats = expansion(gauge, workshop_c) * frame.points @ orientation(gauge).T
     return points + np.array(gauge.position_mm) * MILLIMETRE

@@ -11,7 +11,7 @@ from ltsim.model.construction import Construction, built_as, misalignment
 from ltsim.recording.recording import noise_sigma
 from ltsim.scene.sightings import Sightings
 from ltsim.simulation.scenario import Scenario, table_name
-from ltsim.simulation.sections import EffectEntry, Instrument
+from ltsim.simulation.sections import EffectEntry, ScenarioInstrument
 from ltsim.units import ARCSECOND, DEGREE, MICROMETRE
 
 
@@ -43,7 +43,7 @@ def instrument_law(scenario: Scenario, construction: Construction) -> tuple[Floa
     return np.array([mean for mean, _ in laws]), np.array([sigma for _, sigma in laws])
 
 
-def _law(instrument: Instrument, construction: Construction, name: str) -> tuple[Floats, Floats]:
+def _law(instrument: ScenarioInstrument, construction: Construction, name: str) -> tuple[Floats, Floats]:
     stated = {error: float(value) for error, value in instrument.errors.items() if error != "draw"}
     for error in stated:
         try:

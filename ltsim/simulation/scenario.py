@@ -12,9 +12,9 @@ from ltsim.arrays import Floats
 from ltsim.effects.effect import Effect
 from ltsim.effects.verbs import Sized, effect_from
 from ltsim.errors import ModelError, SetupError, as_setup_error
-from ltsim.recording.files import Where, shown
+from ltsim.recording.files import FilePlace, shown
 from ltsim.recording.settings import above, checked, read_toml, to_toml, with_instruments
-from ltsim.recording.setup import Material, NonNegative, Reflector, Section
+from ltsim.recording.setup import Material, NonNegative, Reflector, TomlSection
 from ltsim.recording.specification import sheet_names, stated_by
 from ltsim.results import Result
 from ltsim.simulation.builtin import builtin_names, builtin_path
@@ -22,14 +22,14 @@ from ltsim.simulation.sections import (
     PRESETS,
     Cmm,
     EffectEntry,
-    Gauge,
-    Instrument,
     Length,
-    Limits,
     Placing,
+    PlannedStation,
+    PlannedTarget,
+    PointingLimits,
+    ScenarioGauge,
+    ScenarioInstrument,
     Smr,
-    Station,
-    Target,
     Work,
     Workshop,
 )
@@ -49,7 +49,7 @@ NONE = "none"
 """As a changed value it takes a key of the scenario out: ``gauge = "none"``."""
 
 
-class Scenario(Section, Result):
+class Scenario(TomlSection, Result):
     """The whole file."""
 
     format: Literal["ltsim-scenario/1"] = "ltsim-scenario/1"
@@ -62,9 +62,9 @@ class Scenario(Section, Result):
     """The room, its air, what stands in it."""
     placing: Placing = Placing()
     """How far the truth is from the plan."""
-    instrument: Instrument = Instrument()
+    instrument: ScenarioInstrument = ScenarioInstrument()
     """The tracker of every station that names no other."""
-    instruments: dict[str, Instrument] = Field(default_factory=dict)
+    instruments: dict[str, ScenarioInstrument] = Field(default_factory=dict)
     """Several trackers by name, tables `[instruments.NAME]`, all of one construction."""
     smr: Smr = Smr()
     """The reflectors."""
@@ -77,15 +77,15 @@ class Scenario(Section, Result):
     """The coordinate measuring machine that calibrated the gauge."""
     work: Work = Work()
     """Order and clock of the measurements."""
-    gauge: Gauge | None = None
+    gauge: ScenarioGauge | None = None
     """A frame of known lengths."""
     materials: dict[str, Material] = Field(default_factory=dict)
     """Materials of known lengths, tables `[materials.NAME]`; the true coefficient is drawn."""
     lengths: tuple[Length, ...] = ()
     """Known lengths between reflectors of the mesh, tables `[[lengths]]`."""
-    stations: dict[str, Station]
+    stations: dict[str, PlannedStation]
     """Set-ups, tables `[stations.NAME]`, in the order of the work."""
-    targets: dict[str, Target] = Field(default_factory=dict)
+    targets: dict[str, PlannedTarget] = Field(default_factory=dict)
     """Reflectors, tables `[targets.NAME]`."""
     effects: tuple[EffectEntry, ...] = ()
     """Physics beyond the instrument's errors, tables `[[effects]]`."""
@@ -96,7 +96,7 @@ class Scenario(Section, Result):
         return (*self.targets, *(self.gauge.targets if self.gauge else ()))
 
     @property
-    def trackers(self) -> dict[str, Instrument]:
+    def trackers(self) -> dict[str, ScenarioInstrument]:
         """The instruments in use by name, in the order of `Recording.instruments`; one without a name is ''."""
         names = sorted({station.instrument or "" for station in self.stations.values()})
         return {name: self.instruments[name] if name else self.instrument for name in names}
@@ -202,7 +202,7 @@ def _with_preset(instrument: Any, file: Path) -> Any:
     if name not in sheet_names():
         return above(instrument, PRESETS.get(str(name), {}))
     try:
-        return above(instrument, stated_by(name, instrument, Limits.model_fields))
+        return above(instrument, stated_by(name, instrument, PointingLimits.model_fields))
     except ModelError as problem:
         raise SetupError(f"{file}: instrument.preset: {problem}") from None
 
@@ -250,7 +250,7 @@ def _effects(entries: Sequence[EffectEntry], stations: set[str], targets: set[st
             yield entry.model_copy(update=here)
 
 
-def _spread(targets: Mapping[str, Target], count: int) -> dict[str, Target]:
+def _spread(targets: Mapping[str, PlannedTarget], count: int) -> dict[str, PlannedTarget]:
     """So many targets in the file's order: each next one is that farthest from those taken (Gonzalez 1985)."""
     places = np.array([t.position_mm for t in targets.values()], dtype=np.float64).reshape(-1, 3)
     taken = set(spread_order(places)[:count])
@@ -315,7 +315,7 @@ def _wrong_names(scenario: Scenario, file: Path) -> Iterator[str]:
     for kind, listed in (("station", scenario.stations), ("target", names), ("instrument", scenario.instruments)):
         for name in listed:
             with as_setup_error():
-                Where(file).name(name, kind)
+                FilePlace(file).name(name, kind)
 
 
 def _wrong_instruments(scenario: Scenario) -> Iterator[str]:
@@ -328,7 +328,7 @@ def _wrong_instruments(scenario: Scenario) -> Iterator[str]:
     for name in scenario.instruments:
         if name not in used.values():
             yield f"instruments.{shown(name)} stands nowhere; name it as the instrument of a station"
-    if "" not in scenario.trackers and scenario.instrument != Instrument():
+    if "" not in scenario.trackers and scenario.instrument != ScenarioInstrument():
         yield "instrument is stated but stands nowhere: every station names an instrument of its own"
     designs = {name: (i.construction, i.harmonics, i.degree) for name, i in scenario.trackers.items()}
     (first, one), *others = designs.items()

@@ -17,7 +17,7 @@ from ltsim.recording.setup import (
     NonNegative,
     Positive,
     Prior,
-    Section,
+    TomlSection,
     Vector,
 )
 from ltsim.recording.specification import sheet_names
@@ -57,7 +57,7 @@ def _known_preset(name: str) -> str:
     return name
 
 
-class Obstacle(Section):
+class Obstacle(TomlSection):
     """Something that stands in the workshop: a CAD file, or a box or an upright cylinder on its place."""
 
     name: str = ""
@@ -86,7 +86,7 @@ class Obstacle(Section):
         return self
 
 
-class Workshop(Section):
+class Workshop(TomlSection):
     """The room and its air; the air is the same everywhere, its temperature may rise."""
 
     size_mm: tuple[Positive, Positive, Positive] = (6000.0, 6000.0, 6000.0)
@@ -106,7 +106,7 @@ class Workshop(Section):
     """Tables `[[workshop.obstacles]]`."""
 
 
-class Placing(Section):
+class Placing(TomlSection):
     """How far things truly stand from the plan, one standard deviation, and how finely the plan is read."""
 
     station_mm: NonNegative = 15.0
@@ -125,7 +125,7 @@ class Placing(Section):
     """To what it rounds yaws."""
 
 
-class Resolution(Section):
+class Resolution(TomlSection):
     """Smallest steps of the readings; 0 for none, by default the paper's (section 2.1.1)."""
 
     distance_um: NonNegative = 0.1
@@ -134,7 +134,7 @@ class Resolution(Section):
     """Of both angles."""
 
 
-class Limits(ElevationLimits):
+class PointingLimits(ElevationLimits):
     """Travel of the elevation axis and the ranges that can be measured."""
 
     range_min_mm: NonNegative = 500.0
@@ -149,7 +149,7 @@ class Limits(ElevationLimits):
         return self
 
 
-class Instrument(Section):
+class ScenarioInstrument(TomlSection):
     """The tracker: construction, what its maker states, and the errors it truly has."""
 
     preset: Annotated[str, AfterValidator(_known_preset)] = "paper"
@@ -170,7 +170,7 @@ class Instrument(Section):
     """Smallest steps of the readings."""
     prior: Prior = PAPER_PRIOR
     """What the maker guarantees; errors are drawn from it."""
-    limits: Limits = Limits()
+    limits: PointingLimits = PointingLimits()
     """What can be pointed at."""
     observables: Annotated[tuple[Literal["distance", "azimuth", "elevation"], ...], Field(min_length=1)] = (
         "distance",
@@ -198,7 +198,7 @@ class Instrument(Section):
         return self.errors.get("draw") is True
 
 
-class Smr(Section):
+class Smr(TomlSection):
     """The reflectors: how their nests are used, and their error against incidence."""
 
     nests: Literal["re-aimed", "fixed"] = "re-aimed"
@@ -217,7 +217,7 @@ class Smr(Section):
     """Where around the nest the table's positive side looks, 0 along the horizontal."""
 
 
-class Cmm(Section):
+class Cmm(TomlSection):
     """The coordinate measuring machine: largest error constant_um + L / length_divisor_mm [um]."""
 
     constant_um: NonNegative = 2.3
@@ -232,7 +232,7 @@ class Cmm(Section):
     """It measured the targets too: `ltsim simulate --nominal FILE` writes them for `ltsim verify`."""
 
 
-class Work(Section):
+class Work(TomlSection):
     """How many stations and reflectors are used of those below, the order and the clock of the measurements."""
 
     stations: Annotated[int, Field(ge=1)] | None = None
@@ -255,7 +255,7 @@ class Work(Section):
     """Time to carry the instrument to the next station."""
 
 
-class GaugeLength(Section):
+class GaugeLength(TomlSection):
     """A length of the gauge as it is, at the temperature of its calibration."""
 
     from_: str = Field(alias="from")
@@ -266,7 +266,7 @@ class GaugeLength(Section):
     """The length."""
 
 
-class Gauge(Section):
+class ScenarioGauge(TomlSection):
     """A rigid frame with reflectors: lengths at `calibrated_at_c`, and where it stands.
 
     Without `distance` it is the paper's, Table 2 read by columns or by rows. The frame's own axes follow its
@@ -314,7 +314,7 @@ class Length(LengthUse):
     """Standard deviation of the stated length."""
 
 
-class Station(Section):
+class PlannedStation(TomlSection):
     """One set-up of an instrument: the middle of its head, and how it is turned."""
 
     position_mm: Vector
@@ -336,7 +336,7 @@ class Station(Section):
     """Name of the ball that is carried to all targets from here; where it is not given, each target's own."""
 
 
-class Target(Section):
+class PlannedTarget(TomlSection):
     """One reflector position. Without `nest_normal` a fixed nest is aimed at the middle of the stations."""
 
     position_mm: Vector
@@ -349,7 +349,7 @@ class Target(Section):
     """Name of the ball."""
 
 
-class PlacedEffect(Section):
+class PlacedEffect(TomlSection):
     """An effect of the catalogue: its place and constants."""
 
     name: str

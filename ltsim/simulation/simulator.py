@@ -23,12 +23,12 @@ from ltsim.recording.setup import (
     Target,
     Vector,
 )
-from ltsim.simulation.draws import Normal, Population, effect_laws
+from ltsim.simulation.draws import Normal, TrialDraws, effect_laws
 from ltsim.simulation.fieldwork import Fieldwork, balls_of, fieldwork
 from ltsim.simulation.gauge import length_sigma, nominal_points
 from ltsim.simulation.physics import instrument_law, quantised, resolution_of, stated_noise
 from ltsim.simulation.scenario import Scenario
-from ltsim.simulation.sections import Instrument as Tracker
+from ltsim.simulation.sections import ScenarioInstrument as Tracker
 from ltsim.simulation.truth import AppliedEffect, TrackerTruth, Truth
 from ltsim.units import MICROMETRE, MILLIMETRE
 
@@ -54,7 +54,7 @@ def measure(
 ) -> tuple[Recording, Truth]:
     """Draw the instrument's errors, the gauge's calibration and the noise of a trial on a fixed geometry.
 
-    `values` (I, p) [SI] are those of instruments that are given, `apart` as of `Population.draw`.
+    `values` (I, p) [SI] are those of instruments that are given, `apart` as of `TrialDraws.draw`.
     """
     blank = error_free(work)
     given = None if values is None else values[:, :, None]
@@ -85,11 +85,11 @@ def error_free(work: Fieldwork) -> Recording:
     return blank.replace(notes=(*work.notes, *_idle(work, KnownLengths.of(blank))))
 
 
-def population_of(work: Fieldwork, blank: Recording) -> Population:
+def population_of(work: Fieldwork, blank: Recording) -> TrialDraws:
     """The trials that a fieldwork can have; `blank` is its error-free recording."""
     scenario = work.scenario
     mean, sigma = instrument_law(scenario, work.construction)
-    return Population(
+    return TrialDraws(
         sightings=work.sightings,
         construction=work.construction,
         instruments=tuple(scenario.trackers),

@@ -19,7 +19,7 @@ from ltsim.geometry.rotations import quaternion
 from ltsim.recording.files import write_text
 from ltsim.recording.result_file import read_json
 from ltsim.recording.settings import sentence
-from ltsim.recording.setup import Finite, Section, Vector
+from ltsim.recording.setup import Finite, TomlSection, Vector
 from ltsim.results import Columns, Result
 from ltsim.units import FACTOR, MILLIMETRE
 
@@ -34,7 +34,7 @@ class AppliedEffect:
     values: Floats
 
 
-class TrackerTruth(Section):
+class TrackerTruth(TomlSection):
     """An instrument with a name."""
 
     name: str
@@ -149,7 +149,7 @@ class Truth(Result):
         )
 
 
-class _Number(Section):
+class _Number(TomlSection):
     """A parameter."""
 
     name: str
@@ -172,7 +172,7 @@ class _InstrumentNumber(_Number):
         return f"{self.name}@{self.instrument}" if self.instrument else self.name
 
 
-class _Effect(Section):
+class _Effect(TomlSection):
     """An effect of the catalogue."""
 
     effect: str
@@ -187,7 +187,7 @@ class _Effect(Section):
     """True values."""
 
 
-class _Point(Section):
+class _TruePoint(TomlSection):
     """A point."""
 
     name: str
@@ -196,14 +196,14 @@ class _Point(Section):
     """Where it truly stands, in the workshop's frame."""
 
 
-class _Pose(_Point):
+class _Pose(_TruePoint):
     """A station."""
 
     rotation_quaternion: tuple[Finite, Finite, Finite, Finite]
     """From instrument to workshop; x, y, z, w."""
 
 
-class TruthFile(Section):
+class TruthFile(TomlSection):
     """`truth.json`: from `simulate --truth`."""
 
     format: Format
@@ -226,9 +226,9 @@ class TruthFile(Section):
     """The instruments, where they have names."""
     stations: tuple[_Pose, ...] = Field(min_length=1)
     """True poses."""
-    targets: tuple[_Point, ...] = Field(min_length=1)
+    targets: tuple[_TruePoint, ...] = Field(min_length=1)
     """True points."""
-    nominal: tuple[_Point, ...] | None = None
+    nominal: tuple[_TruePoint, ...] | None = None
     """Points as a measuring machine gave them."""
 
 

@@ -14,7 +14,7 @@ from ltsim.scene.meshes import Obstacles, box, cylinder, placed, together
 from ltsim.scene.visibility import SightLimits, Visibility, aimed_normals, in_order, visibility
 from ltsim.simulation.gauge import frame_of, in_workshop
 from ltsim.simulation.scenario import Scenario
-from ltsim.simulation.sections import Instrument, Obstacle
+from ltsim.simulation.sections import Obstacle, ScenarioInstrument
 from ltsim.units import DEGREE, MILLIMETRE
 
 
@@ -82,7 +82,7 @@ def _nests(scenario: Scenario, position: Floats, points: Floats) -> tuple[Floats
     return normal, reaimed
 
 
-def sight_limits(scenario: Scenario, tracker: Instrument) -> SightLimits:
+def sight_limits(scenario: Scenario, tracker: ScenarioInstrument) -> SightLimits:
     """What a tracker of the scenario and its reflectors allow."""
     limits, cone = tracker.limits, scenario.workshop.shadow_cone_deg
     return SightLimits(

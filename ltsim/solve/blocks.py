@@ -45,7 +45,7 @@ class SingularSystemError(NetworkError):
     """The rows leave a direction of the unknowns undetermined (`ltsim.solve.design`)."""
 
 
-class Factor:
+class BlockFactor:
     """The factorised normal equations of a `BlockSystem`, with Levenberg-Marquardt damping.
 
     SingularSystemError when the rows and the damping leave a direction undetermined.
@@ -72,9 +72,9 @@ class Factor:
         if self._elimination.smallest_pivot < DOUBTFUL and damping + self._weakest() <= RANK:
             raise SingularSystemError(UNDETERMINED)
 
-    def __reduce__(self) -> tuple[type[Factor], tuple[BlockSystem, float]]:
+    def __reduce__(self) -> tuple[type[BlockFactor], tuple[BlockSystem, float]]:
         """It is made again of its system, which is smaller."""
-        return Factor, (self._system, self._damping)
+        return BlockFactor, (self._system, self._damping)
 
     def _weakest(self) -> float:
         """Squared length of the image of the weakest direction, by inverse iteration; accurate however small."""

@@ -45,7 +45,7 @@ def arrange(matrix: sp.csr_array) -> tuple[Ints, Ints]:
 
 
 @dataclass(frozen=True)
-class Window:
+class BlockWindow:
     """The inverse (w, w) over two neighbouring blocks and the border; `place` (K,) of a column in it, -1 for none."""
 
     place: Ints
@@ -130,7 +130,7 @@ class BlockChain:
         return 0.5 * (inverse + inverse.T)
 
     @cached_property
-    def windows(self) -> list[Window]:
+    def windows(self) -> list[BlockWindow]:
         """The inverse on each block, the next one and the border.
 
         References
@@ -154,7 +154,7 @@ class BlockChain:
                 whole[:own, :own] += reach.T @ across
             place = np.full(size, -1)
             place[np.concatenate([self._order[low:far], self._order[border:]])] = np.arange(len(whole))
-            windows.append(Window(place, whole))
+            windows.append(BlockWindow(place, whole))
             stay = np.concatenate([np.arange(own), np.arange(own + far - high, len(whole))])
             later = whole[np.ix_(stay, stay)]
         return windows[::-1]

@@ -8,7 +8,7 @@ from typing import Generic, Protocol, TypeVar
 
 from ltsim.arrays import Floats
 from ltsim.errors import ConvergenceError
-from ltsim.solve.blocks import BlockSystem, Factor, SingularSystemError
+from ltsim.solve.blocks import BlockFactor, BlockSystem, SingularSystemError
 
 X = TypeVar("X")
 TOLERANCE = 1e-8
@@ -55,7 +55,7 @@ class Solution(Generic[X]):
     cost: float
     iterations: int
     status: Status
-    factor: Factor | None
+    factor: BlockFactor | None
     """Factorised undamped normal equations at x; None where they are singular."""
     system: BlockSystem
 
@@ -77,7 +77,7 @@ def planned(problem: Problem[X], x: X) -> Solution[X]:
     SingularSystemError when they would leave a direction undetermined.
     """
     system = problem.linearise(x)
-    return Solution(x, system.cost, 0, Status.PLANNED, Factor(system), system)
+    return Solution(x, system.cost, 0, Status.PLANNED, BlockFactor(system), system)
 
 
 def solve(problem: Problem[X], start: X, *, cap: int = 30) -> Solution[X]:
@@ -123,7 +123,7 @@ def _length(system: BlockSystem, step: Floats) -> float:
     return float(moved @ moved)
 
 
-def _last_step(problem: Problem[X], x: X, system: BlockSystem, factor: Factor) -> tuple[X, BlockSystem] | None:
+def _last_step(problem: Problem[X], x: X, system: BlockSystem, factor: BlockFactor) -> tuple[X, BlockSystem] | None:
     """The end of the iteration with the design of the step before, which led to x; None where that is not the end.
 
     After a step of a standard deviation the design is the same to five digits: one more step with it, for the residual
@@ -141,11 +141,11 @@ def _after(system: BlockSystem, residual: Floats, step: Floats) -> BlockSystem:
     return BlockSystem(system.design, residual - system.design @ step, system.kept)
 
 
-def _damped(system: BlockSystem, damping: float) -> tuple[Factor | None, float]:
+def _damped(system: BlockSystem, damping: float) -> tuple[BlockFactor | None, float]:
     """The factor with at least `damping`, more where the normal matrix is singular."""
     while True:
         try:
-            return Factor(system, damping), damping
+            return BlockFactor(system, damping), damping
         except SingularSystemError:
             if damping >= 1e-2:
                 return None, damping
@@ -154,7 +154,7 @@ def _damped(system: BlockSystem, damping: float) -> tuple[Factor | None, float]:
 
 def _finish(x: X, system: BlockSystem, iteration: int, status: Status, *, held: bool) -> Solution[X]:
     try:
-        factor = Factor(system)
+        factor = BlockFactor(system)
     except SingularSystemError:
         return Solution(x, system.cost, iteration, Status.LOST if held else Status.SINGULAR, None, system)
     return Solution(x, system.cost, iteration, status, factor, system)

@@ -16,7 +16,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ltsim.arrays import Floats, Ints
-from ltsim.solve.blocks import BlockSystem, Factor
+from ltsim.solve.blocks import BlockFactor, BlockSystem
 from ltsim.solve.design import Design, as_dense, column_scale
 
 DENSE = 4_000_000
@@ -70,14 +70,14 @@ class FactorProjection:
     """Projection by the factorised normal equations of a sparse design."""
 
     design: sp.csr_array
-    factor: Factor
+    factor: BlockFactor
     added: Floats
     """(m, e): further columns."""
     _transposed: sp.csr_array = field(repr=False)
     _scale: Floats = field(repr=False)
 
     @classmethod
-    def of(cls, design: Design, factor: Factor) -> FactorProjection:
+    def of(cls, design: Design, factor: BlockFactor) -> FactorProjection:
         """The projection off a design."""
         design = sp.csr_array(design)
         return cls(design, factor, np.zeros((design.shape[0], 0)), sp.csr_array(design.T), column_scale(design))
@@ -138,7 +138,7 @@ class FactorProjection:
 Projection: TypeAlias = BasisProjection | FactorProjection
 
 
-def projection_of(system: BlockSystem, factor: Factor | None) -> Projection:
+def projection_of(system: BlockSystem, factor: BlockFactor | None) -> Projection:
     """The projection off the design of a system; without a factor, or for a small one, by a basis."""
     rows, columns = system.design.shape
     if factor is None or rows * columns <= DENSE:

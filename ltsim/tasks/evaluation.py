@@ -12,7 +12,7 @@ from ltsim.recording.recording import Recording
 from ltsim.recording.result_file import SourceEntry
 from ltsim.results import Result, Table
 from ltsim.solve.threads import in_one_thread
-from ltsim.tasks.files import Conformity, Distribution, Part, TaskResult, UncertaintyFile, conformity
+from ltsim.tasks.files import BudgetPart, Conformity, Distribution, TaskResult, UncertaintyFile, conformity
 from ltsim.tasks.inputs import Inputs
 from ltsim.tasks.measurands import Measurand, Output
 from ltsim.tasks.montecarlo import Drawn, draw
@@ -116,7 +116,7 @@ class Evaluation(Result):
             conformity=self._conformity(i, task, output),
         )
 
-    def _budget(self, i: int, sigma: float) -> tuple[Part, ...]:
+    def _budget(self, i: int, sigma: float) -> tuple[BudgetPart, ...]:
         """Sources of one result with their share of its variance, the largest first; they add up to 1."""
         shares, kinds = {name: float(share[i]) for name, share in self.linear.shares.items()}, self.linear.kinds
         total = sum(shares.values())
@@ -124,7 +124,7 @@ class Evaluation(Result):
             (name, shares[name] / total if total > 0 else 0.0) for name in sorted(shares, key=lambda n: -shares[n])
         ]
         return tuple(
-            Part(source=name, type=kinds[name], share=share, standard_uncertainty=float(np.sqrt(share)) * sigma)
+            BudgetPart(source=name, type=kinds[name], share=share, standard_uncertainty=float(np.sqrt(share)) * sigma)
             for name, share in ranked
         )
 

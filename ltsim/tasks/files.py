@@ -54,7 +54,7 @@ class Distribution(Entry):
     """whether the linear interval is that of the distribution (JCGM 101, clause 8)"""
 
 
-class Part(Entry):
+class BudgetPart(Entry):
     """One source of a result's uncertainty: its type, its share of the variance, its standard uncertainty."""
 
     source: str
@@ -109,7 +109,7 @@ class TaskResult(Entry):
     """By distributions."""
     curvature: float
     """gap of the linear adjustment, in standard uncertainties"""
-    budget: tuple[Part, ...]
+    budget: tuple[BudgetPart, ...]
     """Sources, the largest first."""
     conformity: Conformity | None = None
     """Against its tolerance."""

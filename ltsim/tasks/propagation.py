@@ -13,14 +13,14 @@ from ltsim.geometry.expansion import Expansion
 from ltsim.randomness import stream
 from ltsim.tasks.inputs import Inputs
 from ltsim.tasks.measurands import Measurand
-from ltsim.tasks.spec import Growth
+from ltsim.tasks.spec import PartExpansion
 
 CHECKS = 8
 CURVED = 0.05
 """Share of a standard uncertainty by which the exact adjustment may miss the linear one before it is said."""
 
 
-def expansion_of(growth: Growth | None) -> Expansion:
+def expansion_of(growth: PartExpansion | None) -> Expansion:
     """The part's expansion as an input: it was too long by that factor when it was measured."""
     if growth is None:
         return Expansion()

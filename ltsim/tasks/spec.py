@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 from ltsim.effects.air import Air
 from ltsim.errors import as_setup_error
 from ltsim.recording.settings import checked, load_settings
-from ltsim.recording.setup import Finite, NonNegative, Positive, Section, Vector
+from ltsim.recording.setup import Finite, NonNegative, Positive, TomlSection, Vector
 
 FORMAT = "ltsim-tasks/1"
 Kind = Literal[
@@ -32,7 +32,7 @@ POINTS = {"point": 1, "rod": 2, "distance": 2, "angle": 3}
 """Targets of the kinds that take a fixed number."""
 
 
-class Tolerance(Section):
+class Tolerance(TomlSection):
     """Limits of one result of a task, in its unit; either may be left open."""
 
     lower: Finite | None = None
@@ -49,7 +49,7 @@ class Tolerance(Section):
         return self
 
 
-class Task(Section):
+class Task(TomlSection):
     """One task: what is made of which targets.
 
     `point` gives coordinates, `rod` those of a hidden point `beyond_mm` past the second of two reflectors on a rod,
@@ -94,7 +94,7 @@ class Task(Section):
         return self
 
 
-class TypeB(Section):
+class TypeB(TomlSection):
     """An effect that the readings do not show, with the distribution of its size.
 
     `sizes` holds a standard deviation (`normal`) or a half-width (the others) for parameters of the effect, in their
@@ -120,7 +120,7 @@ class TypeB(Section):
     """What the budget calls it; the effect's own name where it is not given."""
 
 
-class Growth(Section):
+class PartExpansion(TomlSection):
     """The part's own expansion: results hold at `reference_c`, the points were measured at `measured_c`."""
 
     expansion_per_k: Finite
@@ -135,7 +135,7 @@ class Growth(Section):
     """Temperature at which results hold."""
 
 
-class MonteCarlo(Section):
+class MonteCarlo(TomlSection):
     """How the distributions are propagated (JCGM 101): until every figure is stable to `digits` of its uncertainty."""
 
     coverage: Level = 0.95
@@ -148,7 +148,7 @@ class MonteCarlo(Section):
     """Root of the random draws."""
 
 
-class Decision(Section):
+class Decision(TomlSection):
     """How conformity is decided (JCGM 106): `risk` is the probability of a wrong acceptance that is allowed."""
 
     rule: Literal["guarded", "simple"] = "guarded"
@@ -157,7 +157,7 @@ class Decision(Section):
     """Of a wrong acceptance."""
 
 
-class Tasks(Section):
+class Tasks(TomlSection):
     """The whole file."""
 
     format: Literal["ltsim-tasks/1"] = "ltsim-tasks/1"
@@ -178,7 +178,7 @@ class Tasks(Section):
     """What the readings do not show, tables `[[type_b]]`."""
     air: Air = Air()
     """What is not known of the air, where ranges are long; what `type_b` states itself is not counted again."""
-    growth: Growth | None = None
+    growth: PartExpansion | None = None
     """Expansion of the part."""
     monte_carlo: MonteCarlo = MonteCarlo()
     """How distributions are propagated."""

@@ -28,7 +28,7 @@ Answer = tuple[str, bytes]
 """Kind of content, and the content."""
 
 
-class Door:
+class BoardAccess:
     """What the page may ask of a board; every path begins with a word that nobody can guess.
 
     A page of the web that is open in the same browser reaches this machine too: it does not know the word.
@@ -101,7 +101,7 @@ class _Handler(BaseHTTPRequestHandler):
         """Say nothing of each request."""
 
 
-def serve(door: Door, tell: Callable[[str], None], port: int = 0) -> None:
+def serve(door: BoardAccess, tell: Callable[[str], None], port: int = 0) -> None:
     """Answer the page until Ctrl-C; `tell` is given the address; raises SetupError for a port that is taken."""
     work: SimpleQueue[tuple[Future[Answer | None], str, bytes]] = SimpleQueue()
     try:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import ltsim as lt
-from ltsim.acceptance.prediction import Plan
+from ltsim.acceptance.prediction import AcceptancePlan
 from ltsim.acceptance.tests import asme, envelope, iso_two_face
 from ltsim.arrays import Floats
 from ltsim.model.construction import misalignment, steering_mirror
@@ -17,17 +17,17 @@ URAD = MICROMETRE = 1e-6
 
 
 @pytest.fixture(scope="module")
-def plan() -> Plan:
-    return Plan(tuple(asme(1.5, (2.0, 6.0, 30.0))), misalignment(), SHEET, SHEET.instrument().noise)
+def plan() -> AcceptancePlan:
+    return AcceptancePlan(tuple(asme(1.5, (2.0, 6.0, 30.0))), misalignment(), SHEET, SHEET.instrument().noise)
 
 
-def one(plan: Plan, name: str, size: float) -> Floats:
+def one(plan: AcceptancePlan, name: str, size: float) -> Floats:
     values = np.zeros(plan.construction.size)
     values[plan.construction.index(name)] = size
     return values
 
 
-def test_count_of_the_standards(plan: Plan) -> None:
+def test_count_of_the_standards(plan: AcceptancePlan) -> None:
     kinds = [t.kind for t in plan.tests]
     assert kinds.count("two-face") == 36
     assert sum(t.group != "line of sight" for t in plan.tests if t.kind == "length") == 33
@@ -48,7 +48,7 @@ def test_count_of_the_standards(plan: Plan) -> None:
         ("range-scale", lambda r, phi: 0.0),
     ],
 )
-def test_two_face_sensitivities_in_closed_form(plan: Plan, name: str, per_unit) -> None:
+def test_two_face_sensitivities_in_closed_form(plan: AcceptancePlan, name: str, per_unit) -> None:
     """As Muralikrishnan et al. (2009) give them: what flips with the face shows twice."""
     size = 10 * MICROMETRE
     errors = plan.errors(one(plan, name, size))
@@ -59,7 +59,7 @@ def test_two_face_sensitivities_in_closed_form(plan: Plan, name: str, per_unit) 
             assert np.hypot(*error) == pytest.approx(per_unit(r, phi) * size, abs=2e-4 * size)
 
 
-def test_length_sensitivities_in_closed_form(plan: Plan) -> None:
+def test_length_sensitivities_in_closed_form(plan: AcceptancePlan) -> None:
     """A scale stretches every length; the zero of the ranges acts by the sum of the ends' cosines."""
     scale, zero = plan.errors(one(plan, "range-scale", 1e-6)), plan.errors(one(plan, "range-offset", 10 * MICROMETRE))
     for test, stretched, moved in zip(plan.tests, scale, zero, strict=True):
@@ -72,14 +72,14 @@ def test_length_sensitivities_in_closed_form(plan: Plan) -> None:
             assert abs(moved[0]) == pytest.approx(10 * MICROMETRE * abs(cosines), abs=1e-10)
 
 
-def test_limits(plan: Plan) -> None:
+def test_limits(plan: AcceptancePlan) -> None:
     limits = dict(zip((t.name for t in plan.tests), plan.limits / MICROMETRE, strict=True))
     assert limits["two-face 6 m level 0 deg"] == pytest.approx(2 * (15 + 6 * 6))
     # the zero of the ranges cancels along one line of sight
     assert limits["line of sight 2 to 6 m"] == pytest.approx(np.hypot(10 + 0.3 * 2, 10 + 0.3 * 6))
 
 
-def test_chance_to_pass_is_that_of_simulated_instruments(plan: Plan) -> None:
+def test_chance_to_pass_is_that_of_simulated_instruments(plan: AcceptancePlan) -> None:
     stated = SHEET.instrument()
     prior = np.array([p.sigma_from(stated.prior) for p in plan.construction.parameters])
     told = plan.predict(np.zeros(len(prior)), np.diag(prior**2), trials=20_000, seed=3)
@@ -100,7 +100,7 @@ def test_chance_to_pass_is_that_of_simulated_instruments(plan: Plan) -> None:
 def test_an_instrument_can_pass_and_be_bad(design: str) -> None:
     built = steering_mirror() if design == "steering-mirror" else misalignment()
     stated = SHEET.instrument(design)
-    plan = Plan(tuple(iso_two_face(1.5)), built, SHEET, stated.noise)
+    plan = AcceptancePlan(tuple(iso_two_face(1.5)), built, SHEET, stated.noise)
     prior = np.array([p.sigma_from(stated.prior) for p in built.parameters])
     worst = plan.worst_passing(prior, envelope())
     assert plan.within(plan.errors(worst.values)).all()
@@ -108,7 +108,7 @@ def test_an_instrument_can_pass_and_be_bad(design: str) -> None:
     assert worst.largest > worst.rms > 10 * MICROMETRE
 
 
-def test_it_errs_on_a_network_as_told(plan: Plan) -> None:
+def test_it_errs_on_a_network_as_told(plan: AcceptancePlan) -> None:
     """The worst instrument that passes is simulated in the workshop: targets are off, a good one's are not."""
     prior = np.array([p.sigma_from(SHEET.instrument().prior) for p in plan.construction.parameters])
     worst = plan.worst_passing(prior, envelope())

@@ -8,7 +8,7 @@ import pytest
 import ltsim as lt
 from ltsim.adjustment import adjust
 from ltsim.adjustment.doubt import BENT, curvature, doubts
-from ltsim.adjustment.verdict import Case, verdict
+from ltsim.adjustment.verdict import Agreement, verdict
 from ltsim.errors import LtsimError, NetworkError
 from ltsim.geometry.polar import to_polar
 from ltsim.geometry.rotations import about_z
@@ -41,7 +41,7 @@ def with_known(recording: Recording, points: np.ndarray) -> Recording:
 def test_a_sound_recording_has_no_doubts() -> None:
     found = adjust(noisy())
     assert doubts(found) == ()
-    assert verdict(found).case is Case.CLEAN
+    assert verdict(found).case is Agreement.CLEAN
     lt.adjust(with_known(noisy(), workshop()[1].points[:6] @ about_z(0.3).T + 5.0))
 
 
@@ -71,7 +71,7 @@ def test_with_two_stations_nobody_can_tell_which_of_two_exchanged_names_is_right
     first, second = (np.flatnonzero((recording.station == 1) & (target == t))[0] for t in (3, 17))
     target[[first, second]] = target[[second, first]]
     judged = verdict(adjust(recording.replace(target=target)))
-    assert judged.case is Case.IN_DOUBT
+    assert judged.case is Agreement.IN_DOUBT
     assert judged.sentence.startswith(f"{recording.targets[3]}, {recording.targets[17]}: two stations disagree")
 
 
@@ -80,7 +80,7 @@ def test_a_station_with_clockwise_azimuths_is_doubted_aloud() -> None:
     readings = recording.readings.copy()
     readings[recording.station == 3, 1] *= -1
     judged = verdict(adjust(recording.with_readings(readings)))
-    assert judged.case is not Case.CLEAN
+    assert judged.case is not Agreement.CLEAN
     assert "station S4" in judged.sentence or "Station S4" in judged.sentence
 
 

@@ -6,7 +6,7 @@ from scipy import stats
 
 from ltsim.adjustment import adjust
 from ltsim.adjustment.reliability import critical_tau, critical_w
-from ltsim.adjustment.verdict import Case, verdict
+from ltsim.adjustment.verdict import Agreement, verdict
 from ltsim.model.construction import misalignment
 from ltsim.randomness import stream
 from ltsim.recording.setup import Instrument, Station
@@ -152,18 +152,18 @@ def test_a_group_without_redundancy_keeps_its_noise():
 
 def test_the_verdict_says_which_test_to_trust():
     clean = next(a for a in (adjust(noisy(s, faces=2), TRACKER) for s in range(9)) if 0.2 < a.p_value < 0.8)
-    assert verdict(clean).case is Case.CLEAN
+    assert verdict(clean).case is Agreement.CLEAN
     hidden = adjust(spoiled(clean.recording, [(50, 1)], [9.0]), TRACKER)
-    assert verdict(hidden).case is Case.HIDDEN_ERRORS
+    assert verdict(hidden).case is Agreement.HIDDEN_ERRORS
     assert "one reading is out of place although" in verdict(hidden).sentence
     single = adjust(spoiled(clean.recording, [(50, 1), (90, 0)], [60.0, 40.0]), TRACKER)
-    assert verdict(single).case is Case.SINGLE_ERRORS
+    assert verdict(single).case is Agreement.SINGLE_ERRORS
     assert verdict(single).outliers >= 2
     larger = verdict(adjust(noisy(1, (3.0, 3.0, 3.0)), TRACKER))
-    assert larger.case is Case.LARGER_NOISE
+    assert larger.case is Agreement.LARGER_NOISE
     assert larger.by_estimate
     smaller = verdict(adjust(noisy(1, (0.3, 0.3, 0.3)), TRACKER))
-    assert smaller.case is Case.SMALLER_NOISE
+    assert smaller.case is Agreement.SMALLER_NOISE
     assert smaller.by_estimate
     for one in (larger, smaller):
         assert one.sentence.startswith("Trust the")

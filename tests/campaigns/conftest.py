@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from ltsim.campaigns.engine import Engine
-from ltsim.campaigns.truth import Truth
+from ltsim.campaigns.truth import CellTruth
 from ltsim.model.construction import Construction, misalignment
 from ltsim.model.measurement import sightings_of
 from ltsim.recording.lengths import KnownLengths
-from ltsim.simulation.draws import EffectLaw, Population
+from ltsim.simulation.draws import EffectLaw, TrialDraws
 from ltsim.units import ARCSECOND
 from tests.campaigns.small import FILE
 
@@ -36,12 +36,12 @@ def truth_of(
     faces: int = 1,
     effects: tuple[EffectLaw, ...] = (),
     scale: float = 1.0,
-) -> Truth:
+) -> CellTruth:
     """The workshop of the tests with errors drawn from the prior, stated noise, paper's resolution."""
     recording, state = workshop(faces=faces)
     built = construction or misalignment()
     sigma = np.array([[p.sigma_from(recording.setup.instrument.prior) for p in built.parameters]])
-    population = Population(
+    population = TrialDraws(
         sightings=sightings_of(recording, state),
         construction=built,
         instruments=("",),
@@ -52,11 +52,11 @@ def truth_of(
         names=recording.targets,
         effects=effects,
     )
-    return Truth(recording, state, population, np.array([[1e-7, 0.018 * ARCSECOND, 0.018 * ARCSECOND]]))
+    return CellTruth(recording, state, population, np.array([[1e-7, 0.018 * ARCSECOND, 0.018 * ARCSECOND]]))
 
 
 @pytest.fixture(scope="session")
-def make_truth() -> Callable[..., Truth]:
+def make_truth() -> Callable[..., CellTruth]:
     return truth_of
 
 

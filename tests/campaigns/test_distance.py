@@ -12,14 +12,14 @@ from ltsim.calibration.objective import DistanceProblem
 from ltsim.campaigns.cloud_kernels import distance_forces
 from ltsim.campaigns.distance import BatchDistance
 from ltsim.campaigns.engine import STATUSES, recording_of
-from ltsim.campaigns.truth import BLOCK, Truth
+from ltsim.campaigns.truth import BLOCK, CellTruth
 from ltsim.model.construction import misalignment
 
 EVERY = np.arange(BLOCK)
 
 
 @pytest.mark.parametrize("faces", [1, 2])
-def test_batch_equals_single_calibrator(faces: int, make_truth: Callable[..., Truth]) -> None:
+def test_batch_equals_single_calibrator(faces: int, make_truth: Callable[..., CellTruth]) -> None:
     batch = BatchDistance(make_truth(faces=faces), misalignment())
     block = batch.truth.draw(21, 0)
     found = batch.calibrate(block, EVERY)
@@ -30,7 +30,7 @@ def test_batch_equals_single_calibrator(faces: int, make_truth: Callable[..., Tr
     assert single.sigma[:, :, 7] == pytest.approx(found.sigma, rel=1e-3)
 
 
-def test_objective_is_that_of_the_single_calibrator(make_truth: Callable[..., Truth]) -> None:
+def test_objective_is_that_of_the_single_calibrator(make_truth: Callable[..., CellTruth]) -> None:
     """At zero parameters: the sum of squares of eq. 9's rows."""
     truth = make_truth(faces=2)
     batch = BatchDistance(truth, misalignment())
@@ -52,7 +52,7 @@ def test_objective_is_that_of_the_single_calibrator(make_truth: Callable[..., Tr
         assert cost[k] == pytest.approx(float(rows.residual @ rows.residual), rel=1e-6)
 
 
-def test_gross_error_goes_to_the_single_calibrator(make_truth: Callable[..., Truth]) -> None:
+def test_gross_error_goes_to_the_single_calibrator(make_truth: Callable[..., CellTruth]) -> None:
     batch = BatchDistance(make_truth(), misalignment())
     block = batch.truth.draw(23, 0)
     block.deviation[30, 0, 5] -= 8e-3
@@ -63,7 +63,7 @@ def test_gross_error_goes_to_the_single_calibrator(make_truth: Callable[..., Tru
 
 
 @pytest.mark.parametrize("faces", [1, 2])
-def test_least_absolute_deviations_equal_single_calibrator(faces: int, make_truth: Callable[..., Truth]) -> None:
+def test_least_absolute_deviations_equal_single_calibrator(faces: int, make_truth: Callable[..., CellTruth]) -> None:
     """Also where some readings are wrong by more than noise, but by less than what is screened out."""
     batch = BatchDistance(make_truth(faces=faces), misalignment(), method="distance-l1")
     block = batch.truth.draw(24, 0)

@@ -11,7 +11,7 @@ import pytest
 from ltsim.adjustment import adjust
 from ltsim.campaigns.engine import FAILED, FULL, STATUSES, Engine, recording_of
 from ltsim.campaigns.judge import Judge
-from ltsim.campaigns.truth import BLOCK, Truth
+from ltsim.campaigns.truth import BLOCK, CellTruth
 from ltsim.effects.effect import Effect, Parameter, Stage, on_readings
 from ltsim.effects.gauge_scale import GaugeScale
 from ltsim.evaluation.criteria import evaluate
@@ -50,7 +50,7 @@ class Bent(Drift):
 
 
 @pytest.mark.parametrize("faces", [1, 2])
-def test_batch_equals_full_solver(faces: int, make_truth: Callable[..., Truth]) -> None:
+def test_batch_equals_full_solver(faces: int, make_truth: Callable[..., CellTruth]) -> None:
     engine = Engine(make_truth(faces=faces), misalignment())
     block = engine.truth.draw(11, 2)
     found = engine.calibrate(block)
@@ -59,21 +59,21 @@ def test_batch_equals_full_solver(faces: int, make_truth: Callable[..., Truth]) 
     assert max(differences) < 2e-4
 
 
-def test_batch_equals_full_solver_with_errors_ten_times_as_large(make_truth: Callable[..., Truth]) -> None:
+def test_batch_equals_full_solver_with_errors_ten_times_as_large(make_truth: Callable[..., CellTruth]) -> None:
     engine = Engine(make_truth(scale=10.0), misalignment())
     block = engine.truth.draw(11, 0)
     found = engine.calibrate(block)
     assert max(engine.difference(block, k, found) for k in range(0, BLOCK, 64)) < 1e-3
 
 
-def test_batch_equals_full_solver_for_the_paper_chain(make_truth: Callable[..., Truth]) -> None:
+def test_batch_equals_full_solver_for_the_paper_chain(make_truth: Callable[..., CellTruth]) -> None:
     engine = Engine(make_truth(), dh())
     block = engine.truth.draw(12, 0)
     found = engine.calibrate(block)
     assert max(engine.difference(block, k, found) for k in (0, 100)) < 1e-3
 
 
-def test_fitted_effects_equal_full_solver(make_truth: Callable[..., Truth]) -> None:
+def test_fitted_effects_equal_full_solver(make_truth: Callable[..., CellTruth]) -> None:
     sigma = np.array([10e-6, 10e-6]) / 3600
     truth = make_truth(effects=(EffectLaw(Drift(), np.zeros(2), sigma),))
     engine = Engine(truth, misalignment(), (Drift(),))
@@ -87,7 +87,7 @@ def test_fitted_effects_equal_full_solver(make_truth: Callable[..., Truth]) -> N
     assert np.all(np.abs(fit.extra[:, 5] - block.amounts[0][:, 5]) < 5 * spread)
 
 
-def test_fitted_effect_on_the_known_lengths_equals_full_solver(make_truth: Callable[..., Truth]) -> None:
+def test_fitted_effect_on_the_known_lengths_equals_full_solver(make_truth: Callable[..., CellTruth]) -> None:
     truth = make_truth()
     engine = Engine(truth, misalignment(), (GaugeScale(),))
     block = truth.draw(20, 0)
@@ -157,7 +157,7 @@ def test_judge_equals_evaluation_of_single_recordings(engine: Engine) -> None:
         assert columns["target_error_um"][k] == pytest.approx(1e6 * target_error(points, truth.state.points), rel=1e-7)
 
 
-def test_a_draw_depends_on_its_key_alone(make_truth: Callable[..., Truth]) -> None:
+def test_a_draw_depends_on_its_key_alone(make_truth: Callable[..., CellTruth]) -> None:
     plain, drifting = make_truth(), make_truth(effects=(EffectLaw(Drift(), np.zeros(2), np.full(2, 1e-9)),))
     one, other = plain.draw(17, 5), drifting.draw(17, 5)
     assert np.array_equal(one.values, other.values)
@@ -167,7 +167,7 @@ def test_a_draw_depends_on_its_key_alone(make_truth: Callable[..., Truth]) -> No
     assert not np.array_equal(one.values, plain.draw(18, 5).values)
 
 
-def test_drawn_readings_are_exact_readings_plus_shift_plus_noise(make_truth: Callable[..., Truth]) -> None:
+def test_drawn_readings_are_exact_readings_plus_shift_plus_noise(make_truth: Callable[..., CellTruth]) -> None:
     for effect in (Drift(), Bent()):
         truth = make_truth(effects=(EffectLaw(effect, np.full(2, 2e-9), np.full(2, 1e-9)),))
         silent = replace(

@@ -15,7 +15,7 @@ from ltsim.campaigns.engine import Engine
 from ltsim.campaigns.kernels import points_of
 from ltsim.campaigns.network import BatchNetwork
 from ltsim.campaigns.program import ChainProgram
-from ltsim.campaigns.truth import BLOCK, Truth
+from ltsim.campaigns.truth import BLOCK, CellTruth
 from ltsim.geometry.polar import wrap
 from ltsim.model.construction import dh, misalignment
 
@@ -25,7 +25,7 @@ CONSTRUCTIONS = {"misalignment": misalignment, "dh": dh, "dh-4": lambda: dh(4)}
 @pytest.mark.parametrize("faces", [1, 2])
 @pytest.mark.parametrize("name", CONSTRUCTIONS)
 def test_points_and_readings_are_those_of_the_construction(
-    name: str, faces: int, make_truth: Callable[..., Truth]
+    name: str, faces: int, make_truth: Callable[..., CellTruth]
 ) -> None:
     built = CONSTRUCTIONS[name]()
     truth = make_truth(built, faces=faces)
@@ -44,7 +44,7 @@ def test_points_and_readings_are_those_of_the_construction(
         assert np.abs(points[:, :, k] - built.point(raw, values[0, :, k])).max() < 2e-11
 
 
-def test_without_second_derivatives_agreement_is_rounding(make_truth: Callable[..., Truth]) -> None:
+def test_without_second_derivatives_agreement_is_rounding(make_truth: Callable[..., CellTruth]) -> None:
     """Bases that are constant or linear in the reading are carried exactly: 1e-13 and better."""
     truth = make_truth()
     values = np.zeros((1, 16, BLOCK))
@@ -57,7 +57,7 @@ def test_without_second_derivatives_agreement_is_rounding(make_truth: Callable[.
         assert np.abs(gap).max() < 1e-13
 
 
-def test_motions_that_nothing_moves_are_dropped(make_truth: Callable[..., Truth]) -> None:
+def test_motions_that_nothing_moves_are_dropped(make_truth: Callable[..., CellTruth]) -> None:
     truth = make_truth()
     program = ChainProgram.of(misalignment(), truth.recording.readings)
     assert len(program.turns) == 8

@@ -10,7 +10,7 @@ from ltsim.campaigns.calibrators import StackCalibrator, calibrator_of, stacks
 from ltsim.campaigns.engine import Engine
 from ltsim.campaigns.judge import Judge
 from ltsim.campaigns.spec import Method
-from ltsim.campaigns.truth import Truth, truth_of
+from ltsim.campaigns.truth import CellTruth, truth_of
 from ltsim.errors import NetworkError, SetupError
 from ltsim.evaluation.clouds import on_points
 from ltsim.planning.fast import Reducer
@@ -24,11 +24,11 @@ SCENE = lt.scenario(
 
 
 @pytest.fixture(scope="module")
-def truth() -> Truth:
+def truth() -> CellTruth:
     return truth_of(SCENE, 4, "campaign")
 
 
-def test_the_batch_is_the_full_solver_and_scatters_as_predicted(truth: Truth) -> None:
+def test_the_batch_is_the_full_solver_and_scatters_as_predicted(truth: CellTruth) -> None:
     engine, block = Engine(truth, truth.construction), truth.draw(4, 0)
     found = engine.calibrate(block)
     assert (found.status == 0).mean() > 0.95
@@ -46,7 +46,7 @@ def test_the_batch_is_the_full_solver_and_scatters_as_predicted(truth: Truth) ->
     assert np.isnan(columns["error_raw_um"]).all()  # no station tells a point by itself
 
 
-def test_a_plan_of_ranges_predicts_what_trials_achieve(truth: Truth) -> None:
+def test_a_plan_of_ranges_predicts_what_trials_achieve(truth: CellTruth) -> None:
     """The planner's point error, at the places of the trials, against the spread of 256 of them."""
     survey, built = survey_of(SCENE), planned_construction(SCENE)
     assert [p.name for p in built.parameters] == ["range-offset", "range-scale", "transit-offset"]
@@ -66,7 +66,7 @@ def test_a_plan_of_ranges_predicts_what_trials_achieve(truth: Truth) -> None:
     assert achieved / slow.target_rms == pytest.approx(1.0, abs=0.07)
 
 
-def test_ranges_from_two_stations_place_nothing(truth: Truth) -> None:
+def test_ranges_from_two_stations_place_nothing(truth: CellTruth) -> None:
     survey = survey_of(SCENE)
     seen = survey.seen.copy()
     seen[2:, 0] = False
@@ -78,7 +78,7 @@ def test_ranges_from_two_stations_place_nothing(truth: Truth) -> None:
         LayoutInformation.of(lost)
 
 
-def test_a_distance_calibrator_and_a_mixture_of_trackers_are_refused(truth: Truth) -> None:
+def test_a_distance_calibrator_and_a_mixture_of_trackers_are_refused(truth: CellTruth) -> None:
     with pytest.raises(SetupError, match="compares points"):
         calibrator_of(Method(method="distance"), truth)
     mixed = lt.scenario("two-trackers")
@@ -89,7 +89,7 @@ def test_a_distance_calibrator_and_a_mixture_of_trackers_are_refused(truth: Trut
         truth_of(mixed.model_copy(update={"instruments": trackers}), 1)
 
 
-def test_each_trial_may_have_its_own_places(truth: Truth) -> None:
+def test_each_trial_may_have_its_own_places(truth: CellTruth) -> None:
     own = {k: truth_of(SCENE, 4, "campaign", k, like=truth) for k in range(6)}
     ((stack, numbers),) = stacks(own)
     block = stack.draw_trials(4, numbers)

@@ -14,7 +14,7 @@ import pytest
 import ltsim as lt
 from ltsim.errors import ModelError, SetupError
 from ltsim.notation import number
-from ltsim.pages.document import Table
+from ltsim.pages.document import Grid
 from ltsim.pages.figures.campaign import swept
 from ltsim.pages.sections.campaign import campaign_section, cell_words
 
@@ -157,7 +157,7 @@ def test_residuals_are_a_table(kind: Callable[..., Any]) -> None:
 
 def test_the_page_has_the_noise_floor_beside_each_error_and_says_what_its_statistics_are(sweep: Any) -> None:
     blocks = campaign_section(sweep.folder).blocks
-    tables = {block.title: block for block in blocks if isinstance(block, Table)}
+    tables = {block.title: block for block in blocks if isinstance(block, Grid)}
     for title, prefix in (("Error of a point", ""), ("Error of a new point", "new_point_")):
         floors = [row[-2] for row in tables[title].rows]
         means = [number(s.mean) for s in sweep.spread(f"{prefix}error_true_parameters_um")]

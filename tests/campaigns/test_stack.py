@@ -11,14 +11,14 @@ from ltsim.campaigns.calibrators import StackCalibrator, stacks
 from ltsim.campaigns.engine import Calibrated, Engine
 from ltsim.campaigns.judge import Judge
 from ltsim.campaigns.spec import Method
-from ltsim.campaigns.truth import Truth, truth_of
+from ltsim.campaigns.truth import CellTruth, truth_of
 from ltsim.model.construction import misalignment
 from ltsim.simulation.scenario import changed, load_scenario
 
 TRIALS = 5
 
 
-def drawn(name: str) -> dict[int, Truth]:
+def drawn(name: str) -> dict[int, CellTruth]:
     """Truths whose pointings come in different orders."""
     scenario = changed(load_scenario(name), {"work.order": "by-station-random"}, Path(name))
     common = truth_of(scenario, 8, "campaign")

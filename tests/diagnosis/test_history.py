@@ -20,7 +20,7 @@ from ltsim.calibration.history import History as Course
 from ltsim.calibration.known import Known
 from ltsim.cli.main import run
 from ltsim.diagnosis.diagnose import LEAST_GAIN
-from ltsim.diagnosis.history import History
+from ltsim.diagnosis.history import HistoryExpectation
 from ltsim.diagnosis.instruments import Contradiction
 from ltsim.model.construction import misalignment
 from ltsim.randomness import stream
@@ -79,7 +79,7 @@ def against(known: Known, adjustment: Adjustment, values: Floats) -> list[Contra
         recording=recording,
         problem=adjustment.problem,
     )
-    return History.of(known, recording, BUILT).contradictions(other, LEAST_GAIN)
+    return HistoryExpectation.of(known, recording, BUILT).contradictions(other, LEAST_GAIN)
 
 
 @pytest.mark.parametrize(("faces", "count"), [(2, 5), (1, 5), (2, 3), (2, 1)])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ltsim.errors import ModelError
-from ltsim.planning.improvement import Expected, Predictor
+from ltsim.planning.improvement import ExpectedErrors, Predictor
 from ltsim.planning.information import LayoutInformation
 from tests.planning.fixtures import survey
 
@@ -23,7 +23,7 @@ class Known(Predictor):
 
     def expected(self, sizes=None):  # type: ignore[no-untyped-def]
         a, b = (np.sqrt(3) * np.log(sizes[name]) for name in ("a", "b"))
-        return Expected(np.ones_like(a), 1 - a / 100, np.ones_like(a), a + 2 * b + a * b)
+        return ExpectedErrors(np.ones_like(a), 1 - a / 100, np.ones_like(a), a + 2 * b + a * b)
 
 
 def test_indices_of_a_case_with_known_answer() -> None:

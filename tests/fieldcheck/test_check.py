@@ -15,7 +15,7 @@ import ltsim as lt
 from ltsim.adjustment.reliability import surprise
 from ltsim.cli.check import changes, follow, mpe_of
 from ltsim.cli.main import run
-from ltsim.cli.options import Reading
+from ltsim.cli.options import ReadingOptions
 from ltsim.cli.terminal import Terminal
 from ltsim.effects.motions import exact_station_change
 from ltsim.errors import NetworkError, RecordError
@@ -318,7 +318,7 @@ def test_a_growing_recording_is_followed(dialect: str, capsys: pytest.CaptureFix
             file.write_text(text[: ends[pointings] + 1] + "S1,T"[: pointings % 5])
             yield
 
-    follow(Terminal(), lambda: check(Reading().of(place, growing=True)), steps())
+    follow(Terminal(), lambda: check(ReadingOptions().of(place, growing=True)), steps())
     told = capsys.readouterr()
     assert told.err.count("waiting: no station measured a target twice") == 1
     assert "cut" not in told.err and "never measured" not in told.err

@@ -36,7 +36,7 @@ from ltsim.pages.residuals import Residuals
 from ltsim.pages.sections.campaign import coverage_words
 from ltsim.pages.words import told_apart, typeset
 from ltsim.pages.workshop import from_adjustment, from_scenario
-from ltsim.planning.schema import ChangeEntry, ParameterEntry as PlannedEntry, PlanResult
+from ltsim.planning.schema import PlanChange, PlannedParameterEntry as PlannedEntry, PlanResult
 from ltsim.randomness import stream
 from ltsim.recording.specification import sheet
 from ltsim.simulation.scenario import load_scenario
@@ -150,7 +150,7 @@ def parameter_figure() -> Figure:
 
 
 def reflector_changes() -> Figure:
-    changes = [ChangeEntry.model_validate(change) for change in samples.REFLECTOR_CHANGES]
+    changes = [PlanChange.model_validate(change) for change in samples.REFLECTOR_CHANGES]
     return plans.reflector_changes(from_scenario(load_scenario("paper-workshop")), changes)
 
 

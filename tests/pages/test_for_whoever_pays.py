@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from ltsim.errors import RecordError
-from ltsim.pages.document import Document, Listing, Section, Table
+from ltsim.pages.document import Document, Grid, Listing, Section
 from ltsim.pages.page import document, render
 from ltsim.recording import read, write
 from ltsim.recording.setup import About, Instrument
@@ -112,7 +112,7 @@ def test_hidden_stands_beside_found_with_every_constant(tmp_path: Path) -> None:
 
 
 def test_print_leaves_settings_and_endless_tables_out() -> None:
-    long = Table("Long", ["a"], [[str(i)] for i in range(500)])
+    long = Grid("Long", ["a"], [[str(i)] for i in range(500)])
     section = Section("t", "Campaign", "x", blocks=[long, Listing("Settings", "{}")])
     html = render(Document("t", "x", "plain", [section]))
     assert '<details class="endless">' in html

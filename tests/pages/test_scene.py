@@ -19,11 +19,11 @@ from tests.pages import samples
 
 
 @pytest.fixture(scope="module")
-def scene() -> workshop.Workshop:
+def scene() -> workshop.PlacedWorkshop:
     return workshop.from_recording(samples.recording())
 
 
-def test_everything_stands_in_the_scene(scene: workshop.Workshop) -> None:
+def test_everything_stands_in_the_scene(scene: workshop.PlacedWorkshop) -> None:
     plotter, legend = scene3d.build(scene)
     names = set(plotter.actors)
     expected = {"floor", "wall-0", "wall-1", "sights", "cone-0", "shadow-4", "targets", "gauge", "gauge-lengths"}
@@ -32,7 +32,7 @@ def test_everything_stands_in_the_scene(scene: workshop.Workshop) -> None:
     plotter.close()
 
 
-def test_cone_ends_on_its_shadow(scene: workshop.Workshop) -> None:
+def test_cone_ends_on_its_shadow(scene: workshop.PlacedWorkshop) -> None:
     plotter, _ = scene3d.build(scene)
     bounds = plotter.actors["cone-0"].bounds
     radius = scene.shadow_radius(scene.openings[0])[0]
@@ -42,7 +42,7 @@ def test_cone_ends_on_its_shadow(scene: workshop.Workshop) -> None:
     plotter.close()
 
 
-def test_ellipsoids_have_the_stated_magnification(scene: workshop.Workshop) -> None:
+def test_ellipsoids_have_the_stated_magnification(scene: workshop.PlacedWorkshop) -> None:
     assert scene.covariance is not None
     one = replace(scene, targets=scene.targets[:1], points=scene.points[:1], covariance=scene.covariance[:1])
     one = replace(one, nest_normal=one.nest_normal[:1], gauge=(), sights=None, correction=None)
@@ -63,14 +63,14 @@ def test_magnification_is_round(length: float, shown: float, factor: float) -> N
     assert scene3d.round_magnification(length, shown) == pytest.approx(factor)
 
 
-def test_picture_is_drawn(scene: workshop.Workshop) -> None:
+def test_picture_is_drawn(scene: workshop.PlacedWorkshop) -> None:
     pixels = np.asarray(image.imread(io.BytesIO(scene3d.picture(scene, window_size=(500, 400)))))
     assert pixels.shape[:2] == (400, 500)
     assert (pixels[:, :, :3] < 0.97).any(axis=2).mean() > 0.2
     assert len(np.unique(pixels.reshape(-1, pixels.shape[2]), axis=0)) > 500
 
 
-def test_page_escapes_the_title_and_names_no_server(scene: workshop.Workshop) -> None:
+def test_page_escapes_the_title_and_names_no_server(scene: workshop.PlacedWorkshop) -> None:
     html = scene_page(replace(scene, title='<script>alert("x")</script>'))
     assert "<script>alert" not in html
     assert "&lt;script&gt;" in html
@@ -78,12 +78,12 @@ def test_page_escapes_the_title_and_names_no_server(scene: workshop.Workshop) ->
     assert "enlarged" in html
 
 
-def test_page_has_the_policy_of_the_report(scene: workshop.Workshop) -> None:
+def test_page_has_the_policy_of_the_report(scene: workshop.PlacedWorkshop) -> None:
     head = scene_page(scene).partition("</head>")[0]
     assert f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">' in head
 
 
-def test_station_names_may_be_long_or_foreign(scene: workshop.Workshop) -> None:
+def test_station_names_may_be_long_or_foreign(scene: workshop.PlacedWorkshop) -> None:
     names = ("漢字", "a" * 60, "S 3", "é", "-")
     html = scene_page(replace(scene, stations=names))
     assert len(html) > 1e6

@@ -11,18 +11,18 @@ from tests.pages import samples
 
 
 @pytest.fixture(scope="module")
-def scene() -> workshop.Workshop:
+def scene() -> workshop.PlacedWorkshop:
     return workshop.from_recording(samples.recording())
 
 
-def test_network_is_brought_to_the_floor_plan(scene: workshop.Workshop) -> None:
+def test_network_is_brought_to_the_floor_plan(scene: workshop.PlacedWorkshop) -> None:
     assert scene.position == pytest.approx(STATIONS, abs=1e-3)
     assert scene.points == pytest.approx(mesh(), abs=1e-3)
     assert np.exp(1j * scene.yaw) == pytest.approx(np.exp(1j * YAWS), abs=1e-3)
     assert scene.floor_height == 0.0
 
 
-def test_walls_stand_behind_the_nests(scene: workshop.Workshop) -> None:
+def test_walls_stand_behind_the_nests(scene: workshop.PlacedWorkshop) -> None:
     assert scene.walls.shape == (2, 4, 3)
     assert scene.walls[0, :, 0] == pytest.approx(-0.05, abs=2e-3)
     assert scene.walls[1, :, 1] == pytest.approx(-0.05, abs=2e-3)
@@ -38,14 +38,14 @@ def test_walls_stand_behind_nests_that_are_aimed_at_the_stations() -> None:
         assert np.abs(walls[axis, :, axis]).max() < 0.1
 
 
-def test_shadow_is_a_cone_under_the_elevation_limit(scene: workshop.Workshop) -> None:
+def test_shadow_is_a_cone_under_the_elevation_limit(scene: workshop.PlacedWorkshop) -> None:
     narrow, wide = scene.openings
     assert np.degrees([narrow, wide]) == pytest.approx([70.0, 110.0])
     assert scene.shadow_radius(narrow)[0] == pytest.approx(1.9 * np.tan(np.radians(35.0)), rel=1e-3)
     assert scene.shadow_radius(wide)[0] == pytest.approx(1.9 / np.tan(np.radians(35.0)), rel=1e-3)
 
 
-def test_incidence_is_measured_on_the_walls(scene: workshop.Workshop) -> None:
+def test_incidence_is_measured_on_the_walls(scene: workshop.PlacedWorkshop) -> None:
     sights = scene.coloured("incidence").sights
     assert sights is not None
     first = (sights.station == 0) & (sights.target == 0)
@@ -55,7 +55,7 @@ def test_incidence_is_measured_on_the_walls(scene: workshop.Workshop) -> None:
     assert sights.value.max() < 90.0
 
 
-def test_corrections_are_the_change_by_calibration(scene: workshop.Workshop) -> None:
+def test_corrections_are_the_change_by_calibration(scene: workshop.PlacedWorkshop) -> None:
     assert scene.correction is not None
     change = samples.after().state.points - samples.before().state.points
     assert np.linalg.norm(scene.correction, axis=1) == pytest.approx(np.linalg.norm(change, axis=1))
@@ -70,7 +70,7 @@ def test_without_a_plan_the_floor_is_at_the_lowest_target() -> None:
     assert scene.walls.shape == (0, 4, 3)
 
 
-def test_gauge_lengths_join_the_gauge_targets(scene: workshop.Workshop) -> None:
+def test_gauge_lengths_join_the_gauge_targets(scene: workshop.PlacedWorkshop) -> None:
     assert len(scene.gauge) == 6
     assert scene.gauge_targets == (24, 25, 26, 27)
 

@@ -16,7 +16,7 @@ from ltsim.planning.loading import load_plan
 from ltsim.planning.objective import INSTRUMENT, TARGETS, Objective
 from ltsim.planning.planner import measure
 from ltsim.planning.reflectors import choose_reflectors
-from ltsim.planning.schema import ChangeEntry
+from ltsim.planning.schema import PlanChange
 from ltsim.planning.survey import Survey
 from ltsim.planning.workshop import fixed_of, site_of, staying
 from tests.planning.test_hall import HALL, points_csv
@@ -32,7 +32,7 @@ def wall_places() -> tuple[Floats, tuple[str, ...]]:
     return places, tuple(f"P{i}" for i in range(len(places)))
 
 
-def changed(survey: Survey, change: ChangeEntry) -> Survey:
+def changed(survey: Survey, change: PlanChange) -> Survey:
     """The survey with a change made by hand."""
     keep = [i for i, name in enumerate(survey.target_names) if name != change.reflector]
     points = survey.points[keep]

@@ -20,7 +20,7 @@ from ltsim.planning.loading import load_plan, plan_names, plan_text
 from ltsim.planning.making import Follower, make_plan
 from ltsim.planning.planner import Plan
 from ltsim.planning.reasons import fewest
-from ltsim.planning.search import Searcher
+from ltsim.planning.search import LayoutSearcher
 from ltsim.planning.spec import PlanFile, Search
 from ltsim.planning.workshop import survey_of
 from ltsim.simulation.scenario import changed, load_scenario, scenario_to_toml
@@ -174,11 +174,11 @@ def test_ctrl_c_keeps_the_best_layout_so_far(tmp_path: Path, monkeypatch: pytest
     """Somebody ends the search after the exchange on the grid: the plan is the layout that it had then, and says so."""
     exchanged = []
 
-    def stop(_searcher: Searcher, layout: Any, value: float, _rng: object) -> None:
+    def stop(_searcher: LayoutSearcher, layout: Any, value: float, _rng: object) -> None:
         exchanged.append((layout.position, value))
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(Searcher, "refine", stop)
+    monkeypatch.setattr(LayoutSearcher, "refine", stop)
     said: list[str] = []
     file, scenario = load_plan(small("[stations]\ncount = 3\n", tmp_path))
     made = make_plan(file, scenario, follower=Follower(say=said.append))

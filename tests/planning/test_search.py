@@ -17,9 +17,9 @@ from ltsim.planning.information import LayoutInformation
 from ltsim.planning.loading import load_plan
 from ltsim.planning.objective import DIAGNOSIS, INSTRUMENT, TARGETS, Objective, a_criterion, d_criterion
 from ltsim.planning.reflectors import choose_reflectors
-from ltsim.planning.search import Searcher
+from ltsim.planning.search import LayoutSearcher
 from ltsim.planning.site import Site
-from ltsim.planning.starts import Problem, Task
+from ltsim.planning.starts import PlanningProblem, SearchTask
 from ltsim.randomness import stream
 from ltsim.scene.meshes import box, placed, together
 from ltsim.scene.visibility import SightLimits, aimed_normals, visibility
@@ -35,8 +35,8 @@ def site(stations: int = 3, **changes: object) -> Site:
     return whole.replace(**changes)
 
 
-def searcher(where: Site, objective: Objective | None = None) -> Searcher:
-    return Searcher(where, objective or Objective(), step=1.25, yaws=4, heights=1)
+def searcher(where: Site, objective: Objective | None = None) -> LayoutSearcher:
+    return LayoutSearcher(where, objective or Objective(), step=1.25, yaws=4, heights=1)
 
 
 def information(where: Site, position: Floats, yaw: Floats) -> LayoutInformation:
@@ -113,8 +113,8 @@ def test_stations_that_share_too_little_are_bound_together(tmp_path: Path) -> No
     (tmp_path / "points.csv").write_text("\n".join(["name,x_mm,y_mm,z_mm", *rows]))
     (tmp_path / "hall.toml").write_text(LONG_HALL)
     file, scenario = load_plan(tmp_path / "hall.toml")
-    problem = Problem(file, scenario, planned_construction(scenario))
-    work = problem.searcher(problem.site(Task(4, 1, 0)))
+    problem = PlanningProblem(file, scenario, planned_construction(scenario))
+    work = problem.searcher(problem.site(SearchTask(4, 1, 0)))
     drawn = [work.random_layout(stream(0, "plan", 4, k)) for k in range(4)]
     apart = [layout for layout in drawn if not np.isfinite(work._value(layout))]
     assert len(apart) > 1
@@ -135,12 +135,12 @@ def test_an_obstacle_moves_the_plan_out_of_its_way(found) -> None:  # type: igno
     """A machine at a station of the plan: nobody stands in it, everything is still in sight, at a price."""
     pillar = placed(box(np.array([0.5, 0.5, 1.2])), np.array([*found.position[0, :2], 0.0]), 0.0)
     where = site(obstacles=together([pillar]))
-    work = Searcher(where, step=0.8, yaws=4, heights=1)
+    work = LayoutSearcher(where, step=0.8, yaws=4, heights=1)
     assert work.evaluate(found.position, found.yaw).value == np.inf
     made = work.from_start(4, 1)
     assert not together([pillar]).encloses(made.position).any()
     assert visibility(made.position, where.survey.points, where.limits, obstacles=together([pillar])).visible.all()
-    free = Searcher(site(), step=0.8, yaws=4, heights=1).from_start(4, 1)
+    free = LayoutSearcher(site(), step=0.8, yaws=4, heights=1).from_start(4, 1)
     assert made.value > 0.97 * min(free.value, found.value)
 
 

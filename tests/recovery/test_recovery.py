@@ -13,7 +13,7 @@ import ltsim as lt
 from ltsim.calibration import calibrate_network
 from ltsim.campaigns.recovery import How, Recovery, from_prior, run_trials
 from ltsim.campaigns.recovery_checks import FALSE_ALARM, mean_check, parameter_checks
-from ltsim.campaigns.scoring import Network, Trial
+from ltsim.campaigns.scoring import NetworkScore, Trial
 from ltsim.model.construction import Construction, misalignment
 from ltsim.simulation.fieldwork import fieldwork
 from ltsim.simulation.scenario import Scenario, changed, load_scenario
@@ -168,7 +168,9 @@ def test_chance_alone_fails_one_run_in_a_hundred() -> None:
 
 
 def test_a_trial_that_does_not_converge_fails() -> None:
-    good = Trial(("a",), ("urad",), np.zeros(1), np.ones(1), np.zeros(1), np.zeros(1), Network(1, 1, 10, 10, 10, 4.5))
+    good = Trial(
+        ("a",), ("urad",), np.zeros(1), np.ones(1), np.zeros(1), np.zeros(1), NetworkScore(1, 1, 10, 10, 10, 4.5)
+    )
     failures = Recovery((good, good, None)).failures()
     assert failures[0].what == "convergence"
     assert not mean_check("x", "mean", np.array([2.0, 2.1]), 0.5).passed

@@ -20,7 +20,7 @@ from ltsim.simulation.gauge import (
     orientation,
 )
 from ltsim.simulation.scenario import load_scenario
-from ltsim.simulation.sections import Cmm, Gauge
+from ltsim.simulation.sections import Cmm, ScenarioGauge
 from ltsim.simulation.simulator import error_free, population_of
 
 PLACE = (750.0, 750.0, 260.0)
@@ -28,16 +28,16 @@ PLACE = (750.0, 750.0, 260.0)
 
 @pytest.mark.parametrize("reading", ["columns", "rows"])
 def test_both_readings_of_table_2_are_realised(reading: str) -> None:
-    frame = frame_of(Gauge.model_validate({"position_mm": PLACE, "reading": reading}))
+    frame = frame_of(ScenarioGauge.model_validate({"position_mm": PLACE, "reading": reading}))
     np.testing.assert_allclose(frame.length * 1e3, TABLE_2[reading], atol=1e-7)
 
 
 def test_by_columns_the_gauge_is_a_flat_near_parallelogram_by_rows_it_is_not() -> None:
-    flat = frame_of(Gauge(position_mm=PLACE))
+    flat = frame_of(ScenarioGauge(position_mm=PLACE))
     assert np.sqrt(np.mean(flat.points[:, 2] ** 2)) == pytest.approx(0.55e-3, abs=0.1e-3)
     middles = 0.5 * (flat.points[1] + flat.points[2]), 0.5 * (flat.points[0] + flat.points[3])
     assert np.linalg.norm(middles[0] - middles[1]) == pytest.approx(1.6e-3, abs=0.3e-3)
-    solid = frame_of(Gauge(position_mm=PLACE, reading="rows"))
+    solid = frame_of(ScenarioGauge(position_mm=PLACE, reading="rows"))
     assert np.sqrt(np.mean(solid.points[:, 2] ** 2)) > 0.02
 
 
@@ -58,25 +58,25 @@ def square(diagonal_mm: float) -> list[dict[str, object]]:
 
 def test_own_gauges_need_all_their_lengths_and_must_fit_in_space() -> None:
     table = {"targets": ("A", "B", "C", "D"), "position_mm": PLACE}
-    assert len(frame_of(Gauge.model_validate({**table, "distance": square(300 * 2**0.5)})).length) == 6
+    assert len(frame_of(ScenarioGauge.model_validate({**table, "distance": square(300 * 2**0.5)})).length) == 6
     with pytest.raises(SetupError, match="no frame in space has these lengths"):
-        frame_of(Gauge.model_validate({**table, "distance": square(500.0)}))
+        frame_of(ScenarioGauge.model_validate({**table, "distance": square(500.0)}))
     with pytest.raises(SetupError, match="the length B-D is missing"):
-        frame_of(Gauge.model_validate({**table, "distance": square(400.0)[:-1]}))
+        frame_of(ScenarioGauge.model_validate({**table, "distance": square(400.0)[:-1]}))
     with pytest.raises(SetupError, match="is no pair of two"):
-        frame_of(Gauge.model_validate({**table, "distance": [{"from": "A", "to": "X", "length_mm": 1}]}))
+        frame_of(ScenarioGauge.model_validate({**table, "distance": [{"from": "A", "to": "X", "length_mm": 1}]}))
     with pytest.raises(SetupError, match="holds 3 reflectors"):
-        frame_of(Gauge(position_mm=PLACE, targets=("A", "B", "C")))
+        frame_of(ScenarioGauge(position_mm=PLACE, targets=("A", "B", "C")))
 
 
 def test_aluminium_grows_by_58_um_on_the_shortest_length() -> None:
-    gauge = Gauge(position_mm=PLACE)
+    gauge = ScenarioGauge(position_mm=PLACE)
     frame = frame_of(gauge)
     points = in_workshop(gauge, frame, 27.0)
     grown = np.linalg.norm(points[frame.first] - points[frame.second], axis=1)
     assert (grown - frame.length)[0] == pytest.approx(357.6066e-3 * 23.2e-6 * 7, rel=1e-6)
     assert expansion(gauge, 20.0) == 1.0
-    assert expansion(Gauge(position_mm=PLACE, measured_at_c=30.0), 27.0) == pytest.approx(1 + 23.2e-5)
+    assert expansion(ScenarioGauge(position_mm=PLACE, measured_at_c=30.0), 27.0) == pytest.approx(1 + 23.2e-5)
 
 
 def test_certificate_scatters_as_the_machine_promises() -> None:
@@ -105,6 +105,6 @@ def test_nominal_points_keep_the_machine_within_its_largest_error() -> None:
 
 
 def test_orientation_turns_about_x_then_y_then_z() -> None:
-    turned = orientation(Gauge(position_mm=PLACE, yaw_deg=90, roll_deg=90))
+    turned = orientation(ScenarioGauge(position_mm=PLACE, yaw_deg=90, roll_deg=90))
     np.testing.assert_allclose(turned @ [0.0, 1.0, 0.0], [0, 0, 1], atol=1e-12)
     np.testing.assert_allclose(turned @ [1.0, 0.0, 0.0], [0, 1, 0], atol=1e-12)

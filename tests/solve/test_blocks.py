@@ -7,7 +7,7 @@ import pytest
 import scipy.sparse as sp
 
 from ltsim.randomness import stream
-from ltsim.solve.blocks import BlockSystem, Factor, SingularSystemError
+from ltsim.solve.blocks import BlockFactor, BlockSystem, SingularSystemError
 from ltsim.solve.gauss_newton import Status, solve
 
 
@@ -27,7 +27,7 @@ def random_system(seed: int, kept: int = 7, blocks: int = 5) -> tuple[BlockSyste
 @pytest.mark.parametrize("seed", range(3))
 def test_step_covariance_and_leverage_equal_dense_ones(seed, kind):
     system, dense = random_system(seed)
-    factor = Factor(replace(system, design=kind(dense)))
+    factor = BlockFactor(replace(system, design=kind(dense)))
     scale = 1 / np.linalg.norm(dense, axis=0)
     inverse = np.linalg.inv((dense * scale).T @ (dense * scale)) * np.outer(scale, scale)
     np.testing.assert_allclose(factor.step(), inverse @ dense.T @ system.residual, rtol=1e-8)
@@ -47,7 +47,7 @@ def test_undetermined_unknowns_are_refused_whatever_their_unit(kind):
     for unit in (1e-9, 1.0, 1e9):
         dense[:, 0] = unit * dense[:, 1]
         with pytest.raises(SingularSystemError):
-            Factor(BlockSystem(kind(dense), system.residual, 7))
+            BlockFactor(BlockSystem(kind(dense), system.residual, 7))
 
 
 class Valley:
@@ -106,7 +106,7 @@ def test_a_next_step_that_would_be_nothing_is_not_looked_at():
     solution = solve(problem, np.zeros(2))
     assert (solution.status, solution.iterations, problem.looks) == (Status.CONVERGED, 2, 0)
     there = problem.linearise(solution.x)
-    assert np.linalg.norm(there.design @ Factor(there).step()) < 1e-6
+    assert np.linalg.norm(there.design @ BlockFactor(there).step()) < 1e-6
     np.testing.assert_allclose(solution.system.residual, there.residual, atol=1e-6)
     assert solution.cost == pytest.approx(there.cost, rel=1e-9)
 

@@ -7,7 +7,7 @@ import pytest
 import scipy.sparse as sp
 
 from ltsim.randomness import stream
-from ltsim.solve.blocks import BlockSystem, Factor
+from ltsim.solve.blocks import BlockFactor, BlockSystem
 from ltsim.solve.projection import BasisProjection, FactorProjection, projection_of
 
 KEPT, BLOCKS, ROWS = 320, 130, 2600
@@ -30,7 +30,7 @@ def chained(seed: int = 1) -> BlockSystem:
 SYSTEM = chained()
 ROOT = np.linalg.qr(SYSTEM.design.toarray())[0]
 BASIS = BasisProjection.of(SYSTEM.design)
-SPARSE = FactorProjection.of(SYSTEM.design, Factor(SYSTEM))
+SPARSE = FactorProjection.of(SYSTEM.design, BlockFactor(SYSTEM))
 EXTRA = np.linalg.qr(BASIS.project(stream(3, "extra").standard_normal((len(ROOT), 2))))[0]
 PAIRS = [(BASIS, ROOT), (SPARSE, ROOT)]
 PAIRS += [(p.extended(EXTRA), np.hstack([ROOT, EXTRA])) for p, _ in PAIRS]
@@ -75,6 +75,6 @@ def test_spectra_give_back_the_blocks_of_the_hat_matrix(projection, root, groups
 def test_a_small_system_or_one_without_factor_gets_a_basis():
     assert isinstance(projection_of(SYSTEM, None), BasisProjection)
     small = BlockSystem(SYSTEM.design, SYSTEM.residual, SYSTEM.kept)
-    assert isinstance(projection_of(small, Factor(small)), BasisProjection)
+    assert isinstance(projection_of(small, BlockFactor(small)), BasisProjection)
     tall = BlockSystem(sp.csr_array(sp.vstack([SYSTEM.design] * 3)), np.tile(SYSTEM.residual, 3), SYSTEM.kept)
-    assert isinstance(projection_of(tall, Factor(tall)), FactorProjection)
+    assert isinstance(projection_of(tall, BlockFactor(tall)), FactorProjection)

@@ -7,7 +7,7 @@ import pytest
 import scipy.sparse as sp
 
 from ltsim.randomness import stream
-from ltsim.solve.blocks import BlockSystem, Factor, SingularSystemError
+from ltsim.solve.blocks import BlockFactor, BlockSystem, SingularSystemError
 from ltsim.solve.design import DOUBTFUL, FORMED, RANK, Design, cholesky_where_determined, unit_diagonal
 
 
@@ -33,11 +33,11 @@ def test_the_solver_decides_by_the_image_of_the_weakest_direction(
     design = nearly_dependent(size, image) * 10.0 ** stream(1, "unit").uniform(-6, 6, size)
     system = BlockSystem(kind(design), np.zeros(len(design)), kept)
     if determined:
-        assert Factor(system).smallest_pivot < DOUBTFUL
+        assert BlockFactor(system).smallest_pivot < DOUBTFUL
     else:
         with pytest.raises(SingularSystemError):
-            Factor(system)
-    Factor(system, damping=1e-9)
+            BlockFactor(system)
+    BlockFactor(system, damping=1e-9)
 
 
 def test_a_batch_decides_by_its_smallest_eigenvalue() -> None:

@@ -20,7 +20,7 @@ from ltsim.planning.planner import sight_table
 from ltsim.planning.tolerances import judged
 from ltsim.scene.visibility import Reason
 from ltsim.viewer.board import Board
-from ltsim.viewer.server import Door
+from ltsim.viewer.server import BoardAccess
 from tests.pages.browser import find_browser
 from tests.planning.test_hall import HALL, points_csv
 from tests.viewer.tab import opened
@@ -113,7 +113,7 @@ def test_a_folder_of_a_plan_begins_where_the_plan_stands(hall: Path, tmp_path: P
 
 
 def test_the_door_opens_to_the_word_alone(hall: Path, tmp_path: Path) -> None:
-    door = Door(Board.of(hall), tmp_path / "out")
+    door = BoardAccess(Board.of(hall), tmp_path / "out")
     own = json.dumps({"stations": door.board.hall()["stations"]}).encode()
     for path in ("/", "/judged", "//judged", "/wrong/", "/wrong/judged", f"/{door.word}/nothing", f"/{door.word}x/"):
         assert door.answer(path, own) is None

@@ -264,7 +264,7 @@ def by_setting(rows: Sequence[Swept], *, label: str, published: float | None = N
 
 
 @dataclass(frozen=True)
-class Distribution:
+class TrialDistribution:
     """One quantity over trials: values (n,), its unit, and a published figure to compare with."""
 
     name: str
@@ -274,7 +274,7 @@ class Distribution:
 
 
 @style.styled
-def distributions(rows: Sequence[Distribution], *, source: str = "the paper") -> Figure:
+def distributions(rows: Sequence[TrialDistribution], *, source: str = "the paper") -> Figure:
     """Small histograms, two a line: mean with 95 % interval, middle 90 % of trials, the published figure."""
     across = min(2, max(len(rows), 1))
     lines = -(-len(rows) // across)
@@ -288,7 +288,7 @@ def distributions(rows: Sequence[Distribution], *, source: str = "the paper") ->
     return figure
 
 
-def _panel(ax: Axes, row: Distribution, source: str) -> None:
+def _panel(ax: Axes, row: TrialDistribution, source: str) -> None:
     values = row.values[np.isfinite(row.values)]
     low, high = np.percentile(values, [0.25, 99.75])
     if row.published is not None:

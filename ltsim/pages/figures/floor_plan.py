@@ -13,7 +13,7 @@ from matplotlib.patches import Circle, Polygon
 
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.pages import style
-from ltsim.pages.workshop import Workshop
+from ltsim.pages.workshop import PlacedWorkshop
 from ltsim.planning.floor import Floor, FloorArea, distance
 from ltsim.units import DEGREE, MILLIMETRE
 
@@ -78,13 +78,13 @@ ON_A_WALL = 0.35
 
 @style.styled
 def floor_plan(
-    workshop: Workshop, *, reference: Floats | None = None, coordinates: bool = False, ground: Floor | None = None
+    workshop: PlacedWorkshop, *, reference: Floats | None = None, coordinates: bool = False, ground: Floor | None = None
 ) -> Figure:
     """Top view in metres: circles are the shadows of both cone openings on the floor, the tick is azimuth zero.
 
     Parameters
     ----------
-    workshop : Workshop
+    workshop : PlacedWorkshop
     reference : (k, 3) float, optional, [m]
         Stations of another layout, to compare with.
     coordinates : bool
@@ -134,7 +134,7 @@ def floor_plan(
     return figure
 
 
-def _walls(ax: Axes, workshop: Workshop) -> None:
+def _walls(ax: Axes, workshop: PlacedWorkshop) -> None:
     """Sides of the floor that hold targets; a single one near a side belongs to the wall that meets it there."""
     word: str | None = "wall with targets"
     sides = np.stack([workshop.floor, np.roll(workshop.floor, -1, axis=0)], axis=1)
@@ -176,7 +176,7 @@ def _ground(ax: Axes, ground: Floor) -> list[Label]:
     return [label for label in names if label.text]
 
 
-def _limits(workshop: Workshop) -> Floats:
+def _limits(workshop: PlacedWorkshop) -> Floats:
     """Least and greatest x and y (2, 2) that show the floor and the inner circles whole; the outer ones may run out."""
     radius = workshop.shadow_radius(workshop.openings[0])[:, None]
     places = np.concatenate([workshop.floor, workshop.position[:, :2] - radius, workshop.position[:, :2] + radius])
@@ -185,7 +185,7 @@ def _limits(workshop: Workshop) -> Floats:
     return np.stack([low - margin, high + margin])
 
 
-def _shadows(ax: Axes, workshop: Workshop) -> None:
+def _shadows(ax: Axes, workshop: PlacedWorkshop) -> None:
     for k, opening in enumerate(workshop.openings):
         how = (
             {"facecolor": "#D55E0022", "edgecolor": style.RED, "linestyle": "-"}
@@ -197,7 +197,7 @@ def _shadows(ax: Axes, workshop: Workshop) -> None:
             ax.add_patch(Circle(tuple(workshop.position[s, :2]), radius, linewidth=0.9, zorder=1, label=word, **how))
 
 
-def _obstacles(ax: Axes, workshop: Workshop) -> None:
+def _obstacles(ax: Axes, workshop: PlacedWorkshop) -> None:
     if len(workshop.obstacles):
         ax.add_collection(
             PolyCollection(
@@ -208,7 +208,7 @@ def _obstacles(ax: Axes, workshop: Workshop) -> None:
         ax.plot([], [], color="#B9A98C", linewidth=6.0, label="obstacle")
 
 
-def _seen(workshop: Workshop) -> Bools | None:
+def _seen(workshop: PlacedWorkshop) -> Bools | None:
     """(S, T): who sees whom, where that is known, some pair does not, and stations are few enough for a colour each."""
     count = len(workshop.stations), len(workshop.targets)
     if workshop.sights is None or count[0] > len(style.CYCLE) or not len(workshop.hidden):
@@ -218,7 +218,7 @@ def _seen(workshop: Workshop) -> Bools | None:
     return seen
 
 
-def _pies(ax: Axes, workshop: Workshop, seen: Bools) -> None:
+def _pies(ax: Axes, workshop: PlacedWorkshop, seen: Bools) -> None:
     """Each target as a circle with a slice, in the station's colour, for each station that sees it."""
     x, y = workshop.points[:, :2].T
     size = 62 if len(workshop.targets) <= MOST_LABELS else 34
@@ -236,7 +236,7 @@ def _pies(ax: Axes, workshop: Workshop, seen: Bools) -> None:
         ax.scatter(x[none], y[none], marker="x", s=size, color=style.RED, zorder=5, label="seen from nowhere")
 
 
-def _gauge(ax: Axes, workshop: Workshop) -> None:
+def _gauge(ax: Axes, workshop: PlacedWorkshop) -> None:
     for k, (a, b) in enumerate(workshop.gauge):
         ends = workshop.points[[a, b], :2]
         ax.plot(
@@ -244,7 +244,7 @@ def _gauge(ax: Axes, workshop: Workshop) -> None:
         )
 
 
-def _targets(ax: Axes, workshop: Workshop) -> None:
+def _targets(ax: Axes, workshop: PlacedWorkshop) -> None:
     """Targets by height; those above each other share one label."""
     height = workshop.points[:, 2] - workshop.floor_height
     low = -np.inf
@@ -267,7 +267,7 @@ def _targets(ax: Axes, workshop: Workshop) -> None:
         low = high
 
 
-def _target_labels(workshop: Workshop) -> list[Label]:
+def _target_labels(workshop: PlacedWorkshop) -> list[Label]:
     """One label for targets that stand above each other, away from the middle of the floor where that is free."""
     middle, size = workshop.floor.mean(axis=0), np.ptp(workshop.floor, axis=0)
     stacks: dict[tuple[float, ...], list[int]] = defaultdict(list)
@@ -284,7 +284,7 @@ def _target_labels(workshop: Workshop) -> list[Label]:
     return labels
 
 
-def _stations(ax: Axes, workshop: Workshop, colours: Sequence[str]) -> None:
+def _stations(ax: Axes, workshop: PlacedWorkshop, colours: Sequence[str]) -> None:
     length = 0.075 * float(np.ptp(workshop.floor, axis=0).max())
     tick: Floats = length * np.stack([np.cos(workshop.yaw), np.sin(workshop.yaw)], axis=1)
     order: Ints = np.arange(len(workshop.stations))
@@ -310,14 +310,14 @@ def _stations(ax: Axes, workshop: Workshop, colours: Sequence[str]) -> None:
     )
 
 
-def _station_labels(workshop: Workshop) -> list[Label]:
+def _station_labels(workshop: PlacedWorkshop) -> list[Label]:
     return [
         Label(style.shorten(name, 16), place[:2], 9.0, bold=True, colour=style.INK, away=float(yaw) + 1.25 * np.pi)
         for name, place, yaw in zip(workshop.stations, workshop.position, workshop.yaw, strict=True)
     ]
 
 
-def _places(workshop: Workshop, beside: int) -> tuple[list[Line2D], list[str]]:
+def _places(workshop: PlacedWorkshop, beside: int) -> tuple[list[Line2D], list[str]]:
     """Lines of a legend that are its second column beside so many others."""
     lines = [
         f"{style.shorten(name, 10)}: {x:.3f}, {y:.3f}, {z:.3f} m, {yaw / DEGREE % 360:.0f}°"
@@ -329,7 +329,7 @@ def _places(workshop: Workshop, beside: int) -> tuple[list[Line2D], list[str]]:
 
 
 @style.styled
-def whereabouts(workshop: Workshop, marked: Sequence[str], pairs: Sequence[tuple[str, str]] = ()) -> Figure:
+def whereabouts(workshop: PlacedWorkshop, marked: Sequence[str], pairs: Sequence[tuple[str, str]] = ()) -> Figure:
     """The floor plan with red rings around stations and targets, and an arrow between the targets of each pair."""
     figure = floor_plan(workshop)
     ax = figure.axes[0]

@@ -12,7 +12,7 @@ from ltsim.calibration.schema import ParameterEntry
 from ltsim.notation import number, with_sigma
 from ltsim.pages import style
 from ltsim.pages.words import is_determined, told_apart, typeset
-from ltsim.planning.schema import ParameterEntry as PlannedEntry
+from ltsim.planning.schema import PlannedParameterEntry as PlannedEntry
 from ltsim.results import Table
 
 

@@ -10,9 +10,9 @@ from matplotlib.figure import Figure
 from ltsim.pages import style
 from ltsim.pages.figures.floor_plan import floor_plan
 from ltsim.pages.words import QUALITY, typeset
-from ltsim.pages.workshop import Workshop
+from ltsim.pages.workshop import PlacedWorkshop
 from ltsim.planning.floor import Floor
-from ltsim.planning.schema import ChangeEntry, PlanResult
+from ltsim.planning.schema import PlanChange, PlanResult
 from ltsim.units import MILLIMETRE
 
 COLOUR = {"tried": style.GREY, "best": style.BLUE, "chosen": style.RED, "reference": style.GREEN}
@@ -64,7 +64,7 @@ ONE_MARK = 0.04
 
 
 @style.styled
-def reflector_changes(workshop: Workshop, changes: Sequence[ChangeEntry], ground: Floor | None = None) -> Figure:
+def reflector_changes(workshop: PlacedWorkshop, changes: Sequence[PlanChange], ground: Floor | None = None) -> Figure:
     """The floor plan with each change and its number: moves as arrows, crosses are left out."""
     figure = floor_plan(workshop, ground=ground)
     ax = figure.axes[0]

@@ -16,7 +16,7 @@ from ltsim.errors import option
 from ltsim.evaluation.criteria import CRITERIA
 from ltsim.notation import fixed, number
 from ltsim.pages import figures
-from ltsim.pages.document import Beside, Block, Fact, Note, Picture, Points, Section, Table, mood, table_block, table_of
+from ltsim.pages.document import Beside, Block, Fact, Grid, Note, Notes, Picture, Section, mood, table_block, table_of
 from ltsim.pages.residuals import Residuals
 from ltsim.pages.sections.network import (
     adjusted_if_possible,
@@ -35,7 +35,7 @@ from ltsim.simulation.truth import Truth
 from ltsim.units import FACTOR
 
 if TYPE_CHECKING:
-    from ltsim.pages.workshop import Sights, Workshop
+    from ltsim.pages.workshop import PlacedWorkshop, Sights
 
 SETTLED = ("", "converged", "not stated")
 """How a fit may have ended that nobody need worry about."""
@@ -72,7 +72,7 @@ def calibration_section(content: CalibrationFile, beside: Beside) -> Section:
     if after is not None and not beside.brief:
         blocks += residual_blocks(after, before, what="the instrument's parameters")
     if content.effects:
-        blocks.append(Points("Estimated beside the calibration", [effect.sentence for effect in content.effects]))
+        blocks.append(Notes("Estimated beside the calibration", [effect.sentence for effect in content.effects]))
     told = "What the recording tells of the combination: 0 % is nothing beyond the maker's guarantee."
     blocks += undetermined("Not determined by this recording", content.undetermined, decimals=1, note=told)
     kind = "Calibration" if content.parameters else "Network adjustment"
@@ -141,7 +141,7 @@ def _warnings(content: CalibrationFile, *, converged: bool) -> list[Block]:
         blocks.append(Note("Which test to trust", content.verdict.sentence))
     if content.correction is not None and content.correction.uncorrected_um > 0:
         said = [content.correction.line, *content.correction.sentences]
-        blocks.append(Points("What it is worth", [sentence(line) for line in said]))
+        blocks.append(Notes("What it is worth", [sentence(line) for line in said]))
     if content.lost_targets:
         text = "What is left of their readings does not determine them: " + ", ".join(content.lost_targets) + "."
         blocks.append(Note("Targets without coordinates", text, "bad"))
@@ -150,7 +150,7 @@ def _warnings(content: CalibrationFile, *, converged: bool) -> list[Block]:
     return blocks + table_block("Noise found from the readings", NOISE.filled(content.noise), note=note)
 
 
-def _known_values(content: CalibrationFile) -> list[Table]:
+def _known_values(content: CalibrationFile) -> list[Grid]:
     note = "Residual: stated less adjusted; error: by how much it is wrong by what the rest says, +- one sigma."
     shown = sorted(content.known, key=lambda entry: (not entry.left_out, -entry.w))
     fields = ("kind", "name", "component", "residual", "error+-sigma_error", "minimal_detectable=detectable", "unit")
@@ -201,7 +201,7 @@ def _parameters(content: CalibrationFile, truth: Truth | None) -> list[Block]:
     return blocks
 
 
-def _criteria(content: CalibrationFile) -> list[Table]:
+def _criteria(content: CalibrationFile) -> list[Grid]:
     rows = [
         [
             name.replace("_", " "),
@@ -214,7 +214,7 @@ def _criteria(content: CalibrationFile) -> list[Table]:
     return table_block("Criteria before and after calibration", CRITERIA.filled(rows), note=text)
 
 
-def _stations(content: CalibrationFile) -> list[Table]:
+def _stations(content: CalibrationFile) -> list[Grid]:
     header = ["station", "x [mm]", "y [mm]", "z [mm]", "U x [um]", "U y [um]", "U z [um]"]
     rows = [
         [s.name, *(fixed(v, 3) for v in s.position_mm),
@@ -222,12 +222,12 @@ def _stations(content: CalibrationFile) -> list[Table]:
         for s in content.stations
     ]  # fmt: skip
     note = f"U: expanded uncertainty, k = 2. Axes: {content.frame or 'those of the first station'}."
-    return [Table("Stations", header, rows, note=note)] if rows else []
+    return [Grid("Stations", header, rows, note=note)] if rows else []
 
 
 def workshop_of(
     content: CalibrationFile, recording: Recording | None, targets: Path, residuals: Residuals | None
-) -> Workshop:
+) -> PlacedWorkshop:
     """The calibrated network, ready to be drawn."""
     from scipy.spatial.transform import Rotation
 

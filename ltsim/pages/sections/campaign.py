@@ -16,14 +16,14 @@ from ltsim.campaigns.results import Results
 from ltsim.campaigns.schema import SHARES, ManifestFile, column_of
 from ltsim.campaigns.statistics import Checked, Scores, Spread, errors_of
 from ltsim.notation import number
-from ltsim.pages.document import Block, Fact, Listing, Picture, Section, Table, mood, table_block
+from ltsim.pages.document import Block, Fact, Grid, Listing, Picture, Section, mood, table_block
 from ltsim.pages.figures.campaign import (
     ALLOWED,
     MOST_LINES,
     MOST_PANELS,
     PAPER,
-    Distribution,
     Swept,
+    TrialDistribution,
     by_factor,
     by_setting,
     coverage,
@@ -153,10 +153,10 @@ def _varied(results: Results) -> list[Block]:
         shown = values if len(values) <= MOST_VALUES else [values[0], "...", values[-1]]
         told = meaning_of(factor.keys[0]).replace("`", "")
         rows.append([title(factor), ", ".join(shown), ", ".join(factor.keys), told])
-    return [Table("What was varied", ["", "values", "key", "meaning"], rows, text_columns=4)] if rows else []
+    return [Grid("What was varied", ["", "values", "key", "meaning"], rows, text_columns=4)] if rows else []
 
 
-def _by_factor(results: Results, spreads: Mapping[str, list[Spread]]) -> list[Table]:
+def _by_factor(results: Results, spreads: Mapping[str, list[Spread]]) -> list[Grid]:
     """Means over the cells of each level, where cells are too many to be read; factors of few levels first."""
     if len(results.levels) <= MOST_ROWS:
         return []
@@ -168,7 +168,7 @@ def _by_factor(results: Results, spreads: Mapping[str, list[Spread]]) -> list[Ta
                 groups.setdefault(key, []).append(s.mean)
     rows = [[*key, *(number(v, 4) for v in (sum(m) / len(m), min(m), max(m)))] for key, m in groups.items()]
     heads = ["factor", "level", "method", "statistic", "mean", "least cell", "largest cell"]
-    return [Table("Means over the settings of a level", heads, rows, text_columns=4)]
+    return [Grid("Means over the settings of a level", heads, rows, text_columns=4)]
 
 
 def _improvements(results: Results, spreads: Mapping[str, list[Spread]], published: Mapping[str, float]) -> list[Block]:
@@ -196,7 +196,7 @@ def campaign_figure(results: Results) -> Figure:
     return distributions(_rows_of(results, {}))
 
 
-def _rows_of(results: Results, published: Mapping[str, float]) -> list[Distribution]:
+def _rows_of(results: Results, published: Mapping[str, float]) -> list[TrialDistribution]:
     """The criteria, or other sizes where there are none, over the trials of the first setting and method."""
     cell = results.manifest.cells[0].cell
     sized = [c for c in results.columns if c.endswith(("_um", "_percent"))]
@@ -204,7 +204,7 @@ def _rows_of(results: Results, published: Mapping[str, float]) -> list[Distribut
     wanted.sort(key=lambda c: (not c.endswith("percent"), "mean" not in c, "before" not in c, c.startswith("coord")))
     values = {c: results.values(c, cell, results.manifest.methods[0], most=MOST_DRAWN) for c in wanted}
     return [
-        Distribution(_column_words(c), v, "um" if c.endswith("_um") else "%", published.get(c))
+        TrialDistribution(_column_words(c), v, "um" if c.endswith("_um") else "%", published.get(c))
         for c, v in values.items()
         if len(v) > 1
     ]
@@ -264,7 +264,7 @@ def _errors(results: Results, spreads: Mapping[str, list[Spread]]) -> list[Block
             f"{_meaning(share)}. Noise floor: readings corrected by the true parameters. In brackets: 95 % of the mean."
         )
         if rows:
-            blocks.append(Table(f"Error of a {named}", header, rows, text_columns=2, note=note))
+            blocks.append(Grid(f"Error of a {named}", header, rows, text_columns=2, note=note))
     return blocks
 
 

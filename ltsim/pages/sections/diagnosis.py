@@ -12,13 +12,13 @@ import numpy as np
 
 from ltsim.calibration.schema import RESIDUALS
 from ltsim.chances import p_text, two_sided
-from ltsim.diagnosis.schema import BEFORE, TARGETS, DiagnosisFile, Finding, Fit, Where
+from ltsim.diagnosis.schema import BEFORE, TARGETS, DiagnosisFile, Finding, Misfit, Where
 from ltsim.diagnosis.words import clear_constants
 from ltsim.effects.verbs import effect_from
 from ltsim.errors import LtsimError
 from ltsim.notation import NONE, number, with_sigma
 from ltsim.pages import figures
-from ltsim.pages.document import Beside, Block, Fact, Note, Picture, Section, Table, mood, table_of
+from ltsim.pages.document import Beside, Block, Fact, Grid, Note, Picture, Section, mood, table_of
 from ltsim.pages.residuals import OBSERVABLE_UNIT, Residuals
 from ltsim.pages.sections.network import (
     Pair,
@@ -132,7 +132,7 @@ def _facts(content: DiagnosisFile) -> list[Fact]:
     return facts
 
 
-def _ratio(fit: Fit) -> str:
+def _ratio(fit: Misfit) -> str:
     return f"{fit.chi2 / fit.dof:.3f}" if fit.dof > 0 and fit.chi2 is not None else NONE
 
 
@@ -171,7 +171,7 @@ def _finding(
         ["probability", f"{100 * evidence.probability:.3g} %"],
         *([f"instead {e.effect}", f"{100 * e.probability:.2g} %"] for e in finding.equivalents),
     ]
-    return [*blocks, Table(f"Finding {number_} in figures", ["", "value"], rows, text_columns=2)]
+    return [*blocks, Grid(f"Finding {number_} in figures", ["", "value"], rows, text_columns=2)]
 
 
 def finding_drawing(finding: Finding, before: Residuals | None, after: Residuals | None) -> Callable[[], Figure] | None:
@@ -238,7 +238,7 @@ def _fit(content: DiagnosisFile) -> list[Block]:
         "on all readings, so that its fall alone proves nothing."
     )
     header = ["", "chi2", "degrees of freedom", "ratio", "held-out error"]
-    return [Table("Fit before and after", header, rows, note=note)]
+    return [Grid("Fit before and after", header, rows, note=note)]
 
 
 def _hidden(content: DiagnosisFile) -> list[Block]:
@@ -250,7 +250,7 @@ def _hidden(content: DiagnosisFile) -> list[Block]:
     cures = " or ".join(dict.fromkeys(u.cure for u in worst if u.cure))
     note = "At a bad but plausible size poses, targets and constants of the instrument absorb these"
     note += f"; what would show them: {cures}." if cures else "."
-    return [Table("Not to be seen in this recording", header, rows, note=note)] if rows else []
+    return [Grid("Not to be seen in this recording", header, rows, note=note)] if rows else []
 
 
 def _found_from(content: DiagnosisFile) -> list[Block]:
@@ -271,7 +271,7 @@ def _beside_truth(content: DiagnosisFile, truth: Truth, pair: Pair | None) -> li
     ordered += [a for name, a in named.items() if name not in {f.effect for f in content.findings}]
     rows = [row for one, other in zip_longest(ordered, content.findings) for row in _pair_rows(one, other)]
     note = "From truth.json, which the diagnosis does not open; found values +- one sigma."
-    table = Table("Hidden on purpose, and found", ["", "hidden", "found"], rows, 1, note)
+    table = Grid("Hidden on purpose, and found", ["", "hidden", "found"], rows, 1, note)
     return [*_curves(content, truth.effects[0], pair), table]
 
 

@@ -22,12 +22,12 @@ from ltsim.pages.document import (
     Block,
     Detail,
     Fact,
+    Grid,
     Listing,
     Note,
     Picture,
     Scene,
     Section,
-    Table,
     mood,
     table_of,
 )  # fmt: skip
@@ -37,7 +37,7 @@ from ltsim.recording import Recording, read
 from ltsim.simulation.truth import Truth, read_truth
 
 if TYPE_CHECKING:
-    from ltsim.pages.workshop import Workshop
+    from ltsim.pages.workshop import PlacedWorkshop
 
 TRUTH = "truth.json"
 Pair = tuple[Adjustment, Adjustment]
@@ -84,7 +84,7 @@ def over_covariates(after: Residuals) -> list[Block]:
     return [Picture(title, lambda: figures.residuals.residuals_by_covariate(after), text)] if known else []
 
 
-def workshop_blocks(shown: Callable[[], Workshop], detail: Detail) -> list[Block]:
+def workshop_blocks(shown: Callable[[], PlacedWorkshop], detail: Detail) -> list[Block]:
     """The 3D view and the floor plan, as far as `detail` asks for them."""
     if detail == "none":
         return []
@@ -98,7 +98,7 @@ def workshop_blocks(shown: Callable[[], Workshop], detail: Detail) -> list[Block
     return [scene(workshop), plan] if detail == "turn" else [plan]
 
 
-def scene(workshop: Workshop) -> Scene | Note:
+def scene(workshop: PlacedWorkshop) -> Scene | Note:
     """The 3D view, with the page to turn; where it cannot be drawn, what it needs."""
     if not installed("pyvista"):
         return Note("No 3D view", str(missing_extra("3D views", "view")))
@@ -113,23 +113,23 @@ def scene(workshop: Workshop) -> Scene | Note:
     return Scene("The workshop in 3D", webp_uri(png), caption, page)
 
 
-def undetermined(title: str, entries: Sequence[Combination], *, decimals: int, note: str = "") -> list[Table]:
+def undetermined(title: str, entries: Sequence[Combination], *, decimals: int, note: str = "") -> list[Grid]:
     """Combinations of parameters that stay open, and the cure of each."""
     rows = [
         [entry.terms, entry.cure or NONE, NONE if entry.gain is None else f"{100 * entry.gain:.{decimals}f} %"]
         for entry in entries
     ]
     header = ["combination, in units of the prior sigma", "what would determine it", "told"]
-    return [Table(title, header, rows, text_columns=2, note=note)] if rows else []
+    return [Grid(title, header, rows, text_columns=2, note=note)] if rows else []
 
 
-def combined(title: str, entries: Sequence[DeterminedEntry]) -> list[Table]:
+def combined(title: str, entries: Sequence[DeterminedEntry]) -> list[Grid]:
     """Combinations of parameters that are known far better than each of them."""
     note = "Together they are known far better than each of them."
     return table_of(title, entries, "terms=combination", "instrument", "value+-sigma", "unit", note=note)
 
 
-def target_table(file: Path | None, *, note: str) -> list[Table]:
+def target_table(file: Path | None, *, note: str) -> list[Grid]:
     """Coordinates of a `targets.csv` with their expanded uncertainty; none where there is no such file."""
     if file is None:
         return []
@@ -137,7 +137,7 @@ def target_table(file: Path | None, *, note: str) -> list[Table]:
     order = sorted(range(len(names)), key=lambda i: natural(names[i]))
     rows = [[names[i], *(fixed(1e3 * v, 4) for v in points[i]), *(number(2e6 * s, 2) for s in sigma[i])] for i in order]
     header = ["target", "x [mm]", "y [mm]", "z [mm]", "U x [um]", "U y [um]", "U z [um]"]
-    return [Table("Targets", header, rows, note=f"U: expanded uncertainty, k = 2. {note}", folds=False)]
+    return [Grid("Targets", header, rows, note=f"U: expanded uncertainty, k = 2. {note}", folds=False)]
 
 
 def targets_in_words(sigma: Floats) -> str:
@@ -199,7 +199,7 @@ def _contents(recording: Recording) -> str:
     )
 
 
-def _table(recording: Recording) -> Table:
+def _table(recording: Recording) -> Grid:
     rows = []
     for s, name in enumerate(recording.stations):
         here = recording.station == s
@@ -207,7 +207,7 @@ def _table(recording: Recording) -> Table:
         begin = duration(float(recording.time[here].min())) if recording.has_clock else NONE
         rows.append([name, *map(str, sizes), str((~recording.measured[here]).sum()), begin])
     header = ["station", "pointings", "targets", "faces", "missing readings", "starts at"]
-    return Table("Work of each station", header, rows)
+    return Grid("Work of each station", header, rows)
 
 
 def _settings(folder: Path) -> Block:

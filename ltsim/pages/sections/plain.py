@@ -12,7 +12,7 @@ from ltsim.chances import p_is, p_text
 from ltsim.fieldcheck.files import CheckFile
 from ltsim.notation import number, with_sigma
 from ltsim.pages import figures
-from ltsim.pages.document import Beside, Block, Fact, Note, Picture, Points, Section, Table, mood, table_block, table_of
+from ltsim.pages.document import Beside, Block, Fact, Grid, Note, Notes, Picture, Section, mood, table_block, table_of
 from ltsim.pages.words import count, duration, listing, natural, sentence, told_apart
 from ltsim.planning.schema import NextFile
 from ltsim.tasks.comparison import DISPLACEMENTS, Comparison
@@ -92,7 +92,7 @@ def acceptance_section(content: AcceptanceFile, _: Beside) -> Section:
     ranked = sorted(content.tests, key=lambda t: (t.passes, -abs(t.error_um) / t.limit_um))[:MOST_TESTS]
     blocks: list[Block] = [
         Picture("Errors over limits", lambda: figures.points.shares_of_limits(content), caption),
-        Table("Groups", ["tests", "number", "all pass", share], groups, note=note),
+        Grid("Groups", ["tests", "number", "all pass", share], groups, note=note),
         *table_of(
             "The hardest tests", ranked, "name=test", "error_um", "expanded_um=U (k = 2)", "limit_um", "passes",
             marked=lambda t: not predicted and t.passes < 1,
@@ -135,10 +135,10 @@ def uncertainty_section(content: UncertaintyFile, _: Beside) -> Section:
     judged = [[r.task, r.name, *(number(x, 6) for x in (c.lower, c.upper, c.guard_band)), r.unit,
                f"{100 * c.probability:.1f} %", c.judgement] for r in told if (c := r.conformity)]  # fmt: skip
     header = ["task", "result", "lower", "upper", "guard band", "unit", "conforms with", "judgement"]
-    blocks += [Table("Conformity (JCGM 106)", header, judged, 2)] if judged else []
+    blocks += [Grid("Conformity (JCGM 106)", header, judged, 2)] if judged else []
     caption = "Where each result's variance comes from; improve the widest bar first."
     blocks.append(Picture("Budget", lambda: budget_of(content), caption))
-    blocks += [Points("What to mind", content.warnings)] if content.warnings else []
+    blocks += [Notes("What to mind", content.warnings)] if content.warnings else []
     fields = ("source", "type", "standard_uncertainty=sigma", "share=share of the variance")
     for r in content.results:
         head = f"Budget of {r.task}, {r.name}" + (f" [{r.unit}]" if r.unit else "")
@@ -177,7 +177,7 @@ def next_section(content: NextFile, _: Beside) -> Section:
              f"{p.serves} ({100 * (1 - p.serves_factor):.0f} %)"] for p in content.proposals]  # fmt: skip
     header = ["do", "time [min]", "sharper by", "most for"]
     note = "'Sharper' is the mean fall of the standard deviations of the instrument's parameters."
-    blocks: list[Block] = [Table("Further measurements, the best first", header, rows, note=note)]
+    blocks: list[Block] = [Grid("Further measurements, the best first", header, rows, note=note)]
     if content.between:
         rivals = content.between[1:]
         now = ["as it is now", *(number(content.evidence_now.get(name, 0.0)) for name in rivals), ""]
@@ -185,7 +185,7 @@ def next_section(content: NextFile, _: Beside) -> Section:
                 for p in content.proposals if p.evidence]  # fmt: skip
         told = f"The larger, the more surely {content.between[0]} is told from it."
         heads = ["measurement", *(f"chi2 against {name}" for name in rivals), "decides"]
-        blocks.append(Table("What would decide", heads, [now, *seen], note=told))
+        blocks.append(Grid("What would decide", heads, [now, *seen], note=told))
     blocks += [Note("What the diagnosis of the recording said", content.diagnosis)] if content.diagnosis else []
     facts = [Fact("time for it", duration(60 * best.minutes)), Fact("instrument sharper by", f"{saved[0]:.0f} %")]
     actions = [sentence(proposal.do) for proposal in content.proposals[:1]]
@@ -214,15 +214,15 @@ def history_section(content: HistoryFile, _: Beside) -> Section:
     few = "no event can be told" if len(labels) <= LEAST_STEPS else "only a gross event stands out"
     hardly = f" {len(labels)} calibrations hardly tell how the instrument moves from one to the next: {few}."
     blocks: list[Block] = [
-        Table("Has it changed?", ["from", "to", "above all", "chi2 / parameters", "p"], rows, 3,
+        Grid("Has it changed?", ["from", "to", "above all", "chi2 / parameters", "p"], rows, 3,
               "Marked where the chance of such differences without a change is under 1 %." + hardly * (not usual),
               marked),
         *drawn,
         *table_of("Events: steps that stand out", named, "from_=from", "to", "name=parameter", "difference+-sigma=step",
                   "usual=its usual step", "unit", "p_value"),
-        Table("Parameters", ["parameter", "last", "mean", "spread", "p constant"],
+        Grid("Parameters", ["parameter", "last", "mean", "spread", "p constant"],
               [[p.name, _last(p), number(p.mean), number(p.spread), p_text(p.constant.p_value)] for p in known]),
-        Table("Fits of the calibrations", ["calibration", "chi2", "degrees of freedom", "sigma0"],
+        Grid("Fits of the calibrations", ["calibration", "chi2", "degrees of freedom", "sigma0"],
               [[short[c.label], number(c.fit.chi2), str(c.fit.dof), number(c.fit.sigma0)]
                for c in content.calibrations],
               note="Where sigma0 is far above 1 the sigmas are too small, and changes look too certain."),

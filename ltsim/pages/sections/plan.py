@@ -11,12 +11,12 @@ from ltsim.pages.document import (
     Beside,
     Block,
     Fact,
+    Grid,
     Listing,
     Note,
+    Notes,
     Picture,
-    Points,
     Section,
-    Table,
     mood,
     table_block,
     table_of,
@@ -46,9 +46,9 @@ def plan_section(content: PlanResult, beside: Beside) -> Section:
     drawn, changed = _pictures(content, scenario, turn=beside.detail == "turn")
     blocks += drawn
     if content.not_seen:
-        blocks.append(Table("Who does not see whom", ["sight"], [[words] for words in content.not_seen]))
+        blocks.append(Grid("Who does not see whom", ["sight"], [[words] for words in content.not_seen]))
     if content.reasons:
-        blocks.append(Points("Why this plan", content.reasons))
+        blocks.append(Notes("Why this plan", content.reasons))
     blocks += _tolerances(content) + _changes(content) + changed
     blocks += _curve(content) + _parameters(content) + _expected(content)
     blocks += undetermined("Not determined by this layout", content.undetermined, decimals=0)
@@ -57,7 +57,7 @@ def plan_section(content: PlanResult, beside: Beside) -> Section:
     points = tables["reflectors"].only("target x_mm y_mm z_mm U_x_um U_y_um U_z_um seen_from")
     blocks += table_block("Points", points, note=note)
     if content.bodies:
-        blocks.append(Points("What stands in the hall", content.bodies))
+        blocks.append(Notes("What stands in the hall", content.bodies))
     blocks.append(Listing("Settings of the plan", json.dumps(content.settings, indent=1)))
     good = mood(content.allowed and content.reached is not False)
     return Section(
@@ -80,14 +80,14 @@ def _tolerances(content: PlanResult) -> list[Block]:
     level = content.settings.get("goal", {}).get("level_pct", 95)
     over = frozenset(i for i, row in enumerate(rows) if float(row[3].removesuffix(" %")) > 100)
     header = ["point", "within [mm]", "tolerance [mm]", "used"]
-    blocks: list[Block] = [Table(f"Points against their tolerances, at {level:g} %", header, rows, marked=over)]
+    blocks: list[Block] = [Grid(f"Points against their tolerances, at {level:g} %", header, rows, marked=over)]
     lost = [
         [loss.lost, "yes" if loss.kept else "no", loss.worst,
          NONE if loss.ratio is None else f"{100 * loss.ratio:.0f} %", " ".join(loss.unseen)]
         for loss in sorted(content.losses, key=lambda loss: loss.kept)
     ]  # fmt: skip
     header = ["lost", "tolerances kept", "worst point", "of its tolerance", "seen from nowhere"]
-    return [*blocks, Table("When a station or a sight is lost", header, lost, 3)]
+    return [*blocks, Grid("When a station or a sight is lost", header, lost, 3)]
 
 
 def _changes(content: PlanResult) -> list[Block]:
@@ -102,7 +102,7 @@ def _changes(content: PlanResult) -> list[Block]:
         return [Note(title, content.changes_tried)] if content.changes_tried else []
     header = ["one reflector", "gain of the others [um]", "better", "changes most"]
     note = f"Gain: by how much the point error of all other points falls, root mean square. {content.changes_tried}"
-    return [Table(title, header, rows, 1, note)]
+    return [Grid(title, header, rows, 1, note)]
 
 
 def _facts(content: PlanResult) -> list[Fact]:
@@ -164,7 +164,7 @@ def _curve(content: PlanResult) -> list[Block]:
     if rows:
         header = ["layout", "faces", "rounds", "pointings", "hours", f"objective [{unit}]" if unit else "objective",
                   "best at its cost"]  # fmt: skip
-        blocks.append(Table("Ways of working", header, rows, note="A smaller objective is better."))
+        blocks.append(Grid("Ways of working", header, rows, note="A smaller objective is better."))
     return blocks
 
 
@@ -185,7 +185,7 @@ def _expected(content: PlanResult) -> list[Block]:
         for name, e in entry.expected_improvement.items()
     ]
     header = ["layout", "criterion", "before [um]", "after [um]", "improvement"]
-    return [Table("Expected by the paper's criteria", header, rows, text_columns=2)] if rows else []
+    return [Grid("Expected by the paper's criteria", header, rows, text_columns=2)] if rows else []
 
 
 def _effects(content: PlanResult) -> list[Block]:
@@ -197,5 +197,5 @@ def _effects(content: PlanResult) -> list[Block]:
     note = "Share of the first effect's trace that the second one explains."
     blocks += table_of("Effects that look alike here", content.alike, "effect", "taken_for", "share=alike", note=note)
     if content.silent:
-        blocks.append(Points("Effects that would leave no trace", content.silent))
+        blocks.append(Notes("Effects that would leave no trace", content.silent))
     return blocks

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ltsim.arrays import Bools, Floats
-from ltsim.recording.files import Where, shown
+from ltsim.recording.files import FilePlace, shown
 from ltsim.recording.setup import Axes, Instrument, Noise
 from ltsim.units import ARCSECOND, FACTOR, MILLIMETRE, PPM
 
@@ -33,7 +33,7 @@ class Words:
     """Words of a line, and where it stands."""
 
     tokens: Sequence[str]
-    where: Where
+    where: FilePlace
 
     def first(self, count: int, message: str) -> Sequence[str]:
         """The first words; raises RecordError where there are fewer."""
@@ -63,7 +63,7 @@ class Options:
     """What stands behind the values of a line."""
 
     said: dict[str, str]
-    where: Where
+    where: FilePlace
 
     def number(self, name: str, default: float) -> float:
         """A number among the options, or its default; raises RecordError."""
@@ -71,7 +71,7 @@ class Options:
 
 
 @dataclass
-class Point:
+class DeclaredPoint:
     """A declared point."""
 
     place: Floats
@@ -115,10 +115,10 @@ class Point:
         return place, covariance
 
 
-def point_of(keyword: str, words: Words) -> tuple[str, Point]:
+def point_of(keyword: str, words: Words) -> tuple[str, DeclaredPoint]:
     """A line of a block of points; raises RecordError."""
     name, place = _named_place(words, "a point needs a name and three coordinates")
-    point = Point(place)
+    point = DeclaredPoint(place)
     axes = np.array([axis in POINTS[keyword] for axis in "xyz"])
     if axes.any():
         point.add(place, np.eye(3) * FIXED**2, axes)
@@ -144,7 +144,7 @@ def _named_place(words: Words, message: str) -> tuple[str, Floats]:
     return name, np.array(words.numbers(1, "X", "Y", "Z", limit=1e8))
 
 
-def _know(point: Point, words: list[str], where: Where) -> None:
+def _know(point: DeclaredPoint, words: list[str], where: FilePlace) -> None:
     turned = next((word for word in words if word in TURNED), None)
     if turned is not None:
         raise where.wrong(f"{turned}: standard deviations in turned axes are not read; give APRICOV")
@@ -157,7 +157,7 @@ def _know(point: Point, words: list[str], where: Where) -> None:
         point.add(point.place, np.diag(np.fmax(sigma, FIXED) ** 2), np.isfinite(sigma))
 
 
-def _matrix(word: str, where: Where) -> Floats:
+def _matrix(word: str, where: FilePlace) -> Floats:
     """The covariance (3, 3) [m^2] that `DIAG(xx,yy,zz)` or `MAT(xx,xy,...,zz)` states."""
     found = re.fullmatch(r"(DIAG|MAT)\(([^()]*)\)", word)
     values = [where.number(v, "APRICOV") for v in found[2].split(",")] if found else []

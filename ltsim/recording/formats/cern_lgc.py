@@ -23,8 +23,8 @@ import numpy as np
 from ltsim.arrays import Floats
 from ltsim.errors import RecordError
 from ltsim.recording.conventions import NO_HINTS, Hints
-from ltsim.recording.files import Where, as_title, read_lines, shown
-from ltsim.recording.formats.cern_declared import FIXED, POINTS, Point, Polar, Words, observed_point, point_of
+from ltsim.recording.files import FilePlace, as_title, read_lines, shown
+from ltsim.recording.formats.cern_declared import FIXED, POINTS, DeclaredPoint, Polar, Words, observed_point, point_of
 from ltsim.recording.pointings import NAN, Kind, Observed, merged, numbered, recording_of, settled_heights
 from ltsim.recording.recording import Recording
 from ltsim.recording.setup import EXACT_LEVEL_ARCSEC, Setup, Station, Target, Vector
@@ -59,7 +59,7 @@ class _File:
     path: Path
     title: list[str] = field(default_factory=list)
     curved: str = ""
-    points: dict[str, Point] = field(default_factory=dict)
+    points: dict[str, DeclaredPoint] = field(default_factory=dict)
     frames: list[str] = field(default_factory=list)
     framed: list[str] = field(default_factory=list)
     placed: list[tuple[str, Floats, Floats]] = field(default_factory=list)
@@ -122,7 +122,7 @@ def _lines(file: _File) -> Iterator[Words]:
         if line.lstrip().startswith("%"):
             file.switched_off += len(line.split()) > 2 and re.search(r"\d\.\d{3}", line[:150]) is not None
         elif text.strip():
-            yield Words(text.split(), Where(file.path, i + 1))
+            yield Words(text.split(), FilePlace(file.path, i + 1))
 
 
 def _begin(keyword: str, rest: Words, file: _File) -> None:
@@ -209,7 +209,7 @@ def _observation(keyword: str, words: Words, file: _File) -> None:
         file.observed.append(Observed(kind, file.station, target, si, sigma, *heights, where.row or 0))
 
 
-def _si(kind: Kind, value: float, setup: _SetUp, where: Where) -> float:
+def _si(kind: Kind, value: float, setup: _SetUp, where: FilePlace) -> float:
     """Reading [m, rad]: azimuth counter-clockwise, elevation instead of the zenith angle."""
     if kind == "azimuth":
         return float(np.mod(-value * GON - setup.constant, 2 * np.pi))
@@ -273,7 +273,7 @@ class _Plane:
     curved: bool
 
     @classmethod
-    def of(cls, points: list[Point], curved: str) -> _Plane:
+    def of(cls, points: list[DeclaredPoint], curved: str) -> _Plane:
         """Of points in use; those at 0, 0 are place-holders."""
         placed = [point.place[:2] for point in points if not point.is_placeholder]
         return cls(np.median(placed, axis=0) if placed else np.zeros(2), bool(curved))
@@ -284,7 +284,7 @@ class _Plane:
         drop = float(np.sum((place[:2] - self.middle) ** 2)) / (2 * EARTH) if self.curved else 0.0
         return round(x * 1e3, 6), round(y * 1e3, 6), round((height - drop) * 1e3, 6)
 
-    def upright(self, point: Point, *, levelled: bool) -> dict[str, Any]:
+    def upright(self, point: DeclaredPoint, *, levelled: bool) -> dict[str, Any]:
         """What a set-up over a point says of its place and plumb line."""
         found: dict[str, Any] = {} if point.is_placeholder else {"position_mm": self.place(point.place)}
         if levelled:
@@ -294,7 +294,7 @@ class _Plane:
             found["vertical"] = (x, y, 1.0)
         return found
 
-    def known(self, point: Point) -> dict[str, Any]:
+    def known(self, point: DeclaredPoint) -> dict[str, Any]:
         """What a target says of its coordinates: known along some axes, approximate along the others."""
         axes = point.axes
         if axes is None:

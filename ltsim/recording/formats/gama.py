@@ -19,7 +19,7 @@ import numpy as np
 from ltsim.arrays import Floats, Ints
 from ltsim.errors import RecordError
 from ltsim.recording.conventions import NO_HINTS, Hints
-from ltsim.recording.files import Where, as_title, shown
+from ltsim.recording.files import FilePlace, as_title, shown
 from ltsim.recording.pointings import NAN, Observed, merged, numbered, recording_of, settled_heights
 from ltsim.recording.recording import Recording
 from ltsim.recording.setup import (
@@ -364,7 +364,7 @@ def _noise(network: _Network) -> Noise:
 
     def default(kind: str, otherwise: float) -> float:
         words = network.stdev.get(kind, "").split()
-        stated = Where(network.file).number(words[0], f"{kind}-stdev") if words else otherwise
+        stated = FilePlace(network.file).number(words[0], f"{kind}-stdev") if words else otherwise
         return max(stated, 1e-6)
 
     return Noise(

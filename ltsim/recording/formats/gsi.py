@@ -16,7 +16,7 @@ import numpy as np
 
 from ltsim.errors import RecordError
 from ltsim.recording.conventions import NO_HINTS, Hints
-from ltsim.recording.files import Where, read_lines, shown
+from ltsim.recording.files import FilePlace, read_lines, shown
 from ltsim.recording.pointings import NAN, Pointing, numbered, recording_of, settled_heights
 from ltsim.recording.recording import HEIGHT_COLUMNS, KIND_COLUMN, Recording
 from ltsim.recording.setup import Instrument, Noise, Setup, Station, Target, Vector
@@ -32,7 +32,7 @@ NO_NOISE = "GSI states no noise: 1 mm + 1.5 ppm and 1 arcsec of a total station 
 
 
 @dataclass
-class _File:
+class _GsiFile:
     path: Path
     station: str = ""
     setups: dict[str, tuple[str, float, Vector | None]] = field(default_factory=dict)
@@ -40,7 +40,7 @@ class _File:
     pointings: list[Pointing] = field(default_factory=list)
     skipped: int = 0
 
-    def stand(self, name: str, height: float, place: Vector | None, where: Where) -> None:
+    def stand(self, name: str, height: float, place: Vector | None, where: FilePlace) -> None:
         """A new set-up; a station that is occupied again gets a number."""
         count = sum(point == where.name(name, "station") for point, _, _ in self.setups.values())
         self.station = numbered(name, count)
@@ -48,14 +48,14 @@ class _File:
 
 
 @dataclass(frozen=True)
-class _Block:
+class _GsiLine:
     """A line: information and signed data of each word by its index."""
 
     words: dict[str, tuple[str, str]]
-    where: Where
+    where: FilePlace
 
     @classmethod
-    def of(cls, line: str, where: Where) -> _Block:
+    def of(cls, line: str, where: FilePlace) -> _GsiLine:
         wide = line.startswith("*")
         words = {}
         for text in line.lstrip("*").split():
@@ -117,14 +117,14 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     Raises RecordError for a word that is malformed, or measurements before a station is named (``hints.station`` names
     one).
     """
-    file = _File(path)
+    file = _GsiFile(path)
     if hints.station is not None:
-        file.stand(hints.station, 0.0, None, Where(path))
+        file.stand(hints.station, 0.0, None, FilePlace(path))
     lines = read_lines(path)
-    before = _Block({}, Where(path))
+    before = _GsiLine({}, FilePlace(path))
     for i, line in enumerate(lines):
         if line.strip():
-            block = _Block.of(line.strip(), Where(path, i + 1))
+            block = _GsiLine.of(line.strip(), FilePlace(path, i + 1))
             if i == len(lines) - 1 and block.words.keys() != before.words.keys():
                 raise block.where.wrong("the last line has no line break: it was cut")
             _take(block, file)
@@ -134,7 +134,7 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     return _finished(file)
 
 
-def _take(block: _Block, file: _File) -> None:
+def _take(block: _GsiLine, file: _GsiFile) -> None:
     if block.holds("41", "42"):
         file.stand(block.name("42"), block.length("43"), None, block.where)
     elif block.holds("84", "85", "11") and not block.holds("21"):
@@ -146,7 +146,7 @@ def _take(block: _Block, file: _File) -> None:
         file.skipped += 1
 
 
-def _pointing(block: _Block, file: _File) -> None:
+def _pointing(block: _GsiLine, file: _GsiFile) -> None:
     if not file.station:
         raise block.where.wrong("a measurement before any station is named; say which it is (station=)")
     flat = not block.holds("31")
@@ -176,7 +176,7 @@ def _pointing(block: _Block, file: _File) -> None:
     )
 
 
-def _finished(file: _File) -> Recording:
+def _finished(file: _GsiFile) -> Recording:
     pointings, _, heights = settled_heights(file.pointings)
     targets = {p.target for p in pointings}
     stations = {}

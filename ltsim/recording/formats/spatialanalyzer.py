@@ -18,13 +18,13 @@ from ltsim.arrays import Floats
 from ltsim.errors import RecordError
 from ltsim.geometry.polar import from_polar
 from ltsim.recording.conventions import NO_HINTS, NO_NOISE, Hints, Pose
-from ltsim.recording.files import Where, read_lines, shown
+from ltsim.recording.files import FilePlace, read_lines, shown
 from ltsim.recording.recording import Recording
 from ltsim.recording.setup import Instrument, Setup, Station
 from ltsim.recording.tables.header import words_of
 from ltsim.recording.tables.meaning import readings_of
 from ltsim.recording.tables.reader import assembled
-from ltsim.recording.tables.rows import Table, table_of
+from ltsim.recording.tables.rows import PointingTable, table_of
 from ltsim.recording.tables.sheets import Row, Sheet
 from ltsim.units import ANGLES, FACTOR, LENGTHS, NAMED
 
@@ -108,7 +108,7 @@ def _cells(path: Path) -> Iterator[Row]:
             if any(f.strip() for f in fields):
                 yield Row(reader.line_num, tuple(f.strip() for f in fields))
     except csv.Error as problem:
-        raise Where(path, reader.line_num).wrong(f"is not a table here ({problem})") from None
+        raise FilePlace(path, reader.line_num).wrong(f"is not a table here ({problem})") from None
 
 
 def _blocks(path: Path) -> list[_Block]:
@@ -117,7 +117,7 @@ def _blocks(path: Path) -> list[_Block]:
     current: _Block | None = None
     what = ""
     for row in _cells(path):
-        where, first = Where(path, row.line), row.fields[0].split("\n")[0]
+        where, first = FilePlace(path, row.line), row.fields[0].split("\n")[0]
         if first in ("Transform", "Observations"):
             what, heading = first, _heading(row.fields[0], where)
             current = blocks.setdefault(heading[:2], _Block(*heading))
@@ -137,7 +137,7 @@ def _blocks(path: Path) -> list[_Block]:
     return list(blocks.values())
 
 
-def _heading(cell: str, where: Where) -> tuple[str, str, str]:
+def _heading(cell: str, where: FilePlace) -> tuple[str, str, str]:
     """Collection, number and model from ``A::0 - Leica AT960``."""
     parts = re.fullmatch(r"(?:(.*)::)?(.+?)(?: - (.*))?", cell.partition("\n")[2].strip())
     if parts is None:
@@ -145,7 +145,7 @@ def _heading(cell: str, where: Where) -> tuple[str, str, str]:
     return parts[1] or "", parts[2], (parts[3] or "").replace("/", "-").strip()
 
 
-def _read_pose(block: _Block, fields: Sequence[str], where: Where) -> None:
+def _read_pose(block: _Block, fields: Sequence[str], where: FilePlace) -> None:
     if fields[0] == "# Meas." and len(fields) > 1:
         block.count = int(where.number(fields[1], "# Meas.", comma=True))
     if fields[0].startswith("(") and len(fields) > 3:
@@ -159,7 +159,7 @@ def _read_pose(block: _Block, fields: Sequence[str], where: Where) -> None:
             raise where.wrong(f"unit '{shown(fields[0].strip('()'))}' of a pose is not known")
 
 
-def _check_heading(fields: Sequence[str], where: Where) -> None:
+def _check_heading(fields: Sequence[str], where: FilePlace) -> None:
     """Raise RecordError where a column that is needed is missing, doubled, or in no unit that is known."""
     named = [words_of(field) for field in fields]
     for wanted, known in UNITS.items():
@@ -191,7 +191,9 @@ def _station_names(blocks: Sequence[_Block]) -> list[str]:
     return [f"{block.collection}::{block.number}" for block in blocks]
 
 
-def _tell_apart(table: Table, group: Sequence[str], readings: Floats, poses: dict[str, Pose | None]) -> list[str]:
+def _tell_apart(
+    table: PointingTable, group: Sequence[str], readings: Floats, poses: dict[str, Pose | None]
+) -> list[str]:
     """Put the group in front of the names of points that have several places, in place; what is said of it."""
     sightings: dict[str, dict[str, list[tuple[str, Floats]]]] = {}
     for p, own, point in zip(table.pointings, group, from_polar(readings), strict=True):
@@ -242,5 +244,5 @@ def _setup(blocks: Sequence[_Block], names: Sequence[str], file: Path) -> Setup:
                 yaw = float(np.degrees(np.arctan2(pose[0][1, 0], pose[0][0, 0])))
         stations[name] = Station(position_mm=position, yaw_deg=yaw, instrument=block.model or None)
     models = sorted({block.model for block in blocks if block.model})
-    instruments = {Where(file).name(model, "instrument"): Instrument() for model in models}
+    instruments = {FilePlace(file).name(model, "instrument"): Instrument() for model in models}
     return Setup(title=file.stem, instruments=instruments, stations=stations)

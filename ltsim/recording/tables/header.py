@@ -76,7 +76,7 @@ _VALUE = re.compile(r"([a-z0-9]+?)(?:value|reading|obs|raw)")
 
 
 @dataclass(frozen=True)
-class Column:
+class TableColumn:
     """One column: its place, header, role ('' for none), unit ('' where it states none) and face (0: any)."""
 
     place: int
@@ -91,7 +91,7 @@ class Column:
         return bool(self.title) and (not self.role or "_" in self.role or self.role == "round")
 
 
-def columns_of(fields: Sequence[str]) -> list[Column]:
+def columns_of(fields: Sequence[str]) -> list[TableColumn]:
     """Columns of a header, each with the role and unit that its words have.
 
     Of two columns for one role the first has it. Faces are told apart where every reading stands there twice.
@@ -101,7 +101,7 @@ def columns_of(fields: Sequence[str]) -> list[Column]:
     both = {c.role for c in found if c.face == 1} & {c.role for c in found if c.face == 2}
     polar = _kinds_in(found) > 1
     named = {words_of(c.title)[0] for c in found if c.role == "target"}
-    kept: list[Column] = []
+    kept: list[TableColumn] = []
     taken: set[tuple[str, int]] = set()
     for column in found:
         one = column
@@ -116,17 +116,17 @@ def columns_of(fields: Sequence[str]) -> list[Column]:
     return kept
 
 
-def _kinds_in(columns: Sequence[Column]) -> int:
+def _kinds_in(columns: Sequence[TableColumn]) -> int:
     roles = {column.role for column in columns}
     return sum(bool(roles.intersection(kind)) for kind in (HORIZONTAL, VERTICAL, DISTANCE))
 
 
-def is_header(columns: Sequence[Column]) -> bool:
+def is_header(columns: Sequence[TableColumn]) -> bool:
     """Whether two of direction, vertical angle and distance are among the columns, or all three coordinates."""
     return _kinds_in(columns) > 1 or names_places(columns)
 
 
-def names_places(columns: Sequence[Column]) -> bool:
+def names_places(columns: Sequence[TableColumn]) -> bool:
     """Whether the columns hold x, y, z of named targets."""
     return {"target", *PLACE} <= {column.role for column in columns}
 
@@ -158,7 +158,7 @@ def _folded(text: str) -> str:
     return re.sub(r"[^a-z0-9]", "", bare)
 
 
-def _column(place: int, title: str, *, faced: bool = True) -> Column:
+def _column(place: int, title: str, *, faced: bool = True) -> TableColumn:
     name, unit = words_of(title)
     role, face = role_of(name), 0
     numbered = _FACED.fullmatch(name) if faced and not role else None
@@ -168,10 +168,10 @@ def _column(place: int, title: str, *, faced: bool = True) -> Column:
     if role in ALLOWED and unit and unit not in ALLOWED[role]:
         # surveyors' lists have heights in a column called elevation
         role, face = ("z" if role == "elevation" and unit in LENGTHS else ""), 0
-    return Column(place, title, role, unit, face)
+    return TableColumn(place, title, role, unit, face)
 
 
-def mapped(fields: Sequence[str], wanted: str, file: object) -> list[Column] | None:
+def mapped(fields: Sequence[str], wanted: str, file: object) -> list[TableColumn] | None:
     """Columns of a header by ``role=Header[unit],...``; None where the header lacks one that is named.
 
     A header that is a number counts columns from 1. Roles that are not named go by the words of the header.
@@ -179,12 +179,12 @@ def mapped(fields: Sequence[str], wanted: str, file: object) -> list[Column] | N
     Raises RecordError for a role or a unit that is not known.
     """
     columns = columns_of(fields)
-    said: dict[int, Column] = {}
+    said: dict[int, TableColumn] = {}
     for role, face, title, unit in assignments(wanted, file):
         place = _place(fields, title)
         if place is None:
             return None
-        said[place] = Column(place, fields[place], role, unit or columns[place].unit, face)
+        said[place] = TableColumn(place, fields[place], role, unit or columns[place].unit, face)
     kinds = {_kind(column.role) for column in said.values()}
     rest = [c if _kind(c.role) not in kinds else replace(c, role="", face=0) for c in columns]
     return [said.get(c.place, c) for c in rest]

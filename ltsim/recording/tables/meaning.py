@@ -33,8 +33,8 @@ from ltsim.recording.pointings import indices
 from ltsim.recording.recording import SIGMA_COLUMNS
 from ltsim.recording.slips import SHORTEST_MM
 from ltsim.recording.tables import cells
-from ltsim.recording.tables.header import DISTANCE, HEIGHTS, HORIZONTAL, PLACE, SIGMA_OF, VERTICAL, Column
-from ltsim.recording.tables.rows import Printed, Table
+from ltsim.recording.tables.header import DISTANCE, HEIGHTS, HORIZONTAL, PLACE, SIGMA_OF, VERTICAL, TableColumn
+from ltsim.recording.tables.rows import PointingTable, Printed
 from ltsim.units import ARCSECOND, DEGREE, FACTOR, MILLIMETRE, ratio
 
 FULL, QUARTER = Decimal(360), Decimal(90)
@@ -88,7 +88,7 @@ def _of(p: Printed, kind: Sequence[str]) -> Decimal | None:
     return next((p.values[role] for role in kind if role in p.values), None)
 
 
-def readings_of(table: Table, poses: Mapping[int, Pose], hints: Hints, file: Path) -> tuple[Meaning, Floats]:
+def readings_of(table: PointingTable, poses: Mapping[int, Pose], hints: Hints, file: Path) -> tuple[Meaning, Floats]:
     """What the table's numbers mean, and the raw readings (n, 3) [m, rad] that they are.
 
     Rough `poses` of stations, by the order in which the table names them, tell the sense of the circle.
@@ -112,7 +112,7 @@ def readings_of(table: Table, poses: Mapping[int, Pose], hints: Hints, file: Pat
 
 
 def _angles(
-    columns: Mapping[str, Column | None], stated: Mapping[str, str], polar: PolarTable, hints: Hints, file: Path
+    columns: Mapping[str, TableColumn | None], stated: Mapping[str, str], polar: PolarTable, hints: Hints, file: Path
 ) -> tuple[tuple[str, str], Vertical, list[str]]:
     column = columns["vertical"]
     role = column.role if column is not None else ""
@@ -136,7 +136,7 @@ def _angles(
     return (one or unit or angle, other or unit or angle), vertical, notes
 
 
-def _length(stated: str, polar: PolarTable, table: Table, hints: Hints, file: Path) -> tuple[str, list[str]]:
+def _length(stated: str, polar: PolarTable, table: PointingTable, hints: Hints, file: Path) -> tuple[str, list[str]]:
     """Unit of the distances: as stated, by heights beside them, by their size, or asked for."""
     if stated or not np.isfinite(polar.distance).any():
         return stated or hints.length or "mm", []
@@ -153,7 +153,7 @@ def _length(stated: str, polar: PolarTable, table: Table, hints: Hints, file: Pa
 
 
 def _sense(
-    table: Table, meaning: Meaning, polar: PolarTable, poses: Mapping[int, Pose], hints: Hints, file: Path
+    table: PointingTable, meaning: Meaning, polar: PolarTable, poses: Mapping[int, Pose], hints: Hints, file: Path
 ) -> tuple[Azimuth, list[str]]:
     """The sense of the circle: said, by known places, or by the words of the header."""
     if hints.azimuth is not None or not np.isfinite(polar.horizontal).any():
@@ -178,7 +178,7 @@ def _sense(
     raise RecordError(SENSE_UNKNOWN, file=file)
 
 
-def _readings_of_places(table: Table, hints: Hints, file: Path) -> tuple[Meaning, Floats]:
+def _readings_of_places(table: PointingTable, hints: Hints, file: Path) -> tuple[Meaning, Floats]:
     """Coordinates as readings of face 1.
 
     Raises RecordError where a coordinate is missing, or all set-ups see their common targets in one frame.
@@ -200,7 +200,7 @@ def _readings_of_places(table: Table, hints: Hints, file: Path) -> tuple[Meaning
     return Meaning("rad", "rad", length, "elevation", "counter-clockwise", (*notes, TOLD)), readings
 
 
-def _check_frames(table: Table, points: Floats, file: Path) -> None:
+def _check_frames(table: PointingTable, points: Floats, file: Path) -> None:
     """Refuse coordinates that were brought into one frame: as readings they would hold no network."""
     first: dict[str, tuple[str, Floats]] = {}
     gaps = []
@@ -216,7 +216,7 @@ def _check_frames(table: Table, points: Floats, file: Path) -> None:
         raise RecordError(message, file=file)
 
 
-def sigmas_of_places(table: Table, readings: Floats, length: str) -> list[dict[str, float]] | None:
+def sigmas_of_places(table: PointingTable, readings: Floats, length: str) -> list[dict[str, float]] | None:
     """Standard deviations of each pointing's readings (n, 3) by those of x, y, z, where the table states them."""
     columns = [next((c for c in table.columns if c.role == SIGMA_OF[axis]), None) for axis in PLACE]
     titles = [(c.title, FACTOR[c.unit or length]) for c in columns if c is not None]

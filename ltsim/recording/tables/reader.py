@@ -15,9 +15,9 @@ from ltsim.recording.recording import HEIGHT_COLUMNS, KIND_COLUMN, OCCUPATION_CO
 from ltsim.recording.settings import read_setup
 from ltsim.recording.setup import Setup
 from ltsim.recording.tables import cells
-from ltsim.recording.tables.header import ALLOWED, Column, names_places
+from ltsim.recording.tables.header import ALLOWED, TableColumn, names_places
 from ltsim.recording.tables.meaning import Meaning, readings_of, sigmas_of_places
-from ltsim.recording.tables.rows import Printed, Table, header_of, table_of
+from ltsim.recording.tables.rows import PointingTable, Printed, header_of, table_of
 from ltsim.recording.tables.setups import common_names, heights_not_applied, occupied, over_marks, split_rounds
 from ltsim.recording.tables.sheets import SUFFIXES, WORKBOOK, is_folder, rows_of_head, sheets_of
 from ltsim.units import FACTOR, MILLIMETRE, ratio
@@ -58,7 +58,9 @@ def read(path: Path, hints: Hints = NO_HINTS, *, positional: bool = False) -> Re
     return found.replace(notes=(*found.notes, *(note for note in notes if not (stated and note == NO_NOISE))))
 
 
-def assembled(table: Table, meaning: Meaning, readings: Floats, setup: Setup, hints: Hints, file: Path) -> Recording:
+def assembled(
+    table: PointingTable, meaning: Meaning, readings: Floats, setup: Setup, hints: Hints, file: Path
+) -> Recording:
     """The recording of a table whose readings (n, 3) are understood, in the order of its pointings."""
     sigmas = sigmas_of_places(table, readings, meaning.length_unit)
     rounds = split_rounds(table, readings)
@@ -107,7 +109,7 @@ def _setup(path: Path, hints: Hints) -> tuple[Setup, list[str]]:
     return read_setup(file), [f"noise and what else is known are read from {file}"]
 
 
-def _faces(table: Table, readings: Floats) -> tuple[list[int], list[str]]:
+def _faces(table: PointingTable, readings: Floats) -> tuple[list[int], list[str]]:
     """Face of each pointing; readings of face 2 that were reduced to face 1 are turned back in place."""
     beyond = np.abs(readings[:, 2]) > np.pi / 2 + 1e-9
     stated = [p.face for p in table.pointings]
@@ -120,7 +122,7 @@ def _faces(table: Table, readings: Floats) -> tuple[list[int], list[str]]:
     return faces, ["readings of face 2 were reduced to face 1 and are turned back to what the circles showed"]
 
 
-def _times(table: Table, hints: Hints) -> tuple[list[float], str, list[str]]:
+def _times(table: PointingTable, hints: Hints) -> tuple[list[float], str, list[str]]:
     """Time [s] of each pointing, the moment of 0 where it is known, and notes; NaN where times cannot be read."""
     column = table.column(("time",)) or table.column(("date",))
     texts = [p.moment for p in table.pointings]
@@ -146,7 +148,7 @@ def _times(table: Table, hints: Hints) -> tuple[list[float], str, list[str]]:
     return found, start, []
 
 
-def _further(table: Table, meaning: Meaning) -> tuple[list[dict[str, float]], list[dict[str, str]], list[str]]:
+def _further(table: PointingTable, meaning: Meaning) -> tuple[list[dict[str, float]], list[dict[str, str]], list[str]]:
     """Further columns of each pointing: numbers as covariates, texts as labels, and what is said of them.
 
     Sigmas and heights have names and units of their own, those of the readings where their header states none.
@@ -170,11 +172,11 @@ def _further(table: Table, meaning: Meaning) -> tuple[list[dict[str, float]], li
     return covariates, labels, [*said, *([f"kept as further columns: {kept}"] if kept else [])]
 
 
-def _unit(column: Column, meaning: Meaning) -> str:
+def _unit(column: TableColumn, meaning: Meaning) -> str:
     return column.unit or meaning.unit_of(column.role)
 
 
-def _factor(column: Column, pointings: Sequence[Printed], meaning: Meaning) -> float | None:
+def _factor(column: TableColumn, pointings: Sequence[Printed], meaning: Meaning) -> float | None:
     """What the numbers of a column are multiplied by; None for a column of text."""
     texts = [(p.further.get(column.title, ""), p.grouping) for p in pointings]
     numeric = any(t for t, _ in texts) and all(cells.value(t, grouping) is not None for t, grouping in texts if t)
@@ -193,7 +195,7 @@ def _number(p: Printed, title: str) -> float:
     return NAN if number is None else float(number)
 
 
-def _left_out(table: Table) -> list[str]:
+def _left_out(table: PointingTable) -> list[str]:
     notes = []
     if table.nameless:
         alone = "the table names no station: all such pointings are taken from one, called S1"

@@ -9,7 +9,7 @@ from decimal import Decimal
 
 from ltsim.errors import RecordError
 from ltsim.recording.conventions import Hints
-from ltsim.recording.files import Where, shown
+from ltsim.recording.files import FilePlace, shown
 from ltsim.recording.tables import cells
 from ltsim.recording.tables.header import (
     DISTANCE,
@@ -17,7 +17,7 @@ from ltsim.recording.tables.header import (
     PLACE,
     READINGS,
     VERTICAL,
-    Column,
+    TableColumn,
     assignments,
     columns_of,
     is_header,
@@ -36,7 +36,7 @@ _STATION = re.compile(r"#?\s*([^\W\d_]+)\s*[:=;,\t ]\s*(\S.*?)[\s;,]*")
 class Printed:
     """One pointing as its row prints it: numbers by role in the units of their columns, those that are not empty."""
 
-    where: Where
+    where: FilePlace
     station: str
     target: str
     face: int | None
@@ -49,10 +49,10 @@ class Printed:
 
 
 @dataclass
-class Table:
+class PointingTable:
     """All pointings of a file or folder, the columns they came from, and what was left out."""
 
-    columns: list[Column]
+    columns: list[TableColumn]
     pointings: list[Printed] = field(default_factory=list)
     left_out: list[str] = field(default_factory=list)
     nameless: bool = False
@@ -61,7 +61,7 @@ class Table:
     """Name of the mark under each set-up whose own name differs from it."""
     notes: list[str] = field(default_factory=list)
 
-    def column(self, kind: Sequence[str]) -> Column | None:
+    def column(self, kind: Sequence[str]) -> TableColumn | None:
         """The first column of one of the roles."""
         return next((c for c in self.columns if c.role in kind), None)
 
@@ -70,7 +70,7 @@ class Table:
         """Whether it holds coordinates in place of readings."""
         return {*PLACE} <= {c.role for c in self.columns}
 
-    def take(self, columns: Sequence[Column], file: object, row: int | None = None) -> None:
+    def take(self, columns: Sequence[TableColumn], file: object, row: int | None = None) -> None:
         """A further header: of the same roles and units, perhaps with more columns that are kept.
 
         Raises RecordError where it holds other readings, or in other units.
@@ -78,11 +78,11 @@ class Table:
         said = [[(c.role, c.unit, c.face) for c in all_ if c.role in READINGS] for all_ in (self.columns, columns)]
         if said[0] and said[0] != said[1]:
             message = "its columns differ from those of the headers before, expected the same roles and units"
-            raise Where(file, row).wrong(message)
+            raise FilePlace(file, row).wrong(message)
         titles = {c.title for c in self.columns}
         self.columns += [c for c in columns if c.title not in titles]
 
-    def add(self, other: Table, file: object) -> None:
+    def add(self, other: PointingTable, file: object) -> None:
         """The pointings of a further sheet; raises RecordError."""
         self.take(other.columns, file)
         self.pointings += other.pointings
@@ -92,13 +92,13 @@ class Table:
         self.positional |= other.positional
 
 
-def table_of(sheets: Sequence[Sheet], hints: Hints, file: object, *, positional: bool = False) -> Table:
+def table_of(sheets: Sequence[Sheet], hints: Hints, file: object, *, positional: bool = False) -> PointingTable:
     """The pointings of all sheets; `positional` takes lines of names and three numbers without a header.
 
     Raises RecordError where a header does not say what its columns hold, headers differ in what they hold, or a cell is
     wrong.
     """
-    whole = Table([])
+    whole = PointingTable([])
     for sheet in sheets:
         start = header_at(sheet, hints)
         reader = _SheetReader(sheet, hints)
@@ -113,7 +113,7 @@ def table_of(sheets: Sequence[Sheet], hints: Hints, file: object, *, positional:
     return whole
 
 
-def header_of(row: Row, hints: Hints, file: object = None) -> list[Column] | None:
+def header_of(row: Row, hints: Hints, file: object = None) -> list[TableColumn] | None:
     """The columns that a row names as a header; None where it is none."""
     if hints.columns is not None:
         return mapped(row.fields, hints.columns, file) if any(row.fields) else None
@@ -137,11 +137,11 @@ class _SheetReader:
     def __init__(self, sheet: Sheet, hints: Hints) -> None:
         self.sheet, self.hints = sheet, hints
         self.station = sheet.station or hints.station or ""
-        self.table = Table([])
-        self.columns: list[Column] = []
+        self.table = PointingTable([])
+        self.columns: list[TableColumn] = []
         self.wanted: list[int] = []
 
-    def read(self, start: int) -> Table:
+    def read(self, start: int) -> PointingTable:
         """The rows below the header in row `start`; -1 counts columns."""
         rows = self.sheet.rows
         for row in rows[: max(start, 0)]:
@@ -151,24 +151,24 @@ class _SheetReader:
             self._head(header_of(numbered, self.hints, self.sheet.file) or [], None)
         return self._read(rows[max(start, 0) :])
 
-    def read_positional(self) -> Table:
+    def read_positional(self) -> PointingTable:
         """Lines of station, target and three numbers; of the target alone where they are shorter by one."""
         body = [row for row in self.sheet.rows if not row.comment]
         roles = POSITIONS[1:] if body and len(body[0].fields) == 4 else POSITIONS
         for row in body:
             if len(row.fields) != len(roles):
                 message = f"{len(row.fields)} fields, expected station, target, two angles and a distance"
-                raise Where(self.sheet.file, row.line).wrong(message)
+                raise FilePlace(self.sheet.file, row.line).wrong(message)
         self.table.positional = True
-        self._head([Column(i, role, role) for i, role in enumerate(roles)], None)
+        self._head([TableColumn(i, role, role) for i, role in enumerate(roles)], None)
         return self._read(self.sheet.rows, every=True)
 
-    def _head(self, columns: list[Column], row: int | None) -> None:
+    def _head(self, columns: list[TableColumn], row: int | None) -> None:
         self.table.take(columns, self.sheet.file, row)
         self.columns = columns
         self.wanted = [c.place for c in columns if c.role in READINGS]
 
-    def _read(self, rows: Sequence[Row], *, every: bool = False) -> Table:
+    def _read(self, rows: Sequence[Row], *, every: bool = False) -> PointingTable:
         for i, row in enumerate(rows):
             measured = (every and not row.comment) or self._has_values(row)
             again = header_of(row, self.hints, self.sheet.file) if not measured else None
@@ -194,7 +194,7 @@ class _SheetReader:
             self.table.left_out.append(f"line {row.line} of {self.sheet.file.name} ('{row}')")
 
     def _pointing(self, row: Row, *, last: bool) -> None:
-        columns, where = self.columns, Where(self.sheet.file, row.line)
+        columns, where = self.columns, FilePlace(self.sheet.file, row.line)
         if last and self.sheet.open_end:
             if self.hints.growing:
                 return  # it may not be whole yet
@@ -206,7 +206,7 @@ class _SheetReader:
             if face == 0 or any(role in one.values for role in (*HORIZONTAL, *VERTICAL)):
                 self.table.pointings.append(one)
 
-    def _one(self, row: Row, columns: list[Column], face: int, where: Where) -> Printed:
+    def _one(self, row: Row, columns: list[TableColumn], face: int, where: FilePlace) -> Printed:
         text = {c.role: row.cell(c.place) for c in reversed(columns) if c.role}
 
         def both(*roles: str) -> str:
@@ -230,7 +230,7 @@ class _SheetReader:
             round=both("date", "round"),
         )
 
-    def _number(self, text: str, column: Column, where: Where) -> Decimal:
+    def _number(self, text: str, column: TableColumn, where: FilePlace) -> Decimal:
         found = cells.value(text, self.sheet.grouping)
         if found is None or not abs(found) < 10**9:
             raise where.wrong(f"found '{shown(text)}', expected a number", shown(column.title))
@@ -240,7 +240,7 @@ class _SheetReader:
         return found
 
 
-def _doubled(columns: Sequence[Column]) -> list[str]:
+def _doubled(columns: Sequence[TableColumn]) -> list[str]:
     """A word on columns whose header could have been a role that another column has."""
     taken = {c.role: c.title for c in columns if c.role}
     lost = [(c.title, role_of(words_of(c.title)[0])) for c in columns if not c.role]

@@ -16,7 +16,7 @@ from ltsim.recording.pointings import numbered
 from ltsim.recording.recording import OCCUPATION_COLUMNS
 from ltsim.recording.setup import EXACT_LEVEL_ARCSEC, Setup, Station
 from ltsim.recording.tables.header import HEIGHTS
-from ltsim.recording.tables.rows import Printed, Table
+from ltsim.recording.tables.rows import PointingTable, Printed
 
 MOST_SHOWN = 4
 LEAST_LINES = 4
@@ -74,7 +74,7 @@ def _folded(name: str) -> str:
     return re.sub(r"(?<!\d)0+(?=\d)", "", re.sub(r"[\s_-]+", "_", bare))
 
 
-def split_rounds(table: Table, readings: Floats) -> list[str]:
+def split_rounds(table: PointingTable, readings: Floats) -> list[str]:
     """Rounds of one station whose circle was turned become set-ups of their own, in place; what is said of it."""
     if table.column(("round",)) is None:
         return []
@@ -95,7 +95,7 @@ def split_rounds(table: Table, readings: Floats) -> list[str]:
     return [f"the circle was turned between rounds: {len(names)} rounds are set-ups of their own over their marks"]
 
 
-def over_marks(table: Table, setup: Setup) -> tuple[Setup, list[str]]:
+def over_marks(table: PointingTable, setup: Setup) -> tuple[Setup, list[str]]:
     """Stations of a table that states their heights: levelled, and over the target of their name."""
     if table.column(("instrument_height_mm",)) is None:
         return setup, []
@@ -115,14 +115,14 @@ def over_marks(table: Table, setup: Setup) -> tuple[Setup, list[str]]:
     return setup.model_copy(update={"stations": {**setup.stations, **stations}}), [said]
 
 
-def occupied(table: Table, one: Printed) -> dict[str, str]:
+def occupied(table: PointingTable, one: Printed) -> dict[str, str]:
     """Which occupations of marks a pointing joins, where no column says so: those of one day, in one role."""
     day = one.moment if table.column(("time",)) is None else ""
     mark = table.marks.get(one.station, one.station)
     return dict(zip(OCCUPATION_COLUMNS, (f"{mark} {day}".strip(), f"to {one.target} {day}".strip()), strict=True))
 
 
-def heights_not_applied(table: Table, readings: Floats, height: Floats) -> list[str]:
+def heights_not_applied(table: PointingTable, readings: Floats, height: Floats) -> list[str]:
     """What is said where the readings are those between the heads themselves, whatever heights stand beside them.
 
     Lines measured to and fro decide: their height differences cancel with the stated heights (n, 2) [m] of instrument

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from ltsim.errors import RecordError
-from ltsim.recording.files import MAX_BYTES, MAX_LINES, Where, is_number, read_bytes, read_lines, shown
+from ltsim.recording.files import MAX_BYTES, MAX_LINES, FilePlace, is_number, read_bytes, read_lines, shown
 from ltsim.recording.tables.cells import grouping_of, is_value
 
 SUFFIXES = (".csv", ".tsv", ".txt", ".dat", ".asc", ".xlsx")
@@ -43,7 +43,7 @@ class Row:
     def check_width(self, width: int, file: object) -> None:
         """Raise RecordError where the row has another number of cells than the header."""
         if len(self.fields) != width:
-            raise Where(file, self.line).wrong(f"{len(self.fields)} fields, expected {width} as in the header")
+            raise FilePlace(file, self.line).wrong(f"{len(self.fields)} fields, expected {width} as in the header")
 
     def __str__(self) -> str:
         return shown(" ".join(field for field in self.fields if field), 30)
@@ -77,7 +77,7 @@ class Sheet:
         before = next((p for p in reversed(self.rows[:-1]) if len(p.fields) == width), None)
         ends = [len(r.fields[-1].replace(",", ".").partition(".")[2]) for r in (row, before) if r is not None]
         if strict or len(row.fields) != width or (len(ends) == 2 and ends[0] < ends[1]):
-            raise Where(self.file, row.line).wrong("the file ends inside this row: it was cut")
+            raise FilePlace(self.file, row.line).wrong("the file ends inside this row: it was cut")
 
 
 def is_folder(path: Path) -> bool:
@@ -121,7 +121,7 @@ def _rows(lines: Sequence[str], file: Path) -> Iterator[Row]:
         if text.strip() and not says_separator:
             fields = _split(text, separator)
             if len(fields) > MAX_FIELDS:
-                raise Where(file, i + 1).wrong(f"{len(fields)} fields, expected at most {MAX_FIELDS}")
+                raise FilePlace(file, i + 1).wrong(f"{len(fields)} fields, expected at most {MAX_FIELDS}")
             yield Row(i + 1, fields, comment)
 
 
