@@ -237,7 +237,7 @@ def drawn(kept: dict[str, Any], tmp_path_factory: pytest.TempPathFactory) -> lis
 
 
 CHANCES = ("found", "placed", "named")
-WITHOUT = {"Catalogue", "Truth", "Injected", "InjectionTruth"}
+WITHOUT = {"EffectList", "Truth", "Injected", "InjectionTruth"}
 """What is a list of words and sizes: no picture says more."""
 
 

@@ -212,7 +212,7 @@ class TrialBlock:
     wanted: Ints
     checked: Ints
     """Places in the block of the trials that rows are wanted of, and of those that the full solver repeats."""
-    drawn: bool
+    drawn: bool = False
     """Nothing is calibrated."""
 
     @cached_property

@@ -31,8 +31,8 @@ SAYS = 5.0
 """[s] between two words on the best layout so far."""
 WORTH = 0.01
 """By how much, relative, a layout must be better to be worth a word."""
-SAMPLE = 48
-"""Set-ups that are tried for an estimate."""
+SAMPLE, AROUND = 480, 24
+"""Set-ups that are tried at once for an estimate: of a grid, and around a station."""
 SWEEPS, MOVES = 3.0, 14.0
 """Rounds of exchanges, and of moves off the grid, that a search usually takes."""
 
@@ -185,16 +185,22 @@ def _seconds_of_one(problem: PlanningProblem, task: SearchTask) -> float:
     places = site.places(work.step, work.heights)
     if not len(places):
         return 0.0
-    some = places[np.linspace(0, len(places) - 1, SAMPLE).astype(int)]
-    for _ in range(2):  # what the first calls load is no part of the work
-        times = [monotonic()]
-        seen = site.seen(some)
-        times.append(monotonic())
-        pool = work.pool(some, np.zeros(SAMPLE), 0, seen)
-        times.append(monotonic())
-        work.replacements(pool.take(np.arange(task.stations)), 0, pool, anywhere=True)
-        times.append(monotonic())
-    looked, built, valued = np.diff(times) / SAMPLE
+    looked, built, valued = _seconds_of_setups(work, places, task.stations, SAMPLE)
     setups, free = len(places) * work.yaws, task.stations - len(site.fixed)
     exchanges = len(places) * looked + setups * (built + SWEEPS * free * valued)
-    return float(exchanges + MOVES * free * 24 * (looked + built + valued))
+    few = _seconds_of_setups(work, places, task.stations, AROUND)
+    return float(exchanges + MOVES * free * AROUND * few.sum())
+
+
+def _seconds_of_setups(work: LayoutSearcher, places: Floats, stations: int, count: int) -> Floats:
+    """Seconds (3,) a set-up takes among so many at once: to see what it sees, to be made, to be valued in a layout."""
+    some = places[np.linspace(0, len(places) - 1, count).astype(int)]
+    for _ in range(2):  # what the first calls load is no part of the work
+        times = [monotonic()]
+        seen = work.site.seen(some)
+        times.append(monotonic())
+        pool = work.pool(some, np.zeros(count), 0, seen)
+        times.append(monotonic())
+        work.replacements(pool.take(np.arange(stations)), 0, pool, anywhere=True)
+        times.append(monotonic())
+    return np.diff(times) / count

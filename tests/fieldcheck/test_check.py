@@ -276,7 +276,7 @@ def test_answers_and_pictures(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert (tmp_path / "out" / "check.svg").read_text().startswith("<?xml")
     write(visits(4), tmp_path / "good")
     assert run(["check", str(tmp_path / "good"), "--mpe", "100,10"]) == 0
-    assert "go: 1 set-up within" in capsys.readouterr().out
+    assert "Go: 1 set-up within" in capsys.readouterr().out
     assert run(["check", str(tmp_path / "good"), "--mpe", "twenty"]) == 2
 
 

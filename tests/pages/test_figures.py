@@ -137,7 +137,7 @@ def criteria_figure() -> Figure:
 def distributions() -> Figure:
     draws = stream(1, "figure").normal(29, 4, (4, 500))
     names = ("coordinate, improvement", "distance, mean after", "coordinate, largest before", MARKUP)
-    rows = [sweeps.Distribution(name, v, "um", 30.0) for name, v in zip(names, draws, strict=True)]
+    rows = [sweeps.TrialDistribution(name, v, "um", 30.0) for name, v in zip(names, draws, strict=True)]
     return sweeps.distributions(rows)
 
 

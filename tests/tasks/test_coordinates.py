@@ -66,7 +66,7 @@ def written(found: Coordinates, path: Path) -> Path:
 def test_the_verb_compares_lists(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     paths = [str(written(crown(i), tmp_path / f"{i}.csv")) for i in (0, 1)]
     assert run(["compare", *paths, "--out", str(tmp_path / "out")]) == 0
-    assert "no point moved" in capsys.readouterr().out
+    assert "No point moved" in capsys.readouterr().out
     content = read_result(tmp_path / "out", Comparison)
     own = [d.own_chi2 or np.nan for d in compare_coordinates(crown(0), crown(1)).displacements]
     np.testing.assert_allclose([d.own_chi2 or np.nan for d in content.displacements], own, rtol=1e-6)

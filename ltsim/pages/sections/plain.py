@@ -70,10 +70,9 @@ def comparison_section(content: Comparison, _: Beside) -> Section:
         *([] if content.scale_ppm is None else [Fact("scale", f"{content.scale_ppm:+.2f} ppm")]),
     ]
     drawn = Picture("Displacements", lambda: figures.points.displacement_figure(content), caption)
-    answer = sentence(content.sentence if moved else content.sentence.partition("; ")[2])  # the headline says the rest
     said = f"Look at what moved, and measure it again before it is used as a reference: {listing(moved)}."
     return Section(
-        "Comparison of two epochs", "Comparison", answer, mood(not moved), facts, [drawn, *table],
+        "Comparison of two epochs", "Comparison", sentence(content.sentence), mood(not moved), facts, [drawn, *table],
         axes="the first epoch's", actions=[said] if moved else [],
     )  # fmt: skip
 
