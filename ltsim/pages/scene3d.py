@@ -119,7 +119,7 @@ def write_legend(plotter: pv.Plotter, title: str, legend: Legend) -> None:
         plotter.add_scalar_bar(  # type: ignore[call-arg]
             title=legend.bar[0] + "\n",
             color=style.INK,
-            position_x=0.64,
+            position_x=0.6,
             position_y=0.02,
             width=0.33,
             height=0.07,
