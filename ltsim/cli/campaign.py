@@ -7,6 +7,7 @@ import sys
 from enum import StrEnum
 from importlib.resources import files
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import TYPE_CHECKING, Annotated, Any
 from xml.etree.ElementTree import Element, SubElement, tostring
 
@@ -166,8 +167,9 @@ def recover(
     if junit is not None:
         try:
             junit.parent.mkdir(parents=True, exist_ok=True)
+            TemporaryFile(dir=junit.parent).close()  # before all trials, not after them
         except OSError as problem:
-            raise SetupError(f"{junit.parent}: cannot be made ({problem.strerror})") from None
+            raise SetupError(f"{junit}: cannot be written ({problem.strerror})") from None
     workers = jobs or (1 if options["trials"] < FEW else os.cpu_count() or 1)
     with terminal.progress("trials", options["trials"]) as step:
         result = lt.recover(scenario, progress=step, jobs=workers, **options)
