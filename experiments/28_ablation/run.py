@@ -11,8 +11,8 @@ from experiments.intervals import share
 from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.arrays import Floats
+from ltsim.calibration.evidence import log_average
 from ltsim.diagnosis.cards import Cards, card_hypotheses
-from ltsim.diagnosis.evidence import log_average
 from ltsim.diagnosis.noise import NoiseBank, noise_hypotheses
 from ltsim.diagnosis.prior import log_share
 from ltsim.diagnosis.probe import TRIALS, Probe

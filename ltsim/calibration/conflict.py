@@ -10,8 +10,8 @@ from ltsim.adjustment.prior import FREED, ParameterPrior
 from ltsim.adjustment.reliability import FEW
 from ltsim.arrays import Bools, Floats
 from ltsim.calibration.calibration import Calibration
-from ltsim.calibration.evidence import change_seen, changes_found, evidence
-from ltsim.chances import CONSTANT, SIZES
+from ltsim.calibration.evidence import change_seen, changes_found, evidence, log_evidence
+from ltsim.chances import CONSTANT
 from ltsim.notation import with_sigma
 from ltsim.remedies.undetermined import SILENT, Direction
 
@@ -117,12 +117,8 @@ def log_odds(z: Floats, weight: Floats, count: int) -> Floats:
 
     As in a diagnosis, averaged over sizes: a constant that the readings hardly see would be off by more than any is.
     """
-    size = np.array(list(SIZES))[:, None] ** 2
-    strength = 1.0 + size * np.maximum(weight, 0.0)
-    logs = 0.5 * (z**2 * (1.0 - 1.0 / strength) - np.log(strength))
-    shares = np.array(list(SIZES.values()))[:, None] * CONSTANT / count
-    found: Floats = special.logsumexp(logs, axis=0, b=shares)
-    return found
+    weight = np.maximum(weight, 0.0)
+    return log_evidence((z**2 * weight)[:, None], weight[:, None]) + np.log(CONSTANT / count)
 
 
 def _normalised(told: Floats, gain: Floats) -> Floats:

@@ -1,4 +1,4 @@
-"""What estimates and their covariance say: without the prior, several parameters together, as amplitude and phase."""
+"""What estimates and their covariance say without their prior, several together; log evidence of what is missing."""
 
 import re
 from collections.abc import Callable, Collection, Iterator, Sequence
@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
+from ltsim import chances
 from ltsim.arrays import Floats
 from ltsim.calibration.schema import DeterminedEntry, HarmonicEntry
 from ltsim.effects.signature import Parameter
@@ -21,6 +22,11 @@ ALIKE = 0.9
 """The first member whose weight is more than this share of the largest stands for all."""
 DEFINED = 2.0
 """Least amplitude, in its sigmas, at which a phase is given."""
+SIZES = np.array(list(chances.SIZES))
+LOG_WEIGHTS = np.log(np.array(list(chances.SIZES.values())))
+"""Sizes t tried, over a plausible one, and their log prior."""
+FEW = 100
+"""Values up to which a sum is slower by several fast calls than by a slow one."""
 # 'azimuth-eccentricity-cos', and 'J1.eY_cos2' with an order behind.
 _COSINE = re.compile(r"^(?P<front>.+[-_])cos(?P<order>\d?)$")
 
@@ -164,3 +170,40 @@ def harmonics(parameters: Sequence[Parameter], values: Floats, covariance: Float
             )
         )
     return found
+
+
+def log_average(values: Floats, axis: int = 0) -> Floats:
+    """Log of the sum of exp(values) along an axis; minus infinity where there is none."""
+    found: Floats
+    if values.size <= FEW:
+        found = np.logaddexp.reduce(values, axis=axis)
+        return found
+    top = np.nan_to_num(values.max(axis=axis, keepdims=True), neginf=0.0)
+    with np.errstate(divide="ignore"):
+        found = np.log(np.exp(values - top).sum(axis=axis)) + top.squeeze(axis)
+    return found
+
+
+def forms_of(strength: Floats, sizes: Floats = SIZES, log_weights: Floats = LOG_WEIGHTS) -> tuple[Floats, Floats]:
+    """Weights (..., k, sizes) of squared scores and constants (..., sizes) of the log evidence at each size."""
+    scale = 1.0 + sizes**2 * np.asarray(strength)[..., None]
+    return 0.5 * sizes**2 / scale, log_weights - 0.5 * np.log(scale).sum(axis=-2)
+
+
+def by_size(squares: Floats, forms: tuple[Floats, Floats]) -> Floats:
+    """The weighted log marginal likelihood ratio (..., sizes) of squared scores (..., k) for each size."""
+    found: Floats = (squares[..., None, :] @ forms[0])[..., 0, :] + forms[1]
+    return found
+
+
+def log_evidence(squares: Floats, strength: Floats) -> Floats:
+    """Log marginal likelihood ratio (...), averaged over sizes.
+
+    Parameters
+    ----------
+    squares : (..., k) float
+        Squared scores z_j^2 along the eigenvectors.
+    strength : (..., k) float
+        Eigenvalues d_j.
+    """
+    return log_average(by_size(squares, forms_of(strength)), axis=-1)

@@ -19,7 +19,7 @@ from ltsim.cli.places import Force, claim_file
 from ltsim.cli.simulate import ScenarioName
 from ltsim.cli.terminal import ResultTerminal, Terminal
 from ltsim.errors import SetupError, StoppedError
-from ltsim.recording.files import write_text
+from ltsim.recording.files import is_device, write_text
 from ltsim.workers import MOST
 
 if TYPE_CHECKING:
@@ -164,7 +164,7 @@ def recover(
 
     terminal.claim(RecoveryFile, TRIALS.file)
     claim_file(junit, force=terminal.force)
-    if junit is not None:
+    if junit is not None and not is_device(junit):
         try:
             junit.parent.mkdir(parents=True, exist_ok=True)
             TemporaryFile(dir=junit.parent).close()  # before all trials, not after them
@@ -176,7 +176,7 @@ def recover(
     beside = {TRIALS.file: result.table("trials").csv()}
     content = terminal.kept(recovery_file(result, options["seed"]), lambda: beside)
     if junit is not None:
-        junit.write_text(junit_xml(result, str(scenario)), encoding="utf-8")
+        write_text(junit, junit_xml(result, str(scenario)))
     terminal.answer(content.content())
     terminal.say(result.table("parameters").text() if len(result.converged) > 1 else "hardly a trial gave a result")
     failures = result.failures()

@@ -15,7 +15,8 @@ import scipy.sparse as sp
 
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.arrays import Floats, Ints, Singles
-from ltsim.diagnosis.evidence import log_evidence, log_means, simulated_evidence, times_to_noise
+from ltsim.calibration.evidence import log_evidence
+from ltsim.diagnosis.evidence import log_means, simulated_evidence, times_to_noise
 from ltsim.diagnosis.probe import Probe, square
 from ltsim.effects import BASELINE, CATALOGUE
 from ltsim.effects.effect import Effect, NoiseEffect, Stage

@@ -4,7 +4,7 @@ import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.gross import CLOSE, GrossFinding
-from ltsim.adjustment.known import KnownTest
+from ltsim.adjustment.known import UNITS, KnownTest
 from ltsim.diagnosis.findings import among, place_of
 from ltsim.diagnosis.instruments import Contradiction
 from ltsim.diagnosis.prior import PLAIN
@@ -13,7 +13,7 @@ from ltsim.diagnosis.words import percent
 from ltsim.effects import BASELINE
 from ltsim.effects.signature import Parameter
 from ltsim.notation import with_sigma
-from ltsim.units import FACTOR
+from ltsim.units import MILLIMETRE
 
 
 def gross_finding(gross: GrossFinding, adjustment: Adjustment) -> Finding:
@@ -45,8 +45,7 @@ def known_finding(test: KnownTest, adjustment: Adjustment) -> Finding:
     """The finding of a known value that contradicts the rest: what carries the error is the value itself."""
     recording = adjustment.recording
     ends = (test.name, *test.name.split("-")) if test.kind == "length" else (test.name,)
-    unit = "arcsec" if test.kind == "level" else "mm"
-    factor = FACTOR[unit]
+    unit, factor = UNITS.get(test.kind, ("mm", MILLIMETRE))
     rows = [
         Estimate(
             name=f"off along {axis}" if len(test.error) > 1 else "off", value=e / factor, sigma=s / factor, unit=unit

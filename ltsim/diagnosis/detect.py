@@ -11,7 +11,7 @@ import numpy as np
 from scipy import special
 
 from ltsim.arrays import Floats
-from ltsim.diagnosis.evidence import log_average
+from ltsim.calibration.evidence import log_average
 from ltsim.diagnosis.noise import NoiseBank
 from ltsim.diagnosis.search import Searcher
 

@@ -15,6 +15,7 @@ from ltsim.adjustment.occupations import mend_tripods
 from ltsim.adjustment.refit import Refit
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.arrays import Bools
+from ltsim.calibration.evidence import log_average
 from ltsim.calibration.known import Known
 from ltsim.diagnosis.averaging import averaged_targets
 from ltsim.diagnosis.blind import Sight, sight_of
@@ -22,7 +23,7 @@ from ltsim.diagnosis.case import Case
 from ltsim.diagnosis.certain import gross_finding, instrument_finding, known_finding
 from ltsim.diagnosis.detect import detect
 from ltsim.diagnosis.diagnosis import Diagnosis
-from ltsim.diagnosis.evidence import log_average, restricted
+from ltsim.diagnosis.evidence import restricted
 from ltsim.diagnosis.findings import Explained, among, noise_finding
 from ltsim.diagnosis.held_out import HeldOut, held_out as left_out
 from ltsim.diagnosis.history import HistoryExpectation

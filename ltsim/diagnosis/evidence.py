@@ -21,58 +21,15 @@ import numpy as np
 from scipy.special import log_ndtr
 
 from ltsim.arrays import Bools, Floats, Ints, Singles
-from ltsim.diagnosis import prior
+from ltsim.calibration.evidence import LOG_WEIGHTS, SIZES, by_size, forms_of, log_average, log_evidence
 from ltsim.effects.signature import Tunable
 from ltsim.recording.recording import OBSERVABLES
-
-SIZES = np.array(list(prior.SIZES))
-LOG_WEIGHTS = np.log(np.array(list(prior.SIZES.values())))
-"""Sizes t tried, over a plausible one, and their log prior."""
-FEW = 100
-"""Values up to which a sum is slower by several fast calls than by a slow one."""
-
-
-def log_average(values: Floats, axis: int = 0) -> Floats:
-    """Log of the sum of exp(values) along an axis; minus infinity where there is none."""
-    found: Floats
-    if values.size <= FEW:
-        found = np.logaddexp.reduce(values, axis=axis)
-        return found
-    top = np.nan_to_num(values.max(axis=axis, keepdims=True), neginf=0.0)
-    with np.errstate(divide="ignore"):
-        found = np.log(np.exp(values - top).sum(axis=axis)) + top.squeeze(axis)
-    return found
 
 
 def shares(logs: Floats) -> Floats:
     """Probabilities (k,) of what has such logarithms."""
     found: Floats = np.exp(logs - log_average(logs))
     return found
-
-
-def forms_of(strength: Floats, sizes: Floats = SIZES, log_weights: Floats = LOG_WEIGHTS) -> tuple[Floats, Floats]:
-    """Weights (..., k, sizes) of squared scores and constants (..., sizes) of the log evidence at each size."""
-    scale = 1.0 + sizes**2 * np.asarray(strength)[..., None]
-    return 0.5 * sizes**2 / scale, log_weights - 0.5 * np.log(scale).sum(axis=-2)
-
-
-def by_size(squares: Floats, forms: tuple[Floats, Floats]) -> Floats:
-    """The weighted log marginal likelihood ratio (..., sizes) of squared scores (..., k) for each size."""
-    found: Floats = (squares[..., None, :] @ forms[0])[..., 0, :] + forms[1]
-    return found
-
-
-def log_evidence(squares: Floats, strength: Floats) -> Floats:
-    """Log marginal likelihood ratio (...), averaged over sizes.
-
-    Parameters
-    ----------
-    squares : (..., k) float
-        Squared scores z_j^2 along the eigenvectors.
-    strength : (..., k) float
-        Eigenvalues d_j.
-    """
-    return log_average(by_size(squares, forms_of(strength)), axis=-1)
 
 
 AT_ONCE = 500_000

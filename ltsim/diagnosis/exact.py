@@ -11,7 +11,8 @@ import numpy as np
 
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.arrays import Floats, Ints
-from ltsim.diagnosis.evidence import evidence_of, evidence_with, log_average
+from ltsim.calibration.evidence import log_average
+from ltsim.diagnosis.evidence import evidence_of, evidence_with
 from ltsim.diagnosis.hypotheses import Found
 from ltsim.effects.signature import Tunable
 from ltsim.laws.carriers import CARRIERS

@@ -7,7 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from ltsim.diagnosis.evidence import evidence_with, log_average
+from ltsim.calibration.evidence import log_average
+from ltsim.diagnosis.evidence import evidence_with
 from ltsim.diagnosis.exact import Exact
 from ltsim.diagnosis.hypotheses import Found, Hypothesis
 from ltsim.diagnosis.prior import FORMS, OWN_WAY, PIECES

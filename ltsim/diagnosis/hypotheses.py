@@ -11,7 +11,7 @@ import numpy as np
 
 from ltsim.adjustment.residual_space import VISIBLE, orthonormal
 from ltsim.arrays import Floats, Ints
-from ltsim.diagnosis.evidence import LOG_WEIGHTS, SIZES, log_average
+from ltsim.calibration.evidence import LOG_WEIGHTS, SIZES, log_average
 from ltsim.diagnosis.prior import OUTSIDE, SECOND_ALIKE
 from ltsim.effects import find_effect
 from ltsim.effects.signature import Tunable

@@ -9,9 +9,18 @@ from scipy.special import erfc
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.prior import LEFT, prior_sigmas
 from ltsim.arrays import Floats
-from ltsim.calibration.evidence import by_plausible_sizes, change_seen, changes_found, determined, evidence
-from ltsim.diagnosis.evidence import log_average, log_evidence, shares
-from ltsim.diagnosis.prior import SIZES, log_share
+from ltsim.calibration.evidence import (
+    by_plausible_sizes,
+    change_seen,
+    changes_found,
+    determined,
+    evidence,
+    log_average,
+    log_evidence,
+)
+from ltsim.chances import SIZES
+from ltsim.diagnosis.evidence import shares
+from ltsim.diagnosis.prior import log_share
 from ltsim.diagnosis.schema import Estimate, InstrumentEntry
 from ltsim.effects.effect import Parameter
 

@@ -20,7 +20,8 @@ from scipy.special import expit
 
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.arrays import Floats, Ints
-from ltsim.diagnosis.evidence import log_average, log_means, restricted, shares
+from ltsim.calibration.evidence import log_average
+from ltsim.diagnosis.evidence import log_means, restricted, shares
 from ltsim.diagnosis.prior import log_share
 from ltsim.diagnosis.schema import Equivalent
 from ltsim.effects import CATALOGUE

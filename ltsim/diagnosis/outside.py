@@ -12,7 +12,8 @@ import numpy as np
 
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.arrays import Floats
-from ltsim.diagnosis.evidence import log_average, restricted
+from ltsim.calibration.evidence import log_average
+from ltsim.diagnosis.evidence import restricted
 
 SHARES = np.geomspace(0.05, 1.0, 9)
 """Shares of its shift by which a law may be a mere likeness: from what no network of this kind sees to all of it."""

@@ -16,7 +16,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from ltsim.arrays import Floats, Ints, Singles
-from ltsim.diagnosis.evidence import by_size, forms_of, log_average, simulated_total
+from ltsim.calibration.evidence import by_size, forms_of, log_average
+from ltsim.diagnosis.evidence import simulated_total
 from ltsim.diagnosis.probe import Probe
 from ltsim.laws.carriers import Carrier
 from ltsim.laws.drivers import Driver

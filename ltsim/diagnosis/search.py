@@ -19,8 +19,9 @@ import numpy as np
 
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.arrays import Floats, Ints
+from ltsim.calibration.evidence import log_average
 from ltsim.diagnosis.cards import ORDINARY, Cards, card_hypotheses
-from ltsim.diagnosis.evidence import log_average, posterior
+from ltsim.diagnosis.evidence import posterior
 from ltsim.diagnosis.exact import Exact
 from ltsim.diagnosis.forms import in_all_forms
 from ltsim.diagnosis.hypotheses import Found, Hypothesis, Ranking, alike

@@ -230,9 +230,10 @@ def with_cad_beside(scenario: Scenario) -> tuple[Scenario, dict[str, bytes]]:
 def opened(source: str | Path) -> tuple[PlanFile, Scenario]:
     """A plan and its scenario: a plan file, a scenario, a plan's folder with its stations, or what the board saved."""
     folder = Path(source)
-    saved = folder / PLAN
-    if not folder.is_dir() or saved.is_file():
-        return load_plan(saved if saved.is_file() else source)
+    if (folder / PLAN).is_file():
+        return load_plan(folder / PLAN)
+    if not folder.is_dir():
+        return load_plan(source)
     file = PlanFile.model_validate(read_result(folder, PlanResult).settings)
     return file, load_scenario(folder / SCENARIO)
 

@@ -12,7 +12,7 @@ from ltsim.errors import ModelError, SetupError
 from ltsim.recording.setup import (
     Finite,
     LengthUse,
-    Limits as ElevationLimits,
+    Limits,
     Noise,
     NonNegative,
     Positive,
@@ -134,7 +134,7 @@ class Resolution(TomlSection):
     """Of both angles."""
 
 
-class PointingLimits(ElevationLimits):
+class PointingLimits(Limits):
     """Travel of the elevation axis and the ranges that can be measured."""
 
     range_min_mm: NonNegative = 500.0

@@ -28,7 +28,7 @@ from ltsim.simulation.fieldwork import Fieldwork, balls_of, fieldwork
 from ltsim.simulation.gauge import length_sigma, nominal_points
 from ltsim.simulation.physics import instrument_law, quantised, resolution_of, stated_noise
 from ltsim.simulation.scenario import Scenario
-from ltsim.simulation.sections import ScenarioInstrument as Tracker
+from ltsim.simulation.sections import ScenarioInstrument
 from ltsim.simulation.truth import AppliedEffect, TrackerTruth, Truth
 from ltsim.units import MICROMETRE, MILLIMETRE
 
@@ -184,7 +184,7 @@ def _setup(work: Fieldwork) -> Setup:
     )
 
 
-def _data_sheet(tracker: Tracker) -> Instrument:
+def _data_sheet(tracker: ScenarioInstrument) -> Instrument:
     return Instrument(
         construction="steering-mirror" if tracker.construction == "steering-mirror" else "source-in-head",
         corrected=tracker.corrected,
@@ -194,7 +194,7 @@ def _data_sheet(tracker: Tracker) -> Instrument:
     )
 
 
-def _stated(tracker: Tracker) -> Prior:
+def _stated(tracker: ScenarioInstrument) -> Prior:
     kinds = tracker.prior.model_dump()
     single = {name: tracker.prior_factor * value for name, value in kinds.pop("parameters").items()}
     return Prior(**{name: tracker.prior_factor * value for name, value in kinds.items()}, parameters=single)

@@ -7,8 +7,7 @@ import pytest
 
 from ltsim.adjustment import adjust
 from ltsim.adjustment.prior import prior_sigmas
-from ltsim.calibration.evidence import evidence
-from ltsim.diagnosis.evidence import LOG_WEIGHTS, SIZES, log_average
+from ltsim.calibration.evidence import LOG_WEIGHTS, SIZES, evidence, log_average
 from ltsim.diagnosis.instruments import Change, Expected, compared, contradictions
 from ltsim.diagnosis.prior import log_share
 from ltsim.model.construction import misalignment

@@ -7,16 +7,9 @@ import pytest
 
 from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace
+from ltsim.calibration.evidence import LOG_WEIGHTS, SIZES, log_average, log_evidence
 from ltsim.diagnosis.cards import Cards, card_hypotheses
-from ltsim.diagnosis.evidence import (
-    LOG_WEIGHTS,
-    SIZES,
-    evidence_with,
-    log_average,
-    log_evidence,
-    posterior,
-    sign_weight,
-)
+from ltsim.diagnosis.evidence import evidence_with, posterior, sign_weight
 from ltsim.diagnosis.exact import Exact
 from ltsim.diagnosis.hypotheses import MISFIT, Found, Hypothesis, Ranking
 from ltsim.diagnosis.noise import NoiseBank, noise_hypotheses

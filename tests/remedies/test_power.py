@@ -11,8 +11,8 @@ import pytest
 from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.arrays import Floats
+from ltsim.calibration.evidence import log_average
 from ltsim.diagnosis.detect import Detection, detect
-from ltsim.diagnosis.evidence import log_average
 from ltsim.diagnosis.noise import NoiseBank, noise_hypotheses
 from ltsim.diagnosis.probe import TRIALS, Probe
 from ltsim.diagnosis.search import Searcher

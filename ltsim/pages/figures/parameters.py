@@ -12,7 +12,7 @@ from ltsim.calibration.schema import ParameterEntry
 from ltsim.notation import number, with_sigma
 from ltsim.pages import style
 from ltsim.pages.words import is_determined, told_apart, typeset
-from ltsim.planning.schema import PlannedParameterEntry as PlannedEntry
+from ltsim.planning.schema import PlannedParameterEntry
 from ltsim.results import Table
 
 
@@ -53,7 +53,7 @@ def parameter_figure(rows: Sequence[ParameterEntry], true: Sequence[float | None
 
 
 @style.styled
-def sigma_figure(rows: Sequence[PlannedEntry], reference: Mapping[str, float]) -> Figure:
+def sigma_figure(rows: Sequence[PlannedParameterEntry], reference: Mapping[str, float]) -> Figure:
     """Sigma as a share of the prior's, on a logarithmic axis: left is better; the sigma stands at the right.
 
     `reference` has the sigmas of another layout by name.
