@@ -12,7 +12,6 @@ from functools import cached_property
 from typing import Self
 
 import numpy as np
-import scipy.linalg
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.arrays import Bools, Floats, Ints
@@ -124,6 +123,8 @@ def orthonormal(left: Floats, norms: Floats) -> Floats:
     Directions are compared with the lengths `norms` (q,) of the whole signatures, so no unit and no absolute tolerance
     enters.
     """
-    turned, corner = np.linalg.qr(left / np.where(norms > 0, norms, 1.0))
-    u, s, _ = scipy.linalg.svd(corner, lapack_driver="gesvd")  # the faster one fails on some sound matrices
-    return turned @ u[:, : len(s)][:, s**2 > VISIBLE]
+    unit = left / np.where(norms > 0, norms, 1.0)
+    strength, turn = np.linalg.eigh(unit.T @ unit)
+    seen = strength > VISIBLE
+    basis: Floats = unit @ (turn[:, seen] / np.sqrt(strength[seen]))
+    return basis

@@ -103,11 +103,12 @@ class Cards:
         pointing, kind = (np.append(of, n * other) for of, n in zip(read, space.use.shape, strict=True))
         for effect in effects:
             signature = space.signature(effect)
-            effect = _felt(effect, signature, pointing)
-            sizes = effect.spread
             places = np.flatnonzero(np.logical_or.reduce(np.not_equal(signature.T, 0.0, order="C")))
             if len(places):
-                rows = np.ascontiguousarray((signature[places] * sizes).T, dtype=np.float32)
+                signature = signature[places]
+                effect = _felt(effect, signature, pointing[places])
+                sizes = effect.spread
+                rows = np.ascontiguousarray((signature * sizes).T, dtype=np.float32)
                 sparse = len(places) < SPARSE * space.size
                 touched = () if sparse else tuple(np.bincount(kind[places], minlength=len(OBSERVABLES) + 1) > 0)
                 alike.setdefault((len(sizes), touched), []).append((len(kept), places, rows))
@@ -170,7 +171,7 @@ class Cards:
 def _felt(effect: Tunable, signature: Floats, pointing: Ints) -> Tunable:
     """A card with a plausible size that at least reaches the noise, as carriers have; air is the same for all.
 
-    By its whitened signature (m, q), and the pointing (m,) of each row.
+    By the rows of its whitened signature (r, q) that are not zero, and the pointing (r,) of each.
     """
     if not isinstance(effect, Effect) or type(effect) in ORDINARY or effect.stage == Stage.AIR:
         return effect

@@ -169,7 +169,8 @@ def _explain(case: Case, threshold: float, compared: Compared) -> tuple[Case, Fo
     noise that is fitted before a law hides it; so with constants. Where shifts come first and there is noise
     beside them, found or not, noise comes first as well, and the explanation that is worth more stays.
     """
-    most, noise = case.searcher.first_look(threshold).score, case.noises(case.empty)[0][0]
+    noise = case.noises(case.empty)[0][0]
+    most = case.searcher.first_look(threshold, noise).score
     both = threshold < noise < most
     own = case.copied() if both else case
     found = _in_order(own, threshold, compared, noise_first=noise >= max(threshold, most))

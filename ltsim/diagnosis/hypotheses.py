@@ -195,15 +195,17 @@ def _over_sizes(found: Found) -> float:
     """
     gram, score = found.products
     spread, owner = _spreads(found.members)
-    count = len(found.members)
+    count, whole = len(found.members), 1.0 + float(found.whole @ found.whole)
+    bordered = np.block([[gram, score[:, None]], [score, whole]])
+    own = np.diag(np.append(np.ones(len(score)), 0.0))
 
     def evidence(sizes: Ints) -> Floats:
         """Log evidence with prior (b,) at sizes (b, members)."""
-        scale = SIZES[sizes][:, owner] * spread
-        inner = gram * scale[:, :, None] * scale[:, None, :] + np.eye(len(score))
-        told = scale * score
-        fit = np.sum(told * np.linalg.solve(inner, told[..., None])[..., 0], axis=1)
-        value: Floats = 0.5 * (fit - np.linalg.slogdet(inner)[1]) + LOG_WEIGHTS[sizes].sum(axis=1)
+        scale = np.pad(SIZES[sizes][:, owner] * spread, ((0, 0), (0, 1)), constant_values=1.0)
+        factor = np.linalg.cholesky(bordered * scale[:, :, None] * scale[:, None, :] + own)
+        fit = 0.5 * np.sum(factor[:, -1, :-1] ** 2, axis=1)  # the last row is what the factor makes of the residual
+        size = np.sum(np.log(np.diagonal(factor, axis1=1, axis2=2)[:, :-1]), axis=1)
+        value: Floats = fit - size + LOG_WEIGHTS[sizes].sum(axis=1)
         return value
 
     best, every = np.full(count, int(np.flatnonzero(SIZES == 1.0)[0])), np.arange(len(SIZES))

@@ -68,10 +68,10 @@ class Cells:
         inside = np.zeros((len(places), count), dtype=bool)
         for here, place in zip(inside, places, strict=True):
             here[place.rows] = True
-        members, cell = np.unique(inside, axis=1, return_inverse=True)
+        _, first, cell = np.unique(np.packbits(inside, axis=0), axis=1, return_index=True, return_inverse=True)
         order = np.argsort(cell.ravel(), kind="stable")
         edges = np.append(0, np.cumsum(np.bincount(cell.ravel())))
-        return cls(order, edges, sp.csr_array(members.astype(np.float32)))
+        return cls(order, edges, sp.csr_array(inside[:, first].astype(np.float32)))
 
     def parts(self, most: int) -> Iterator[tuple[slice, Ints, list[tuple[int, slice]]]]:
         """At `most` so many pointings: where they stand in the order, they, and where among them each cell is."""

@@ -271,12 +271,16 @@ class Searcher:
             best = max(made, key=lambda s: s.score - threshold * len(s.members))
         return self._renamed(best, threshold)
 
-    def first_look(self, threshold: float) -> Found:
-        """What a search finds at least: findings added one at a time, none of them examined again."""
-        return self._grown(self.empty, threshold, something=True, again=False)
+    def first_look(self, threshold: float, rival: float) -> Found:
+        """What a search finds at least: findings added one at a time, none of them examined again.
 
-    def _grown(self, best: Found, threshold: float, *, something: bool, again: bool = True) -> Found:
-        """A set with findings added one at a time, those before examined `again` beside each."""
+        It ends where it is beyond the evidence of a `rival`, or would not be if all others gained as much as the last.
+        """
+        return self._grown(self.empty, threshold, something=True, rival=rival)
+
+    def _grown(self, best: Found, threshold: float, *, something: bool, rival: float | None = None) -> Found:
+        """A set with findings added one at a time, those before examined again beside each if there is no `rival`."""
+        again = rival is None
         for depth in range(len(best.members), MOST_MEMBERS):
             ranking, least = self.rank(best), threshold + best.misfit
             if ranking.total < least and (depth or not something):
@@ -285,7 +289,9 @@ class Searcher:
             grown = self.reexamined(grown) if again and not self.large else grown
             if depth and grown.score < best.score + threshold:
                 break
-            best = grown
+            gain, best = grown.score - best.score, grown
+            if rival is not None and not best.score < rival < best.score + gain * (MOST_MEMBERS - 1 - depth):
+                break
         return self.reexamined(best) if again and self.large else best
 
     def _renamed(self, found: Found, threshold: float) -> Found:
