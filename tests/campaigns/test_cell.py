@@ -19,6 +19,7 @@ from ltsim.errors import SetupError
 from ltsim.geometry.polar import wrap
 from ltsim.model.construction import misalignment
 from ltsim.recording.lengths import KnownLengths
+from ltsim.simulation.draws import Normal
 from ltsim.simulation.fieldwork import fieldwork
 from ltsim.simulation.scenario import Scenario, load_scenario, scenario_from
 from ltsim.simulation.simulator import measure
@@ -118,7 +119,7 @@ def test_nothing_that_is_never_negative_is_drawn_so() -> None:
     assert {"window", "noise-level"} <= {kind.name for kind in upward}
     for kind in upward:
         truth = truth_of(with_effect(kind.name), 6)
-        drawn = truth.draw(6, 0, 1024).amounts[0]
+        drawn = truth.population.draw(Normal(6, np.arange(1024))).amounts[0]
         for k, parameter in enumerate(truth.effects[0].effect.parameters):
             if truth.effects[0].upward[k]:
                 assert np.all(drawn[k] >= 0)
