@@ -8,11 +8,13 @@ from ltsim.adjustment.known import UNITS, KnownTest
 from ltsim.diagnosis.findings import among, place_of
 from ltsim.diagnosis.instruments import Contradiction
 from ltsim.diagnosis.prior import PLAIN
-from ltsim.diagnosis.schema import Estimate, Evidence, Finding
+from ltsim.diagnosis.schema import Equivalent, Estimate, Evidence, Finding
 from ltsim.diagnosis.words import percent
 from ltsim.effects import BASELINE
 from ltsim.effects.signature import Parameter
+from ltsim.effects.target_moved import TargetMoved
 from ltsim.notation import with_sigma
+from ltsim.recording.recording import Recording
 from ltsim.units import MILLIMETRE
 
 
@@ -20,6 +22,7 @@ def gross_finding(gross: GrossFinding, adjustment: Adjustment) -> Finding:
     """The finding of a gross error, certain by its size; of less than that nobody knows that it has no other cause."""
     probability = 1.0 if gross.size > CLOSE and not gross.sigma else PLAIN
     floor = gross.sigma or float(adjustment.recording.sigma()[:, 0].min())
+    moved = probability < 1.0 and _seen_last(gross, adjustment.recording)
     return Finding(
         effect=gross.effect,
         known=True,
@@ -27,8 +30,15 @@ def gross_finding(gross: GrossFinding, adjustment: Adjustment) -> Finding:
         parameters=(Estimate(name="size", value=1e3 * gross.size, sigma=1e3 * floor, unit="mm"),),
         evidence=Evidence(chi2_drop=(gross.size / floor) ** 2, parameters=3, p_value=None, probability=probability),
         sentence=gross.sentence,
-        equivalents=(),
+        equivalents=(Equivalent(effect=TargetMoved.name, probability=1.0 - probability),) if moved else (),
     )
+
+
+def _seen_last(gross: GrossFinding, recording: Recording) -> bool:
+    """Whether a wrong reading is of the last pointing to its target, which may as well have moved before it."""
+    same = np.flatnonzero(recording.target == recording.target[gross.rows[0]])
+    later = same[recording.time[same] >= recording.time[gross.rows[0]]]
+    return gross.effect == "outlier" and np.array_equal(later, gross.rows)
 
 
 DATUM = {

@@ -52,6 +52,16 @@ def test_one_wrong_reading_is_left_out_and_told_before_any_law(row, column):
     assert told.evidence.chi2_drop == pytest.approx((found.size / found.sigma) ** 2)
 
 
+@pytest.mark.parametrize("last", [True, False])
+def test_a_wrong_reading_of_a_last_pointing_may_be_a_target_that_moved(last):
+    recording, _ = workshop(2)
+    seen = np.flatnonzero(recording.target == recording.target[40])
+    row = int(seen[np.argsort(recording.time[seen])[-1 if last else -2]])
+    (told,) = diagnose(changed(recording, row, 0, 15.0)).findings
+    assert [e.effect for e in told.equivalents] == ["target-moved"] * last
+    assert told.evidence.probability + sum(e.probability for e in told.equivalents) <= 1.0
+
+
 def test_a_target_that_moved_is_no_wrong_reading():
     """Several readings of it are off, however large each is."""
     recording, _ = concealing("target-moved", 3, [1e-5, 1e-5, -1e-5], targets=("T07",), time=2500.0)
