@@ -31,7 +31,7 @@ TURNED = 1e-7
 """[rad] A network turned by more is linearised anew."""
 
 SIDEWAYS = 1e-6
-"""[share of its length, per radian] A ball's way from its target that turns by less does not turn."""
+"""[share of its length, per radian] An SMR's way from its target that turns by less does not turn."""
 
 
 @in_one_thread
@@ -89,7 +89,7 @@ def adjust(
     Raises
     ------
     NetworkError
-        When the readings do not tie a station to the rest, a station measures the target that it stands on, or balls
+        When the readings do not tie a station to the rest, a station measures the target that it stands on, or SMRs
         of several radii stand off along normals in whose frame nothing holds the network.
     ModelError
         When `datum` names a target that does not exist, or too few.
@@ -150,14 +150,14 @@ def _check_marks(recording: Recording) -> None:
 
 
 def _check_normals(problem: NetworkProblem) -> None:
-    """NetworkError where a motion that nothing observes would turn balls of other radii about their targets."""
+    """NetworkError where a motion that nothing observes would turn SMRs of other radii about their targets."""
     off = ball_lift(problem.model.recording)
     if off is None:
         return
     turned = np.cross(problem.free[3:].T[:, None], off[None])
     if np.any(np.abs(turned) > SIDEWAYS * np.abs(off).max()):
         raise NetworkError(
-            "balls of several radii stand off along the normals of their nests, and nothing holds this network in the "
+            "SMRs of several radii stand off along the normals of their nests, and nothing holds this network in the "
             "frame of these: state three known points (known_mm), or levels where all such normals are vertical"
         )
 

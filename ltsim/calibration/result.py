@@ -279,7 +279,7 @@ def criteria_of(
 
 
 def _one_ball(recording: Recording, adjustment: Adjustment) -> Recording:
-    """The recording as the reference ball would have given it."""
+    """The recording as the reference SMR would have given it."""
     off = ball_lift(recording)
     if off is None:
         return recording

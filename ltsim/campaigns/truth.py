@@ -217,7 +217,7 @@ def truth_of(
         raise SetupError("instruments: observables differ between the trackers; trials want the same of all")
     work = fieldwork(scenario, seed, *key, plan=plan)
     if work.sightings.lift is not None and np.any(work.sightings.lift):
-        raise SetupError("reflectors: trials in batch measure with one ball; give all balls of the scenario one radius")
+        raise SetupError("reflectors: trials in batch measure with one SMR; give all SMRs of the scenario one radius")
     s, known = work.sightings, None if like is None else like.recording
     if like and known and not scenario.lengths and (s.station_names, s.target_names) == (known.stations, known.targets):
         pointings = {name: getattr(s, name) for name in ("station", "target", "face", "repeat", "time", "covariates")}

@@ -10,7 +10,7 @@ from ltsim.units import MILLIMETRE
 
 
 class SmrOffset(TargetMotion):
-    """Another reflector or adaptor: at one station a ball of another radius was used, and the old constant kept.
+    """Another reflector or adaptor: at one station an SMR of another radius was used, and the old constant kept.
 
     D = (R_true - R_used) n along the nest's normal n. The parameter is the motion of the sphere's centre away from the
     nest (no correction of a reading).
@@ -27,7 +27,7 @@ class SmrOffset(TargetMotion):
     stage = Stage.TARGET
     covariates = ("incidence", "place")
     scope = "station"
-    parameters = (Parameter("radius-difference", "mm", "radius of the ball used, less that assumed", 5 * MILLIMETRE),)
+    parameters = (Parameter("radius-difference", "mm", "radius of the SMR used, less that assumed", 5 * MILLIMETRE),)
 
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:

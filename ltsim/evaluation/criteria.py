@@ -222,7 +222,7 @@ def evaluate(
 
     `shift` (n, 3) [m, rad, rad] is what effects that were estimated too change the readings by: "after" takes it out.
     Of the pointings in use (n,), faces and repeats of a target from a station are averaged. Raises NetworkError when
-    fewer than two stations share targets, the network is too large to compare every station's cloud, or balls of
+    fewer than two stations share targets, the network is too large to compare every station's cloud, or SMRs of
     several radii stood at different places.
     """
     require_one_radius(recording, "the comparison of stations")

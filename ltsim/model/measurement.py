@@ -133,7 +133,7 @@ def lift_of(recording: Recording) -> Floats | None:
 
 
 def ball_lift(recording: Recording) -> Floats | None:
-    """The part (n, 3) [m] that balls of other radii than the reference have in it, along the normals of their nests.
+    """The part (n, 3) [m] that SMRs of other radii than the reference have in it, along the normals of their nests.
 
     These are those of the set-up: `adjust` refuses a network that is not held in that frame.
     """

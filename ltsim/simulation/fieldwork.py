@@ -49,7 +49,7 @@ class Fieldwork:
 def fieldwork(scenario: Scenario, seed: int, *key: str | int, plan: Layout | None = None) -> Fieldwork:
     """Place everything, leave out what is not seen, and order the work; `plan` as in `placed`.
 
-    Raises SetupError when a station sees nothing, a file of an obstacle is damaged, an effect does not exist, or a ball
+    Raises SetupError when a station sees nothing, a file of an obstacle is damaged, an effect does not exist, or an SMR
     stands off along a normal that is not known.
     """
     layout = placed(scenario, seed, *key, plan=plan)
@@ -182,7 +182,7 @@ def _air(scenario: Scenario, time: Floats) -> dict[str, Floats]:
 
 
 def balls_of(scenario: Scenario, sightings: Sightings) -> tuple[str, ...]:
-    """Name of the ball of each pointing: its station's, else its target's, else that of all; '' for none."""
+    """Name of the SMR of each pointing: its station's, else its target's, else that of all; '' for none."""
     stations = [scenario.stations[name].reflector for name in sightings.station_names]
     targets = [scenario.targets[n].reflector if n in scenario.targets else None for n in sightings.target_names]
     places = zip(sightings.station, sightings.target, strict=True)
@@ -190,9 +190,9 @@ def balls_of(scenario: Scenario, sightings: Sightings) -> tuple[str, ...]:
 
 
 def true_lift(scenario: Scenario, sightings: Sightings, seed: int, *key: str | int) -> Floats | None:
-    """Where (n, 3) [m] each ball's centre stands from its target; None in a scenario of one ball.
+    """Where (n, 3) [m] each SMR's centre stands from its target; None in a scenario of one SMR.
 
-    Raises SetupError when a pointing uses a ball without a table, one of another radius has no normal to lie along, or
+    Raises SetupError when a pointing uses an SMR without a table, one of another radius has no normal to lie along, or
     the reference is not stated.
     """
     reflectors = scenario.reflectors

@@ -69,10 +69,10 @@ class Scenario(TomlSection, Result):
     smr: Smr = Smr()
     """The reflectors."""
     reflectors: dict[str, Reflector] = Field(default_factory=dict)
-    """Balls with radii of their own, tables `[reflectors.NAME]`, one a target or a station; the centre stands off along
+    """SMRs with radii of their own, tables `[reflectors.NAME]`, one a target or a station; the centre stands off along
     the nest's normal, and true radii are drawn with the places."""
     reference_radius_mm: NonNegative | None = None
-    """Planned places are centres of a ball of this radius, 0 for the seats; as in `setup.toml`, which takes it over."""
+    """Planned places are centres of an SMR of this radius, 0 for the seats; as in `setup.toml`, which takes it over."""
     cmm: Cmm = Cmm()
     """The coordinate measuring machine that calibrated the gauge."""
     work: Work = Work()

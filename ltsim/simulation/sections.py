@@ -206,7 +206,7 @@ class Smr(TomlSection):
     acceptance_deg: Annotated[float, Field(gt=0, le=90)] = 30.0
     """Largest angle of incidence that returns the beam."""
     reflector: str | None = None
-    """Name of the ball, where station and target name no other."""
+    """Name of the SMR, where station and target name no other."""
     incidence_error: bool = False
     """The reflectors have the error of `table_um`."""
     table_um: Annotated[tuple[Finite, ...], Field(min_length=len(TABLE_ANGLES), max_length=len(TABLE_ANGLES))] = tuple(
@@ -333,7 +333,7 @@ class PlannedStation(TomlSection):
     """Name of the tracker that stands here, a table `[instruments.NAME]`; that of `[instrument]` where it is not
     given."""
     reflector: str | None = None
-    """Name of the ball that is carried to all targets from here; where it is not given, each target's own."""
+    """Name of the SMR that is carried to all targets from here; where it is not given, each target's own."""
 
 
 class PlannedTarget(TomlSection):
@@ -346,7 +346,7 @@ class PlannedTarget(TomlSection):
     reaimed: bool | None = None
     """Turned toward each station; as `smr.nests` says where it is not given."""
     reflector: str | None = None
-    """Name of the ball."""
+    """Name of the SMR."""
 
 
 class PlacedEffect(TomlSection):

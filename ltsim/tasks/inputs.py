@@ -134,13 +134,13 @@ def observed_sources(adjustment: Adjustment, reach: Floats) -> list[Source]:
 
 
 def ball_sources(adjustment: Adjustment, reach: Floats) -> list[Source]:
-    """The radius of each ball whose standard deviation is stated: one error of all its pointings, along the normals."""
+    """The radius of each SMR whose standard deviation is stated: one error of all its pointings, along the normals."""
     problem, sightings, names = adjustment.problem, adjustment.sightings, np.array(smrs_of(adjustment.recording))
     rows, columns = np.nonzero(problem.use)
     normal = np.nan_to_num(sightings.nest_normal)[sightings.target]
     found = []
-    for name, ball in adjustment.recording.setup.reflectors.items():
-        off = normal * ((names == name) * (ball.sigma_radius_mm or 0.0) * MILLIMETRE)[:, None]
+    for name, reflector in adjustment.recording.setup.reflectors.items():
+        off = normal * ((names == name) * (reflector.sigma_radius_mm or 0.0) * MILLIMETRE)[:, None]
         if np.any(off):
             change = by_displacement(sightings, off[:, :, None])[rows, columns, 0] / problem.sigma[rows, columns]
             found.append(Source(f"radius of {name}", "B", (reach[: len(rows)].T @ change)[:, None]))

@@ -74,7 +74,7 @@ class Task(TomlSection):
     beyond_mm: Finite = 0.0
     """From the second reflector of a rod to its tip."""
     radius_offset_mm: Finite = 0.0
-    """Added to fitted radii: the ball's own."""
+    """Added to fitted radii: the SMR's own."""
     tolerances: dict[str, Tolerance] = Field(default_factory=dict)
     """Limits by result, tables `[task.tolerances.RESULT]`."""
 

@@ -1,4 +1,4 @@
-"""Balls of several radii in one job: what is adjusted is one point a target, whatever ball was in its nest."""
+"""SMRs of several radii in one job: what is adjusted is one point a target, whatever SMR was in its nest."""
 
 from __future__ import annotations
 
@@ -30,18 +30,18 @@ from ltsim.simulation.truth import Truth
 from ltsim.tasks.inputs import Inputs
 from ltsim.tasks.spec import tasks_from
 
-HERE = Path("balls.toml")
-BALLS = {"large": {"radius_mm": 19.05}, "small": {"radius_mm": 6.35}, "middle": {"radius_mm": 11.1125}}
+HERE = Path("reflectors.toml")
+REFLECTORS = {"large": {"radius_mm": 19.05}, "small": {"radius_mm": 6.35}, "middle": {"radius_mm": 11.1125}}
 CONTROL = ("T01", "T08", "T17", "T24")
 OFF = -12.7
-"""[mm] What the small ball's centre is nearer to its seat."""
+"""[mm] What the small SMR's centre is nearer to its seat."""
 
 
 def scenario(**changes: Any) -> Scenario:
-    """The paper's room with the small ball in eight nests and the middle one at station 3."""
+    """The paper's room with the small SMR in eight nests and the middle one at station 3."""
     small = {f"targets.T{i:02d}.reflector": "small" for i in range(9, 17)}
     stated = {
-        "reflectors": BALLS,
+        "reflectors": REFLECTORS,
         "reference_radius_mm": 19.05,
         "smr.reflector": "large",
         "smr.incidence_error": False,
@@ -73,7 +73,7 @@ def misses(recording: Recording, truth: Truth) -> tuple[Floats, Floats]:
 
 def test_targets_are_the_centres_of_the_reference_ball() -> None:
     recording, truth = lt.simulate(scenario(), seed=3)
-    assert set(recording.labels["reflector"]) == set(BALLS)
+    assert set(recording.labels["reflector"]) == set(REFLECTORS)
     miss, covariance = misses(controlled(recording, truth), truth)
     normalised = np.einsum("ti,tij,tj->t", miss, np.linalg.inv(covariance), miss)
     assert 0.4 < normalised.mean() / 3 < 2.0
@@ -113,7 +113,7 @@ def test_levels_hold_it_where_the_normals_are_vertical() -> None:
 def test_first_order_and_exact_model_have_the_same_arm(construction: Any) -> None:
     recording, truth = lt.simulate(scenario(), seed=3)
     model = MeasurementModel(recording, construction)
-    draw = stream(1, "balls")
+    draw = stream(1, "reflectors")
     state = State(truth.position, truth.rotation, truth.points, np.zeros((1, construction.size)))
     pose, points = (1e-6 * draw.standard_normal(size) for size in ((len(truth.stations), 6), truth.points.shape))
     there = model.linearised(state)
@@ -201,13 +201,15 @@ def test_a_scenario_says_what_its_balls_lack(changes: dict[str, Any], sentence: 
 
 def test_one_radius_for_all_moves_nothing() -> None:
     recording, _ = lt.simulate(scenario(), seed=3)
-    same = {name: ball.model_copy(update={"radius_mm": 5.0}) for name, ball in recording.setup.reflectors.items()}
+    same = {
+        name: reflector.model_copy(update={"radius_mm": 5.0}) for name, reflector in recording.setup.reflectors.items()
+    }
     assert excess_radii(with_setup(recording, reflectors=same, reference_radius_mm=None, targets={})) is None
     assert excess_radii(with_setup(recording, reflectors={})) is None
 
 
 def test_trials_in_batch_refuse_balls_of_several_radii() -> None:
-    with pytest.raises(SetupError, match="trials in batch measure with one ball"):
+    with pytest.raises(SetupError, match="trials in batch measure with one SMR"):
         truth_of(scenario(), 1)
 
 
