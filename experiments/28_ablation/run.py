@@ -11,7 +11,7 @@ from experiments.intervals import share
 from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.arrays import Floats
-from ltsim.calibration.evidence import log_average
+from ltsim.calibration.evidence import log_sum_exp
 from ltsim.diagnosis.cards import Cards, card_hypotheses
 from ltsim.diagnosis.noise import NoiseBank, noise_hypotheses
 from ltsim.diagnosis.prior import log_share
@@ -47,8 +47,8 @@ def parts_of(space: ResidualSpace) -> dict[Part, list[Scored]]:
     own = np.append(bank.family_evidence(space.residual[:, None], space.redundancy)[:, 0], -np.inf)
     drawn = bank.family_evidence(probe.trials.astype(np.float64), space.redundancy)
     share, families = log_share("named", len(cards.families)), cards.family_evidence(values)
-    found = {(CARDS, CARDS): [(float(log_average(families + share)), log_average(chance + share))],
-             (NOISE, NOISE): [(float(log_average(own)), log_average(drawn))]}  # fmt: skip
+    found = {(CARDS, CARDS): [(float(log_sum_exp(families + share)), log_sum_exp(chance + share))],
+             (NOISE, NOISE): [(float(log_sum_exp(own)), log_sum_exp(drawn))]}  # fmt: skip
     for panel in panels(space):
         part = panel.carriers[0].kind, part_of(panel.drivers[0])
         found.setdefault(part, []).append(panel.score(probe)[1:])
@@ -57,7 +57,7 @@ def parts_of(space: ResidualSpace) -> dict[Part, list[Scored]]:
 
 def p_value(parts: list[Scored]) -> float:
     """Chance of as much evidence in a clean recording: its rank among simulated ones."""
-    own, null = log_average(np.array([one for one, _ in parts])), log_average(np.stack([n for _, n in parts]))
+    own, null = log_sum_exp(np.array([one for one, _ in parts])), log_sum_exp(np.stack([n for _, n in parts]))
     return float((np.sum(null >= own) + 1) / (len(null) + 1))
 
 

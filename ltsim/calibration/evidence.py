@@ -172,7 +172,7 @@ def harmonics(parameters: Sequence[Parameter], values: Floats, covariance: Float
     return found
 
 
-def log_average(values: Floats, axis: int = 0) -> Floats:
+def log_sum_exp(values: Floats, axis: int = 0) -> Floats:
     """Log of the sum of exp(values) along an axis; minus infinity where there is none."""
     found: Floats
     if values.size <= FEW:
@@ -206,4 +206,4 @@ def log_evidence(squares: Floats, strength: Floats) -> Floats:
     strength : (..., k) float
         Eigenvalues d_j.
     """
-    return log_average(by_size(squares, forms_of(strength)), axis=-1)
+    return log_sum_exp(by_size(squares, forms_of(strength)), axis=-1)

@@ -11,7 +11,7 @@ import numpy as np
 from scipy import special
 
 from ltsim.arrays import Floats
-from ltsim.calibration.evidence import log_average
+from ltsim.calibration.evidence import log_sum_exp
 from ltsim.diagnosis.noise import NoiseBank
 from ltsim.diagnosis.search import Searcher
 
@@ -60,8 +60,8 @@ def detect(searcher: Searcher, noise: NoiseBank) -> Detection:
     space = searcher.space
     own = noise.family_evidence(space.residual[:, None], space.redundancy)[:, 0]
     simulated = noise.family_evidence(searcher.probe.trials.astype(np.float64), space.redundancy)
-    statistic = float(log_average(np.append(own, searcher.first.statistic)))
-    null = np.logaddexp(log_average(simulated), searcher.first.null)
+    statistic = float(log_sum_exp(np.append(own, searcher.first.statistic)))
+    null = np.logaddexp(log_sum_exp(simulated), searcher.first.null)
     chi2, dof = float(space.residual @ space.residual), space.adjustment.dof
     plain = float(special.chdtrc(dof, chi2)) if dof > 0 else float("nan")
     return Detection(statistic, plain, null)

@@ -15,7 +15,7 @@ from ltsim.adjustment.occupations import mend_tripods
 from ltsim.adjustment.refit import Refit
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.arrays import Bools
-from ltsim.calibration.evidence import log_average
+from ltsim.calibration.evidence import log_sum_exp
 from ltsim.calibration.known import Known
 from ltsim.diagnosis.averaging import averaged_targets
 from ltsim.diagnosis.blind import Sight, sight_of
@@ -249,7 +249,7 @@ def _in_turn(case: Case, found: Found, threshold: float) -> Found:
 def _with_probability(ranked: Sequence[tuple[float, NoiseHypothesis]], rest: float) -> NoiseHypothesis:
     """The first change of the noise, with its probability among all of them and what else was tried."""
     values = np.array([value for value, _ in ranked])
-    weights = np.exp(values - log_average(np.array([0.0, rest, *values])))
+    weights = np.exp(values - log_sum_exp(np.array([0.0, rest, *values])))
     named: dict[str, float] = {}
     for (_, one), weight in zip(ranked, weights.tolist(), strict=True):
         named[one.effect.name] = named.get(one.effect.name, 0.0) + weight

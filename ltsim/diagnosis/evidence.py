@@ -21,14 +21,14 @@ import numpy as np
 from scipy.special import log_ndtr
 
 from ltsim.arrays import Bools, Floats, Ints, Singles
-from ltsim.calibration.evidence import LOG_WEIGHTS, SIZES, by_size, forms_of, log_average, log_evidence
+from ltsim.calibration.evidence import LOG_WEIGHTS, SIZES, by_size, forms_of, log_evidence, log_sum_exp
 from ltsim.effects.signature import Tunable
 from ltsim.recording.recording import OBSERVABLES
 
 
 def shares(logs: Floats) -> Floats:
     """Probabilities (k,) of what has such logarithms."""
-    found: Floats = np.exp(logs - log_average(logs))
+    found: Floats = np.exp(logs - log_sum_exp(logs))
     return found
 
 
@@ -47,7 +47,7 @@ def simulated_total(scores: Singles, strength: Floats, log_prior: Floats) -> Flo
     """Log of the sum (trials,) over all hypotheses, each with its prior (h,)."""
     flat = scores.reshape(-1, *scores.shape[-2:]), strength.reshape(-1, scores.shape[-2])
     parts = [_summed(logs, (0, 1)) for logs in _simulated(*flat, log_prior)]
-    return log_average(np.stack(parts).astype(np.float64))
+    return log_sum_exp(np.stack(parts).astype(np.float64))
 
 
 def _simulated(scores: Floats | Singles, strength: Floats, log_prior: Floats) -> Iterator[Singles]:
@@ -113,7 +113,7 @@ def posterior(
     mean = weight @ means
     apart = means - mean
     inner = np.diag(weight @ variances) + (weight[:, None] * apart).T @ apart
-    return turn @ mean, turn @ inner @ turn.T, float(log_average(logs))
+    return turn @ mean, turn @ inner @ turn.T, float(log_sum_exp(logs))
 
 
 def _along_eigenvectors(gram: Floats, spread: Floats) -> tuple[Floats, Floats]:

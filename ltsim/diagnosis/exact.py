@@ -11,7 +11,7 @@ import numpy as np
 
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.arrays import Floats, Ints
-from ltsim.calibration.evidence import log_average
+from ltsim.calibration.evidence import log_sum_exp
 from ltsim.diagnosis.evidence import evidence_of, evidence_with
 from ltsim.diagnosis.hypotheses import Found
 from ltsim.effects.signature import Tunable
@@ -85,7 +85,7 @@ class Exact:
             edges = np.cumsum([len(some) for some in near.values()])[:-1]
             moving = []
             for (i, some), found in zip(near.items(), np.split(logs, edges), strict=True):
-                means[i] = log_average(np.append(found, values[i])) - np.log(len(found) + 1)
+                means[i] = log_sum_exp(np.append(found, values[i])) - np.log(len(found) + 1)
                 top = int(np.argmax(found))
                 if found[top] > values[i]:
                     best[i], values[i] = some[top], found[top]

@@ -11,7 +11,7 @@ import numpy as np
 
 from ltsim.adjustment.residual_space import VISIBLE, orthonormal
 from ltsim.arrays import Floats, Ints
-from ltsim.calibration.evidence import LOG_WEIGHTS, SIZES, log_average
+from ltsim.calibration.evidence import LOG_WEIGHTS, SIZES, log_sum_exp
 from ltsim.diagnosis.prior import OUTSIDE, SECOND_ALIKE
 from ltsim.effects import find_effect
 from ltsim.effects.signature import Tunable
@@ -142,7 +142,7 @@ class Ranking:
     def beside(self, rivals: Sequence[Hypothesis]) -> Ranking:
         """The ranking with further hypotheses in it."""
         entries = sorted([*self.entries, *rivals], key=lambda h: -h.value)
-        total = float(log_average(np.array([self.total, *(h.value for h in rivals)])))
+        total = float(log_sum_exp(np.array([self.total, *(h.value for h in rivals)])))
         return Ranking(tuple(entries), total)
 
     def doubted(self, likeness: float) -> Ranking:
@@ -217,7 +217,7 @@ def _over_sizes(found: Found) -> float:
             values = evidence(tried)
             best[i] = int(np.argmax(values))
             near[i] = every[values > values.max() - NEGLIGIBLE]
-    return float(log_average(evidence(np.array(list(product(*near))))))
+    return float(log_sum_exp(evidence(np.array(list(product(*near))))))
 
 
 def _spreads(members: Sequence[Hypothesis]) -> tuple[Floats, Ints]:

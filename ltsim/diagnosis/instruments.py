@@ -15,8 +15,8 @@ from ltsim.calibration.evidence import (
     changes_found,
     determined,
     evidence,
-    log_average,
     log_evidence,
+    log_sum_exp,
 )
 from ltsim.chances import SIZES
 from ltsim.diagnosis.evidence import shares
@@ -205,4 +205,4 @@ def _change(gap: float, variance: Floats | float, weights: Floats | float) -> fl
     variance, weights = np.atleast_1d(variance), np.atleast_1d(weights)
     alike = weights - 0.5 * (gap**2 / variance + np.log(variance))
     changed = alike + log_evidence(((gap / variance) ** 2)[:, None], 1.0 / variance[:, None])
-    return float(log_average(changed) - log_average(alike))
+    return float(log_sum_exp(changed) - log_sum_exp(alike))

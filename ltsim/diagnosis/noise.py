@@ -20,7 +20,7 @@ from scipy.special import expit
 
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.arrays import Floats, Ints
-from ltsim.calibration.evidence import log_average
+from ltsim.calibration.evidence import log_sum_exp
 from ltsim.diagnosis.evidence import log_means, restricted, shares
 from ltsim.diagnosis.prior import log_share
 from ltsim.diagnosis.schema import Equivalent
@@ -124,7 +124,7 @@ class Amounts:
     def averaged(self, residual: Floats, redundancy: Floats) -> Floats:
         """Log evidence (g, trials) of each amount, sizes averaged."""
         squares, share = self.members @ residual**2, self.members @ redundancy
-        found = log_average(restricted(squares, share[:, None], self.factors[:, None, None]))
+        found = log_sum_exp(restricted(squares, share[:, None], self.factors[:, None, None]))
         return found - np.log(len(self.factors))
 
     def evidence(self, residual: Floats, redundancy: Floats) -> Floats:
@@ -178,7 +178,7 @@ class Each(Amounts):
         """The share of those that have an amount averaged."""
         each = self.averaged(residual, redundancy)
         whole = [np.logaddexp(np.log1p(-q), np.log(q) + each).sum(axis=0) for q in LOUDER]
-        return log_average(np.stack(whole)) - np.log(len(LOUDER))
+        return log_sum_exp(np.stack(whole)) - np.log(len(LOUDER))
 
 
 @dataclass(frozen=True)

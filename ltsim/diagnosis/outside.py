@@ -12,7 +12,7 @@ import numpy as np
 
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.arrays import Floats
-from ltsim.calibration.evidence import log_average
+from ltsim.calibration.evidence import log_sum_exp
 from ltsim.diagnosis.evidence import restricted
 
 SHARES = np.geomspace(0.05, 1.0, 9)
@@ -36,4 +36,4 @@ def log_likeness(space: ResidualSpace, shift: Floats, residual: Floats, redundan
     size = (np.bincount(kind, shift[rows] ** 2, minlength=3) / count)[kind]
     variance = 1.0 + SHARES[:, None] ** 2 * size
     logs = restricted(square, share, variance).sum(axis=1)
-    return float(log_average(logs) - np.log(len(SHARES)))
+    return float(log_sum_exp(logs) - np.log(len(SHARES)))

@@ -16,7 +16,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ltsim.arrays import Floats, Ints, Singles
-from ltsim.calibration.evidence import by_size, forms_of, log_average
+from ltsim.calibration.evidence import by_size, forms_of, log_sum_exp
 from ltsim.diagnosis.evidence import simulated_total
 from ltsim.diagnosis.probe import Probe
 from ltsim.laws.carriers import Carrier
@@ -122,14 +122,14 @@ class Panel:
         step = max(1, AT_ONCE * count // (self.columns.shape[1] * self.weights[0, 0].size * len(self.places)))
         found = [self._at(probe, slice(i, min(i + step, count))) for i in range(0, count, step)]
         values = np.concatenate([values for values, _ in found], axis=2).reshape(len(self.places), -1)
-        null = log_average(np.stack([null for _, null in found]))
+        null = log_sum_exp(np.stack([null for _, null in found]))
         best = np.argsort(-values, axis=1)[:, :MOST_HITS]
         hits = [
             Hit(self.carriers[i // count], self.drivers[i % count], place, v, prior)
             for place, prior, some, here in zip(self.places, self.log_prior.tolist(), best, values, strict=True)
             for i, v in zip(some.tolist(), here[some].tolist(), strict=True)
         ]
-        return hits, float(log_average(values.ravel())), null
+        return hits, float(log_sum_exp(values.ravel())), null
 
     def _at(self, probe: Probe, some: slice) -> tuple[Floats, Floats]:
         """Log evidence (P, C, d) of some drivers with priors, and its log sum over trials.
@@ -147,10 +147,10 @@ class Panel:
                 priors = np.repeat(self.log_prior, scores.shape[1] * scores.shape[2])
                 null = np.stack([simulated_total(turn @ trials, strength, priors) for strength, turn in turned])
         each = [
-            log_average(by_size((turn @ score[..., None])[..., 0] ** 2, forms), axis=-1)
+            log_sum_exp(by_size((turn @ score[..., None])[..., 0] ** 2, forms), axis=-1)
             for forms, turn in self._forms[some.start]
         ]
-        return log_average(np.stack(each)) + self.log_prior[:, None, None], log_average(null)
+        return log_sum_exp(np.stack(each)) + self.log_prior[:, None, None], log_sum_exp(null)
 
     def _turned(self, gram: Floats, some: slice) -> list[tuple[Floats, Singles]]:
         """For each scale eigenvalues (P, C, d, k), and what turns scores into those along eigenvectors."""

@@ -19,7 +19,7 @@ import numpy as np
 
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.arrays import Floats, Ints
-from ltsim.calibration.evidence import log_average
+from ltsim.calibration.evidence import log_sum_exp
 from ltsim.diagnosis.cards import ORDINARY, Cards, card_hypotheses
 from ltsim.diagnosis.evidence import posterior
 from ltsim.diagnosis.exact import Exact
@@ -124,7 +124,7 @@ class Searcher:
         values, chance = self.cards.score(probe)
         families = self.cards.family_evidence(values) + self._of_a_card
         hits: list[Hit] = []
-        statistic, null = log_average(families), log_average(chance + self._of_a_card)
+        statistic, null = log_sum_exp(families), log_sum_exp(chance + self._of_a_card)
         for panel in self.panels:
             found, law_total, law_chance = panel.score(probe)
             hits += found
@@ -143,7 +143,7 @@ class Searcher:
             entries.append(self._card(int(family), values, float(families[family]), base, refine=i < self._most))
         entries = [replace(h, value=h.value + alike(h, base.members)) for h in entries]
         entries.sort(key=lambda h: -h.value)
-        return Ranking(tuple(entries), float(log_average(np.array([h.value for h in entries]))))
+        return Ranking(tuple(entries), float(log_sum_exp(np.array([h.value for h in entries]))))
 
     def _card(self, family: int, values: Floats, total: float, base: Found, *, refine: bool) -> Hypothesis:
         """The best of a family of cards, with the evidence of the family; computed exactly if it is to be refined."""
@@ -156,7 +156,7 @@ class Searcher:
         for i in self._basins(members, values):
             effect, value = self._integrated(self.cards.effects[i], base)
             others = np.delete(values[members], np.flatnonzero(members == i))
-            whole = float(log_average(np.append(others, value))) + prior
+            whole = float(log_sum_exp(np.append(others, value))) + prior
             if i == members[0] or value + prior > best.value:
                 best = replace(best, effect=effect, value=whole)
         return best

@@ -7,7 +7,7 @@ import pytest
 
 from ltsim.adjustment import adjust
 from ltsim.adjustment.prior import prior_sigmas
-from ltsim.calibration.evidence import LOG_WEIGHTS, SIZES, evidence, log_average
+from ltsim.calibration.evidence import LOG_WEIGHTS, SIZES, evidence, log_sum_exp
 from ltsim.diagnosis.instruments import Change, Expected, compared, contradictions
 from ltsim.diagnosis.prior import log_share
 from ltsim.model.construction import misalignment
@@ -59,7 +59,7 @@ def test_the_evidence_of_a_constant_is_that_of_the_readings_without_the_prior_of
     for t, weight in zip(SIZES, LOG_WEIGHTS, strict=True):
         change[k, k] = t**2
         logs.append(weight + density(expected + change))
-    log = float(log_average(np.array(logs))) - density(expected) + log_share("constant", 16)
+    log = float(log_sum_exp(np.array(logs))) - density(expected) + log_share("constant", 16)
     assert found[0].evidence == pytest.approx(log, rel=1e-3)
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.calibration.evidence import LOG_WEIGHTS, SIZES, log_average, log_evidence
+from ltsim.calibration.evidence import LOG_WEIGHTS, SIZES, log_evidence, log_sum_exp
 from ltsim.diagnosis.cards import Cards, card_hypotheses
 from ltsim.diagnosis.evidence import evidence_with, posterior, sign_weight
 from ltsim.diagnosis.exact import Exact
@@ -95,7 +95,7 @@ def test_a_set_is_scored_with_its_sizes_averaged(space):
             score = columns.T @ whole
             fit = score @ np.linalg.solve(inner, score)
             logs.append(weight + more + 0.5 * (fit - np.linalg.slogdet(inner)[1]))
-    assert found.score == pytest.approx(float(log_average(np.array(logs))) - 6.0, abs=0.02)
+    assert found.score == pytest.approx(float(log_sum_exp(np.array(logs))) - 6.0, abs=0.02)
     single = Found(tuple(members[:1]), tuple(left[:1]), found.norms[:1], whole)
     alone_ = evidence_with(left[0].T @ left[0], left[0].T @ whole, sizes[0])
     assert single.score == pytest.approx(float(alone_) - 3.0, abs=1e-6)
@@ -109,7 +109,7 @@ def test_scores_by_sums_over_places_are_those_of_single_laws(space, made):
             scales = range(len(hit.driver.spreads))
             laws = [Law(hit.place.stations, hit.place.targets, hit.carrier, hit.driver, scale=k) for k in scales]
             logs = np.array([alone(space, law, space.residual, nothing) for law in laws])
-            exact = log_average(logs) + hit.log_prior
+            exact = log_sum_exp(logs) + hit.log_prior
             assert hit.value == pytest.approx(float(exact), abs=0.02), (panel.carriers[0], hit)
 
 
@@ -148,7 +148,7 @@ def test_many_effects_at_once_are_each_what_it_is_alone(space):
 def test_what_chance_makes_of_a_search_has_no_expectation_of_its_own(made):
     """Marginal likelihood ratios average to one where there is nothing."""
     for _, _, null in made[2]:
-        assert log_average(null) - np.log(len(null)) < np.log(PRIOR["law"]) + 1.5
+        assert log_sum_exp(null) - np.log(len(null)) < np.log(PRIOR["law"]) + 1.5
 
 
 def test_simulated_residuals_stand_for_the_basis_in_large_networks(space, monkeypatch):
@@ -193,7 +193,7 @@ def test_evidence_is_that_of_the_dense_covariance():
         logs.append(0.5 * (quadratic - np.linalg.slogdet(covariance)[1]))
     gram = signature.T @ signature
     found = posterior(gram, signature.T @ residual, np.ones(2))
-    assert found[2] == pytest.approx(float(log_average(np.array(logs) + LOG_WEIGHTS)))
+    assert found[2] == pytest.approx(float(log_sum_exp(np.array(logs) + LOG_WEIGHTS)))
     strength, turn = np.linalg.eigh(gram)
     assert found[2] == pytest.approx(float(log_evidence((turn.T @ signature.T @ residual) ** 2, strength)))
 

@@ -11,7 +11,7 @@ import pytest
 from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.arrays import Floats
-from ltsim.calibration.evidence import log_average
+from ltsim.calibration.evidence import log_sum_exp
 from ltsim.diagnosis.detect import Detection, detect
 from ltsim.diagnosis.noise import NoiseBank, noise_hypotheses
 from ltsim.diagnosis.probe import TRIALS, Probe
@@ -67,7 +67,7 @@ class Search:
                 staticmethod(lambda *given, **how: replace(usual(*given, **how), trials=residual.astype(np.float32))),
             )
             scored = Searcher(self.space, 0).first.null
-        statistic = np.logaddexp(log_average(self.noise.family_evidence(residual, self.space.redundancy)), scored)
+        statistic = np.logaddexp(log_sum_exp(self.noise.family_evidence(residual, self.space.redundancy)), scored)
         return float(np.mean(statistic > self.detection.threshold(LEVEL)))
 
 
