@@ -1,5 +1,7 @@
 """What the stations of a recording say together: whether they agree on their common targets, and on the vertical."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy import special
 
@@ -8,10 +10,12 @@ from ltsim.adjustment.doubt import require_result, weaknesses
 from ltsim.adjustment.estimate import adjust
 from ltsim.adjustment.gross import mistakes
 from ltsim.adjustment.known import Kind
+from ltsim.adjustment.moving import moving_stations, told_motions
 from ltsim.adjustment.occupations import moved_tripods
 from ltsim.adjustment.reliability import FEW
 from ltsim.adjustment.verdict import LEVEL as RARE, Agreement, verdict
 from ltsim.arrays import Bools
+from ltsim.effects.motions import StationMotion
 from ltsim.errors import ConvergenceError, LtsimError, NetworkError
 from ltsim.fieldcheck.items import Family, Item, two_sided
 from ltsim.model.construction import stated_construction
@@ -30,10 +34,10 @@ EXPLAINED = 0.05
 """Chance of what the instrument's errors explain, below which they are at work; otherwise the plain network counts."""
 
 
-def plain_network(recording: Recording) -> Adjustment | LtsimError:
-    """The network as `adjust` has it, or why there is none."""
+def plain_network(recording: Recording, motions: Sequence[StationMotion]) -> Adjustment | LtsimError:
+    """The network as `adjust` has it, with stations that moved, or why there is none."""
     try:
-        plain = adjust(recording, judging=TESTED)
+        plain = adjust(recording, effects=motions, robust=bool(motions), judging=TESTED)
         require_result(plain)
     except (NetworkError, ConvergenceError) as problem:
         return problem
@@ -59,11 +63,17 @@ def with_own_noise(recording: Recording, plain: Adjustment) -> tuple[Recording, 
 
 
 def items_of_network(
-    recording: Recording, plain: Adjustment | LtsimError, family: Family, *, own_noise: bool
+    recording: Recording,
+    plain: Adjustment | LtsimError,
+    family: Family,
+    motions: Sequence[StationMotion],
+    *,
+    own_noise: bool,
 ) -> tuple[Item, ...]:
     """Whether the stations agree, the instrument's errors estimated; nothing where they cannot be compared.
 
-    `plain` is the network as `adjust` has it, with the stated noise even where the recording has its `own_noise`.
+    `plain` is the network as `adjust` has it, with the stated noise even where the recording has its `own_noise`;
+    `motions` of stations are known from their own set-ups.
     """
     try:
         built = stated_construction(recording)
@@ -72,10 +82,14 @@ def items_of_network(
     try:
         if isinstance(plain, LtsimError):
             raise plain
-        found = adjust(recording, built, robust=True, judging=TESTED)
+        found = adjust(recording, built, effects=motions, robust=True, judging=TESTED)
+        if moving := moving_stations(found):
+            motions = (*motions, *moving)
+            found = adjust(recording, built, effects=motions, robust=True, judging=TESTED)
     except (NetworkError, ConvergenceError) as problem:
         return (Item.of("", "network", False, f"the set-ups make no network: {problem}"),)
     items = [Item.of("", "network", False, doubt) for doubt in weaknesses(plain)]
+    items += [Item.of(", ".join(m.stations), "drift", False, told) for m, told in told_motions(found) if m in moving]
     known = np.zeros(len(recording), dtype=bool)
     for one, *_ in mistakes(plain):
         at = ", ".join(one.stations)
@@ -89,14 +103,14 @@ def items_of_network(
         Item.of("", "network", False, test.sentence, targets=() if test.kind == "scale" else (test.name,))
         for test in found.wrong
     ]
-    alike = any(test.kind == "scale" for test in found.wrong)  # readings at the lengths bear it
-    if found.solution.converged and found.dof > 0 and not alike:
+    if found.solution.converged and found.dof > 0:
         use, some = found.problem.use, found.rejected.any()
-        without = adjust(recording, use=use, judging=TESTED) if some or own_noise else plain
+        again = some or own_noise or len(motions) > len(plain.effects)
+        without = adjust(recording, effects=motions, use=use, judging=TESTED) if again else plain
         if _at_work(without, found):
             without = found
         elif some:
-            without = adjust(recording, robust=True, judging=TESTED)
+            without = adjust(recording, effects=motions, robust=True, judging=TESTED)
         alone, less = two_sided(without.chi2, without.dof)
         if own_noise and not less and family.adjusted(alone) < family.level:  # noise: what stands out of it, by adjust
             known |= ~np.isin(np.arange(len(known)), [one.row for one in plain.outliers(estimated=True)])
