@@ -13,6 +13,7 @@ import numpy as np
 from scipy import special
 
 from ltsim.adjustment.adjustment import Adjustment
+from ltsim.adjustment.gross import mended, mistakes
 from ltsim.adjustment.moving import WITNESSES, EvenMotion, by_runs
 from ltsim.adjustment.reliability import surprise
 from ltsim.arrays import Bools, Floats, Ints
@@ -142,9 +143,12 @@ def check(recording: RecordingSource, *, level: float = LEVEL, mpe: tuple[float,
     if len(whole.stations) > 1:
         motions = tuple(motion for setup in setups for motion in setup.motions)
         plain = plain_network(whole, motions)
-        shown, scattering = with_own_noise(whole, plain) if isinstance(plain, Adjustment) else (whole, ())
-        if shown is not whole:
-            setups = tuple(_set_up(shown, s, family, mpe) for s in every)
+        read, shown, scattering = whole, whole, tuple[Item, ...]()
+        if isinstance(plain, Adjustment):
+            shown, scattering = with_own_noise(whole, plain)
+            read = mended(shown, mistakes(plain))
+        if read is not whole:  # a set-up is not blamed for what has a name
+            setups = tuple(_set_up(read, s, family, mpe) for s in every)
         shared = Family(level, 2 * NETWORK_TESTS)
         together = items_of_network(shown, plain, shared, motions, own_noise=shown is not whole)
         network = (*scattering, *together)

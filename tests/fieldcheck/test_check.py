@@ -206,7 +206,7 @@ def test_a_swap_is_called_a_swap_and_comes_first() -> None:
     assert found.items[0].kind == "mistake"
     assert sorted(found.items[0].rows) == sorted([a + 1, b + 1])
     assert found.sentence.startswith("no-go: At station S2 the reflectors T04 and T21")
-    assert ("", "network") not in kinds(found)  # nobody else is blamed
+    assert kinds(found) == {("S2", "mistake")}  # nobody else is blamed, not even their other pointings
 
 
 def test_beyond_the_guarantee_and_beyond_a_limit() -> None:
