@@ -14,14 +14,13 @@ from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.problem import NetworkProblem
 from ltsim.adjustment.reliability import FAMILY_LEVEL, critical_w
 from ltsim.adjustment.snooping import snooped
-from ltsim.arrays import Floats, Ints
+from ltsim.arrays import Floats
 from ltsim.effects.effect import Stage
 from ltsim.effects.motions import StationMotion
 from ltsim.effects.station_bump import StationBump
 from ltsim.model.measurement import State
 from ltsim.notation import with_sigma
 from ltsim.scene.sightings import Sightings
-from ltsim.solve.gauss_newton import Solution
 from ltsim.units import MICROMETRE, MICRORADIAN
 
 WITNESSES = 3
@@ -57,25 +56,27 @@ def by_runs(sightings: Sightings) -> Sightings:
 
 
 def moving_stations(adjustment: Adjustment) -> tuple[EvenMotion, ...]:
-    """The stations whose even motion makes most of their readings fit that do not fit otherwise, and costs less."""
+    """The stations whose even motion makes all but a few readings fit that do not fit otherwise, and costs less.
+
+    Its price is that of its test, and that of a reading which does not belong the same (as `known` has it).
+    """
+    recording, problem, found = adjustment.recording, adjustment.problem, list[EvenMotion]()
     blamed = adjustment.rejected.any() or adjustment.outliers(estimated=True)
     if not (adjustment.solution.converged and blamed):
         return ()
-    problem, state, found = adjustment.problem, adjustment.state, list[EvenMotion]()
-    placed = ~problem.structure.unseen[adjustment.recording.target]
-    problem = replace(problem, use=adjustment.recording.measured & placed[:, None])
-    kept, ended = snooped(problem, state)
-    tried: set[int] = set()
-    while len(some := [s for s in _suspects(problem, kept) if s not in tried]):
-        tried.add(some[0])
-        motion = EvenMotion((adjustment.recording.stations[some[0]],))
-        wider, start = _with_motion(problem, state, motion)
+    placed = ~problem.structure.unseen[recording.target]
+    problem = replace(problem, use=recording.measured & placed[:, None])
+    each = critical_w(int(problem.use.sum())) ** 2
+    paid = float(special.chdtri(len(EvenMotion.parameters), FAMILY_LEVEL / len(recording.stations)))
+    kept, ended = snooped(problem, adjustment.state)
+    for station in _suspects(problem, kept):
+        motion = EvenMotion((recording.stations[station],))
+        wider, start = _with_motion(problem, ended.x, motion)
         fewer, better = snooped(wider, start)
-        scale = max(1.0, better.cost / max(fewer.dof, 1))
-        if _price(wider, fewer, better, scale) < _price(problem, kept, ended, scale) and _takes_back(
-            kept, fewer, some[0]
-        ):
-            problem, kept, ended, state = wider, fewer, better, better.x
+        gain = (ended.cost - better.cost) / max(1.0, better.cost / max(fewer.dof, 1))
+        gain += each * (int(fewer.use.sum()) - int(kept.use.sum()))
+        if gain > paid and station not in _suspects(wider, fewer):
+            problem, kept, ended = wider, fewer, better
             found.append(motion)
     return tuple(found)
 
@@ -102,13 +103,13 @@ def _length(vector: Floats, covariance: Floats, unit: str) -> str:
     return with_sigma(length, float(np.sqrt(vector @ covariance @ vector)) / max(length, 1e-30), unit)
 
 
-def _suspects(problem: NetworkProblem, kept: NetworkProblem) -> Ints:
+def _suspects(problem: NetworkProblem, kept: NetworkProblem) -> list[int]:
     """Stations of which readings to several targets do not fit, that of most readings first."""
     recording, out = problem.model.recording, problem.use & ~kept.use
     rows = out.any(axis=1)
     pairs = np.unique(np.stack([recording.station[rows], recording.target[rows]]), axis=1)
     targets = np.bincount(pairs[0], minlength=len(recording.stations))
-    return np.array(sorted(np.flatnonzero(targets >= WITNESSES), key=lambda s: -targets[s]), dtype=np.int64)
+    return sorted(np.flatnonzero(targets >= WITNESSES).tolist(), key=lambda s: -targets[s])
 
 
 def _with_motion(problem: NetworkProblem, state: State, motion: EvenMotion) -> tuple[NetworkProblem, State]:
@@ -119,18 +120,3 @@ def _with_motion(problem: NetworkProblem, state: State, motion: EvenMotion) -> t
     extra = np.insert(state.extra, before, np.zeros(len(motion.parameters)))
     wider = NetworkProblem.of(model, sigma=problem.sigma, use=problem.use, prior=problem.prior)
     return wider, replace(state, extra=extra)
-
-
-def _price(problem: NetworkProblem, kept: NetworkProblem, ended: Solution[State], scale: float) -> float:
-    """Chi-square without the readings that do not belong, and what these and the effects cost, as their tests ask."""
-    motions = sum(isinstance(effect, EvenMotion) for effect in problem.model.effects)
-    paid = motions * float(special.chdtri(6, FAMILY_LEVEL / len(problem.model.recording.stations)))
-    out = int(problem.use.sum()) - int(kept.use.sum())
-    return ended.cost / scale + paid + critical_w(int(problem.use.sum())) ** 2 * out
-
-
-def _takes_back(kept: NetworkProblem, fewer: NetworkProblem, station: int) -> bool:
-    """Whether most of what did not fit of a station fits now."""
-    own = kept.model.recording.station == station
-    before, now = (int((problem.model.recording.measured & ~problem.use)[own].sum()) for problem in (kept, fewer))
-    return 2 * now <= before

@@ -9,7 +9,7 @@ from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.doubt import require_result, weaknesses
 from ltsim.adjustment.estimate import adjust
 from ltsim.adjustment.gross import mistakes
-from ltsim.adjustment.known import Kind
+from ltsim.adjustment.known import Kind, known_tests
 from ltsim.adjustment.moving import moving_stations, told_motions
 from ltsim.adjustment.occupations import moved_tripods
 from ltsim.adjustment.reliability import FEW
@@ -19,7 +19,6 @@ from ltsim.effects.motions import StationMotion
 from ltsim.errors import ConvergenceError, LtsimError, NetworkError
 from ltsim.fieldcheck.items import Family, Item, two_sided
 from ltsim.model.construction import stated_construction
-from ltsim.notation import with_sigma
 from ltsim.recording.recording import SIGMA_COLUMNS, Recording
 from ltsim.solve.design import median_deviation
 from ltsim.units import ARCSECOND, MILLIMETRE
@@ -149,26 +148,12 @@ def _of_targets(found: Adjustment, known: Bools, family: Family) -> list[Item]:
 
 
 def _of_levels(found: Adjustment, family: Family) -> list[Item]:
-    """The level of each levelled station against the vertical of the others, through their common targets.
-
-    A level off by a tilt t leaves the residual r t, r its redundancy; t = v / r has the sigma s / sqrt(r).
-    """
-    problem, rows = found.problem, found.problem.level_rows
-    if len(problem.levels) < 2 or found.solution.factor is None:
-        return []
-    share = (1.0 - found.solution.factor.leverage()[rows]).reshape(-1, 2)
-    residual = problem.residual(found.state)[rows].reshape(-1, 2)
-    checked = share > CHECKED
-    root = np.sqrt(np.where(checked, share, 1.0))
-    w = np.where(checked, residual / root, 0.0)
-    sigma = problem.levels.sigma[:, None] / root
+    """The level of each levelled station against the vertical of the others, through their common targets."""
     items = []
-    for k in np.flatnonzero(checked.any(axis=1)).tolist():
-        worst = int(np.argmax(np.abs(w[k])))
-        p = family.adjusted(2.0 * float(special.ndtr(-abs(w[k, worst]))), int(checked.sum()))
-        name, passed = found.recording.stations[problem.levels.station[k]], p >= family.level
-        tilt = float(np.hypot(*np.where(checked[k], w[k] * sigma[k], 0.0)))
-        size = with_sigma(tilt / ARCSECOND, float(sigma[k, worst]) / ARCSECOND, "arcsec")
-        verb = "agrees with" if passed else "is off"
-        items.append(Item.of(name, "level", passed, f"{name}: its level {verb} the vertical of the others ({size})", p))
+    for test in known_tests(found.problem, found.solution) if len(found.problem.levels) > 1 else ():
+        if test.kind == "level" and test.redundancy.max() > CHECKED:
+            p = family.adjusted(float(special.chdtrc(test.rank, test.drop)), len(found.problem.levels))
+            verb = "agrees with" if p >= family.level else "is off"
+            told = f"{test.name}: its level {verb} the vertical of the others ({test.off})"
+            items.append(Item.of(test.name, "level", p >= family.level, told, p))
     return items

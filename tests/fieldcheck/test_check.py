@@ -247,7 +247,7 @@ def test_a_level_that_is_off_is_told_by_the_others() -> None:
     found = check(leaning)
     assert ("S2", "level") in kinds(found)
     said = next(item.sentence for item in found.items if item.kind == "level" and item.station == "S2")
-    assert said.startswith("S2: its level is off the vertical of the others (30.0 +- 1.")
+    assert said.startswith("S2: its level is off the vertical of the others (29.9 +- 1.")
 
 
 def test_a_steering_mirror_is_judged_by_its_own_errors() -> None:
