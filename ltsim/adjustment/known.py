@@ -131,11 +131,10 @@ class KnownTest(KnownValue):
             mark = f"the mark of {', '.join(self.rivals)}" if self.rivals else "its mark"
             return f"set-up {self.name} stands {self.off} beside {mark} (w = {self.w:.3g}): given a place of its own"
         if self.kind == "scale":
-            long, short = ("long", "short") if self.error[0] > 0 else ("short", "long")
+            more, less = ("long", "short") if self.error[0] > 0 else ("short", "long")
             causes = "a temperature, an expansion or the scale of the ranges is not what is stated"
-            counted = "; the scale is that of the ranges, and lengths count by their ratios" if self.left_out else ""
-            off = f"{self.name} are {self.off} too {long} (w = {self.w:.3g}), or all ranges too {short}"
-            return f"{off}: {causes}{counted}"
+            kept = "; the scale is that of the ranges, and lengths count by their ratios" if self.left_out else ""
+            return f"{self.name} are {self.off} too {more} (w = {self.w:.3g}), or all ranges too {less}: {causes}{kept}"
         if self.rivals:
             both = ", ".join((self.name, *self.rivals))
             return f"{both} contradict each other ({what} by {self.off}) and nobody can tell which is wrong"
@@ -306,8 +305,7 @@ def judged(
         return (*given, contradictory) if contradictory else judged(*given, kinds, again)
     if min(test.w for test in gone) < PLAIN and _price(kept, ended, gone) >= _price(problem, given[1], ()):
         return *given, ()
-    every = [*known_values(problem, ended.x), *_scale(problem, ended.x)]
-    off = {(value.kind, value.name): value.residual for value in every}
+    off = {(v.kind, v.name): v.residual for v in (*known_values(problem, ended.x), *_scale(problem, ended.x))}
     for i, test in enumerate(out):
         if test.left_out and test.kind != "mark":  # what it is off by in the end
             out[i] = replace(test, residual=off[test.kind, test.name], error=off[test.kind, test.name])
@@ -389,13 +387,12 @@ def _too_many(problem: NetworkProblem, solution: Solution[State], out: Sequence[
 def without(recording: Recording, test: KnownValue) -> Recording:
     """The recording whose set-up does not state one known value."""
     setup, name = recording.setup, test.name
-    if test.kind == "scale":
-        change: dict[str, object] = {"gauge": recording.gauge.model_copy(update={"sigma_scale_ppm": UNKNOWN_PPM})}
-    elif test.kind == "length":
+    if test.kind in ("length", "scale"):
         left = tuple(d for d in recording.gauge.distance if f"{d.from_}-{d.to}" != name)
-        change = {"gauge": recording.gauge.model_copy(update={"distance": left})}
+        unsaid: dict[str, object] = {"sigma_scale_ppm": UNKNOWN_PPM} if test.kind == "scale" else {"distance": left}
+        change: dict[str, object] = {"gauge": recording.gauge.model_copy(update=unsaid)}
     elif test.kind in ("level", "mark"):
-        unsaid: dict[str, object] = {"levelled": False} if test.kind == "level" else {"over": None}
+        unsaid = {"levelled": False} if test.kind == "level" else {"over": None}
         change = {"stations": setup.stations | {name: setup.stations[name].model_copy(update=unsaid)}}
     else:
         unsaid = {"known_mm": None, "approximate_mm": setup.targets[name].known_mm}

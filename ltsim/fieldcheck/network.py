@@ -149,10 +149,11 @@ def _of_targets(found: Adjustment, known: Bools, family: Family) -> list[Item]:
 
 def _of_levels(found: Adjustment, family: Family) -> list[Item]:
     """The level of each levelled station against the vertical of the others, through their common targets."""
-    items = []
-    for test in known_tests(found.problem, found.solution) if len(found.problem.levels) > 1 else ():
-        if test.kind == "level" and test.redundancy.max() > CHECKED:
-            p = family.adjusted(float(special.chdtrc(test.rank, test.drop)), len(found.problem.levels))
+    items, levels = [], found.problem.levels
+    stated = {found.recording.stations[k]: sigma for k, sigma in zip(levels.station, levels.sigma, strict=True)}
+    for test in known_tests(found.problem, found.solution) if len(levels) > 1 else ():
+        if test.kind == "level" and (stated[test.name] / test.sigma_error.min()) ** 2 > CHECKED:
+            p = family.adjusted(float(special.chdtrc(test.rank, test.drop)), len(levels))
             verb = "agrees with" if p >= family.level else "is off"
             told = f"{test.name}: its level {verb} the vertical of the others ({test.off})"
             items.append(Item.of(test.name, "level", p >= family.level, told, p))

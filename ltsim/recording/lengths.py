@@ -67,7 +67,7 @@ class KnownLengths:
     @property
     def tell_scale(self) -> bool:
         """Whether something is known of their common scale."""
-        return SCALE not in self.shared or bool(np.any(self.shared[SCALE] < UNKNOWN_PPM * PPM * self.length / 2))
+        return SCALE not in self.shared or bool(np.any(self.shared[SCALE] < 0.99 * UNKNOWN_PPM * PPM * self.length))
 
     @property
     def sigma(self) -> Floats:
