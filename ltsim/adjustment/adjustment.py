@@ -13,6 +13,7 @@ from ltsim.adjustment.components import Component
 from ltsim.adjustment.datum import InnerDatum
 from ltsim.adjustment.frame import on_a_line
 from ltsim.adjustment.known import KnownTest, known_tests
+from ltsim.adjustment.prior import ParameterPrior
 from ltsim.adjustment.problem import NetworkProblem
 from ltsim.adjustment.reliability import (
     FAMILY_LEVEL,
@@ -90,6 +91,7 @@ class Adjustment(Result):
         state: State,
         construction: Construction | None = None,
         effects: Sequence[Signature] = (),
+        prior: ParameterPrior | None = None,
     ) -> Adjustment:
         """The adjustment that pointings will have when they are made: precision does not depend on readings.
 
@@ -103,11 +105,13 @@ class Adjustment(Result):
             Where stations and targets will be, and the instrument's parameters.
         construction, effects
             Whose parameters are to be estimated; default an ideal tracker without any.
+        prior : ParameterPrior, optional
+            What is known of these; default what the set-up states.
         """
         model = MeasurementModel(recording, construction or ideal(), tuple(effects))
         if len(state.extra) != model.extra_size:
             state = replace(state, extra=np.zeros(model.extra_size))
-        problem = without_loose(NetworkProblem.of(model), state)
+        problem = without_loose(NetworkProblem.of(model, prior=prior), state)
         lost = poseless(problem, state)
         if lost:
             raise NetworkError(lost)

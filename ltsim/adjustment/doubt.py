@@ -8,6 +8,7 @@ from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.estimate import adjust
 from ltsim.adjustment.frame import ROUGH_PLACE, Frame, misses, upright_alignment
 from ltsim.adjustment.gross import mend_stations, mistakes
+from ltsim.adjustment.moving import told_motions
 from ltsim.adjustment.occupations import moved_tripods
 from ltsim.arrays import Bools, Floats
 from ltsim.errors import LtsimError, NetworkError
@@ -143,7 +144,7 @@ def _unit_that_fits(adjustment: Adjustment) -> str:
 
 def doubts(adjustment: Adjustment) -> tuple[str, ...]:
     """Sentences: what nobody can tell, mistakes, stations that lost most of their readings, sigmas that mislead."""
-    kinds = _known, _plan, _undecided, _mistakes, _tripods, _thin_stations, _uncertain_figures, _copies
+    kinds = _known, _motions, _plan, _undecided, _mistakes, _tripods, _thin_stations, _uncertain_figures, _copies
     return tuple(doubt for kind in kinds for doubt in kind(adjustment))
 
 
@@ -160,6 +161,11 @@ def _known(adjustment: Adjustment) -> Iterator[str]:
     yield from told[:MOST_NAMED]
     if len(told) > MOST_NAMED:
         yield f"{len(told) - MOST_NAMED} more known values contradict the rest"
+
+
+def _motions(adjustment: Adjustment) -> Iterator[str]:
+    """Stations that move while they measure."""
+    yield from (told for _, told in told_motions(adjustment))
 
 
 def _plan(adjustment: Adjustment) -> Iterator[str]:

@@ -5,7 +5,7 @@ people make; what a mistake explains can be mended, the rest is left out. Whole 
 face are seen before anything is adjusted: their cloud of points has not the shape that other stations saw.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -67,16 +67,25 @@ def explain_gross(adjustment: Adjustment) -> tuple[Recording, Bools, list[GrossF
         Readings to use of it.
     findings : list of GrossFinding
     """
-    recording, left = adjustment.recording, adjustment.gross.copy()
+    understood, left = mistakes(adjustment), adjustment.gross.copy()
+    recording, findings = mended(adjustment.recording, understood), [finding for finding, *_ in understood]
+    for finding in findings:
+        left[finding.rows] = False
     use = np.ones((len(recording), 3), dtype=bool)
-    readings, target, findings = recording.readings.copy(), recording.target.copy(), []
-    for finding, read, seen in mistakes(adjustment):
-        readings[finding.rows], target[finding.rows], left[finding.rows] = read, seen, False
-        findings.append(finding)
     for finding in _outliers(adjustment, left):
         use[finding.rows[0], [OBSERVABLES.index(o) for o in finding.observables or OBSERVABLES]] = False
         findings.append(finding)
-    return (recording.replace(readings=readings, target=target) if findings else recording), use, findings
+    return recording, use, findings
+
+
+def mended(recording: Recording, understood: Sequence[Mend]) -> Recording:
+    """The recording with mistakes mended."""
+    if not understood:
+        return recording
+    readings, target = recording.readings.copy(), recording.target.copy()
+    for finding, read, seen in understood:
+        readings[finding.rows], target[finding.rows] = read, seen
+    return recording.replace(readings=readings, target=target)
 
 
 def mistakes(adjustment: Adjustment) -> list[Mend]:

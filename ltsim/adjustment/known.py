@@ -26,6 +26,7 @@ from ltsim.adjustment.snooping import snooped
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.model.measurement import State
 from ltsim.notation import with_sigma
+from ltsim.recording.lengths import UNKNOWN_PPM
 from ltsim.recording.recording import Recording
 from ltsim.solve.design import as_dense
 from ltsim.solve.gauss_newton import Solution, solve
@@ -43,6 +44,8 @@ WORDS: dict[Kind, str] = {
 UNITS = {"level": ("arcsec", ARCSECOND), "scale": ("ppm", 1e-6)}
 """Of an error; millimetres where nothing is said."""
 KINDS: tuple[Kind, ...] = ("point", "length", "level", "mark", "scale")
+SCALED: tuple[Kind, ...] = KINDS[:-1]
+"""What is left out where lengths give the ranges their scale: that all of them contradict it is told."""
 SIGMAS = 5.0
 """Standard deviations of what the rest says from which a known value is left out."""
 CHECKED = 1e-3
@@ -128,9 +131,10 @@ class KnownTest(KnownValue):
             mark = f"the mark of {', '.join(self.rivals)}" if self.rivals else "its mark"
             return f"set-up {self.name} stands {self.off} beside {mark} (w = {self.w:.3g}): given a place of its own"
         if self.kind == "scale":
-            long, short = ("long", "short") if self.error[0] > 0 else ("short", "long")
+            more, less = ("long", "short") if self.error[0] > 0 else ("short", "long")
             causes = "a temperature, an expansion or the scale of the ranges is not what is stated"
-            return f"{self.name} are {self.off} too {long} (w = {self.w:.3g}), or all ranges too {short}: {causes}"
+            kept = "; the scale is that of the ranges, and lengths count by their ratios" if self.left_out else ""
+            return f"{self.name} are {self.off} too {more} (w = {self.w:.3g}), or all ranges too {less}: {causes}{kept}"
         if self.rivals:
             both = ", ".join((self.name, *self.rivals))
             return f"{both} contradict each other ({what} by {self.off}) and nobody can tell which is wrong"
@@ -301,7 +305,7 @@ def judged(
         return (*given, contradictory) if contradictory else judged(*given, kinds, again)
     if min(test.w for test in gone) < PLAIN and _price(kept, ended, gone) >= _price(problem, given[1], ()):
         return *given, ()
-    off = {(value.kind, value.name): value.residual for value in known_values(problem, ended.x)}
+    off = {(v.kind, v.name): v.residual for v in (*known_values(problem, ended.x), *_scale(problem, ended.x))}
     for i, test in enumerate(out):
         if test.left_out and test.kind != "mark":  # what it is off by in the end
             out[i] = replace(test, residual=off[test.kind, test.name], error=off[test.kind, test.name])
@@ -338,7 +342,7 @@ def _most_suspect(
     problem: NetworkProblem, solution: Solution[State], kinds: Collection[Kind], spared: Collection[tuple[Kind, str]]
 ) -> KnownTest | Bools | None:
     """The known value, or the reading (n, 3), that explains most; None where no known value contradicts the rest."""
-    tests = [test for test in known_tests(problem, solution, FELT) if test.kind in kinds and test.rank]
+    tests = [test for test in known_tests(problem, solution, FELT) if test.kind in {*kinds, "scale"} and test.rank]
     tests = [test for test in tests if (test.kind, test.name) not in spared]
     if not tests or problem.dof < 2:
         return None
@@ -364,7 +368,7 @@ def _most_suspect(
         if len(alike) > 1 and tests[best].kind == "level":
             return None  # A few levels against each other: nothing that others would not tell better.
         if tests[best].kind == "scale":
-            return tests[best]
+            return replace(tests[best], left_out="scale" in kinds)
         marks = all(tests[k].kind == "mark" for k in alike)  # Either way they stand apart: the later one goes.
         chosen = alike[-1] if marks else best
         rivals = tuple(tests[k].name for k in alike if k != chosen)
@@ -383,11 +387,12 @@ def _too_many(problem: NetworkProblem, solution: Solution[State], out: Sequence[
 def without(recording: Recording, test: KnownValue) -> Recording:
     """The recording whose set-up does not state one known value."""
     setup, name = recording.setup, test.name
-    if test.kind == "length":
+    if test.kind in ("length", "scale"):
         left = tuple(d for d in recording.gauge.distance if f"{d.from_}-{d.to}" != name)
-        change: dict[str, object] = {"gauge": recording.gauge.model_copy(update={"distance": left})}
+        unsaid: dict[str, object] = {"sigma_scale_ppm": UNKNOWN_PPM} if test.kind == "scale" else {"distance": left}
+        change: dict[str, object] = {"gauge": recording.gauge.model_copy(update=unsaid)}
     elif test.kind in ("level", "mark"):
-        unsaid: dict[str, object] = {"levelled": False} if test.kind == "level" else {"over": None}
+        unsaid = {"levelled": False} if test.kind == "level" else {"over": None}
         change = {"stations": setup.stations | {name: setup.stations[name].model_copy(update=unsaid)}}
     else:
         unsaid = {"known_mm": None, "approximate_mm": setup.targets[name].known_mm}

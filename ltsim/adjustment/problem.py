@@ -384,6 +384,7 @@ class NetworkProblem:
         """Rows with a value less unknowns; the free rigid motions are no loss, weak priors no gain."""
         priors = int(np.isfinite(self.prior.sigma).sum())
         lengths = int(np.isfinite(self.gauge.sigma).sum())
+        lengths -= lengths > 0 and not self.gauge.tell_scale
         heads = sum(len(heads.parameters) for heads in self.model.heads)
         known = lengths + self.control.count + self.known_marks.count + 2 * len(self.levels) + priors + heads
         unknown = self.unknowns.size - self.free.shape[1] - self.structure.held + self.structure.idle

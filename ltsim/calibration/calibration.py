@@ -67,7 +67,7 @@ STATIONS = Table("stations.csv", "adjusted stations", (Column("station", "name",
 SHARPER = 0.975
 """Ratio of a parameter's sigma to its prior's below which the recording told something: 5 % of the variance."""
 SAME = 1e-9
-"""Relative difference of what is applied from the estimate, below which it is the estimate."""
+"""Difference of what is applied from the estimate, to the estimate or its sigma, below which it is the estimate."""
 MOSTLY = 0.9
 """Share of the redundancy whose noise was estimated, from which chi-square over redundancy is 1 by construction."""
 
@@ -248,7 +248,8 @@ class Calibration(Result):
         """The applied value in the parameter's unit where it is not the estimate."""
         value, applied = self.values[instrument, parameter], self.applied[instrument, parameter]
         factor = self.construction.parameters[parameter].factor
-        return {} if abs(applied - value) <= SAME * abs(value) else {"applied": float(applied / factor)}
+        near = SAME * max(abs(value), self.sigma[instrument, parameter])
+        return {} if abs(applied - value) <= near else {"applied": float(applied / factor)}
 
     def _stations(self) -> Table:
         sigma = [s.sigma_position_mm or (None,) * 3 for s in self.stations]

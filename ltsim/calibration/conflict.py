@@ -83,7 +83,7 @@ def disagreement(calibration: Calibration) -> tuple[str, ...]:
         return ()
     prior, freed = calibration.adjustment.problem.prior, calibration.beyond_prior
     rows, size = list(zip(calibration.names, calibration.parameters, strict=True)), freed.shape[1]
-    scale = max(1.0, calibration.adjustment.sigma0)
+    scale, lengths = max(1.0, calibration.adjustment.sigma0), len(calibration.adjustment.problem.gauge)
     instruments = map(calibration.adjustment.recording.setup.instrument_named, calibration.instruments)
     known = [CORRECTED if one.corrected else "its stated prior of" for one in instruments]
     said = []
@@ -93,6 +93,8 @@ def disagreement(calibration: Calibration) -> tuple[str, ...]:
             f"{name} is {with_sigma(p.value, p.sigma, p.unit)} by the readings, which contradicts {known[k // size]} "
             f"{p.prior_sigma:.3g} {p.unit}: the estimate follows the readings"
         )
+        if lengths and calibration.construction.parameters[k % size].prior_kind == "range_scale":
+            said[-1] += " and the known lengths, whose temperature or expansion may be what is wrong instead"
     # The prior is an observation like any other: its residual has its variance less that of the estimate (Baarda).
     gain = np.where(calibration.held | freed, 0.0, 1.0 - (calibration.sigma / calibration.prior_sigma) ** 2).ravel()
     told = ((calibration.values - prior.mean) / calibration.prior_sigma).ravel()

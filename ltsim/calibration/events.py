@@ -46,11 +46,6 @@ def can_tell(history: History) -> bool:
     return len(history) > LEAST_STEPS
 
 
-def knows_usual(history: History) -> bool:
-    """Whether there are steps enough to know how a parameter moves from one calibration to the next."""
-    return len(history) > ENOUGH_STEPS
-
-
 def events(history: History, level: float = LEVEL) -> list[Event]:
     """The steps that stand out, in the order of time; none where there are too few to tell."""
     if not can_tell(history):

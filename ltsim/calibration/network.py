@@ -10,6 +10,8 @@ import numpy as np
 from ltsim.adjustment import Adjustment, adjust as adjusted_network
 from ltsim.adjustment.components import Grouping
 from ltsim.adjustment.doubt import require_result
+from ltsim.adjustment.known import KINDS, SCALED
+from ltsim.adjustment.moving import moving_stations
 from ltsim.adjustment.prior import ParameterPrior, expected_sigmas, prior_sigmas
 from ltsim.calibration import result
 from ltsim.calibration.beside import Wanted, estimated_beside
@@ -146,8 +148,12 @@ def _adjusted(
     effects: Sequence[Signature] = (),
 ) -> Adjustment:
     how: dict[str, Any] = {"robust": robust, "variance_components": grouping, "datum": datum, "prior": prior}
+    how["judging"] = KINDS if prior is None or prior.held.all() else SCALED
     found = adjusted_network(recording, construction, effects=effects, **how)
     require_result(found)
+    if moving := moving_stations(found):
+        found = adjusted_network(recording, construction, effects=(*effects, *moving), **how | {"robust": True})
+        require_result(found)
     if datum and not found.problem.free.shape[1]:
         raise NetworkError("the control points define the frame already: leave the datum out, or their coordinates")
     return found

@@ -12,6 +12,7 @@ from ltsim.calibration.calibration import SHOWN_UNITS
 from ltsim.calibration.schema import AxesEntry, Combination, Fit, KnownEntry, NoiseRow, OutlierRow, StationPose
 from ltsim.chances import AGREES
 from ltsim.effects.motions import exact_target_change
+from ltsim.effects.range_mode import RangeMode
 from ltsim.errors import NetworkError
 from ltsim.evaluation.criteria import Criteria, evaluate
 from ltsim.geometry.rigid import rigid_motion
@@ -312,7 +313,7 @@ def notes_on_modes(adjustment: Adjustment) -> tuple[str, ...]:
     """What is to be said of the range zeros where both distance meters were used."""
     if MODE_COLUMN not in adjustment.recording.circumstances:
         return ()
-    if not adjustment.effects:
+    if not any(isinstance(effect, RangeMode) for effect in adjustment.effects):
         return ("two distance meters were used; one range zero was assumed for both (method network tells them apart)",)
     value, sigma = adjustment.state.extra[0], np.sqrt(adjustment.extra_covariance[0, 0])
     zero = with_sigma(value / MICROMETRE, sigma / MICROMETRE, "um")

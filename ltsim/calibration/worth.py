@@ -303,10 +303,15 @@ def _terms(adjustment: Adjustment) -> list[Ints]:
 
 
 def held_out_targets(adjustment: Adjustment) -> list[HeldOutTarget]:
-    """Every target whose readings check each other and whose place is an unknown of its own, held out."""
+    """Every target whose readings check each other and whose place is an unknown of its own, held out.
+
+    What is known of its coordinates is held out with its readings, and predicted with them.
+    """
     problem, unknowns = adjustment.problem, adjustment.problem.unknowns
     system, kept = adjustment.solution.system, adjustment.problem.unknowns.kept
-    row_target = adjustment.recording.target[np.nonzero(problem.use)[0]]
+    known = np.repeat(problem.control.target, problem.control.axes.sum(axis=1))
+    lengths = np.full(len(problem.gauge), -1)
+    row_target = np.concatenate([adjustment.recording.target[np.nonzero(problem.use)[0]], lengths, known])
     own = np.flatnonzero(unknowns.target[:, 0] >= kept)
     own = own[:: max(1, -(-len(own) // MOST_TARGETS))]
     found = []

@@ -10,7 +10,7 @@ from scipy.special import chdtrc
 
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.adjustment.gross import GrossFinding, explain_gross, mend_faces, mend_stations
-from ltsim.adjustment.known import KnownTest, without
+from ltsim.adjustment.known import SCALED, KnownTest, without
 from ltsim.adjustment.occupations import mend_tripods
 from ltsim.adjustment.refit import Refit
 from ltsim.adjustment.residual_space import ResidualSpace
@@ -123,11 +123,11 @@ def _mended(
     """The ordinary adjustment with mistakes mended, readings (n, 3) to use, wrong readings and wrong known values."""
     converted, wrong = mend_stations(recording)
     faced, confused = mend_faces(converted)
-    baseline = adjust(faced, construction)
+    baseline = adjust(faced, construction, judging=SCALED)
     known = [test for test in (*baseline.wrong, *baseline.axes) if test.left_out or test.rivals]
     lengths = [replace(t, name=name) for t in known if t.kind == "length" for name in (t.name, *t.rivals) if t.rivals]
     if lengths:  # of lengths that contradict each other none is believed: ranges have a scale of their own
-        baseline = adjust(reduce(without, lengths, faced), construction)
+        baseline = adjust(reduce(without, lengths, faced), construction, judging=SCALED)
     mended, use, gross = explain_gross(baseline)
     if mistaken := [*wrong, *confused, *gross]:
         baseline = adjust(mended, construction, sigma=mended.sigma(), use=use, start=baseline.state)

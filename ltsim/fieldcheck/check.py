@@ -6,16 +6,19 @@ that was looked at.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import reduce
 
 import numpy as np
 from scipy import special
 
 from ltsim.adjustment.adjustment import Adjustment
+from ltsim.adjustment.gross import mended, mistakes
+from ltsim.adjustment.moving import WITNESSES, EvenMotion, by_runs
 from ltsim.adjustment.reliability import surprise
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.effects.index_drift import IndexDrift
-from ltsim.effects.motions import station_design
+from ltsim.effects.motions import StationMotion
 from ltsim.effects.range_drift import RangeDrift
 from ltsim.effects.station_bump import StationBump
 from ltsim.errors import NetworkError
@@ -35,13 +38,10 @@ from ltsim.model.construction import Construction, stated_construction
 from ltsim.recording.exchange import RecordingSource, recording_of
 from ltsim.recording.recording import Recording
 from ltsim.results import Columns, Result, by_row
-from ltsim.scene.sightings import Sightings
 
 LEVEL = 0.01
 MOST_GROSS = 0.1
 """Part of the pointings of a set-up that may be gross; with more, the stated noise is wrong."""
-WITNESSES = 3
-"""Targets on both sides of a gap that a motion of the station needs: one alone may itself have moved."""
 TESTS = 6
 """Tests of one set-up."""
 
@@ -63,6 +63,8 @@ class SetUp:
     faces: Faces | None
     visit: Visit | None
     rows: Ints
+    motions: tuple[StationMotion, ...] = ()
+    """How the station moved meanwhile."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -136,12 +138,21 @@ def check(recording: RecordingSource, *, level: float = LEVEL, mpe: tuple[float,
     """
     whole = recording_of(recording)
     family = Family(level, 2 * TESTS * max(len(whole.stations), 1))
-    plain = plain_network(whole) if len(whole.stations) > 1 else None
-    shown, scattering = with_own_noise(whole, plain) if isinstance(plain, Adjustment) else (whole, ())
-    setups = tuple(_set_up(shown, s, family, mpe) for s in range(len(whole.stations)))
-    shared = Family(level, 2 * NETWORK_TESTS)
-    network = () if plain is None else items_of_network(shown, plain, shared, own_noise=shown is not whole)
-    found = Check(whole, setups, (*scattering, *network), level)
+    every = range(len(whole.stations))
+    setups, network = tuple(_set_up(whole, s, family, mpe) for s in every), tuple[Item, ...]()
+    if len(whole.stations) > 1:
+        motions = tuple(motion for setup in setups for motion in setup.motions)
+        plain = plain_network(whole, motions)
+        read, shown, scattering = whole, whole, tuple[Item, ...]()
+        if isinstance(plain, Adjustment):
+            shown, scattering = with_own_noise(whole, plain)
+            read = mended(shown, mistakes(plain))
+        if read is not whole:  # a set-up is not blamed for what has a name
+            setups = tuple(_set_up(read, s, family, mpe) for s in every)
+        shared = Family(level, 2 * NETWORK_TESTS)
+        together = items_of_network(shown, plain, shared, motions, own_noise=shown is not whole)
+        network = (*scattering, *together)
+    found = Check(whole, setups, network, level)
     if not found.items:
         message = "no station measured a target twice, so nothing can be checked yet; "
         raise NetworkError(message + "measure some targets on both faces, or the first ones again at the end")
@@ -152,35 +163,54 @@ def _set_up(whole: Recording, station: int, family: Family, mpe: tuple[float, fl
     at = np.flatnonzero(whole.station == station)
     recording, rows, name = whole.select(at), at + 1, whole.stations[station]
     construction = stated_construction(recording)
-    items: list[Item] = []
-    faces = Faces.of(recording, construction, family.share, mpe)
+    visit = Visit.of(recording, construction)
+    judged = _judged(visit, construction, family, rows) if visit.dof > 0 else _Judged((), visit, (), recording)
+    items, faces = list[Item](), Faces.of(recording, judged.still, construction, family.share, mpe)
     if faces is not None:
         limit = "noise and guarantee" if mpe is None else "the limit"
         sentence, targets, worst = face_sentence(faces, recording, limit)
         pair = tuple(rows[worst].tolist())
         items.append(Item.of(name, "two-face", not targets, sentence, targets=targets, rows=pair))
-    visit = Visit.of(recording, construction)
     if visit.dof < 1:
         return SetUp(name, tuple(items), faces, None, rows)
-    told, left = _judged(visit, construction, family, rows)
-    scale = _own_scatter(left, family)
+    left, scale = judged.left, _own_scatter(judged.left, family)
     if scale is None:
-        told.append(_closure(left, family))
+        items += [*judged.items, _closure(left, family)]
     else:
-        told, _ = _judged(Visit.of(recording, construction, sigma=visit.sigma * scale), construction, family, rows)
-        told.insert(0, _scattering(visit, left, family))
-    return SetUp(name, (*items, *told), faces, left, rows)
+        judged = _judged(Visit.of(recording, construction, sigma=visit.sigma * scale), construction, family, rows)
+        items += [_scattering(visit, left, family), *judged.items]
+    return SetUp(name, tuple(items), faces, left, rows, judged.motions)
 
 
-def _judged(visit: Visit, construction: Construction, family: Family, rows: Ints) -> tuple[list[Item], Visit]:
-    """What a visit says of single pointings and motions, and the visit without them."""
+@dataclass(frozen=True)
+class _Judged:
+    """What a visit says of single pointings and motions, what is left of it, and its readings without the motions."""
+
+    items: tuple[Item, ...]
+    left: Visit
+    motions: tuple[StationMotion, ...]
+    still: Recording
+
+
+def _judged(visit: Visit, construction: Construction, family: Family, rows: Ints) -> _Judged:
     gross, bump, visit = _events(visit, construction, family)
     items = [_of_gross(visit, gross, rows), _of_bump(visit, bump, rows, family)]
-    if bump is not None:
-        visit = visit.without(bump.design(visit.sightings))
-    drift = _drift(visit, family, "drift", _creep(visit), drift_sentence)
-    steady = visit if drift.passed else visit.without(_creep(visit))
-    return [*items, drift, _drift(steady, family, "instrument-drift", _zeros(steady), instrument_sentence)], visit
+    recording, even = visit.recording, EvenMotion((visit.recording.stations[0],))
+    motions: list[StationMotion] = [] if bump is None else [bump]
+    found = [motion.design(visit.sightings) for motion in motions]
+    left = reduce(Visit.without, found, visit)
+    creep, zeros = even.design(visit.sightings), _zeros(visit)
+    items.append(_drift(left, family, "drift", creep, drift_sentence))
+    if not items[-1].passed:
+        motions.append(even)
+        found, left = [*found, creep], left.without(creep)
+    items.append(_drift(left, family, "instrument-drift", zeros, instrument_sentence))
+    if not items[-1].passed:
+        found, left = [*found, zeros], left.without(zeros)
+    if found:
+        together = np.concatenate(found, axis=2)
+        recording = recording.with_readings(recording.readings - together @ visit.explained(together).values)
+    return _Judged(tuple(items), left, tuple(motions), recording)
 
 
 def _own_scatter(visit: Visit, family: Family) -> Floats | None:
@@ -209,7 +239,7 @@ def _events(visit: Visit, construction: Construction, family: Family) -> tuple[l
         alone = surprise(drop, rank) - np.log(len(visit.use))
         worst = int(np.argmax(alone))
         bump, explained, gaps = best_bump(visit)
-        creep = _surprise(visit.explained(_creep(visit)))
+        creep = _surprise(visit.explained(EvenMotion().design(visit.sightings)))
         steady = creep >= _surprise(explained) - np.log(gaps)
         bump = None if steady or visit.p_value(explained) * gaps >= family.share else bump
         enough = alone[worst] <= max(-np.log(family.share), creep if steady else 0.0) or len(gross) >= most
@@ -267,27 +297,9 @@ def _of_bump(visit: Visit, bump: StationBump | None, rows: Ints, family: Family)
     return Item.of(name, "bump", False, sentence, chance, rows=numbers, between_s=between)
 
 
-def _by_runs(visit: Visit) -> Sightings:
-    """The sightings, those of a target without a break at one time.
-
-    What changes while one target is watched may be the target's own: only who comes back to it learns of a drift.
-    """
-    target, order = visit.recording.target, visit.sightings.order
-    run = np.zeros(len(order), dtype=np.int64)
-    run[order] = np.concatenate([[0], np.cumsum(np.diff(target[order]) != 0)])
-    time = np.bincount(run, visit.sightings.time) / np.bincount(run)
-    return replace(visit.sightings, time=time[run])
-
-
-def _creep(visit: Visit) -> Floats:
-    """Change (n, 3, 6) of the readings by an even motion of the station, as large as its end."""
-    sightings, duration = _by_runs(visit), max(float(np.ptp(visit.recording.time)), 1e-9)
-    return np.asarray(station_design(sightings) * (sightings.station_time / duration)[:, None, None])
-
-
 def _zeros(visit: Visit) -> Floats:
     """Change (n, 3, 2) of the readings per second and unit by even drifts of the range zero and the vertical index."""
-    laws, sightings = [RangeDrift(law="visit"), IndexDrift(law="visit")], _by_runs(visit)
+    laws, sightings = [RangeDrift(law="visit"), IndexDrift(law="visit")], by_runs(visit.sightings)
     return np.concatenate([law.design(sightings) for law in laws], axis=2)
 
 

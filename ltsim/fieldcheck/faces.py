@@ -26,26 +26,36 @@ class Faces:
     """Two-face half differences of one set-up."""
 
     pairs: TwoFace
+    """As read."""
+    still: TwoFace
+    """Without what a motion of the station, or a drift of the instrument, adds between the faces."""
     noise: Floats
     """(m, 3) [m, rad, rad]: standard deviation of each half difference by the stated noise."""
     guarantee: Floats
     """(m, 3) [m, rad, rad]: standard deviation of what the guaranteed errors of the instrument add."""
     over: Bools
-    """(m, 3): beyond the limit."""
+    """(m, 3): what is `still` beyond the limit."""
     limit: Floats
     """(m, 3): largest half difference that passes."""
 
     @classmethod
     def of(
-        cls, recording: Recording, construction: Construction, level: float, mpe: tuple[float, float] | None
+        cls,
+        recording: Recording,
+        still: Recording,
+        construction: Construction,
+        level: float,
+        mpe: tuple[float, float] | None,
     ) -> Faces | None:
         """The differences of a recording of one station; None where no target was measured on both faces.
+
+        `still` has its readings without motions.
 
         `level` is the chance of one false alarm over all of them; `mpe` a limit of lengths [um], and [um/m].
         """
         if not len(face_pairs(recording)):
             return None
-        pairs = two_face(recording)
+        pairs, unmoved = two_face(recording), two_face(still)
         sigma = recording.sigma()
         sigma[:, 1] *= np.abs(np.cos(recording.readings[:, 2]))
         noise = 0.5 * np.sqrt(np.sum(sigma[pairs.rows] ** 2, axis=1))
@@ -59,4 +69,4 @@ class Faces:
             metres = pairs.place[:, 0]
             allowed = 0.5 * MICROMETRE * (mpe[0] + mpe[1] * metres)
             limit = np.stack([allowed, allowed / metres, allowed / metres], axis=1)
-        return cls(pairs, noise, guarantee, np.abs(pairs.half) > limit, limit)
+        return cls(pairs, unmoved, noise, guarantee, np.abs(unmoved.half) > limit, limit)

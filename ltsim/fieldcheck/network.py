@@ -1,5 +1,7 @@
 """What the stations of a recording say together: whether they agree on their common targets, and on the vertical."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy import special
 
@@ -7,15 +9,16 @@ from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.doubt import require_result, weaknesses
 from ltsim.adjustment.estimate import adjust
 from ltsim.adjustment.gross import mistakes
-from ltsim.adjustment.known import Kind
+from ltsim.adjustment.known import Kind, known_tests
+from ltsim.adjustment.moving import moving_stations, told_motions
 from ltsim.adjustment.occupations import moved_tripods
 from ltsim.adjustment.reliability import FEW
 from ltsim.adjustment.verdict import LEVEL as RARE, Agreement, verdict
 from ltsim.arrays import Bools
+from ltsim.effects.motions import StationMotion
 from ltsim.errors import ConvergenceError, LtsimError, NetworkError
 from ltsim.fieldcheck.items import Family, Item, two_sided
 from ltsim.model.construction import stated_construction
-from ltsim.notation import with_sigma
 from ltsim.recording.recording import SIGMA_COLUMNS, Recording
 from ltsim.solve.design import median_deviation
 from ltsim.units import ARCSECOND, MILLIMETRE
@@ -30,10 +33,10 @@ EXPLAINED = 0.05
 """Chance of what the instrument's errors explain, below which they are at work; otherwise the plain network counts."""
 
 
-def plain_network(recording: Recording) -> Adjustment | LtsimError:
-    """The network as `adjust` has it, or why there is none."""
+def plain_network(recording: Recording, motions: Sequence[StationMotion]) -> Adjustment | LtsimError:
+    """The network as `adjust` has it, with stations that moved, or why there is none."""
     try:
-        plain = adjust(recording, judging=TESTED)
+        plain = adjust(recording, effects=motions, robust=bool(motions), judging=TESTED)
         require_result(plain)
     except (NetworkError, ConvergenceError) as problem:
         return problem
@@ -59,11 +62,17 @@ def with_own_noise(recording: Recording, plain: Adjustment) -> tuple[Recording, 
 
 
 def items_of_network(
-    recording: Recording, plain: Adjustment | LtsimError, family: Family, *, own_noise: bool
+    recording: Recording,
+    plain: Adjustment | LtsimError,
+    family: Family,
+    motions: Sequence[StationMotion],
+    *,
+    own_noise: bool,
 ) -> tuple[Item, ...]:
     """Whether the stations agree, the instrument's errors estimated; nothing where they cannot be compared.
 
-    `plain` is the network as `adjust` has it, with the stated noise even where the recording has its `own_noise`.
+    `plain` is the network as `adjust` has it, with the stated noise even where the recording has its `own_noise`;
+    `motions` of stations are known from their own set-ups.
     """
     try:
         built = stated_construction(recording)
@@ -72,10 +81,14 @@ def items_of_network(
     try:
         if isinstance(plain, LtsimError):
             raise plain
-        found = adjust(recording, built, robust=True, judging=TESTED)
+        found = adjust(recording, built, effects=motions, robust=True, judging=TESTED)
+        if moving := moving_stations(found):
+            motions = (*motions, *moving)
+            found = adjust(recording, built, effects=motions, robust=True, judging=TESTED)
     except (NetworkError, ConvergenceError) as problem:
         return (Item.of("", "network", False, f"the set-ups make no network: {problem}"),)
     items = [Item.of("", "network", False, doubt) for doubt in weaknesses(plain)]
+    items += [Item.of(", ".join(m.stations), "drift", False, told) for m, told in told_motions(found) if m in moving]
     known = np.zeros(len(recording), dtype=bool)
     for one, *_ in mistakes(plain):
         at = ", ".join(one.stations)
@@ -89,14 +102,14 @@ def items_of_network(
         Item.of("", "network", False, test.sentence, targets=() if test.kind == "scale" else (test.name,))
         for test in found.wrong
     ]
-    alike = any(test.kind == "scale" for test in found.wrong)  # readings at the lengths bear it
-    if found.solution.converged and found.dof > 0 and not alike:
+    if found.solution.converged and found.dof > 0:
         use, some = found.problem.use, found.rejected.any()
-        without = adjust(recording, use=use, judging=TESTED) if some or own_noise else plain
+        again = some or own_noise or len(motions) > len(plain.effects)
+        without = adjust(recording, effects=motions, use=use, judging=TESTED) if again else plain
         if _at_work(without, found):
             without = found
         elif some:
-            without = adjust(recording, robust=True, judging=TESTED)
+            without = adjust(recording, effects=motions, robust=True, judging=TESTED)
         alone, less = two_sided(without.chi2, without.dof)
         if own_noise and not less and family.adjusted(alone) < family.level:  # noise: what stands out of it, by adjust
             known |= ~np.isin(np.arange(len(known)), [one.row for one in plain.outliers(estimated=True)])
@@ -135,26 +148,13 @@ def _of_targets(found: Adjustment, known: Bools, family: Family) -> list[Item]:
 
 
 def _of_levels(found: Adjustment, family: Family) -> list[Item]:
-    """The level of each levelled station against the vertical of the others, through their common targets.
-
-    A level off by a tilt t leaves the residual r t, r its redundancy; t = v / r has the sigma s / sqrt(r).
-    """
-    problem, rows = found.problem, found.problem.level_rows
-    if len(problem.levels) < 2 or found.solution.factor is None:
-        return []
-    share = (1.0 - found.solution.factor.leverage()[rows]).reshape(-1, 2)
-    residual = problem.residual(found.state)[rows].reshape(-1, 2)
-    checked = share > CHECKED
-    root = np.sqrt(np.where(checked, share, 1.0))
-    w = np.where(checked, residual / root, 0.0)
-    sigma = problem.levels.sigma[:, None] / root
-    items = []
-    for k in np.flatnonzero(checked.any(axis=1)).tolist():
-        worst = int(np.argmax(np.abs(w[k])))
-        p = family.adjusted(2.0 * float(special.ndtr(-abs(w[k, worst]))), int(checked.sum()))
-        name, passed = found.recording.stations[problem.levels.station[k]], p >= family.level
-        tilt = float(np.hypot(*np.where(checked[k], w[k] * sigma[k], 0.0)))
-        size = with_sigma(tilt / ARCSECOND, float(sigma[k, worst]) / ARCSECOND, "arcsec")
-        verb = "agrees with" if passed else "is off"
-        items.append(Item.of(name, "level", passed, f"{name}: its level {verb} the vertical of the others ({size})", p))
+    """The level of each levelled station against the vertical of the others, through their common targets."""
+    items, levels = [], found.problem.levels
+    stated = {found.recording.stations[k]: sigma for k, sigma in zip(levels.station, levels.sigma, strict=True)}
+    for test in known_tests(found.problem, found.solution) if len(levels) > 1 else ():
+        if test.kind == "level" and (stated[test.name] / test.sigma_error.min()) ** 2 > CHECKED:
+            p = family.adjusted(float(special.chdtrc(test.rank, test.drop)), len(levels))
+            verb = "agrees with" if p >= family.level else "is off"
+            told = f"{test.name}: its level {verb} the vertical of the others ({test.off})"
+            items.append(Item.of(test.name, "level", p >= family.level, told, p))
     return items

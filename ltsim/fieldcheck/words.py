@@ -39,7 +39,7 @@ def moment(recording: Recording, time: float) -> str:
 
 def face_sentence(faces: Faces, recording: Recording, limit: str) -> tuple[str, tuple[str, ...], Ints]:
     """The two-face differences in words, the targets beyond the limit, and the rows of the worst pair there."""
-    name, pairs = recording.stations[0], faces.pairs
+    name, pairs = recording.stations[0], faces.still
     if not faces.over.any():
         sizes = f"{pairs.rms[0] / MICROMETRE:.1f} um, {pairs.rms[1] / ARCSECOND:.2f} and {pairs.rms[2] / ARCSECOND:.2f}"
         sentence = (

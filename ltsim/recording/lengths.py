@@ -13,10 +13,13 @@ from ltsim.geometry.expansion import Expansion
 from ltsim.recording.files import shown
 from ltsim.recording.recording import Recording
 from ltsim.recording.setup import GaugeDistance
-from ltsim.units import MILLIMETRE
+from ltsim.units import MILLIMETRE, PPM
 
 COEFFICIENT = "expansion of "
 """Begins the name of an error that lengths of one material share."""
+SCALE = "scale of all lengths"
+UNKNOWN_PPM = 1000.0
+"""Standard deviation of the common scale from which lengths tell ratios alone: 40 K of aluminium."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +49,8 @@ class KnownLengths:
         grown = [_Grown.of(recording, d, {"file": file, "column": f"gauge.distance {i + 1}"}) for i, d in rows]
         certified = np.array([d.length_mm * MILLIMETRE for _, d in rows])
         factor = np.array([g.expansion.factor for g in grown])
-        changes = [g.changes for g in grown]
+        common = {SCALE: recording.gauge.sigma_scale_ppm * PPM} if recording.gauge.sigma_scale_ppm else {}
+        changes = [g.changes | common for g in grown]
         shared = {
             name: certified * np.array([change.get(name, 0.0) for change in changes])
             for name in dict.fromkeys(name for change in changes for name in change)
@@ -59,6 +63,11 @@ class KnownLengths:
             np.array([d.sigma_mm * MILLIMETRE for _, d in rows]),
             shared,
         )
+
+    @property
+    def tell_scale(self) -> bool:
+        """Whether something is known of their common scale."""
+        return SCALE not in self.shared or bool(np.any(self.shared[SCALE] < 0.99 * UNKNOWN_PPM * PPM * self.length))
 
     @property
     def sigma(self) -> Floats:

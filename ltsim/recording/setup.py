@@ -200,6 +200,8 @@ class Gauge(TomlSection):
     """Standard deviation of the coefficient, shared by all lengths; none where it is not given."""
     sigma_temperature_k: NonNegative | None = None
     """Standard deviation of that temperature; none where it is not given."""
+    sigma_scale_ppm: NonNegative | None = None
+    """Standard deviation of a scale that all lengths share, whatever it comes from; from 1000 on nothing is known."""
     materials: dict[str, Material] | None = None
     """Other materials by name, tables `[gauge.materials.NAME]`."""
     distance: tuple[GaugeDistance, ...] = ()

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
+from ltsim.adjustment.prior import ParameterPrior
 from ltsim.adjustment.rows import GaugeRows
 from ltsim.arrays import Floats, Ints
 from ltsim.model.construction import Construction
@@ -34,6 +35,8 @@ class Network:
     state: State
     construction: Construction
     """Whose parameters are estimated."""
+    prior: ParameterPrior | None = None
+    """Of these; default what the set-up states."""
 
     @classmethod
     def of(cls, adjustment: Adjustment, construction: Construction | None = None) -> Network:
@@ -43,16 +46,16 @@ class Network:
         """
         built, state = construction or adjustment.construction, adjustment.state
         recording = adjustment.recording
-        values = state.instrument
+        values, prior = state.instrument, adjustment.problem.prior if adjustment.construction == built else None
         if values.shape[1] != built.size:
             values = np.zeros((len(recording.instruments), built.size))
         used = np.where(adjustment.problem.use, recording.readings, np.nan)
-        return cls(recording.with_readings(used), replace(state, instrument=values, extra=np.zeros(0)), built)
+        return cls(recording.with_readings(used), replace(state, instrument=values, extra=np.zeros(0)), built, prior)
 
     @cached_property
     def adjustment(self) -> Adjustment:
         """The adjustment that this network would have; NetworkError where the pointings leave a pose undetermined."""
-        return Adjustment.planned(self.recording, self.state, self.construction)
+        return Adjustment.planned(self.recording, self.state, self.construction, prior=self.prior)
 
     def parameter_covariance(self) -> tuple[Floats, Floats]:
         """Covariance (I, p, p) of each instrument's parameters, and their prior sigmas (I, p)."""

@@ -110,13 +110,16 @@ def test_a_wrong_gauge_length_is_named_and_no_reading(more: float) -> None:
 
 @pytest.mark.parametrize("degrees", [7.0, -4.0])
 def test_a_wrong_temperature_of_the_gauge_is_told_of_all_its_lengths_and_of_no_reading(degrees: float) -> None:
-    recording = network(seed=2, faces=2)[0]
+    right = recording = network(seed=2, faces=2)[0]
     assert recording.setup.gauge is not None
     stated = {"measured_at_c": 20.0 + degrees, "expansion_per_k": 23.2e-6}
     gauge = recording.setup.gauge.model_copy(update=stated)
     recording = recording.replace(setup=recording.setup.model_copy(update={"gauge": gauge}))
     found = lt.adjust(recording)
-    assert found.known[0].kind == "scale"
+    assert (found.known[0].kind, found.known[0].left_out) == ("scale", True)
+    assert found.fit.sigma0 == pytest.approx(1.0, abs=0.1)  # the readings do not pay
+    unscaled = right.replace(setup=right.setup.model_copy(update={"gauge": None}))
+    np.testing.assert_allclose(found.points, lt.adjust(unscaled).points, atol=5e-6)
     assert found.known[0].error == pytest.approx(23.2 * degrees, abs=15.0)
     assert found.verdict is not None
     assert f"too {'long' if degrees > 0 else 'short'} (w = " in found.verdict.sentence

@@ -99,6 +99,15 @@ def test_the_rows_have_the_covariance_of_what_lengths_share(measured: Recording)
     np.testing.assert_allclose(np.stack([rows[:, c] for c in columns], axis=1) @ np.eye(3), white[:, :, None] * along)
 
 
+def test_lengths_share_a_scale_or_tell_none(measured: Recording) -> None:
+    lines = [line("T01", "T02", 2000.0), line("T03", "T04", 1000.0, measured_in_place=True)]
+    gauge = GaugeRows.of(with_gauge(measured, *lines, sigma_scale_ppm=20.0))
+    covariance = 1e-6**2 * np.eye(2) + np.outer([40e-6, 20e-6], [40e-6, 20e-6])
+    np.testing.assert_allclose(gauge.spread @ gauge.spread.T, covariance, rtol=1e-12)
+    dof = {scale: adjust(with_gauge(measured, *lines, sigma_scale_ppm=scale)).dof for scale in (None, 20.0, 1000.0)}
+    assert dof == {None: dof[None], 20.0: dof[None], 1000.0: dof[None] - 1}  # of two lengths one ratio is left
+
+
 def test_a_length_measured_in_place_is_an_observation_with_its_sigma(measured: Recording) -> None:
     """An interferometer's length and a known one are the same row, in a workshop of any temperature."""
     points = adjust(measured).state.points

@@ -17,7 +17,7 @@ from ltsim.notation import number
 from ltsim.randomness import stream
 from ltsim.recording import Recording
 from ltsim.recording.setup import Instrument, Noise, Prior
-from tests.networks import drawn, network
+from tests.networks import drawn, mesh, network
 
 BUILT = misalignment()
 SIGMA = np.array([p.prior_sigma for p in BUILT.parameters])
@@ -124,9 +124,17 @@ def test_an_error_of_a_new_point_says_the_noise_of_its_reading() -> None:
     assert f"{number(both, 3)} um corrected (rms in 3D" in repr(found)
 
 
-def test_a_target_held_out_is_predicted_as_an_adjustment_without_it_predicts() -> None:
-    """The closed form against a calibration that never saw the target, in the residuals' squares."""
+@pytest.mark.parametrize("known", [False, True])
+def test_a_target_held_out_is_predicted_as_an_adjustment_without_it_predicts(known: bool) -> None:
+    """The closed form against a calibration that never saw the target, nor what is known of its coordinates."""
     recording = network(faces=2, seed=2, values=drawn(BUILT, 2), stations=2)[0]
+    if known:
+        places = dict(zip(recording.targets, 1e3 * mesh(), strict=True))
+        targets = {
+            name: target.model_copy(update={"known_mm": tuple(places[name].tolist()), "known_sigma_mm": 0.01})
+            for name, target in recording.setup.targets.items()
+        }
+        recording = recording.replace(setup=recording.setup.model_copy(update={"targets": targets}))
     found = calibrate_network(recording, BUILT, advise=False)
     assert found.adjustment is not None
     held = held_out_targets(found.adjustment)[0]

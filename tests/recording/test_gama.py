@@ -72,6 +72,16 @@ def test_a_network_is_understood(tmp_path: Path) -> None:
     np.testing.assert_allclose(recording.readings[6, 1] - recording.readings[5, 1], -90 * GON)
 
 
+def test_names_with_a_slash_are_kept_apart(tmp_path: Path) -> None:
+    """The offset marks of a point, 12/1 and 12/2, beside a point whose name one of them would take."""
+    (tmp_path / "n.gkf").write_text(SAMPLE.replace('"A"', '"12/1"').replace('"B"', '"12_1"'))
+    said = read(tmp_path / "n.gkf")
+    assert said.stations == ("12_1_", "12_1_#2", "D")
+    assert {"12_1_", "12_1"} < set(said.targets)
+    np.testing.assert_array_equal(said.readings, read(sample(tmp_path / "m.gkf")).readings)
+    assert "'/' in names of points is written '_': 12_1_" in said.notes
+
+
 def test_points_heights_and_lengths(tmp_path: Path) -> None:
     recording = read(sample(tmp_path / "n.gkf"))
     targets = recording.setup.targets

@@ -185,6 +185,8 @@ def _parameters(content: CalibrationFile, truth: Truth | None) -> list[Block]:
     true = [known[n] / FACTOR[truth.units[n]] if truth and n in known else None for n in names]
     text = "Corrections (truth minus reading) with 95 % intervals, against the spread that the maker guarantees."
     note = "Corrections, truth minus reading, +- one sigma."
+    if any(p.applied is not None for p in rows):
+        note += " Applied: estimated anew without what is not applied, under the priors that the readings ask for."
     blocks: list[Block] = [
         Picture("Instrument parameters", lambda: figures.parameters.parameter_figure(rows, true), text),
         *table_block("Parameters in numbers", PARAMETERS.filled(rows), note=note, folds=False),

@@ -18,6 +18,7 @@ import numpy as np
 
 from ltsim.arrays import Floats, Ints
 from ltsim.errors import RecordError
+from ltsim.notation import listing
 from ltsim.recording.conventions import NO_HINTS, Hints
 from ltsim.recording.files import FilePlace, as_title, shown
 from ltsim.recording.pointings import NAN, Observed, merged, numbered, recording_of, settled_heights
@@ -41,6 +42,8 @@ FIXED_MM = 1e-4
 CC = FACTOR["cc"]
 STATED = {"direction": "direction", "z-angle": "zenith-angle", "s-distance": "distance", "distance": "distance"}
 """Under which name the file states the standard deviation of an observation."""
+NAMES = ("id", "from", "to", "bs", "fs")
+"""Attributes that name a point."""
 CORRELATIONS = "correlations of observations are left out: of a <cov-mat> the diagonal is used"
 _DMS = re.compile(r"([+-]?)(\d{1,3})-(\d{1,2})-(\d{1,2}(?:\.\d+)?)", re.ASCII)
 
@@ -102,6 +105,7 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     if root.tag not in ("gama-local", "gama-xml"):
         raise RecordError(f"the root is <{shown(root.tag)}>, expected <gama-local>", file=path)
     network = _Network(path)
+    _without_slashes(root, network)
     for node in root.inside("network", "description", "parameters"):
         if node.tag == "network":
             _read_axes(node, network)
@@ -114,6 +118,21 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
         for node in section:
             _read_part(node, network)
     return _finished(network)
+
+
+def _without_slashes(root: Node, network: _Network) -> None:
+    """Write names of points with `_` in place of `/`, which the name of a target may not hold; no `..` is a name."""
+    named = [(element, key) for element in root.element.iter() for key in NAMES if key in element.attrib]
+    given = dict.fromkeys(element.attrib[key] for element, key in named)
+    names: dict[str, str] = {}
+    for name in (name for name in given if "/" in name and ".." not in name):
+        names[name] = name.replace("/", "_")
+        while names[name] in given or list(names.values()).count(names[name]) > 1:
+            names[name] += "_"
+    for element, key in named:
+        element.attrib[key] = names.get(element.attrib[key], element.attrib[key])
+    if names:
+        network.notes.append(f"'/' in names of points is written '_': {listing([*names.values()], 3)}")
 
 
 def _read_axes(node: Node, network: _Network) -> None:

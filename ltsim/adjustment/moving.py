@@ -1,0 +1,122 @@
+"""Stations that move while they measure: what a motion explains, no pointing is blamed for.
+
+A tripod that sinks bends all that is measured from it, and a test of single readings then names many of them. Where it
+does so, an even motion of their station is tried in their place; it is believed where it costs less.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import special
+
+from ltsim.adjustment.adjustment import Adjustment
+from ltsim.adjustment.problem import NetworkProblem
+from ltsim.adjustment.reliability import FAMILY_LEVEL, critical_w
+from ltsim.adjustment.snooping import snooped
+from ltsim.arrays import Floats
+from ltsim.effects.effect import Stage
+from ltsim.effects.motions import StationMotion
+from ltsim.effects.station_bump import StationBump
+from ltsim.model.measurement import State
+from ltsim.notation import with_sigma
+from ltsim.scene.sightings import Sightings
+from ltsim.units import MICROMETRE, MICRORADIAN
+
+WITNESSES = 3
+"""Targets that a motion of the station needs: what fewer show may be their own."""
+
+
+@dataclass(frozen=True)
+class EvenMotion(StationMotion):
+    """An even motion of a station during its visit, by its end; no cause of the catalogue, for many make it.
+
+    A target that is watched without a break counts at one time: what changes meanwhile may be the target's own, and
+    only who comes back to it learns of the station.
+    """
+
+    name = "station-motion"
+    stage = Stage.STATION
+    covariates = ("time",)
+    scope = "station"
+    parameters = StationBump.parameters
+
+    def motion(self, sightings: Sightings) -> Floats:
+        """Its share of the whole motion at each pointing, for each component."""
+        longest = np.full(len(sightings.station_names), 1e-9)
+        np.maximum.at(longest, sightings.station, sightings.station_time)
+        share = by_runs(sightings).station_time / longest[sightings.station]
+        return (self.mask(sightings) * share)[:, None, None] * np.eye(6)
+
+
+def by_runs(sightings: Sightings) -> Sightings:
+    """The sightings, those of a target that is watched without a break at one time."""
+    _, run = np.unique(np.stack([sightings.station, sightings.seating]), axis=1, return_inverse=True)
+    return replace(sightings, time=(np.bincount(run, sightings.time) / np.bincount(run))[run])
+
+
+def moving_stations(adjustment: Adjustment) -> tuple[EvenMotion, ...]:
+    """The stations whose even motion makes all but a few readings fit that do not fit otherwise, and costs less.
+
+    Its price is that of its test, and that of a reading which does not belong the same (as `known` has it).
+    """
+    recording, problem, found = adjustment.recording, adjustment.problem, list[EvenMotion]()
+    blamed = adjustment.rejected.any() or adjustment.outliers(estimated=True)
+    if not (adjustment.solution.converged and blamed):
+        return ()
+    placed = ~problem.structure.unseen[recording.target]
+    problem = replace(problem, use=recording.measured & placed[:, None])
+    each = critical_w(int(problem.use.sum())) ** 2
+    paid = float(special.chdtri(len(EvenMotion.parameters), FAMILY_LEVEL / len(recording.stations)))
+    kept, ended = snooped(problem, adjustment.state)
+    for station in _suspects(problem, kept):
+        motion = EvenMotion((recording.stations[station],))
+        wider, start = _with_motion(problem, ended.x, motion)
+        fewer, better = snooped(wider, start)
+        gain = (ended.cost - better.cost) / max(1.0, better.cost / max(fewer.dof, 1))
+        gain += each * (int(fewer.use.sum()) - int(kept.use.sum()))
+        if gain > paid and station not in _suspects(wider, fewer):
+            problem, kept, ended = wider, fewer, better
+            found.append(motion)
+    return tuple(found)
+
+
+def told_motions(adjustment: Adjustment) -> Iterator[tuple[EvenMotion, str]]:
+    """Each even motion of a station among an adjustment's effects, and a sentence on it."""
+    first = 0
+    for effect in adjustment.effects:
+        own = slice(first, first := first + len(effect.parameters))
+        if isinstance(effect, EvenMotion):
+            values, spread = adjustment.state.extra[own], adjustment.extra_covariance[own, own]
+            sizes = (("um", MICROMETRE, slice(0, 3)), ("urad", MICRORADIAN, slice(3, 6)))
+            parts = " and ".join(_length(values[at] / one, spread[at, at] / one**2, unit) for unit, one, at in sizes)
+            yield (
+                effect,
+                f"station {', '.join(effect.stations)} moves while it measures, by {parts} in all: estimated beside "
+                "the rest, so that its pointings are not to blame",
+            )
+
+
+def _length(vector: Floats, covariance: Floats, unit: str) -> str:
+    """The length of a vector (3,) with its standard deviation, in words."""
+    length = float(np.linalg.norm(vector))
+    return with_sigma(length, float(np.sqrt(vector @ covariance @ vector)) / max(length, 1e-30), unit)
+
+
+def _suspects(problem: NetworkProblem, kept: NetworkProblem) -> list[int]:
+    """Stations of which readings to several targets do not fit, that of most readings first."""
+    recording, out = problem.model.recording, problem.use & ~kept.use
+    rows = out.any(axis=1)
+    pairs = np.unique(np.stack([recording.station[rows], recording.target[rows]]), axis=1)
+    targets = np.bincount(pairs[0], minlength=len(recording.stations))
+    return sorted(np.flatnonzero(targets >= WITNESSES).tolist(), key=lambda s: -targets[s])
+
+
+def _with_motion(problem: NetworkProblem, state: State, motion: EvenMotion) -> tuple[NetworkProblem, State]:
+    """The problem with a further effect, and a state of it."""
+    effects = problem.model.effects
+    model = replace(problem.model, effects=(*effects, motion))
+    before = sum(len(effect.parameters) for effect in effects)
+    extra = np.insert(state.extra, before, np.zeros(len(motion.parameters)))
+    wider = NetworkProblem.of(model, sigma=problem.sigma, use=problem.use, prior=problem.prior)
+    return wider, replace(state, extra=extra)
