@@ -22,6 +22,8 @@ GAP = 6.0
 """[pt] From a place to its name."""
 LETTER = (0.62, 1.25)
 """Width and height of a letter over the font's."""
+HALO = {"boxstyle": "square,pad=0", "facecolor": "#FFFFFFB0", "edgecolor": "none"}
+"""Behind a name: no line crosses it."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +60,7 @@ def place_labels(figure: Figure, ax: Axes, labels: Sequence[Label], markers: Flo
                 ax.annotate(
                     label.text, tuple(label.place), xytext=tuple(offset), textcoords="offset points", ha="center",
                     va="center", fontsize=label.size, fontweight="bold" if label.bold else "normal",
-                    color=label.colour, zorder=8, in_layout=False,
+                    color=label.colour, zorder=8, in_layout=False, bbox=HALO,
                 )  # fmt: skip
                 break
 

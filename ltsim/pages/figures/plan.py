@@ -50,8 +50,8 @@ def trade_off(plan: PlanResult, name: str) -> Figure:
     if (every > 0).all() and every.max() > 20 * every.min():
         ax.set_yscale("log")
     ax.margins(x=0.1, y=0.12)
-    ax.set_xlabel("time on the floor [h]")
-    ax.set_ylabel(f"{typeset(label)} (lower is better)")
+    ax.set_xlabel("time on the floor [h]; s: stations, f: faces, r: rounds")
+    ax.set_ylabel(f"{typeset(label)}\n(lower is better)")
     style.quiet_axis(ax, grid="both")
     style.legend_of(figure, [ax], ncols=2)
     return figure
@@ -73,7 +73,7 @@ def reflector_changes(workshop: PlacedWorkshop, changes: Sequence[PlanChange], g
     for number, change in enumerate(changes, 1):
         if change.position_mm is None:
             x, y = place[change.reflector]
-            ax.scatter(x, y, marker="x", s=60, color=style.RED, linewidths=1.6, zorder=9)
+            ax.scatter(x, y, marker="x", s=60, color=style.RED, linewidths=1.6, zorder=9, label="may be left out")
             continue
         x, y = (v * MILLIMETRE for v in change.position_mm[:2])
         near = next((p for p in numbers if hypot(p[0] - x, p[1] - y) < ONE_MARK * workshop.size), (x, y))
@@ -86,4 +86,5 @@ def reflector_changes(workshop: PlacedWorkshop, changes: Sequence[PlanChange], g
         ax.text(
             x, y, ", ".join(map(str, own)), fontsize=7, ha="center", va="center", color=style.INK, bbox=ring, zorder=11
         )
+    ax.scatter([], [], marker="$1$", color=style.INK, label="place of change 1")
     return figure
