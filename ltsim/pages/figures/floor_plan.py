@@ -1,7 +1,7 @@
 """The floor seen from above, as the paper's Figure 5, with names where there is room."""
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -80,7 +80,12 @@ ON_A_WALL = 0.35
 
 @style.styled
 def floor_plan(
-    workshop: PlacedWorkshop, *, reference: Floats | None = None, coordinates: bool = False, ground: Floor | None = None
+    workshop: PlacedWorkshop,
+    *,
+    reference: Floats | None = None,
+    coordinates: bool = False,
+    ground: Floor | None = None,
+    marks: Callable[[Axes], list[Label]] = lambda ax: [],
 ) -> Figure:
     """Top view in metres: circles are the shadows of both cone openings on the floor, the tick is azimuth zero.
 
@@ -93,6 +98,8 @@ def floor_plan(
         List where each tripod goes beside the picture.
     ground : Floor, optional
         Areas for tripods, what stays free, and doors of a plan.
+    marks : function, optional
+        Draws further marks, which stand in the legend by their labels, and gives their names.
     """
     low, high = _limits(workshop)
     tall = (high[1] - low[1]) / (high[0] - low[0])
@@ -123,7 +130,8 @@ def floor_plan(
     ax.set_ylabel("y [m]")
     ax.set_xlim(low[0], high[0])
     ax.set_ylim(low[1], high[1])
-    labels_of = [*_station_labels(workshop), *names]
+    marked = marks(ax)
+    labels_of = [*marked, *_station_labels(workshop), *names]
     if len(workshop.targets) <= MOST_LABELS:
         labels_of += _target_labels(workshop)
     handles, labels = ax.get_legend_handles_labels()
@@ -132,7 +140,8 @@ def floor_plan(
         handles, labels = [*handles, *blank], [*labels, *places]
         figure.set_figheight(figure.get_figheight() + ROW * len(places))
     figure.legend(handles, labels, loc="outside lower center", ncols=2)
-    place_labels(figure, ax, labels_of, np.concatenate([workshop.position[:, :2], workshop.points[:, :2]]))
+    spots = [*workshop.position[:, :2], *workshop.points[:, :2], *(label.place for label in marked)]
+    place_labels(figure, ax, labels_of, np.array(spots))
     return figure
 
 
