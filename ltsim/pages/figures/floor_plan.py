@@ -3,6 +3,7 @@
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -11,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Polygon
 
-from ltsim.arrays import Bools, Floats, Ints
+from ltsim.arrays import Bools, Floats
 from ltsim.pages import style
 from ltsim.pages.workshop import PlacedWorkshop
 from ltsim.planning.floor import Floor, FloorArea, distance
@@ -198,14 +199,11 @@ def _limits(workshop: PlacedWorkshop) -> Floats:
 
 def _shadows(ax: Axes, workshop: PlacedWorkshop) -> None:
     for k, opening in enumerate(workshop.openings):
-        how = (
-            {"facecolor": "#D55E0022", "edgecolor": style.RED, "linestyle": "-"}
-            if k == 0
-            else {"facecolor": "none", "edgecolor": style.RED, "linestyle": (0, (3, 2))}
-        )
+        inner, outer = {"facecolor": "#D55E0022"}, {"facecolor": "none", "linestyle": (0, (3, 2))}
+        how: dict[str, Any] = {"edgecolor": style.RED, "linewidth": 0.9, "zorder": 1} | (outer if k else inner)
         for s, radius in enumerate(workshop.shadow_radius(opening)):
             word = f"shadow, cone of {opening / DEGREE:.0f}°" if s == 0 else None
-            ax.add_patch(Circle(tuple(workshop.position[s, :2]), radius, linewidth=0.9, zorder=1, label=word, **how))
+            ax.add_patch(Circle(tuple(workshop.position[s, :2]), radius, label=word, **how))
 
 
 def _obstacles(ax: Axes, workshop: PlacedWorkshop) -> None:
@@ -298,27 +296,13 @@ def _target_labels(workshop: PlacedWorkshop) -> list[Label]:
 def _stations(ax: Axes, workshop: PlacedWorkshop, colours: Sequence[str]) -> None:
     length = 0.075 * float(np.ptp(workshop.floor, axis=0).max())
     tick: Floats = length * np.stack([np.cos(workshop.yaw), np.sin(workshop.yaw)], axis=1)
-    order: Ints = np.arange(len(workshop.stations))
-    for s in order:
-        x, y = workshop.position[s, :2]
-        ax.annotate(
-            "",
-            xy=(x + tick[s, 0], y + tick[s, 1]),
-            xytext=(x, y),
-            zorder=6,
-            arrowprops={"arrowstyle": "-|>", "color": style.INK, "lw": 1.3, "shrinkA": 0, "shrinkB": 0},
-        )
-    ax.scatter(
-        workshop.position[:, 0],
-        workshop.position[:, 1],
-        s=64,
-        marker="s" if colours is style.CYCLE else "o",
-        color=list(colours[: len(workshop.stations)]),
-        edgecolors="white",
-        linewidths=0.8,
-        zorder=7,
-        label="station, tick to azimuth 0",
-    )
+    arrow = {"arrowstyle": "-|>", "color": style.INK, "lw": 1.3, "shrinkA": 0, "shrinkB": 0}
+    for place, end in zip(workshop.position[:, :2], tick, strict=True):
+        ax.annotate("", tuple(place + end), tuple(place), zorder=6, arrowprops=arrow)
+    x, y = workshop.position[:, :2].T
+    marker, own = "s" if colours is style.CYCLE else "o", list(colours[: len(workshop.stations)])
+    look: dict[str, Any] = {"s": 64, "edgecolors": "white", "linewidths": 0.8, "zorder": 7}
+    ax.scatter(x, y, marker=marker, color=own, label="station, tick to azimuth 0", **look)
 
 
 def _station_labels(workshop: PlacedWorkshop) -> list[Label]:

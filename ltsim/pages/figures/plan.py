@@ -68,23 +68,22 @@ def reflector_changes(workshop: PlacedWorkshop, changes: Sequence[PlanChange], g
 
     def marks(ax: Axes) -> list[Label]:
         labels = []
-        for new, marker, word in ((True, "D", "new place, by number"), (False, "x", "can go, by number")):
+        kinds = (True, "D", style.PURPLE, "new place, by number"), (False, "x", style.RED, "can go, by number")
+        for new, marker, colour, word in kinds:
             numbers: dict[tuple[float, float], list[int]] = {}
             for number, change in enumerate(changes, 1):
                 if (change.position_mm is not None) != new:
                     continue
-                x, y = (
-                    (v * MILLIMETRE for v in change.position_mm[:2]) if change.position_mm else known[change.reflector]
-                )
+                there = change.position_mm
+                x, y = (v * MILLIMETRE for v in there[:2]) if there else known[change.reflector]
                 near = next((p for p in numbers if hypot(p[0] - x, p[1] - y) < ONE_MARK * workshop.size), (x, y))
                 numbers.setdefault(near, []).append(number)
                 if new and change.reflector:
                     arrow = {"arrowstyle": "-|>", "color": style.PURPLE, "lw": 1.3, "shrinkA": 3, "shrinkB": 4}
                     ax.annotate("", near, xytext=known[change.reflector], arrowprops=arrow, zorder=8)
             if numbers:
-                colour = style.PURPLE if new else style.RED
-                at = np.array([*numbers])
-                ax.scatter(at[:, 0], at[:, 1], marker=marker, s=40, color=colour, zorder=9, label=word)
+                at = np.array([*numbers]).T
+                ax.scatter(at[0], at[1], marker=marker, s=40, color=colour, zorder=9, label=word)
             labels += [Label(", ".join(map(str, n)), np.array(at), 8.0, bold=True) for at, n in numbers.items()]
         return labels
 
