@@ -132,8 +132,8 @@ def _figure(effect: Effect, sightings: Sightings, moved: Floats) -> Figure:
             ax.scatter(axis(sightings)[rows], moved[rows, k], s=9, color=colour, linewidths=0, label=f"face {face}")
         ax.axhline(0.0, color=INK, linewidth=0.6)
         ax.set_title(SIDES[k])
-        ax.set_xlabel(title)
         quiet_axis(ax, grid="both")
+    panels[1].set_xlabel(title)
     panels[0].set_ylabel("change of the point [µm]")
     legend_of(figure, panels)
     return figure
