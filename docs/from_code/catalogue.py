@@ -12,7 +12,7 @@ from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.arrays import Floats
 from ltsim.effects import CATALOGUE, Effect, ShapeParameter, card_of
-from ltsim.pages.style import BLUE, INK, ORANGE, WIDTH, quiet_axis, styled, svg, svg_uri
+from ltsim.pages.style import BLUE, INK, ORANGE, legend_of, new_figure, quiet_axis, styled, svg, svg_uri
 from ltsim.scene.sightings import Sightings
 from ltsim.simulation.scenario import load_scenario
 from ltsim.simulation.simulator import simulate
@@ -124,8 +124,7 @@ def _figure(effect: Effect, sightings: Sightings, moved: Floats) -> Figure:
     acts = np.any(moved != 0.0, axis=1)
     stations = sightings.station[acts]
     shown = sightings.station == np.bincount(stations).argmax()
-    figure = Figure(figsize=(WIDTH, 1.9))
-    figure.subplots_adjust(left=0.08, right=0.99, bottom=0.22, top=0.88, wspace=0.06)
+    figure = new_figure(2.1)
     panels = figure.subplots(1, 3, sharex=True, sharey=True)
     for k, ax in enumerate(panels):
         for face, colour in ((1, BLUE), (2, ORANGE)):
@@ -133,8 +132,8 @@ def _figure(effect: Effect, sightings: Sightings, moved: Floats) -> Figure:
             ax.scatter(axis(sightings)[rows], moved[rows, k], s=9, color=colour, linewidths=0, label=f"face {face}")
         ax.axhline(0.0, color=INK, linewidth=0.6)
         ax.set_title(SIDES[k])
-        ax.set_xlabel(title)
         quiet_axis(ax, grid="both")
+    panels[1].set_xlabel(title)
     panels[0].set_ylabel("change of the point [µm]")
-    panels[0].legend(loc="best", handletextpad=0.1)
+    legend_of(figure, panels)
     return figure

@@ -8,9 +8,9 @@ from ltsim.pages.figures.campaign import FLOOR, by_factor, by_setting, swept
 
 def run(given: Options) -> Made:
     gauges, orders = campaign("gauge.toml", given), campaign("config.toml", given, "harmonics")
-    write_figure(
-        given.out / "gauge.svg", by_setting(swept(gauges, ERROR, ("title", "range_scale_ppm")), label=NEW_POINTS)
-    )
+    figure = by_setting(swept(gauges, ERROR, ("title", "range_scale_ppm")), label=NEW_POINTS)
+    figure.axes[0].set_ylabel("reflectors of the gauge, true error of the range scale")
+    write_figure(given.out / "gauge.svg", figure)
     rows = swept(orders, ERROR, "beyond_second_urad")
     # True parameters leave what lies beyond the second order: the noise alone shows where there is nothing beyond it.
     floor = next(row for row in rows if row.line == FLOOR and not row.x)

@@ -57,7 +57,13 @@ def by_elevation(rows: list[Row], distance: float) -> Figure:
     elevation = sorted({row["elevation_deg"] for row in rows})
     for k, (shifts, names) in enumerate(lines.items()):
         style = "-" if k < len(CYCLE) else "--"
-        ax.plot(elevation, shifts, color=CYCLE[k % len(CYCLE)], linestyle=style, label=fill(", ".join(names), 75))
+        ax.plot(
+            elevation,
+            shifts,
+            color=CYCLE[k % len(CYCLE)],
+            linestyle=style,
+            label=fill(", ".join(names), 75, break_on_hyphens=False),
+        )
     ax.set_xlabel("elevation [°]")
     ax.set_ylabel(f"shift by one sigma at {distance:g} m [µm]")
     quiet_axis(ax, grid="both")
@@ -77,7 +83,9 @@ def run(given: Options) -> Made:
         moved = {f"targets.{name}.position_mm": [*own.position_mm[:2], height] for (name, own), height in dealt}
         cells.append({"title": title if len(heights) <= 3 else f"{len(heights)} heights"} | moved)
     results = campaign("config.toml", given, cells=cells)
-    write_figure(given.out / "designs.svg", by_setting(swept(results, ERROR, "title"), label=NEW_POINTS))
+    figure = by_setting(swept(results, ERROR, "title"), label=NEW_POINTS)
+    figure.axes[0].set_ylabel("heights of the reflectors")
+    write_figure(given.out / "designs.svg", figure)
     # The same instruments, mesh by mesh: the difference from the paper's is known better than either mean.
     first, *others = [cell["title"] for cell in cells]
     pairs = [results.paired(ERROR, title=(other, first)) for other in others]

@@ -3,13 +3,14 @@
 import importlib.metadata
 import json
 import platform
+import re
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
-from markupsafe import Markup
+from markupsafe import Markup, escape
 
 from ltsim.campaigns import require_packages
 from ltsim.errors import LtsimError, RecordError
@@ -193,9 +194,9 @@ def render(content: Document) -> str:
     loader = PackageLoader("ltsim.pages")
     environment = Environment(loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True)
     environment.filters["print"] = typeset
-    palette, style, script = (
-        loader.get_source(environment, file)[0] for file in ("palette.css", "page.css", "page.js")
-    )
+    environment.filters["names"] = lambda text: Markup(re.sub(r"[_:]|\.(?=[a-z])", r"\g<0><wbr>", str(escape(text))))
+    files = "palette.css", "page.css", "page.js"
+    palette, style, script = (loader.get_source(environment, file)[0] for file in files)
     own = {"style": Markup(palette + style), "script": Markup(script)}
     return environment.get_template("page.html.j2").render(document=content, policy=POLICY, **own)
 

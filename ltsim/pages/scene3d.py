@@ -314,9 +314,9 @@ def _corrections(plotter: pv.Plotter, workshop: PlacedWorkshop, lines: list[str]
 def _names(plotter: pv.Plotter, workshop: PlacedWorkshop) -> None:
     direction = np.array(plotter.camera.position) - np.array(plotter.camera.focal_point)
     size = 0.026 * workshop.size
-    groups = [("station-names", workshop.stations, workshop.position, 0.33, 1.5 * size, style.INK)]
+    groups = [("station-names", workshop.stations, workshop.position, 0.15 + size, 1.5 * size, style.INK)]
     if len(workshop.targets) <= MOST_LABELS:
-        groups.append(("target-names", workshop.targets, workshop.points, 0.1, size, "#3A4046"))
+        groups.append(("target-names", workshop.targets, workshop.points, size, size, "#3A4046"))
     for key, names, places, up, height, colour in groups:
         raised = places + np.array([0.0, 0.0, up])
         words = [_letters(name, place, direction, height) for name, place in zip(names, raised, strict=True)]

@@ -23,7 +23,7 @@ def _blocks(plan: Plan) -> list[Block]:
     survey = plan.chosen.survey
     rows = [
         [s.name, f"{s.height:.2f}", *(f"{t.metres:.2f} m to {t.to}{'' if t.floor else ' (straight)'}" for t in s.tapes),
-         s.towards]
+         *[""] * (3 - len(s.tapes)), s.towards]
         for s in stations
     ]  # fmt: skip
     header = ["station", "head over floor [m]", "tape 1", "tape 2", "tape 3", "azimuth zero looks"]
@@ -31,6 +31,7 @@ def _blocks(plan: Plan) -> list[Block]:
         "Distances lie on the floor, from the mark under the head to the floor under the point; straight ones go from "
         "the head's centre to the reflector. Two set the place, the third checks it."
     )
+    note = " ".join([note, *(f"{s.name}: {s.lacking}" for s in stations if s.lacking)])
     blocks: list[Block] = [
         Grid("Where the tripods go", header, rows, 6, note),
         Picture(

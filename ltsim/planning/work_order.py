@@ -8,7 +8,6 @@ from itertools import combinations
 from typing import Any
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from ltsim.arrays import Bools, Floats
 from ltsim.model.measurement import sightings_of
@@ -22,15 +21,15 @@ TAPE = 15.0
 MOST_MARKS = 16
 """Marks of a station that are looked at."""
 STRAIGHT = 0.1
-"""What a distance straight to a reflector must gain over one along the floor in the same sine."""
-PLAY, CLEAR = 0.03, 0.1
-"""[m] within which three distances must give the place, and by how much they must miss its mirror image."""
+"""What a distance straight to a reflector must gain in it over one along the floor."""
+READ, PLAY, CLEAR = 0.01, 0.03, 0.1
+"""[m] to which a tape is read, by how much three may leave the place open, and must miss every other place."""
 NEAR = 0.3
 """[m] under which a distance fixes nothing."""
 ANKLE = 0.1
 """[m] above the floor at which the tape must have a free way."""
 BORED = 0.03
-"""What a metre more of tape must gain in the sine of the angle at which two distances cross."""
+"""What a metre more of tape must gain in the firmness of three distances."""
 TRUST = 3.0
 """Sigmas beyond which a repeated point is taken to have moved."""
 COMMON = 3
@@ -62,7 +61,9 @@ class Setting:
     height: float
     """[m]: of the head's centre above the floor."""
     tapes: tuple[Tape, ...]
-    """Three, which meet in one point."""
+    """Three, which meet in one point unless `lacking` says otherwise."""
+    lacking: str
+    """What the tapes lack to fix the place; empty where they do."""
     towards: str
     """Where azimuth zero looks, in words."""
     order: tuple[str, ...]
@@ -89,11 +90,13 @@ def settings_of(plan: Plan) -> tuple[Setting, ...]:
         order = list(dict.fromkeys(recording.target[rows].tolist()))
         again = [order[i] for i in np.unique(np.linspace(0, len(order) - 1, COMMON).round().astype(int))]
         limit = {t: TRUST * np.sqrt(2.0) * float(error[rows[recording.target[rows] == t][0]]) for t in again}
+        tapes = _tapes(_marks(plan, place, seen), place)
         found.append(
             Setting(
                 name=name,
                 height=float(place[2]),
-                tapes=_tapes(plan, place, seen),
+                tapes=tapes,
+                lacking=lacking(tapes, place),
                 towards=_towards(plan, place, float(survey.yaw[at]), seen),
                 order=tuple(recording.targets[t] for t in order),
                 again={recording.targets[t]: value for t, value in limit.items()},
@@ -104,10 +107,10 @@ def settings_of(plan: Plan) -> tuple[Setting, ...]:
 
 
 def _marks(plan: Plan, place: Floats, seen: Bools) -> list[Tape]:
-    """What a station can be taped to, along the floor first; of what is far the nearest: there are never too few.
+    """What a station can be taped to: in reach of a tape first, then along the floor, then the nearest.
 
     Along the floor: points that can be plumbed and corners of the room, if the way is free; else straight to any
-    reflector in sight.
+    other reflector in sight.
     """
     survey, obstacles = plan.chosen.survey, plan.site.obstacles
     targets = list(zip(survey.target_names, survey.points, strict=True))
@@ -119,47 +122,46 @@ def _marks(plan: Plan, place: Floats, seen: Bools) -> list[Tape]:
         ends = np.array([[*mark.place[:2], ANKLE] for mark in level])
         blocked = obstacles.blocked(np.tile([*place[:2], ANKLE], (len(ends), 1)), ends)
         level = [mark for mark, hidden in zip(level, blocked, strict=True) if not hidden]
-    straight = [Tape.of(*targets[t], place, floor=False) for t in np.flatnonzero(seen)]
-    every = sorted((mark for mark in (*level, *straight) if mark.metres > NEAR), key=lambda mark: mark.metres)
-    near = [mark for mark in every if mark.metres < TAPE]
-    enough = len({mark.to for mark in near}) >= 3
-    return sorted(near if enough else every[:MOST_MARKS], key=lambda mark: not mark.floor)[:MOST_MARKS]
+    known = {mark.to for mark in level}
+    straight = [Tape.of(*targets[t], place, floor=False) for t in np.flatnonzero(seen) if targets[t][0] not in known]
+    every = [mark for mark in (*level, *straight) if mark.metres > NEAR]
+    return sorted(every, key=lambda mark: (mark.metres > TAPE, not mark.floor, mark.metres))[:MOST_MARKS]
 
 
-def _tapes(plan: Plan, place: Floats, seen: Bools) -> tuple[Tape, ...]:
-    """Three distances that cross well, are short and meet in one point only, the station's."""
-    marks = _marks(plan, place, seen)
+def _tapes(marks: Sequence[Tape], place: Floats) -> tuple[Tape, ...]:
+    """Three distances that cross well, are short and meet in one point only, the station's; else the firmest three."""
 
-    def worth(three: tuple[Tape, ...]) -> float:
-        way = np.array([mark.place[:2] - place[:2] for mark in three])
-        way /= np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-9)
-        crossing = min(abs(a[0] * b[1] - a[1] * b[0]) for a, b in combinations(way, 2))
+    def worth(three: tuple[Tape, ...]) -> tuple[bool, bool, float]:
+        firm, good = firmness(three, place), not lacking(three, place)
         longest, straight = max(mark.metres for mark in three), sum(not mark.floor for mark in three)
-        return float(crossing - BORED * longest - STRAIGHT * straight)
+        return good, good and longest <= TAPE, firm - good * (BORED * longest + STRAIGHT * straight)
 
-    groups = [three for three in combinations(marks, 3) if len({mark.to for mark in three}) == 3]
-    good = (three for three in sorted(groups, key=worth, reverse=True) if meet(three, place))
-    return next(good, tuple(marks[:3]))
+    return max(combinations(marks, 3), key=worth, default=tuple(marks))
 
 
-def meet(three: Sequence[Tape], place: Floats) -> bool:
-    """Whether three distances, read to the centimetre, give the place within `PLAY` and no other one."""
-    rise = np.array([0.0 if mark.floor else mark.place[2] - place[2] for mark in three])
-    flat = np.sqrt(np.maximum(np.array([round(mark.metres, 2) for mark in three]) ** 2 - rise**2, 0.0))
-    at = np.array([mark.place[:2] for mark in three])
+def firmness(three: Sequence[Tape], place: Floats) -> float:
+    """By how much distances change at least for a step on the floor: the least singular value of their slopes."""
+    slopes = np.array([(place[:2] - mark.place[:2]) / mark.metres for mark in three])
+    return float(np.linalg.svd(slopes, compute_uv=False).min())
 
-    def misses(there: Floats) -> Floats:
-        return np.linalg.norm(at - there, axis=1) - flat
 
-    along = at[1] - at[0]
-    if not np.linalg.norm(along) > NEAR:
-        return False
-    along /= np.linalg.norm(along)
-    gap = place[:2] - at[0]
+def lacking(tapes: Sequence[Tape], place: Floats) -> str:
+    """What distances, read within `READ`, lack to give the place and no other one, as a sentence; empty for nothing."""
+    if len(tapes) < 3:
+        return "Fewer than three points can be taped to: mark its place by another way."
+    if (firm := firmness(tapes, place)) * PLAY < READ:
+        wide = f"by {100 * READ / firm:.0f} cm" if firm > READ else "along a line"
+        return f"The tapes cross too flat and leave its place open {wide}: mark it by another way."
+    at = np.array([mark.place[:2] for mark in tapes])
+    rise = np.array([mark.metres for mark in tapes]) ** 2 - np.sum((place[:2] - at) ** 2, axis=1)
+    first, second = max(combinations(at, 2), key=lambda ends: float(np.linalg.norm(ends[1] - ends[0])))
+    along = (second - first) / np.linalg.norm(second - first)
+    gap = place[:2] - first
     mirror = place[:2] - 2.0 * (gap - along * (gap @ along))
-    found = least_squares(misses, place[:2] + 0.05)
-    apart = np.linalg.norm(mirror - place[:2])
-    return bool(np.linalg.norm(found.x - place[:2]) < PLAY and (apart < PLAY or np.abs(misses(mirror)).max() > CLEAR))
+    misses = np.sqrt(np.sum((mirror - at) ** 2, axis=1) + rise) - [mark.metres for mark in tapes]
+    if np.linalg.norm(mirror - place[:2]) < PLAY or np.abs(misses).max() > CLEAR:
+        return ""
+    return f"The tapes meet a second time, at x {mirror[0]:.2f}, y {mirror[1]:.2f} m: that is the wrong side."
 
 
 def _towards(plan: Plan, place: Floats, yaw: float, seen: Bools) -> str:

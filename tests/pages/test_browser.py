@@ -87,9 +87,10 @@ def test_canvas_of_the_report_is_drawn(page: Path, tmp_path: Path) -> None:
     assert len(np.unique((255 * middle).astype(np.uint8).reshape(-1, 3), axis=0)) > 300
 
 
-@pytest.mark.parametrize("kind", ["calibration", "history", "next", "plan"])
+@pytest.mark.parametrize("kind", ["calibration", "history", "next", "plan", "campaign"])
 def test_a_phone_never_scrolls_sideways(kind: str, page: Path, tmp_path: Path) -> None:
     made = {"history": samples.history_folder, "next": samples.next_folder, "plan": samples.plan_folder}
+    made["campaign"] = samples.campaign_folder
     html = page.read_text() if kind == "calibration" else report(made[kind](tmp_path / kind)).read_text()
     inner = tmp_path / "inner.html"
     inner.write_text(html.replace("</body>", PROBE))

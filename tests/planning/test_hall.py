@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -11,14 +12,15 @@ import pytest
 import ltsim as lt
 from ltsim.cli.main import run
 from ltsim.errors import SetupError
-from ltsim.planning import reasons
+from ltsim.pages.work_order import work_order_page
+from ltsim.planning import reasons, work_order
 from ltsim.planning.files import plan_file
 from ltsim.planning.floor import Floor, fault, ground_of, inside, may_stand
 from ltsim.planning.loading import load_plan, read_points
 from ltsim.planning.planner import Tried
 from ltsim.planning.site import Placement, Site
 from ltsim.planning.tolerances import Demands, Kept, radius, verdict
-from ltsim.planning.work_order import settings_of
+from ltsim.planning.work_order import Tape, lacking, settings_of
 from ltsim.scene.meshes import cylinder, together
 from ltsim.scene.visibility import visibility
 from ltsim.simulation.workshop import planned, sight_limits
@@ -263,6 +265,29 @@ def test_the_work_order_places_tripods_by_tape_and_lists_the_work(hall: Path, tm
     assert "What to check, and when" in page
     again, _ = lt.simulate(tmp_path / "out" / "scenario.toml", seed=1)
     assert len(again) == made.chosen.survey.pointings
+
+
+def test_tapes_meet_in_one_point_or_say_what_they_lack(hall: Path, monkeypatch) -> None:
+    place = np.array([3.0, 2.0, 1.5])
+
+    def marks(*at: tuple[float, float]) -> list[Tape]:
+        return [Tape.of(f"M{k}", np.array([*xy, 0.0]), place, floor=True) for k, xy in enumerate(at)]
+
+    in_line = marks((0.0, 0.0), (3.0, 0.0), (6.0, 0.0))
+    assert lacking(in_line, place) == "The tapes meet a second time, at x 3.00, y -2.00 m: that is the wrong side."
+    flat = lacking(marks((0.0, 2.2), (6.0, 2.2), (7.0, 2.3)), place)
+    assert re.fullmatch(r"The tapes cross too flat and leave its place open by \d+ cm: mark it by another way\.", flat)
+    assert "open along a line" in lacking(marks((0.0, 2.0), (6.0, 2.0), (7.0, 2.0)), place)
+    assert lacking(in_line[:2], place).startswith("Fewer than three points can be taped to")
+    fourth, far = marks((0.5, 4.0), (19.0, 14.0))
+    for more in ([fourth], [far], [fourth, far]):  # one off the line decides, the nearer one where there is a choice
+        found = work_order._tapes([*in_line, *more], place)
+        assert any(tape is more[0] for tape in found)
+        assert lacking(found, place) == ""
+    assert len(work_order._tapes(in_line[:2], place)) == 2
+    hall.write_text(HALL.replace("[search]", "[stations]\ncount = 2\n[work]\nfaces = 1\n[search]"))
+    monkeypatch.setattr(work_order, "_marks", lambda plan, place, seen: in_line[:2])
+    assert "S1: Fewer than three points can be taped to" in work_order_page(lt.plan(hall))
 
 
 def test_a_network_that_falls_apart_keeps_no_tolerance() -> None:

@@ -157,6 +157,14 @@ START = "import signal; signal.signal(2, signal.default_int_handler); from ltsim
 """A shell in the background starts what it starts deaf to Ctrl-C."""
 SIGMA = "document.querySelector('tr[data-point=M31] td:nth-child(3)').textContent"
 
+COVERED = """(() => { stations[1].mm = [stations[0].mm[0] - 1200, stations[0].mm[1], stations[1].mm[2]]; write();
+  const shown = [...layer.names.children].filter(one => one.getAttribute("visibility") === "visible");
+  const boxes = shown.map(one => [one.textContent, one.getBBox()]);
+  const across = (a, b) => a.x + 1e-6 < b.x + b.width && a.y + 1e-6 < b.y + b.height;
+  return boxes.flatMap(([name, a], i) =>
+    boxes.slice(i + 1).filter(([, b]) => across(a, b) && across(b, a)).map(([b]) => [name, b])); })()"""
+"""Pairs of names that cover each other, the second station 1.2 m beside the first."""
+
 
 def test_a_dragged_station_changes_the_accuracy_on_the_page(hall: Path, tmp_path: Path) -> None:
     find_browser()
@@ -184,6 +192,7 @@ def test_a_dragged_station_changes_the_accuracy_on_the_page(hall: Path, tmp_path
             tab.until("document.querySelector('#space iframe')?.contentWindow.global?.renderWindow")
             tab.value("document.querySelector('#save').click()")
             assert "plan.toml" in tab.until("document.querySelector('#saved').textContent")
+            assert tab.value(COVERED) == []
             assert not [line for line in tab.said if "hashes" not in line and '"rendering"' not in line]
         _, scenario = load_plan(tmp_path / "moved" / "plan.toml")
         assert list(scenario.stations["S1"].position_mm) == after[2]

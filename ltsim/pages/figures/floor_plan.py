@@ -1,8 +1,9 @@
 """The floor seen from above, as the paper's Figure 5, with names where there is room."""
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -11,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Polygon
 
-from ltsim.arrays import Bools, Floats, Ints
+from ltsim.arrays import Bools, Floats
 from ltsim.pages import style
 from ltsim.pages.workshop import PlacedWorkshop
 from ltsim.planning.floor import Floor, FloorArea, distance
@@ -22,6 +23,8 @@ GAP = 6.0
 """[pt] From a place to its name."""
 LETTER = (0.62, 1.25)
 """Width and height of a letter over the font's."""
+HALO = {"boxstyle": "square,pad=0", "facecolor": "#FFFFFFB0", "edgecolor": "none"}
+"""Behind a name: no line crosses it."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +61,7 @@ def place_labels(figure: Figure, ax: Axes, labels: Sequence[Label], markers: Flo
                 ax.annotate(
                     label.text, tuple(label.place), xytext=tuple(offset), textcoords="offset points", ha="center",
                     va="center", fontsize=label.size, fontweight="bold" if label.bold else "normal",
-                    color=label.colour, zorder=8, in_layout=False,
+                    color=label.colour, zorder=8, in_layout=False, bbox=HALO,
                 )  # fmt: skip
                 break
 
@@ -78,7 +81,12 @@ ON_A_WALL = 0.35
 
 @style.styled
 def floor_plan(
-    workshop: PlacedWorkshop, *, reference: Floats | None = None, coordinates: bool = False, ground: Floor | None = None
+    workshop: PlacedWorkshop,
+    *,
+    reference: Floats | None = None,
+    coordinates: bool = False,
+    ground: Floor | None = None,
+    marks: Callable[[Axes], list[Label]] = lambda ax: [],
 ) -> Figure:
     """Top view in metres: circles are the shadows of both cone openings on the floor, the tick is azimuth zero.
 
@@ -91,6 +99,8 @@ def floor_plan(
         List where each tripod goes beside the picture.
     ground : Floor, optional
         Areas for tripods, what stays free, and doors of a plan.
+    marks : function, optional
+        Draws further marks, which stand in the legend by their labels, and gives their names.
     """
     low, high = _limits(workshop)
     tall = (high[1] - low[1]) / (high[0] - low[0])
@@ -121,7 +131,8 @@ def floor_plan(
     ax.set_ylabel("y [m]")
     ax.set_xlim(low[0], high[0])
     ax.set_ylim(low[1], high[1])
-    labels_of = [*_station_labels(workshop), *names]
+    marked = marks(ax)
+    labels_of = [*marked, *_station_labels(workshop), *names]
     if len(workshop.targets) <= MOST_LABELS:
         labels_of += _target_labels(workshop)
     handles, labels = ax.get_legend_handles_labels()
@@ -130,7 +141,8 @@ def floor_plan(
         handles, labels = [*handles, *blank], [*labels, *places]
         figure.set_figheight(figure.get_figheight() + ROW * len(places))
     figure.legend(handles, labels, loc="outside lower center", ncols=2)
-    place_labels(figure, ax, labels_of, np.concatenate([workshop.position[:, :2], workshop.points[:, :2]]))
+    spots = [*workshop.position[:, :2], *workshop.points[:, :2], *(label.place for label in marked)]
+    place_labels(figure, ax, labels_of, np.array(spots))
     return figure
 
 
@@ -187,14 +199,11 @@ def _limits(workshop: PlacedWorkshop) -> Floats:
 
 def _shadows(ax: Axes, workshop: PlacedWorkshop) -> None:
     for k, opening in enumerate(workshop.openings):
-        how = (
-            {"facecolor": "#D55E0022", "edgecolor": style.RED, "linestyle": "-"}
-            if k == 0
-            else {"facecolor": "none", "edgecolor": style.RED, "linestyle": (0, (3, 2))}
-        )
+        inner, outer = {"facecolor": "#D55E0022"}, {"facecolor": "none", "linestyle": (0, (3, 2))}
+        how: dict[str, Any] = {"edgecolor": style.RED, "linewidth": 0.9, "zorder": 1} | (outer if k else inner)
         for s, radius in enumerate(workshop.shadow_radius(opening)):
             word = f"shadow, cone of {opening / DEGREE:.0f}°" if s == 0 else None
-            ax.add_patch(Circle(tuple(workshop.position[s, :2]), radius, linewidth=0.9, zorder=1, label=word, **how))
+            ax.add_patch(Circle(tuple(workshop.position[s, :2]), radius, label=word, **how))
 
 
 def _obstacles(ax: Axes, workshop: PlacedWorkshop) -> None:
@@ -287,27 +296,13 @@ def _target_labels(workshop: PlacedWorkshop) -> list[Label]:
 def _stations(ax: Axes, workshop: PlacedWorkshop, colours: Sequence[str]) -> None:
     length = 0.075 * float(np.ptp(workshop.floor, axis=0).max())
     tick: Floats = length * np.stack([np.cos(workshop.yaw), np.sin(workshop.yaw)], axis=1)
-    order: Ints = np.arange(len(workshop.stations))
-    for s in order:
-        x, y = workshop.position[s, :2]
-        ax.annotate(
-            "",
-            xy=(x + tick[s, 0], y + tick[s, 1]),
-            xytext=(x, y),
-            zorder=6,
-            arrowprops={"arrowstyle": "-|>", "color": style.INK, "lw": 1.3, "shrinkA": 0, "shrinkB": 0},
-        )
-    ax.scatter(
-        workshop.position[:, 0],
-        workshop.position[:, 1],
-        s=64,
-        marker="s" if colours is style.CYCLE else "o",
-        color=list(colours[: len(workshop.stations)]),
-        edgecolors="white",
-        linewidths=0.8,
-        zorder=7,
-        label="station, tick to azimuth 0",
-    )
+    arrow = {"arrowstyle": "-|>", "color": style.INK, "lw": 1.3, "shrinkA": 0, "shrinkB": 0}
+    for place, end in zip(workshop.position[:, :2], tick, strict=True):
+        ax.annotate("", tuple(place + end), tuple(place), zorder=6, arrowprops=arrow)
+    x, y = workshop.position[:, :2].T
+    marker, own = "s" if colours is style.CYCLE else "o", list(colours[: len(workshop.stations)])
+    look: dict[str, Any] = {"s": 64, "edgecolors": "white", "linewidths": 0.8, "zorder": 7}
+    ax.scatter(x, y, marker=marker, color=own, label="station, tick to azimuth 0", **look)
 
 
 def _station_labels(workshop: PlacedWorkshop) -> list[Label]:

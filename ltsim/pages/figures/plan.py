@@ -5,10 +5,11 @@ from math import hypot
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ltsim.pages import style
-from ltsim.pages.figures.floor_plan import floor_plan
+from ltsim.pages.figures.floor_plan import Label, floor_plan
 from ltsim.pages.words import QUALITY, typeset
 from ltsim.pages.workshop import PlacedWorkshop
 from ltsim.planning.floor import Floor
@@ -31,8 +32,7 @@ def trade_off(plan: PlanResult, name: str) -> Figure:
         kinds["best" if option.efficient else "tried"].append((option.hours, option.quality.get(name) or np.nan, way))
     for kind, layout in (("reference", plan.reference), ("chosen", plan)):
         if layout is not None and layout.quality.get(name) is not None:
-            told = "the plan" if kind == "chosen" else "reference"
-            kinds[kind].append((layout.hours, layout.quality[name] or np.nan, told))
+            kinds[kind].append((layout.hours, layout.quality[name] or np.nan, ""))
     figure = style.new_figure(3.2)
     ax = figure.subplots()
     every = np.array([factor * quality for some in kinds.values() for _, quality, _ in some])
@@ -43,15 +43,13 @@ def trade_off(plan: PlanResult, name: str) -> Figure:
             ax.scatter(hours, quality, zorder=4 if kind != "tried" else 2, linewidths=0, **look)
             if kind == "best":
                 ax.plot(hours, quality, color=style.BLUE, linewidth=1.0, zorder=3)
-    named = [one for kind, some in kinds.items() if kind != "tried" for one in some]
-    for i, (hour, size, told) in enumerate(named if len(named) <= MOST_NAMED else []):
-        off: dict[str, Any] = {"xytext": (6, 5 if i % 2 else -11), "textcoords": "offset points", "fontsize": 7.5}
-        ax.annotate(style.shorten(told, 26), (hour, factor * size), **off)
+    for hour, size, way in kinds["best"][:MOST_NAMED]:
+        ax.annotate(way, (hour, factor * size), xytext=(6, 5), textcoords="offset points", fontsize=7.5)
     if (every > 0).all() and every.max() > 20 * every.min():
         ax.set_yscale("log")
     ax.margins(x=0.1, y=0.12)
-    ax.set_xlabel("time on the floor [h]")
-    ax.set_ylabel(f"{typeset(label)} (lower is better)")
+    ax.set_xlabel("time on the floor [h]; s: stations, f: faces, r: rounds")
+    ax.set_ylabel(f"{typeset(label)}\n(lower is better)")
     style.quiet_axis(ax, grid="both")
     style.legend_of(figure, [ax], ncols=2)
     return figure
@@ -66,24 +64,27 @@ ONE_MARK = 0.04
 @style.styled
 def reflector_changes(workshop: PlacedWorkshop, changes: Sequence[PlanChange], ground: Floor | None = None) -> Figure:
     """The floor plan with each change and its number: moves as arrows, crosses are left out."""
-    figure = floor_plan(workshop, ground=ground)
-    ax = figure.axes[0]
-    place = dict(zip(workshop.targets, workshop.points[:, :2].tolist(), strict=True))
-    numbers: dict[tuple[float, float], list[int]] = {}
-    for number, change in enumerate(changes, 1):
-        if change.position_mm is None:
-            x, y = place[change.reflector]
-            ax.scatter(x, y, marker="x", s=60, color=style.RED, linewidths=1.6, zorder=9)
-            continue
-        x, y = (v * MILLIMETRE for v in change.position_mm[:2])
-        near = next((p for p in numbers if hypot(p[0] - x, p[1] - y) < ONE_MARK * workshop.size), (x, y))
-        numbers.setdefault(near, []).append(number)
-        if change.reflector:
-            arrow = {"arrowstyle": "-|>", "color": style.PURPLE, "lw": 1.3, "shrinkA": 3, "shrinkB": 9}
-            ax.annotate("", near, xytext=place[change.reflector], arrowprops=arrow, zorder=9)
-    for (x, y), own in numbers.items():
-        ring = {"boxstyle": "round,pad=0.25", "facecolor": "white", "edgecolor": style.PURPLE, "linewidth": 1.2}
-        ax.text(
-            x, y, ", ".join(map(str, own)), fontsize=7, ha="center", va="center", color=style.INK, bbox=ring, zorder=11
-        )
-    return figure
+    known = dict(zip(workshop.targets, workshop.points[:, :2].tolist(), strict=True))
+
+    def marks(ax: Axes) -> list[Label]:
+        labels = []
+        kinds = (True, "D", style.PURPLE, "new place, by number"), (False, "x", style.RED, "can go, by number")
+        for new, marker, colour, word in kinds:
+            numbers: dict[tuple[float, float], list[int]] = {}
+            for number, change in enumerate(changes, 1):
+                if (change.position_mm is not None) != new:
+                    continue
+                there = change.position_mm
+                x, y = (v * MILLIMETRE for v in there[:2]) if there else known[change.reflector]
+                near = next((p for p in numbers if hypot(p[0] - x, p[1] - y) < ONE_MARK * workshop.size), (x, y))
+                numbers.setdefault(near, []).append(number)
+                if new and change.reflector:
+                    arrow = {"arrowstyle": "-|>", "color": style.PURPLE, "lw": 1.3, "shrinkA": 3, "shrinkB": 4}
+                    ax.annotate("", near, xytext=known[change.reflector], arrowprops=arrow, zorder=8)
+            if numbers:
+                at = np.array([*numbers]).T
+                ax.scatter(at[0], at[1], marker=marker, s=40, color=colour, zorder=9, label=word)
+            labels += [Label(", ".join(map(str, n)), np.array(at), 8.0, bold=True) for at, n in numbers.items()]
+        return labels
+
+    return floor_plan(workshop, ground=ground, marks=marks)

@@ -143,13 +143,13 @@ def _pictures(content: PlanResult, scenario: Scenario | None, *, turn: bool) -> 
         Picture("Floor plan", lambda: floor.floor_plan(workshop, reference=places, ground=ground), text)
     ]
     drawn += [scene(workshop)] if turn else []
-    text = "Numbers are those of the table: at the new places, with an arrow from where a reflector is; crosses go."
+    text = "Numbers are those of the table; an arrow comes from where a reflector is now."
     changes = partial(figures.plan.reflector_changes, workshop, content.reflector_changes, ground)
     return drawn, [Picture("Where these reflectors are", changes, text)] if content.reflector_changes else []
 
 
 def _curve(content: PlanResult) -> list[Block]:
-    text = "s: stations, f: faces, r: rounds. Every dot is the best layout found for its way of working."
+    text = "Every dot is the best layout found for its way of working."
     blocks: list[Block] = [
         Picture(f"Cost against quality: {name}", partial(figures.plan.trade_off, content, name), text)
         for name, own in content.quality.items()
