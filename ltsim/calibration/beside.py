@@ -69,7 +69,7 @@ class Wanted:
 
 
 def estimated_beside(
-    adjusted: Callable[[Sequence[Tunable]], Adjustment], always: Sequence[Tunable], beside: Sequence[Wanted]
+    adjusted: Callable[[Sequence[Tunable]], Adjustment], always: Sequence[Tunable], extra_effects: Sequence[Wanted]
 ) -> tuple[Adjustment, tuple[FittedEffectEntry, ...]]:
     """The adjustment with effects, one after another chosen beside those before; what is told of each.
 
@@ -77,7 +77,7 @@ def estimated_beside(
     """
     found, fits = adjusted(always), list[FittedEffectEntry]()
     fit, stated = Refit(found, tuple(always), ()), [frozenset[str]()] * len(always)
-    for wanted in beside:
+    for wanted in extra_effects:
         tries, space = wanted.tries(found), ResidualSpace.of(found)
         best = max(tries, key=lambda effect: float(surprise(*space.explained(space.signature(effect)))))
         freedom, before = space.explained(space.signature(best))[1], found.chi2

@@ -42,7 +42,7 @@ def calibrate_network(
     datum: Sequence[str] | None = None,
     choice: Choice | None = None,
     weigh: bool = True,
-    beside: Sequence[Wanted] = (),
+    extra_effects: Sequence[Wanted] = (),
 ) -> Calibration:
     """The method `network` of `ltsim.calibrate`, whose options and errors it has, and further ones of programs.
 
@@ -53,12 +53,12 @@ def calibrate_network(
     weigh : bool
         Find out what of the estimates is worth applying (`calibration.worth`), and let constants that contradict their
         prior follow the readings; without it the estimates are those of the stated priors, linear in the readings.
-    beside : sequence of Wanted
+    extra_effects : sequence of Wanted
         Effects of the catalogue, and laws, to estimate too.
     """
     built = construction or stated_construction(recording)
     chosen = choice or Choice()
-    for wanted in beside:
+    for wanted in extra_effects:
         wanted.check(recording, built)
     modes = [RangeMode()] if built.size and MODE_COLUMN in recording.circumstances else []
     expected = expected_sigmas(recording, built) if weigh else prior_sigmas(recording, built)
@@ -68,7 +68,7 @@ def calibrate_network(
     for left in reversed(range(PASSES if weigh else 1)):
         adjusted = partial(_adjusted, recording, built, robust, grouping, datum, prior.widened(freed))
         try:
-            found, fits = estimated_beside(adjusted, modes, beside)
+            found, fits = estimated_beside(adjusted, modes, extra_effects)
         except ConvergenceError:
             if not quiet_by:
                 raise

@@ -121,8 +121,8 @@ def calibrate(
         raise ModelError(f"{option('box')} goes with the methods equation-9 and equation-9-l1, not {method}")
     seen = recording_of(recording)
     if method == "network":
-        beside = [wanted(asked, seen) for asked in effects]
-        return calibrate_network(seen, built, advise=advise, choice=choice, beside=beside, **options)
+        extra_effects = [wanted(asked, seen) for asked in effects]
+        return calibrate_network(seen, built, advise=advise, choice=choice, extra_effects=extra_effects, **options)
     if any(options.values()) or prior is not None or effects:
         listed = ", ".join(map(option, ("robust", "noise_from_data", "datum", "prior")))
         raise ModelError(f"{listed} and {option('with_effects')} go with {option('method')} network, not {method}")

@@ -189,7 +189,7 @@ class How:
 
     method: str = "network"
     construction: Construction | None = None
-    beside: tuple[Wanted, ...] = ()
+    extra_effects: tuple[Wanted, ...] = ()
     calibrator: Calibrator | None = None
 
 
@@ -259,8 +259,8 @@ def recover(
         jobs = 1
     named = each_of(with_effects)
     seen = simulate(scenario, seed=seed).recording if named else None
-    beside = tuple(wanted(text, seen) for text in named if seen is not None)
-    how = How(method, own if construction is None else construction_called(construction), beside, calibrator)
+    extra_effects = tuple(wanted(text, seen) for text in named if seen is not None)
+    how = How(method, own if construction is None else construction_called(construction), extra_effects, calibrator)
     began, found, within = time.monotonic(), [], dict[str, RecoveryTolerance]()
     for trial in run_trials(scenario, trials, how, seed=seed, jobs=jobs, errors=mode):
         if trial is not None:
@@ -333,5 +333,5 @@ def run_trial(scenario: Scenario, seed: int, index: int, how: How, errors: Error
 def calibrated(recording: Recording, how: How, construction: Construction) -> Calibration:
     """Calibrate by one of ltsim's methods."""
     if how.method == "network":
-        return calibrate_network(recording, construction, advise=False, weigh=False, beside=how.beside)
+        return calibrate_network(recording, construction, advise=False, weigh=False, extra_effects=how.extra_effects)
     return calibrate_distance(recording, construction, method=how.method, advise=False)

@@ -25,7 +25,7 @@ from ltsim.errors import NetworkError
 from ltsim.fieldcheck.faces import Faces
 from ltsim.fieldcheck.items import Family, Item, Kind, two_sided
 from ltsim.fieldcheck.network import NETWORK_TESTS, items_of_network, plain_network, with_own_noise
-from ltsim.fieldcheck.visit import ColumnsFit, Visit
+from ltsim.fieldcheck.occupation import ColumnsFit, StationOccupation
 from ltsim.fieldcheck.words import (
     bump_sentence,
     drift_sentence,
@@ -61,7 +61,7 @@ class SetUp:
     station: str
     items: tuple[Item, ...]
     faces: Faces | None
-    visit: Visit | None
+    visit: StationOccupation | None
     rows: Ints
     motions: tuple[StationMotion, ...] = ()
     """How the station moved meanwhile."""
@@ -163,7 +163,7 @@ def _set_up(whole: Recording, station: int, family: Family, mpe: tuple[float, fl
     at = np.flatnonzero(whole.station == station)
     recording, rows, name = whole.select(at), at + 1, whole.stations[station]
     construction = stated_construction(recording)
-    visit = Visit.of(recording, construction)
+    visit = StationOccupation.of(recording, construction)
     judged = _judged(visit, construction, family, rows) if visit.dof > 0 else _Judged((), visit, (), recording)
     items, faces = list[Item](), Faces.of(recording, judged.still, construction, family.share, mpe)
     if faces is not None:
@@ -177,7 +177,9 @@ def _set_up(whole: Recording, station: int, family: Family, mpe: tuple[float, fl
     if scale is None:
         items += [*judged.items, _closure(left, family)]
     else:
-        judged = _judged(Visit.of(recording, construction, sigma=visit.sigma * scale), construction, family, rows)
+        judged = _judged(
+            StationOccupation.of(recording, construction, sigma=visit.sigma * scale), construction, family, rows
+        )
         items += [_scattering(visit, left, family), *judged.items]
     return SetUp(name, tuple(items), faces, left, rows, judged.motions)
 
@@ -187,18 +189,18 @@ class _Judged:
     """What a visit says of single pointings and motions, what is left of it, and its readings without the motions."""
 
     items: tuple[Item, ...]
-    left: Visit
+    left: StationOccupation
     motions: tuple[StationMotion, ...]
     still: Recording
 
 
-def _judged(visit: Visit, construction: Construction, family: Family, rows: Ints) -> _Judged:
+def _judged(visit: StationOccupation, construction: Construction, family: Family, rows: Ints) -> _Judged:
     gross, bump, visit = _events(visit, construction, family)
     items = [_of_gross(visit, gross, rows), _of_bump(visit, bump, rows, family)]
     recording, even = visit.recording, EvenMotion((visit.recording.stations[0],))
     motions: list[StationMotion] = [] if bump is None else [bump]
     found = [motion.design(visit.sightings) for motion in motions]
-    left = reduce(Visit.without, found, visit)
+    left = reduce(StationOccupation.without, found, visit)
     creep, zeros = even.design(visit.sightings), _zeros(visit)
     items.append(_drift(left, family, "drift", creep, drift_sentence))
     if not items[-1].passed:
@@ -213,7 +215,7 @@ def _judged(visit: Visit, construction: Construction, family: Family, rows: Ints
     return _Judged(tuple(items), left, tuple(motions), recording)
 
 
-def _own_scatter(visit: Visit, family: Family) -> Floats | None:
+def _own_scatter(visit: StationOccupation, family: Family) -> Floats | None:
     """Scatter (n, 1) of each pointing's target over the stated noise, where targets scatter differently (Bartlett)."""
     chi2, dof = visit.scatter()
     told = dof >= OWN_DOF
@@ -230,7 +232,9 @@ def _own_scatter(visit: Visit, family: Family) -> Floats | None:
     return np.asarray(np.maximum(ratio, 1.0)[visit.recording.target][:, None])
 
 
-def _events(visit: Visit, construction: Construction, family: Family) -> tuple[list[int], StationBump | None, Visit]:
+def _events(
+    visit: StationOccupation, construction: Construction, family: Family
+) -> tuple[list[int], StationBump | None, StationOccupation]:
     """Gross pointings, taken out one by one until a bump explains more than the next of them would."""
     gross: list[int] = []
     most = max(1, MOST_GROSS * len(visit.use))
@@ -247,10 +251,10 @@ def _events(visit: Visit, construction: Construction, family: Family) -> tuple[l
             return gross, bump, visit
         gross.append(worst)
         use: Bools = visit.use & np.asarray(np.arange(len(visit.use)) != worst)
-        visit = Visit.of(visit.recording, construction, use, visit.sigma)
+        visit = StationOccupation.of(visit.recording, construction, use, visit.sigma)
 
 
-def best_bump(visit: Visit) -> tuple[StationBump | None, ColumnsFit, int]:
+def best_bump(visit: StationOccupation) -> tuple[StationBump | None, ColumnsFit, int]:
     """The gap in which a motion of the station explains most, what it explains, and how many gaps there are."""
     tried = [bump for bump in StationBump.candidates(visit.sightings) if _witnesses(visit, bump) >= WITNESSES]
     if not tried:
@@ -263,7 +267,7 @@ def best_bump(visit: Visit) -> tuple[StationBump | None, ColumnsFit, int]:
     return found, explained_by[found], len(np.unique(visit.sightings.time)) - 1
 
 
-def _witnesses(visit: Visit, bump: StationBump) -> int:
+def _witnesses(visit: StationOccupation, bump: StationBump) -> int:
     """How many targets were measured both before and after."""
     after = visit.sightings.time >= bump.time
     target = visit.recording.target
@@ -275,14 +279,14 @@ def _surprise(explained: ColumnsFit) -> float:
     return float(surprise(explained.drop, explained.rank))
 
 
-def _of_gross(visit: Visit, gross: Sequence[int], rows: Ints) -> Item:
+def _of_gross(visit: StationOccupation, gross: Sequence[int], rows: Ints) -> Item:
     recording, name = visit.recording, visit.recording.stations[0]
     targets = tuple(dict.fromkeys(recording.targets[recording.target[i]] for i in gross))
     sentence = gross_sentence(visit, gross, rows)
     return Item.of(name, "gross", not gross, sentence, targets=targets, rows=tuple(int(rows[i]) for i in gross))
 
 
-def _of_bump(visit: Visit, bump: StationBump | None, rows: Ints, family: Family) -> Item:
+def _of_bump(visit: StationOccupation, bump: StationBump | None, rows: Ints, family: Family) -> Item:
     recording, name = visit.recording, visit.recording.stations[0]
     if bump is None:
         return Item.of(name, "bump", True, f"{name}: no motion at once")
@@ -297,20 +301,20 @@ def _of_bump(visit: Visit, bump: StationBump | None, rows: Ints, family: Family)
     return Item.of(name, "bump", False, sentence, chance, rows=numbers, between_s=between)
 
 
-def _zeros(visit: Visit) -> Floats:
+def _zeros(visit: StationOccupation) -> Floats:
     """Change (n, 3, 2) of the readings per second and unit by even drifts of the range zero and the vertical index."""
     laws, sightings = [RangeDrift(law="visit"), IndexDrift(law="visit")], by_runs(visit.sightings)
     return np.concatenate([law.design(sightings) for law in laws], axis=2)
 
 
-def _drift(visit: Visit, family: Family, kind: Kind, design: Floats, words: Words) -> Item:
+def _drift(visit: StationOccupation, family: Family, kind: Kind, design: Floats, words: Words) -> Item:
     explained = visit.explained(design)
     p = family.adjusted(visit.p_value(explained))
     passed = p >= family.level
     return Item.of(visit.recording.stations[0], kind, passed, words(visit.recording, explained, passed), p)
 
 
-def _closure(visit: Visit, family: Family) -> Item:
+def _closure(visit: StationOccupation, family: Family) -> Item:
     """Scatter of repeated pointings against the stated noise, two-sided; less noise than stated passes with a word."""
     name, ratio = visit.recording.stations[0], float(np.sqrt(visit.chi2 / max(visit.dof, 1)))
     if visit.dof < 1:
@@ -323,7 +327,7 @@ def _closure(visit: Visit, family: Family) -> Item:
     return Item.of(name, "closure", less, f"{scatter}, {'less' if less else 'more'} than stated", p)
 
 
-def _scattering(visit: Visit, left: Visit, family: Family) -> Item:
+def _scattering(visit: StationOccupation, left: StationOccupation, family: Family) -> Item:
     """The closure of a set-up whose targets scatter each in its own way."""
     closure, (chi2, dof) = _closure(left, family), left.scatter()
     shown = np.flatnonzero(dof >= OWN_DOF)

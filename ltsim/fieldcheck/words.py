@@ -7,7 +7,7 @@ import numpy as np
 
 from ltsim.arrays import Ints
 from ltsim.fieldcheck.faces import Faces
-from ltsim.fieldcheck.visit import ColumnsFit, Visit
+from ltsim.fieldcheck.occupation import ColumnsFit, StationOccupation
 from ltsim.notation import with_sigma
 from ltsim.recording.recording import OBSERVABLES, Recording
 from ltsim.units import ARCSECOND, MICROMETRE, MICRORADIAN, MILLIMETRE
@@ -61,7 +61,7 @@ def face_sentence(faces: Faces, recording: Recording, limit: str) -> tuple[str, 
     return sentence, tuple(dict.fromkeys(targets[i] for i in over)), pairs.rows[k]
 
 
-def gross_sentence(visit: Visit, gross: Sequence[int], rows: Ints) -> str:
+def gross_sentence(visit: StationOccupation, gross: Sequence[int], rows: Ints) -> str:
     """What stands out among the pointings of a set-up."""
     recording, name = visit.recording, visit.recording.stations[0]
     if not gross:
@@ -112,7 +112,7 @@ def instrument_sentence(recording: Recording, explained: ColumnsFit, passed: boo
     return f"{recording.stations[0]}: {'no drift of the instrument' if passed else 'the instrument drifts'}{said}"
 
 
-def target_sentence(visit: Visit, shown: Ints) -> tuple[str, tuple[str, ...]]:
+def target_sentence(visit: StationOccupation, shown: Ints) -> tuple[str, tuple[str, ...]]:
     """Which targets scatter most and least, of `shown` (k,) from the most to the least, and those of the upper half."""
     recording = visit.recording
     names = [recording.targets[t] for t in shown]

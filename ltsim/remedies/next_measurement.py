@@ -61,9 +61,9 @@ class Explanation:
     values: Floats
 
 
-def space_of(adjustment: Adjustment, beside: Sequence[Signature] = ()) -> ResidualSpace:
-    """The residual space of an adjustment with effects `beside` estimated too."""
-    return ResidualSpace.of(adjustment).beside(beside)
+def space_of(adjustment: Adjustment, extra_effects: Sequence[Signature] = ()) -> ResidualSpace:
+    """The residual space of an adjustment with `extra_effects` estimated too."""
+    return ResidualSpace.of(adjustment).beside(extra_effects)
 
 
 def explanation(space: ResidualSpace, name: str) -> Explanation:
@@ -262,10 +262,10 @@ def next_measurement(
     adjustment.solution.require_success()
     if len(between) > 1:
         plain = space_of(adjustment)
-        beside = [explanation(plain, e).effect if isinstance(e, str) else e for e in each_of(with_effects)]
-        space = space_of(adjustment, beside)
+        extra_effects = [explanation(plain, e).effect if isinstance(e, str) else e for e in each_of(with_effects)]
+        space = space_of(adjustment, extra_effects)
         asked = [explanation(space, name) for name in between]
-        return deciding(adjustment, asked, beside, seconds_per_move=60.0 * minutes_per_move, progress=progress)
+        return deciding(adjustment, asked, extra_effects, seconds_per_move=60.0 * minutes_per_move, progress=progress)
     network, move = Network.of(adjustment), 60.0 * minutes_per_move
     found = [*further_pointings(network), *returns(network, move), *further_stations(network, move)]
     proposals = []
@@ -278,7 +278,7 @@ def next_measurement(
 def deciding(
     adjustment: Adjustment,
     explanations: Sequence[Explanation],
-    beside: Sequence[Signature] = (),
+    extra_effects: Sequence[Signature] = (),
     *,
     seconds_per_move: float = MOVE,
     first_is_enough: bool = False,
@@ -286,11 +286,11 @@ def deciding(
 ) -> NextMeasurement:
     """Rank remedies by the evidence that they bring between explanations of an adjusted recording, two or more.
 
-    Each is to be told from the first; those that the recording tells from it already are left aside. `beside` has been
-    found already beside them. With `first_is_enough` the first remedy that decides, the best of all, ends the search.
+    Each is to be told from the first; those that the recording tells from it already are left aside. `extra_effects`
+    have been found already. With `first_is_enough` the first remedy that decides, the best of all, ends the search.
     """
     network, (first, *others) = Network.of(adjustment), explanations
-    space = space_of(network.adjustment, beside)
+    space = space_of(network.adjustment, extra_effects)
     rivals = {other.effect.name: Rivals.of(space, first, other) for other in others}
     told = [name for name, pair in rivals.items() if pair.now >= DECISIVE]
     if len(told) < len(rivals):
@@ -302,7 +302,7 @@ def deciding(
     total = len(near) + len(again) + FINALISTS + len(late)
     judged: list[Proposal] = []
     for remedy in chain(near, again, _finalists(network, seconds_per_move), late):
-        longer = space_of(remedy.network.adjustment, beside)
+        longer = space_of(remedy.network.adjustment, extra_effects)
         evidence = {name: pair.evidence(longer) for name, pair in rivals.items()}
         judged.append(Proposal.of(remedy, network.adjustment, evidence))
         progress("weighing the explanations", min(len(judged) / total, 1.0))

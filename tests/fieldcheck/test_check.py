@@ -22,7 +22,7 @@ from ltsim.errors import NetworkError, RecordError
 from ltsim.evaluation.two_face import two_face
 from ltsim.fieldcheck import Check, check, check_file
 from ltsim.fieldcheck.check import best_bump
-from ltsim.fieldcheck.visit import Visit
+from ltsim.fieldcheck.occupation import StationOccupation
 from ltsim.fieldcheck.words import plain
 from ltsim.model.construction import misalignment, steering_mirror
 from ltsim.pages.figures.points import check_figure
@@ -46,7 +46,7 @@ def visits(seed: int, *, stations: int = 1, values: float = 0.0) -> Recording:
 def moved(recording: Recording, station: int, time: float, motion: list[float]) -> Recording:
     """The recording with a station that stands elsewhere from a time on [m, rad]."""
     rows = recording.station == station
-    visit = Visit.of(recording.select(rows), misalignment())
+    visit = StationOccupation.of(recording.select(rows), misalignment())
     after = recording.time[rows] >= time
     readings = recording.readings.copy()
     readings[rows] += exact_station_change(visit.sightings, after[:, None] * np.array(motion))
@@ -109,7 +109,7 @@ def test_a_gross_pointing_is_named_and_nothing_else() -> None:
 
 def test_creeping_is_called_drift() -> None:
     recording = visits(6, values=0.5)
-    visit = Visit.of(recording, misalignment())
+    visit = StationOccupation.of(recording, misalignment())
     share = recording.time / recording.time.max()
     creep = exact_station_change(visit.sightings, share[:, None] * np.array([0, 0, 0, 25e-6, 0, 30e-6]))
     found = check(recording.with_readings(recording.readings + creep))
@@ -128,7 +128,7 @@ def test_creeping_is_called_drift() -> None:
 def test_a_tripod_that_sinks_evenly_drifts_and_was_not_moved() -> None:
     clean = visits(6, values=0.5)
     recording = clean.replace(time=clean.time * (36 * 60 / clean.time.max()))
-    visit, share = Visit.of(recording, misalignment()), recording.time / recording.time.max()
+    visit, share = StationOccupation.of(recording, misalignment()), recording.time / recording.time.max()
     for millimetres in (0.05, 0.3, 2.0):
         sunk = exact_station_change(visit.sightings, share[:, None] * np.array([0, 0, -1e-3 * millimetres, 0, 0, 0]))
         found = check(recording.with_readings(recording.readings + sunk))
@@ -142,7 +142,7 @@ def test_of_a_tripod_that_sinks_no_pointing_is_blamed(faces: tuple[int, ...]) ->
     clean = visits(6, values=0.1, stations=3)
     rows = (clean.station == 0) & np.isin(clean.face, faces)
     share = clean.time[rows] / clean.time[rows].max()
-    sunk, visit = clean.readings.copy(), Visit.of(clean.select(rows), misalignment())
+    sunk, visit = clean.readings.copy(), StationOccupation.of(clean.select(rows), misalignment())
     sunk[rows] += exact_station_change(visit.sightings, share[:, None] * np.array([0, 0, -2e-3, 0, 0, 0]))
     recording = clean.with_readings(sunk).select(np.isin(clean.face, faces))
     assert {kind for _, kind in kinds(check(recording))} == {"drift"}
@@ -277,7 +277,7 @@ def test_the_whole_search_is_paid_for() -> None:
     """The best of all gaps on clean readings: its chance, gaps counted, is no smaller than it should be."""
     chances = []
     for seed in range(40):
-        visit = Visit.of(visits(seed), misalignment())
+        visit = StationOccupation.of(visits(seed), misalignment())
         _, gain, gaps = best_bump(visit)
         chances.append(visit.p_value(gain) * gaps)
     assert np.mean(np.array(chances) < 0.1) <= 0.2

@@ -55,7 +55,7 @@ class ColumnsFit:
 
 
 @dataclass(frozen=True)
-class Visit:
+class StationOccupation:
     """A set-up with its readings whitened, and targets and instrument projected out of them."""
 
     recording: Recording
@@ -78,8 +78,8 @@ class Visit:
     @classmethod
     def of(
         cls, recording: Recording, construction: Construction, use: Bools | None = None, sigma: Floats | None = None
-    ) -> Visit:
-        """The visit of a recording of one station; `use` (n,) leaves pointings out, `sigma` (n, 3) is not as stated."""
+    ) -> StationOccupation:
+        """That of a recording of one station; `use` (n,) leaves pointings out, `sigma` (n, 3) is not as stated."""
         chosen = np.ones(len(recording), dtype=bool) if use is None else use
         weight = recording.measured & chosen[:, None]
         sigma = recording.sigma() if sigma is None else sigma
@@ -150,8 +150,8 @@ class Visit:
         ratio = (explained.drop / explained.rank) / max((self.chi2 - explained.drop) / rest, 1e-30)
         return max(stated, float(special.fdtrc(explained.rank, rest, ratio)))
 
-    def without(self, design: Floats) -> Visit:
-        """The visit with the columns (n, 3, c) of a suspect fitted too."""
+    def without(self, design: Floats) -> StationOccupation:
+        """The occupation with the columns (n, 3, c) of a suspect fitted too."""
         left, size, _ = np.linalg.svd(self._unit_columns(design)[0], full_matrices=False)
         added = left[:, size > np.sqrt(HELD) * max(float(size.max(initial=0.0)), 1e-12)]
         rest = self.whitened.ravel() - added @ (added.T @ self.whitened.ravel())
