@@ -165,10 +165,10 @@ def _curve(
 Folder = Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for everything.")]
 
 HIDDEN: tuple[dict[str, Any], ...] = tuple(
-    {"name": "station-weather", "stations": [station], "values": {"station-weather": size}}
-    for station, size in (("S2", 6.0), ("S3", -5.0), ("S4", 7.0), ("S5", -6.0))
+    {"name": "smr-offset", "stations": [station], "values": {"radius-difference": size}}
+    for station, size in (("S2", 0.2), ("S3", -0.25), ("S4", 0.25), ("S5", -0.2))
 )
-"""What the demonstration may conceal: a thermometer some kelvin off; where is drawn by the seed and told to nobody."""
+"""What the demonstration may conceal: an SMR of another radius; where is drawn by the seed and told to nobody."""
 
 TITLE = "Demonstration: a fault is hidden in a simulated workshop, and found"
 CAMPAIGN = """format = "ltsim-campaign/1"
