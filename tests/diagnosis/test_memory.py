@@ -47,5 +47,5 @@ def peak(repeats: int) -> int:
 
 
 def test_memory_grows_with_the_pointings_of_a_station_and_not_with_their_square() -> None:
-    few, many = peak(12), peak(60)
+    few, many = peak(8), peak(40)
     assert many < 6 * few  # 5 times the pointings; their square is 25 times as much
