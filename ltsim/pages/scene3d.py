@@ -18,6 +18,8 @@ from ltsim.units import DEGREE
 
 WALL, FLOOR, LEG = "#D5DBE0", "#E3E7EA", "#5C6166"
 MOST_ARROWS, MOST_METRES = 300, 200
+MOST_HIDDEN = 4
+"""Names of which it is said that they are left out, each by itself."""
 MOST_LABELS = 60
 FEW_BALLS, MANY_BALLS = 150, 600
 """Above so many balls eight sides look round on the screen, and six."""
@@ -78,7 +80,7 @@ def build(
     _camera(plotter, workshop)
     if camera is not None:
         plotter.camera_position = [tuple(v) for v in camera]
-    _names(plotter, workshop)
+    _names(plotter, workshop, lines)
     return plotter, Legend(tuple(lines), bar)
 
 
@@ -311,27 +313,47 @@ def _corrections(plotter: pv.Plotter, workshop: PlacedWorkshop, lines: list[str]
     lines.append(f"arrows: correction of a target{most}, enlarged {times(scale)} times")
 
 
-def _names(plotter: pv.Plotter, workshop: PlacedWorkshop) -> None:
-    direction = np.array(plotter.camera.position) - np.array(plotter.camera.focal_point)
-    size = 0.026 * workshop.size
+def _names(plotter: pv.Plotter, workshop: PlacedWorkshop, lines: list[str]) -> None:
+    """Names towards the camera, stations first; one that would cover another is left out, and said."""
+    eye = np.array(plotter.camera.position)
+    axes = _facing(eye - np.array(plotter.camera.focal_point))
+    size, kept, hidden = 0.026 * workshop.size, list[tuple[Floats, Floats]](), list[str]()
     groups = [("station-names", workshop.stations, workshop.position, 0.15 + size, 1.5 * size, style.INK)]
     if len(workshop.targets) <= MOST_LABELS:
         groups.append(("target-names", workshop.targets, workshop.points, size, size, "#3A4046"))
     for key, names, places, up, height, colour in groups:
-        raised = places + np.array([0.0, 0.0, up])
-        words = [_letters(name, place, direction, height) for name, place in zip(names, raised, strict=True)]
-        plotter.add_mesh(pv.merge(words), color=colour, lighting=False, name=key)
+        words = []
+        for name, place in zip(names, places + np.array([0.0, 0.0, up]), strict=True):
+            word = _letters(name, place, axes, height)
+            if not word.n_points:  # letters that the drawing lacks
+                continue
+            seen = (word.points - eye) @ axes.T
+            low, high = (f(seen[:, :2] / -seen[:, 2:], axis=0) for f in (np.min, np.max))
+            if any(np.all((low < top) & (bottom < high)) for bottom, top in kept):
+                hidden.append(name)
+            else:
+                kept.append((low, high))
+                words.append(word)
+        if words:
+            plotter.add_mesh(pv.merge(words), color=colour, lighting=False, name=key)
+    if hidden:
+        more = f" and {len(hidden) - MOST_HIDDEN} more" if len(hidden) > MOST_HIDDEN else ""
+        lines.append(f"names left out: {', '.join(hidden[:MOST_HIDDEN])}{more}")
 
 
-def _letters(name: str, place: Floats, direction: Floats, height: float) -> pv.PolyData:
-    """A short name of a given height [m], its plane square to `direction`."""
-    text = style.shorten(name, 16).encode("latin-1", "replace").decode("latin-1")
-    mesh = pv.Text3D(text, depth=0.0, height=height, center=(0.0, 0.0, 0.0), normal=(0.0, 0.0, 1.0))
+def _facing(direction: Floats) -> Floats:
+    """Axes (3, 3) of a plane square to a direction: to the right, upwards, and out of it."""
     out = direction / np.linalg.norm(direction)
     right = np.cross([0.0, 0.0, 1.0] if abs(out[2]) < 1 - 1e-9 else [-1.0, 0.0, 0.0], out)
     right /= np.linalg.norm(right)
-    nearer = place + 0.25 * out  # clear of the wall that the target may stand on
-    mesh.points = mesh.points @ np.stack([right, np.cross(out, right), out]) + nearer
+    return np.stack([right, np.cross(out, right), out])
+
+
+def _letters(name: str, place: Floats, axes: Floats, height: float) -> pv.PolyData:
+    """A short name of a given height [m] in the plane of `axes`."""
+    text = style.shorten(name, 16).encode("latin-1", "replace").decode("latin-1")
+    mesh = pv.Text3D(text, depth=0.0, height=height, center=(0.0, 0.0, 0.0), normal=(0.0, 0.0, 1.0))
+    mesh.points = mesh.points @ axes + place + 0.25 * axes[2]  # clear of the wall that the target may stand on
     return mesh
 
 

@@ -89,6 +89,19 @@ def test_station_names_may_be_long_or_foreign(scene: workshop.PlacedWorkshop) ->
     assert len(html) > 1e6
 
 
+def test_a_name_that_would_cover_another_is_left_out_and_that_is_said(scene: workshop.PlacedWorkshop) -> None:
+    places = scene.points.copy()
+    places[1] = places[0]
+    words = {}
+    for points in (scene.points, places):
+        plotter, legend = scene3d.build(replace(scene, points=points))
+        words[points is places] = next((line for line in legend.lines if line.startswith("names left out")), "")
+        plotter.close()
+    assert scene.targets[1] in words[True]
+    assert scene.targets[0] not in words[True]
+    assert scene.targets[1] not in words[False]
+
+
 def test_scenario_stands_as_planned() -> None:
     scenario = load_scenario("paper-workshop")
     shown = workshop.from_scenario(scenario)
