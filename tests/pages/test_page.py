@@ -149,6 +149,16 @@ def test_report_of_a_folder_without_recording_still_tells(folder: Path, tmp_path
     assert {"Floor plan", "The workshop in 3D", "Residuals by station"} <= set(titles)
 
 
+@pytest.mark.parametrize(("p", "shown"), [(0.0, "< 1e-6"), (0.03, "0.06"), (None, "–")])
+def test_a_p_value_of_nothing_is_shown_as_small_and_none_as_a_dash(p: float | None, shown: str, tmp_path: Path) -> None:
+    target = samples.diagnosis_folder(tmp_path)
+    told = json.loads((target / "diagnosis.json").read_text())
+    told["global_test"]["p_value"] = p
+    (target / "diagnosis.json").write_text(json.dumps(told))
+    facts = {fact.name: fact.value for section in document(target).sections for fact in section.facts}
+    assert facts["global test, two-sided p"] == shown
+
+
 def test_names_are_escaped_everywhere(tmp_path: Path) -> None:
     made = samples.recording()
     setup = made.setup.model_copy(update={"title": MARKUP})

@@ -119,10 +119,11 @@ def _swapped(finding: Finding) -> bool:
 
 def _facts(content: DiagnosisFile) -> list[Fact]:
     test = content.global_test
+    plain = test.p_value if test.dof > 0 else None
     verdict = mood(content.verdict == "consistent")
     facts = [
         Fact("findings", str(len(content.findings)), verdict),
-        Fact("global test, two-sided p", p_text(two_sided(test.p_value) if test.p_value and test.dof > 0 else None)),
+        Fact("global test, two-sided p", p_text(None if plain is None else two_sided(plain))),
     ]
     if test.search_p_value is not None:
         facts.append(Fact("whole search, p", p_text(test.search_p_value)))
