@@ -21,7 +21,7 @@ from ltsim.errors import ModelError, NetworkError
 from ltsim.geometry.alignment import robust_align
 from ltsim.geometry.rigid import rigid_motion
 from ltsim.model.construction import Construction, ideal
-from ltsim.model.measurement import MeasurementModel, State, ball_lift, with_plumb_lines
+from ltsim.model.measurement import MeasurementModel, State, smr_lift, with_plumb_lines
 from ltsim.recording.recording import Recording
 from ltsim.solve.gauss_newton import Solution, solve
 from ltsim.solve.threads import in_one_thread
@@ -151,7 +151,7 @@ def _check_marks(recording: Recording) -> None:
 
 def _check_normals(problem: NetworkProblem) -> None:
     """NetworkError where a motion that nothing observes would turn SMRs of other radii about their targets."""
-    off = ball_lift(problem.model.recording)
+    off = smr_lift(problem.model.recording)
     if off is None:
         return
     turned = np.cross(problem.free[3:].T[:, None], off[None])

@@ -18,7 +18,7 @@ from ltsim.evaluation.criteria import Criteria, evaluate
 from ltsim.geometry.rigid import rigid_motion
 from ltsim.geometry.rotations import quaternion
 from ltsim.model.construction import Construction
-from ltsim.model.measurement import ball_lift
+from ltsim.model.measurement import smr_lift
 from ltsim.notation import listing, with_sigma
 from ltsim.recording.recording import MODE_COLUMN, OBSERVABLES, Recording
 from ltsim.remedies.undetermined import Direction, determining, undetermined
@@ -267,7 +267,7 @@ def criteria_of(
 ) -> Criteria | None:
     """The paper's criteria without the pointings that were left out; None where stations cannot be compared."""
     use: Bools = np.asarray(~adjustment.rejected.any(axis=1))
-    recording = _one_ball(recording, adjustment)
+    recording = _one_smr(recording, adjustment)
     try:
         if not construction.size:
             return evaluate(recording, use=use)
@@ -279,9 +279,9 @@ def criteria_of(
         return None
 
 
-def _one_ball(recording: Recording, adjustment: Adjustment) -> Recording:
+def _one_smr(recording: Recording, adjustment: Adjustment) -> Recording:
     """The recording as the reference SMR would have given it."""
-    off = ball_lift(recording)
+    off = smr_lift(recording)
     if off is None:
         return recording
     readings = recording.readings + exact_target_change(adjustment.sightings, -off)

@@ -37,7 +37,7 @@ AT_ONCE = 500_000
 
 
 def simulated_evidence(scores: Floats, strength: Floats) -> Floats:
-    """The same (h, trials) for scores (h, k, trials) of simulated residuals, in single precision."""
+    """`log_evidence` (h, trials) of scores (h, k, trials) of simulated residuals, in single precision."""
     parts = [_summed(logs, 1) for logs in _simulated(scores, strength, np.zeros(len(scores)))]
     found: Floats = np.concatenate(parts).astype(np.float64)
     return found

@@ -128,11 +128,11 @@ def lift_of(recording: Recording) -> Floats | None:
     usual = [recording.station_setup(name).instrument_height_mm * MILLIMETRE for name in recording.stations]
     height = target - (instrument - np.array(usual)[recording.station])
     lift = height[:, None] * verticals(recording)[recording.station] if np.any(height) else None
-    off = ball_lift(recording)
+    off = smr_lift(recording)
     return off if lift is None else lift if off is None else lift + off
 
 
-def ball_lift(recording: Recording) -> Floats | None:
+def smr_lift(recording: Recording) -> Floats | None:
     """The part (n, 3) [m] that SMRs of other radii than the reference have in it, along the normals of their nests.
 
     These are those of the set-up: `adjust` refuses a network that is not held in that frame.

@@ -12,6 +12,7 @@ from PIL import Image
 from vtkmodules.vtkCommonCore import vtkLogger
 
 from ltsim.arrays import Floats, Ints
+from ltsim.notation import listing
 from ltsim.pages import style
 from ltsim.pages.workshop import PlacedWorkshop
 from ltsim.units import DEGREE
@@ -337,8 +338,7 @@ def _names(plotter: pv.Plotter, workshop: PlacedWorkshop, lines: list[str]) -> N
         if words:
             plotter.add_mesh(pv.merge(words), color=colour, lighting=False, name=key)
     if hidden:
-        more = f" and {len(hidden) - MOST_HIDDEN} more" if len(hidden) > MOST_HIDDEN else ""
-        lines.append(f"names left out: {', '.join(hidden[:MOST_HIDDEN])}{more}")
+        lines.append(f"names left out: {listing(hidden, MOST_HIDDEN)}")
 
 
 def _facing(direction: Floats) -> Floats:

@@ -181,7 +181,7 @@ def _air(scenario: Scenario, time: Floats) -> dict[str, Floats]:
     }
 
 
-def balls_of(scenario: Scenario, sightings: Sightings) -> tuple[str, ...]:
+def smrs_of(scenario: Scenario, sightings: Sightings) -> tuple[str, ...]:
     """Name of the SMR of each pointing: its station's, else its target's, else that of all; '' for none."""
     stations = [scenario.stations[name].reflector for name in sightings.station_names]
     targets = [scenario.targets[n].reflector if n in scenario.targets else None for n in sightings.target_names]
@@ -198,7 +198,7 @@ def true_lift(scenario: Scenario, sightings: Sightings, seed: int, *key: str | i
     reflectors = scenario.reflectors
     if not reflectors:
         return None
-    names = balls_of(scenario, sightings)
+    names = smrs_of(scenario, sightings)
     if "" in names:
         target = sightings.target_names[sightings.target[names.index("")]]
         raise SetupError(

@@ -24,7 +24,7 @@ from ltsim.recording.setup import (
     Vector,
 )
 from ltsim.simulation.draws import Normal, TrialDraws, effect_laws
-from ltsim.simulation.fieldwork import Fieldwork, balls_of, fieldwork
+from ltsim.simulation.fieldwork import Fieldwork, fieldwork, smrs_of
 from ltsim.simulation.gauge import length_sigma, nominal_points
 from ltsim.simulation.physics import instrument_law, quantised, resolution_of, stated_noise
 from ltsim.simulation.scenario import Scenario
@@ -79,7 +79,7 @@ def error_free(work: Fieldwork) -> Recording:
         time=s.time,
         readings=s.raw,
         covariates=s.covariates,
-        labels=_balls(work),
+        labels=_smrs(work),
     )
     blank = exact_lengths(bare, work)
     return blank.replace(notes=(*work.notes, *_idle(work, KnownLengths.of(blank))))
@@ -139,11 +139,11 @@ def mistakes(effects: Sequence[Effect], values: Sequence[Floats]) -> list[Mistak
     return [e for e, made in zip(effects, values, strict=True) if isinstance(e, Mistake) and np.any(made[0])]
 
 
-def _balls(work: Fieldwork) -> dict[str, tuple[str, ...]]:
+def _smrs(work: Fieldwork) -> dict[str, tuple[str, ...]]:
     scenario = work.scenario
     if not scenario.reflectors and not any(station.reflector for station in scenario.stations.values()):
         return {}
-    return {REFLECTOR_COLUMN: balls_of(scenario, work.sightings)}
+    return {REFLECTOR_COLUMN: smrs_of(scenario, work.sightings)}
 
 
 def idle_effects(work: Fieldwork) -> Iterator[str]:

@@ -82,7 +82,7 @@ class Inputs:
         at = np.array([recording.targets.index(name) for name in names])
         reach = reach_of(found, at)
         observed = [replace(s, response=_compact(s.response)) for s in observed_sources(found, reach)]
-        observed += ball_sources(found, reach)
+        observed += smr_sources(found, reach)
         further = [_type_b(found, reach, entry, i + 1) for i, entry in enumerate(tasks.type_b)]
         air, told = _air_of(tasks, float(found.sightings.range_.max()))
         further += air_sources(found, reach, air) if told else []
@@ -133,7 +133,7 @@ def observed_sources(adjustment: Adjustment, reach: Floats) -> list[Source]:
     return [*found, *(Source(name, "B", response[:, None]) for name, response in shared)]
 
 
-def ball_sources(adjustment: Adjustment, reach: Floats) -> list[Source]:
+def smr_sources(adjustment: Adjustment, reach: Floats) -> list[Source]:
     """The radius of each SMR whose standard deviation is stated: one error of all its pointings, along the normals."""
     problem, sightings, names = adjustment.problem, adjustment.sightings, np.array(smrs_of(adjustment.recording))
     rows, columns = np.nonzero(problem.use)

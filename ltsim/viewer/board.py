@@ -12,6 +12,7 @@ import numpy as np
 from ltsim.arrays import Floats
 from ltsim.errors import LtsimError, SetupError
 from ltsim.model.construction import Construction
+from ltsim.notation import listing
 from ltsim.pages.scene3d import Camera
 from ltsim.pages.scene_page import scene_page
 from ltsim.pages.workshop import from_scenario
@@ -150,8 +151,7 @@ class Board:
             first, second = (survey.station_names[i] for i in close[0])
             return f"{first} and {second} stand nearer than {self.site.spacing:g} m"
         if few:
-            more = f" and {len(few) - 1} more" if len(few) > 1 else ""
-            return f"{few[0]}{more} seen from fewer than {self.least} station{'s' if self.least > 1 else ''}"
+            return f"{listing(few, 1)} seen from fewer than {self.least} station{'s' if self.least > 1 else ''}"
         return ""
 
     def verdict(self, stations: Sequence[Mapping[str, Any]]) -> str:

@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from ltsim.arrays import Floats
+from ltsim.notation import listing
 from ltsim.recording.files import shown
 from ltsim.recording.pointings import numbered
 from ltsim.recording.recording import OCCUPATION_COLUMNS
@@ -53,9 +54,8 @@ def common_names(sightings: Sequence[tuple[str, str]]) -> tuple[list[str], list[
         for name in spellings[1:]
     }
     if one:
-        some = ", ".join(f"'{name}' and '{first}'" for name, first in list(one.items())[:MOST_SHOWN])
-        more = f" and {len(one) - MOST_SHOWN} more" if len(one) > MOST_SHOWN else ""
-        notes.append(f"names that differ in case, blanks or leading zeros are taken as one target: {some}{more}")
+        some = listing([f"'{name}' and '{first}'" for name, first in one.items()], MOST_SHOWN)
+        notes.append(f"names that differ in case, blanks or leading zeros are taken as one target: {some}")
     return [one.get(target, target) for target in targets], notes
 
 
