@@ -160,14 +160,14 @@ def times_to_noise(strength: Floats) -> float:
     return 1.0 / float(np.clip(np.median(touched), 1.0 / COARSEST, 1.0)) if len(touched) else 1.0
 
 
-MAINLY = 0.8
-"""Share of the evidence from which one observable is said to carry it."""
+LEAST_SHARE = 0.1
+"""Share of what an effect does to the readings below which it is not said to act on an observable."""
 
 
-def carried_by(use: Bools, gain: Floats) -> tuple[str, ...]:
-    """The observable that carries a gain (r,) of the readings in `use` (n, 3); empty: several do."""
-    by_reading = np.zeros(use.shape)
-    by_reading[use] = gain
-    by_kind = by_reading.sum(axis=0)
-    top = int(np.argmax(by_kind))
-    return (OBSERVABLES[top],) if by_kind[top] > MAINLY * by_kind.sum() else ()
+def shown_in(use: Bools, shift: Floats) -> tuple[str, ...]:
+    """The observables in which a whitened shift (r,) of the readings in `use` (n, 3) shows; empty where in all."""
+    squares = np.zeros(use.shape)
+    squares[use] = shift**2
+    share = squares.sum(axis=0) / max(float(squares.sum()), 1e-300)
+    seen = tuple(name for name, part in zip(OBSERVABLES, share.tolist(), strict=True) if part >= LEAST_SHARE)
+    return seen if len(seen) < len(OBSERVABLES) else ()

@@ -14,7 +14,7 @@ from ltsim.diagnosis.blind import distortion
 from ltsim.diagnosis.case import Case
 from ltsim.diagnosis.curve import curve_of
 from ltsim.diagnosis.detect import Detection
-from ltsim.diagnosis.evidence import carried_by, posterior
+from ltsim.diagnosis.evidence import posterior, shown_in
 from ltsim.diagnosis.hypotheses import Found, Hypothesis, Ranking
 from ltsim.diagnosis.instruments import TINY
 from ltsim.diagnosis.noise import NoiseHypothesis
@@ -26,6 +26,7 @@ from ltsim.diagnosis.words import LIKELY, card_sentence, law_sentence, outside_s
 from ltsim.effects import BASELINE
 from ltsim.effects.effect import Effect, NoiseEffect, SlotEffect
 from ltsim.effects.signature import Tunable, constants_of
+from ltsim.effects.verbs import constants_in_words
 from ltsim.laws.drivers import words_of
 from ltsim.laws.law import Law
 from ltsim.laws.places import trackers_of
@@ -123,7 +124,9 @@ class Explained:
         probability, rivals = self.probability(member), among(ranking.probabilities(), name)[1]
         shown = self.shown[member]
         gain = self.gain(member)
-        where = self._where(effect, carried_by(space.use, gain[: int(space.use.sum())]))
+        mean = posterior(*searcher.exact.moments([effect], others)[0], hypothesis.spread)[0]
+        shift = (searcher.with_members([hypothesis]).left[0] @ mean)[: int(space.use.sum())]
+        where = self._where(effect, shown_in(space.use, shift))
         told = self._estimates(member, hypothesis, others)
         more: dict[str, Any] = {}
         sentence = ""
@@ -143,8 +146,7 @@ class Explained:
         if hypothesis.known:
             doubt = self._doubt(effect, told)
             sentence = card_sentence(name, where, told, probability, shown=shown) + doubt
-        moved = distortion(space, effect, posterior(*searcher.exact.moments([effect], others)[0], hypothesis.spread)[0])
-        more["moves_targets_um"] = moved
+        more["moves_targets_um"] = moved = distortion(space, effect, mean)
         touched = max(int(np.count_nonzero(space.signature(effect).any(axis=1))), 1)
         left = number(np.sqrt(max(float(gain.sum()), 0.0) / touched), 2)
         sentence += f" Not modelled, it leaves {left} sigma rms in the readings that it acts on"
@@ -321,6 +323,8 @@ def where_of(effect: Tunable, carried: tuple[str, ...] = ()) -> Where:
 def law_words(law: Law, driver: str) -> str:
     """A law and its driver in a line: ``distance correction follows cos(3 azimuth)``."""
     what = f"{law.carrier.name} correction" if law.carrier.kind == "reading" else law.carrier.name
+    constants = constants_in_words(law.carrier.card) if law.carrier.card else ""
+    what += f" ({constants})" if constants else ""
     own = IN_ITS_OWN_WAY if law.each else ""
     return f"{what} differs{own}" if law.driver.kind == "constant" else f"{what} follows {driver}{own}"
 
