@@ -160,14 +160,23 @@ def times_to_noise(strength: Floats) -> float:
     return 1.0 / float(np.clip(np.median(touched), 1.0 / COARSEST, 1.0)) if len(touched) else 1.0
 
 
-LEAST_SHARE = 0.1
-"""Share of what an effect does to the readings below which it is not said to act on an observable."""
+DONE, SEEN = 0.01, 0.1
+"""Shares of the squares of what an effect does to the readings, and of what an adjustment leaves of that, from which it
+is said to act on an observable: what one observable is given, an adjustment hands on to others."""
 
 
-def shown_in(use: Bools, shift: Floats) -> tuple[str, ...]:
-    """The observables in which a whitened shift (r,) of the readings in `use` (n, 3) shows; empty where in all."""
-    squares = np.zeros(use.shape)
-    squares[use] = shift**2
-    share = squares.sum(axis=0) / max(float(squares.sum()), 1e-300)
-    seen = tuple(name for name, part in zip(OBSERVABLES, share.tolist(), strict=True) if part >= LEAST_SHARE)
-    return seen if len(seen) < len(OBSERVABLES) else ()
+def shown_in(use: Bools, done: Floats, left: Floats) -> tuple[str, ...]:
+    """The observables on which an effect acts and in which it shows; empty where it does in all.
+
+    By what it does to the readings in `use` (n, 3), and what is left of that: both (r,), whitened.
+    """
+    seen = (_share(use, done) >= DONE) & (_share(use, left) >= SEEN)
+    return () if seen.all() else tuple(name for name, one in zip(OBSERVABLES, seen.tolist(), strict=True) if one)
+
+
+def _share(use: Bools, shift: Floats) -> Floats:
+    """Share (3,) of the squares of a shift (r,) in each observable."""
+    kind = np.nonzero(use)[1]
+    squares = np.bincount(kind, shift**2, minlength=len(OBSERVABLES))
+    found: Floats = squares / max(float(squares.sum()), 1e-300)
+    return found

@@ -12,6 +12,7 @@ import pytest
 from ltsim.adjustment import adjust
 from ltsim.diagnosis.detect import Detection
 from ltsim.diagnosis.diagnose import _likely
+from ltsim.diagnosis.evidence import shown_in
 from ltsim.diagnosis.schema import Where
 from ltsim.diagnosis.separate import separating_measurement
 from ltsim.diagnosis.words import law_sentence
@@ -20,6 +21,18 @@ from ltsim.model.construction import misalignment
 from ltsim.randomness import stream
 from ltsim.remedies.next_measurement import DECISIVE
 from tests.networks import network, with_effect
+
+# --- evidence ---------------------------------------------------------------------------------------------------------
+
+
+def test_an_effect_is_told_in_the_observables_on_which_it_acts_and_in_which_it_shows() -> None:
+    use = np.array([[True, True, False], [True, True, True]])
+    everywhere = np.ones(5)
+    assert shown_in(use, everywhere, np.array([3.0, 0.9, 0.0, 0.0, 0.0])) == ("distance",)
+    assert shown_in(use, everywhere, np.array([3.0, 1.1, 0.0, 0.0, 0.0])) == ("distance", "azimuth")
+    assert shown_in(use, everywhere, everywhere) == ()
+    assert shown_in(use, np.array([1.0, 0.0, 1.0, 0.0, 1.0]), everywhere) == ("distance", "elevation")
+
 
 # --- separate ---------------------------------------------------------------------------------------------------------
 
