@@ -1,61 +1,52 @@
-"""Laws about what trackers stand on."""
+"""Laws about what the tracker stands on."""
 
 from ..law import UP, Change, Draw, Hall, law, leans, level, np, shifts
 
-ACROSS = np.array([0.0, 1.0, 0.0])
 
-
-@law("time", may="place")
-def a_work_lamp_warms_one_leg(h: Hall, rng: Draw) -> Change:
-    """A lamp beside one stand goes on and off; the leg that it shines on lengthens with a lag, and the stand leans."""
-    return leans(h, h.one_station(rng) * h.lagging(h.windows(rng), rng.uniform(200.0, 600.0)), level(rng))
-
-
-@law("time", "place")
-def a_gantry_presses_the_slab_down(h: Hall, rng: Draw) -> Change:
-    """While the gantry works its rail along one long wall bends the slab: stands lean towards it, near ones most."""
-    far = h.stand[:, 1] if rng.random() < 0.5 else h.size.room[1] - h.stand[:, 1]
-    return leans(h, h.windows(rng) * np.exp(-far / rng.uniform(1.2, 2.5)), np.array([1.0, 0.0, 0.0]))
-
-
-@law("time|press_load_kn")
-def blows_of_the_press_walk_the_stand(h: Hall, rng: Draw) -> Change:
-    """Smooth feet creep a little with every blow, so the stand goes the way that the work of the press adds up to."""
-    work = np.cumsum(h.load * h.gap)
-    return shifts(h, 1e-3 * (work - work[h.starts]), level(rng))
-
-
-@law("distance", may="place")
-def boards_yield_where_the_operator_kneels(h: Hall, rng: Draw) -> Change:
-    """On a boarded floor the operator's weight tips the stand towards the target that he serves, if it is near."""
-    way = h.aim - h.stand
-    way[:, 2] = 0.0
-    way /= np.sqrt((way**2).sum(axis=1))[:, None]
-    return leans(h, np.exp(-((h.distance / rng.uniform(2.0, 3.5)) ** 2)), np.cross(UP, way))
-
-
-@law("approach", may="time azimuth")
-def a_column_stays_twisted_by_the_drive(h: Hall, rng: Draw) -> Change:
-    """The drive's torque twists the clamped column at every turn of the head, and the twist goes back slowly."""
-    return leans(h, h.fading(np.sin(h.swing), rng.uniform(30.0, 120.0)), UP)
-
-
-@law("azimuth", may="approach face place")
-def a_foot_rocks_with_the_head(h: Hall, rng: Draw) -> Change:
-    """One stand has a foot that does not touch; the heavy side of the head tips it over, and back only well beyond."""
-    side = np.cos(h.circle - rng.uniform(-np.pi, np.pi))
-    return leans(h, h.one_station(rng) * h.latched(side, -0.35, 0.35), level(rng))
+@law("time")
+def forklift_waits_beside_one_stand(h: Hall, rng: Draw) -> Change:
+    """A loaded forklift that waits beside one stand dents the floor: the stand leans, and comes back when it leaves."""
+    return leans(h, h.one_station(rng) * h.windows(rng), level(rng))
 
 
 @law("time")
-def a_levelling_valve_feeds_the_air_springs(h: Hall, rng: Draw) -> Change:
-    """A stand on air springs sinks as they leak, until the valve opens and lifts it again: a sawtooth."""
-    cycle = rng.uniform(350.0, 1100.0)
-    return shifts(h, -np.mod(h.time / cycle + rng.random(), 1.0), UP)
+def patch_of_sun_crosses_a_tripod_leg(h: Hall, rng: Draw) -> Change:
+    """A patch of sun wanders over one leg of one tripod, which grows while it is lit and shrinks again with a lag."""
+    own = h.one_station(rng)
+    there = h.time[own > 0]
+    lit = np.exp(-0.5 * ((h.time - rng.uniform(there[0], there[-1])) / rng.uniform(150.0, 400.0)) ** 2)
+    return leans(h, own * h.lagging(lit, rng.uniform(100.0, 300.0)), level(rng))
 
 
-@law("temperature", "place")
-def a_slab_beyond_a_joint_tips_with_the_warmth(h: Hall, rng: Draw) -> Change:
-    """The slab on one side of an expansion joint is held at its far edge and tips with its stands as it warms."""
-    joint = np.median(np.unique(h.stand[:, 0]))
-    return leans(h, h.warmth * (h.stand[:, 0] > joint), ACROSS * rng.choice([-1.0, 1.0]))
+@law("approach")
+def mast_rocks_over_in_its_loose_lock(h: Hall, rng: Draw) -> Change:
+    """The mast has play in its lock: a quick turn of the head tips it over, a quick turn the other way tips it back."""
+    return leans(h, h.latched(h.swing, -rng.uniform(0.6, 1.2), rng.uniform(0.6, 1.2)), level(rng))
+
+
+@law("press_load_kn", "place", may="distance")
+def floor_slab_dips_round_the_press(h: Hall, rng: Draw) -> Change:
+    """The slab dips under the loaded press, and stands sink with it the more the nearer they are."""
+    away = h.stand[:, :2] - rng.uniform([0.2, 0.2], [0.8, 0.8]) * np.asarray(h.size.room)[:2]
+    return shifts(h, h.load * np.exp(-(away**2).sum(axis=1) / (0.25 * h.size.room[0]) ** 2), -UP)
+
+
+@law("approach", may="azimuth time")
+def rubber_pads_keep_a_twist(h: Hall, rng: Draw) -> Change:
+    """Every turn of the head twists the rubber pads below the stand the other way, and they creep back in minutes."""
+    return leans(h, -h.fading(h.swing, rng.uniform(60.0, 200.0)), UP)
+
+
+@law("azimuth", may="face place")
+def one_foot_is_softer_than_the_others(h: Hall, rng: Draw) -> Change:
+    """One foot of one stand is soft, and gives way whenever the head hangs out over it."""
+    over = np.maximum(0.0, np.cos(h.circle - rng.uniform(-np.pi, np.pi)))
+    return leans(h, h.one_station(rng) * over, level(rng))
+
+
+@law("distance", may="elevation height place")
+def operator_stands_on_the_same_floor_panel(h: Hall, rng: Draw) -> Change:
+    """Who holds the reflector near the tracker stands on its floor panel, and the stand leans towards the target."""
+    way = (h.aim - h.stand) * np.array([1.0, 1.0, 0.0])
+    away = np.sqrt((way**2).sum(axis=1))
+    return leans(h, np.exp(-((away / rng.uniform(1.5, 2.5)) ** 2)), np.cross(UP, way / away[:, None]))

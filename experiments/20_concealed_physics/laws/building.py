@@ -1,4 +1,4 @@
-"""Fresh laws about walls, galleries, tables and what is fixed to them."""
+"""Laws about walls, galleries, tables and what is fixed to them."""
 
 from ..law import OUT, UP, Change, Draw, Hall, law, moves, np
 

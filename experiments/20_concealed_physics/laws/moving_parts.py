@@ -1,4 +1,4 @@
-"""Fresh laws about axes, bearings, circles and cables of the tracker."""
+"""Laws about axes, bearings, circles and cables of the tracker."""
 
 from ..law import UP, Change, Draw, Hall, law, np, reads, shifts, varies
 

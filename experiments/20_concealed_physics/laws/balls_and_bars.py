@@ -1,4 +1,4 @@
-"""Fresh laws about reflectors, their nests, and the bars whose length is known."""
+"""Laws about reflectors, their nests, and the bars whose length is known."""
 
 from ..law import UP, Change, Draw, Hall, gauge, law, moves, np, reads, varies
 

@@ -1,4 +1,4 @@
-"""Fresh laws about laser, range meter and circuits."""
+"""Laws about laser, range meter and circuits."""
 
 from ..law import Change, Draw, Hall, law, np, reads, varies
 

@@ -1,4 +1,4 @@
-"""Fresh laws about what makes readings scatter."""
+"""Laws about what makes readings scatter."""
 
 from ..law import Change, Draw, Hall, law, np, scatters
 

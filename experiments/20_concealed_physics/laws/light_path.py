@@ -1,4 +1,4 @@
-"""Fresh laws about what lies between the tracker and its targets."""
+"""Laws about what lies between the tracker and its targets."""
 
 from ..law import Change, Draw, Hall, law, np, reads, varies
 
