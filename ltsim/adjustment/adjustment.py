@@ -17,9 +17,9 @@ from ltsim.adjustment.prior import ParameterPrior
 from ltsim.adjustment.problem import NetworkProblem
 from ltsim.adjustment.reliability import (
     FAMILY_LEVEL,
+    FEW,
     UNCHECKED,
-    critical_tau,
-    critical_w,
+    chance_of_tau,
     noncentrality,
     normalised,
     redundancy_of,
@@ -52,6 +52,8 @@ class FlaggedReading:
     observable: int
     size: float
     w: float
+    p_value: float
+    """Chance of one reading as far out, or farther, in the whole of a sound recording."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -271,21 +273,23 @@ class Adjustment(Result):
     def outliers(self, level: float = FAMILY_LEVEL, *, estimated: bool = False) -> list[FlaggedReading]:
         """Readings whose residual is too large for chance over the whole recording, largest first.
 
-        By the stated noise (w), or with sigma0 as `estimated` from the residuals themselves (tau), that of readings to
-        `restless` targets apart from that of all others.
+        By the stated noise (w), or with sigma0 as `estimated` from the residuals themselves (tau): where some targets
+        are `restless`, each that has readings enough by its own.
         """
-        count = int(self.problem.use.sum())
-        limit = np.full((len(self.w), 1), critical_w(count, level))
-        if estimated:
-            limit[:] = self.sigma0 * critical_tau(count, self.dof, level)
-            own: Bools = np.isin(self.recording.target, self.restless[0])
-            for group in (own, ~own) if own.any() else ():
-                square = np.nansum((self.residuals / self.problem.sigma)[group] ** 2)
-                dof = np.nansum(self.redundancy[group])
-                limit[group] = np.sqrt(square / dof) * critical_tau(count, int(dof), level)
-        rows, columns = np.nonzero(np.nan_to_num(np.abs(self.w)) > limit)
+        use, target, count = self.problem.use, self.recording.target, int(self.problem.use.sum())
+        scale = np.full((len(use), 1), self.sigma0 if estimated else 1.0)
+        dof = np.full((len(use), 1), float(self.dof) if estimated else np.inf)
+        if estimated and len(self.restless[0]):
+            checks = np.bincount(target, np.nansum(self.redundancy, axis=1))
+            group = np.where(checks >= FEW, np.arange(len(checks)), -1)[target]
+            for rows in (group == one for one in np.unique(group)):
+                dof[rows] = np.nansum(self.redundancy[rows])
+                scale[rows] = np.linalg.norm((self.residuals / self.problem.sigma)[rows][use[rows]]) / np.sqrt(dof[rows])
+        chance = chance_of_tau(np.nan_to_num(np.abs(self.w)) / scale, dof, count)
+        rows, columns = np.nonzero(use & (chance < level))
         size = self.residuals[rows, columns] / self.redundancy[rows, columns]
-        found = map(FlaggedReading, rows.tolist(), columns.tolist(), size.tolist(), self.w[rows, columns].tolist())
+        values = size.tolist(), self.w[rows, columns].tolist(), chance[rows, columns].tolist()
+        found = map(FlaggedReading, rows.tolist(), columns.tolist(), *values)
         return sorted(found, key=lambda outlier: -abs(outlier.w))
 
     def covariance_of(self, columns: Ints) -> Floats:

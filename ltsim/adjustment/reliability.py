@@ -92,6 +92,15 @@ def critical_tau(count: int, dof: int, level: float = FAMILY_LEVEL) -> float:
     return float(np.sqrt(dof) * t / np.sqrt(dof - 1 + t * t)) if np.isfinite(t) else float(np.sqrt(dof))
 
 
+def chance_of_tau(tau: Floats, dof: Floats, count: int) -> Floats:
+    """Chance that one of `count` readings is as far out, by a sigma0 of `dof`; infinite `dof`: by the stated noise."""
+    known = np.where(np.isfinite(dof), np.maximum(dof, 2.0), 2.0)
+    t = tau * np.sqrt((known - 1.0) / np.maximum(known - tau**2, 1e-300))
+    single = 2.0 * np.where(np.isfinite(dof), special.stdtr(known - 1.0, -t), special.ndtr(-tau))
+    single = np.where(dof < 2, 1.0, single)
+    return np.asarray(-np.expm1(count * np.log1p(-np.minimum(single, 1.0 - 1e-16))))
+
+
 def single_level(count: int, level: float) -> float:
     """Level of one test of `count` that together have `level` (Sidak)."""
     return float(-np.expm1(np.log1p(-level) / max(count, 1)))

@@ -1,5 +1,7 @@
 """From an adjusted network to a calibration: what every method writes down in the same way."""
 
+from typing import Any
+
 import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
@@ -68,12 +70,12 @@ def outliers_of(adjustment: Adjustment) -> tuple[OutlierRow, ...]:
     recording = adjustment.recording
     scaled = np.nan_to_num(adjustment.residuals / adjustment.problem.sigma)
 
-    def row(i: int, column: int, size: float, w: float, *, gross: bool = False, left_out: bool = False) -> OutlierRow:
+    def row(i: int, column: int, size: float, w: float, **more: Any) -> OutlierRow:
         unit, factor = SHOWN_UNITS[column]
         station, target = recording.stations[recording.station[i]], recording.targets[recording.target[i]]
         observable = OBSERVABLES[column]
         named = {"row": i + 1, "station": station, "target": target, "observable": observable, "unit": unit}
-        return OutlierRow(size=size / factor, w=w, gross=gross, left_out=left_out, **named)
+        return OutlierRow(size=size / factor, w=w, **named, **more)
 
     found = []
     for i in np.flatnonzero(adjustment.gross).tolist():
@@ -83,7 +85,7 @@ def outliers_of(adjustment: Adjustment) -> tuple[OutlierRow, ...]:
     for i, k in sorted(np.argwhere(single).tolist(), key=lambda at: -abs(scaled[at[0], at[1]])):
         found.append(row(i, k, adjustment.residuals[i, k], float(scaled[i, k]), left_out=True))
     trusted = adjustment.outliers(estimated=verdict_of(adjustment).by_estimate)
-    return (*found, *(row(o.row, o.observable, o.size, o.w) for o in trusted))
+    return (*found, *(row(o.row, o.observable, o.size, o.w, p_value=o.p_value) for o in trusted))
 
 
 def _has_size(adjustment: Adjustment, scaled: Floats) -> Bools:

@@ -200,6 +200,8 @@ class OutlierRow(Entry):
     """Of the size."""
     w: Finite
     """Normalised residual."""
+    p_value: Known = None
+    """Chance of one reading as far out in a whole sound recording, by the test that is trusted; none where left out."""
     gross: bool = False
     """The largest of a whole pointing that was left out."""
     left_out: bool = False
