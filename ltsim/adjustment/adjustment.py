@@ -284,7 +284,9 @@ class Adjustment(Result):
             group = np.where(checks >= FEW, np.arange(len(checks)), -1)[target]
             for rows in (group == one for one in np.unique(group)):
                 dof[rows] = np.nansum(self.redundancy[rows])
-                scale[rows] = np.linalg.norm((self.residuals / self.problem.sigma)[rows][use[rows]]) / np.sqrt(dof[rows])
+                scale[rows] = np.linalg.norm((self.residuals / self.problem.sigma)[rows][use[rows]]) / np.sqrt(
+                    dof[rows]
+                )
         chance = chance_of_tau(np.nan_to_num(np.abs(self.w)) / scale, dof, count)
         rows, columns = np.nonzero(use & (chance < level))
         size = self.residuals[rows, columns] / self.redundancy[rows, columns]
@@ -366,7 +368,7 @@ class Adjustment(Result):
         """The adjustment with other further effects, beside the same readings and weights, in the factor's datum."""
         old, model = self.problem, replace(self.problem.model, effects=tuple(effects))
         new = NetworkProblem.of(model, sigma=old.sigma, use=old.use, prior=old.prior)
-        problem = replace(new, gauge=old.gauge, levels=old.levels)
+        problem = replace(new, gauge=old.gauge, levels=old.levels, yaws=old.yaws)
         solution = solve(problem, replace(start, extra=np.zeros(model.extra_size)))
         return replace(self, problem=problem, solution=solution, datum=None)
 

@@ -201,18 +201,21 @@ def frame_of(adjustment: Adjustment) -> str:
     problem, recording = adjustment.problem, adjustment.recording
     free = problem.free.shape[1]
     first = recording.stations[0]
-    control = [recording.targets[i] for i in problem.control.target]
+    known, flat = problem.control, adjustment.open_heights[problem.control.target]
+    control = [recording.targets[i] for i in known.target[known.axes[:, :2].any(axis=1) | ~flat]]
     control += [problem.marks.names[i] for i in problem.known_marks.target]
     levelled = [recording.stations[i] for i in problem.levels.station]
+    turned = [recording.stations[i] for i in problem.yaws.station]
+    zeros = f" and the azimuth zero of {listing(turned)}" if turned else ""
+    points = f"control point{'s' if len(control) > 1 else ''} {listing(control)}"
     if free == 0:
-        return f"the frame of the control points {listing(control)}"
+        return f"the frame of the {points}{zeros}"
     rest = f"is {_free_axes(adjustment, first)}" + _inner(adjustment)
     if free == 6:
         return rest.removeprefix("is ")
     if not control:
-        return f"z follows the levels of {listing(levelled)}; the rest {rest}"
-    held = f"the control points {listing(control)}" + (" and the levels" if levelled else "")
-    return f"{held}; what these leave free {rest}"
+        return f"z follows the levels of {listing(levelled)}{zeros.replace(' and', ', x')}; the rest {rest}"
+    return f"the {points}{' and the levels' if levelled else ''}{zeros}; what these leave free {rest}"
 
 
 def _free_axes(adjustment: Adjustment, first: str) -> str:

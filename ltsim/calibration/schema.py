@@ -211,7 +211,7 @@ class OutlierRow(Entry):
 class KnownEntry(Entry):
     """A component of a known value, tested like a reading; what gives only axes has the kind `axes`."""
 
-    kind: Literal["point", "length", "level", "mark", "axes", "scale"]
+    kind: Literal["point", "length", "level", "yaw", "mark", "axes", "scale"]
     """What is known."""
     name: str
     """Target, both ends of a length, station, or what `scale` is of."""

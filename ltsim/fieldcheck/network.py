@@ -9,10 +9,11 @@ from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.doubt import require_result, weaknesses
 from ltsim.adjustment.estimate import adjust
 from ltsim.adjustment.gross import mistakes
-from ltsim.adjustment.known import Kind, known_tests
+from ltsim.adjustment.known import known_tests
 from ltsim.adjustment.moving import moving_stations, told_motions
 from ltsim.adjustment.occupations import moved_tripods
 from ltsim.adjustment.reliability import FEW
+from ltsim.adjustment.stated import Kind
 from ltsim.adjustment.verdict import LEVEL as RARE, Agreement, verdict
 from ltsim.arrays import Bools
 from ltsim.effects.motions import StationMotion

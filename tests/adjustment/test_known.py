@@ -15,6 +15,7 @@ from ltsim.calibration import calibrate_network
 from ltsim.calibration.files import calibration_file
 from ltsim.errors import RecordError
 from ltsim.geometry.alignment import align
+from ltsim.geometry.polar import wrap
 from ltsim.randomness import stream
 from ltsim.recording.coordinates import read_points
 from ltsim.recording.recording import Recording
@@ -144,6 +145,28 @@ def test_a_wrong_level_and_a_wrong_height_are_named() -> None:
     found = adjust(levelled.replace(setup=levelled.setup.model_copy(update={"targets": heights})))
     assert [(test.kind, test.name, test.axes) for test in found.wrong] == [("point", "T16", "z")]
     assert found.wrong[0].error[0] == pytest.approx(1.02, abs=1e-3)
+
+
+def test_known_azimuth_zeros_turn_the_network_and_a_wrong_one_is_named() -> None:
+    recording, _ = network(seed=6, faces=2)
+    ahead = adjust(recording).state.rotation[:, :, 0]
+    yaws = np.degrees(np.arctan2(ahead[:, 1], ahead[:, 0])) + 100.0
+
+    def oriented(off_arcsec: float) -> Recording:
+        stations = {
+            name: Station(levelled=True, yaw_deg=yaw + (off_arcsec / 3600 if name == "S3" else 0), yaw_sigma_arcsec=2.0)
+            for name, yaw in zip(recording.stations, yaws.tolist(), strict=True)
+        }
+        return recording.replace(setup=recording.setup.model_copy(update={"stations": stations}))
+
+    sound, wrong = adjust(oriented(0.0)), adjust(oriented(60.0))
+    assert sound.wrong == ()
+    assert sound.problem.free.shape[1] == 3
+    turned = sound.state.rotation[:, :, 0]
+    assert np.abs(wrap(np.arctan2(turned[:, 1], turned[:, 0]) - np.radians(yaws))).max() < 2e-5
+    assert [(test.kind, test.name) for test in wrong.wrong] == [("yaw", "S3")]
+    assert 3600 * np.degrees(wrong.wrong[0].error[0]) == pytest.approx(60.0, abs=6.0)
+    assert "the azimuth zero of S3 is off by" in wrong.wrong[0].sentence
 
 
 def test_of_two_points_that_contradict_each_other_nobody_can_tell_which() -> None:
