@@ -185,6 +185,7 @@ class Adjustment(Result):
             return "no distance, no known length and no two known points give the network its scale"
         seen = np.zeros((len(recording.stations), len(recording.targets)), dtype=bool)
         seen[recording.station, recording.target] = True
+        seen[problem.levels.station] = False  # to an upright station a line is as good as any targets
         for name, own in zip(recording.stations, seen & (seen.sum(axis=0) > 1), strict=True):
             if own.sum() > 2 and on_a_line(self.state.points[own]):
                 return f"station {name}: the {own.sum()} targets that it shares with others lie on a line, or nearly so"
