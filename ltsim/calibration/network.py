@@ -16,7 +16,7 @@ from ltsim.adjustment.prior import ParameterPrior, expected_sigmas, prior_sigmas
 from ltsim.calibration import result
 from ltsim.calibration.beside import Wanted, estimated_beside
 from ltsim.calibration.calibration import Calibration
-from ltsim.calibration.conflict import beyond_prior, disagreement, too_quiet
+from ltsim.calibration.conflict import UNEXPLAINED, beyond_prior, disagreement, too_quiet
 from ltsim.calibration.known import WIDE, Choice
 from ltsim.calibration.worth import correction_of
 from ltsim.effects.range_mode import RangeMode
@@ -150,6 +150,9 @@ def _adjusted(
     how: dict[str, Any] = {"robust": robust, "variance_components": grouping, "datum": datum, "prior": prior}
     how["judging"] = KINDS if prior is None or prior.held.all() else SCALED
     found = adjusted_network(recording, construction, effects=effects, **how)
+    if found.sigma0 >= UNEXPLAINED and any(test.kind == "scale" for test in found.wrong):
+        how["judging"] = KINDS  # lengths so far off that no scale of an instrument is: they count by their ratios
+        found = adjusted_network(recording, construction, effects=effects, **how)
     require_result(found)
     if moving := moving_stations(found):
         found = adjusted_network(recording, construction, effects=(*effects, *moving), **how | {"robust": True})

@@ -130,6 +130,18 @@ def test_a_wrong_temperature_of_the_gauge_is_told_of_all_its_lengths_and_of_no_r
     assert no_go[0].startswith("all known lengths are ")
 
 
+def test_a_calibration_does_not_follow_lengths_so_far_off_that_no_scale_of_an_instrument_is() -> None:
+    recording = network(seed=2, faces=2)[0]
+    assert recording.setup.gauge is not None
+    gauge = recording.setup.gauge.model_copy(update={"measured_at_c": 45.0, "expansion_per_k": 23.2e-6})
+    found = lt.calibrate(recording.replace(setup=recording.setup.model_copy(update={"gauge": gauge})))
+    assert (found.known[0].kind, found.known[0].left_out) == ("scale", True)
+    assert found.fit.sigma0 == pytest.approx(1.0, abs=0.1)
+    scale = found.parameters[found.names.index("range-scale")]
+    assert abs(scale.value) < 3.0 * scale.prior_sigma
+    assert not found.outliers
+
+
 def test_a_wrong_level_and_a_wrong_height_are_named() -> None:
     recording, _ = network(seed=6, faces=2)
     stations = {name: Station(levelled=True, levelling_sigma_arcsec=1.0) for name in recording.stations}
