@@ -22,6 +22,7 @@ from ltsim.adjustment.reliability import (
     chance_of_tau,
     noncentrality,
     normalised,
+    one_after_another,
     redundancy_of,
     restless,
 )
@@ -35,6 +36,7 @@ from ltsim.recording.recording import Recording
 from ltsim.results import Result
 from ltsim.scene.sightings import Sightings
 from ltsim.solve.blocks import BlockFactor, SingularSystemError
+from ltsim.solve.design import as_dense
 from ltsim.solve.gauss_newton import Solution, planned, solve
 from ltsim.solve.projection import Projection, projection_of
 from ltsim.solve.threads import in_one_thread
@@ -42,6 +44,8 @@ from ltsim.solve.threads import in_one_thread
 STEEP = 1e-4
 """Cosine of an elevation below which a pointing is one to the zenith."""
 MOST_NAMED = 4
+MOST_APART = 300
+"""Readings that do not fit, above which they are not tested one after another: it is the noise."""
 
 
 @dataclass(frozen=True)
@@ -272,28 +276,40 @@ class Adjustment(Result):
         return self.recording.measured & ~self.problem.use
 
     def outliers(self, level: float = FAMILY_LEVEL, *, estimated: bool = False) -> list[FlaggedReading]:
-        """Readings whose residual is too large for chance over the whole recording, largest first.
+        """Readings whose residual is too large for chance over the whole recording, the surest first.
 
-        By the stated noise (w), or with sigma0 as `estimated` from the residuals themselves (tau): where some targets
-        are `restless`, each that has readings enough by its own.
+        One after another, as what one of them does to the residuals of others blames none of these; those that no test
+        tells from it are beside it. By the stated noise (w), or with sigma0 `estimated` from the residuals themselves
+        (tau): where some targets are `restless`, each that has readings enough by its own.
         """
         use, target, count = self.problem.use, self.recording.target, int(self.problem.use.sum())
-        scale = np.full((len(use), 1), self.sigma0 if estimated else 1.0)
-        dof = np.full((len(use), 1), float(self.dof) if estimated else np.inf)
+        whitened = np.where(use, self.residuals / self.problem.sigma, 0.0)
+        scale = np.full(use.shape, self.sigma0 if estimated else 1.0)
+        dof = np.full(use.shape, float(self.dof) if estimated else np.inf)
         if estimated and len(self.restless[0]):
             checks = np.bincount(target, np.nansum(self.redundancy, axis=1))
             group = np.where(checks >= FEW, np.arange(len(checks)), -1)[target]
-            for rows in (group == one for one in np.unique(group)):
-                dof[rows] = np.nansum(self.redundancy[rows])
-                scale[rows] = np.linalg.norm((self.residuals / self.problem.sigma)[rows][use[rows]]) / np.sqrt(
-                    dof[rows]
-                )
-        chance = chance_of_tau(np.nan_to_num(np.abs(self.w)) / scale, dof, count)
-        rows, columns = np.nonzero(use & (chance < level))
-        size = self.residuals[rows, columns] / self.redundancy[rows, columns]
-        values = size.tolist(), self.w[rows, columns].tolist(), chance[rows, columns].tolist()
-        found = map(FlaggedReading, rows.tolist(), columns.tolist(), *values)
-        return sorted(found, key=lambda outlier: -abs(outlier.w))
+            for own in (group == one for one in np.unique(group)):
+                dof[own] = np.nansum(self.redundancy[own])
+                scale[own] = np.linalg.norm(whitened[own]) / np.sqrt(dof[own])
+        some = use & (chance_of_tau(np.nan_to_num(np.abs(self.w)) / scale, dof, count) < level)
+        rows, columns = np.nonzero(some)
+        unit, place = self.problem.sigma[some], list(zip(rows.tolist(), columns.tolist(), strict=True))
+        found = one_after_another(whitened[some], self._shown(rows, columns), scale[some], dof[some], count, level)
+        return [FlaggedReading(*place[k], float(error * unit[k]), w, p_value) for k, error, w, p_value in found]
+
+    def _shown(self, rows: Ints, columns: Ints) -> Floats:
+        """(k, k) What an error of each of some readings in use does to the residuals of all of them, in their sigmas.
+
+        Of more than `MOST_APART` nobody tells one from another: each is taken for itself.
+        """
+        use = self.problem.use
+        if len(rows) > MOST_APART:
+            return np.diag(self.redundancy[rows, columns])
+        at = (np.cumsum(use) - 1).reshape(use.shape)[rows, columns]
+        design = as_dense(self.solution.system.design[at])
+        response = self.factor.covariance_columns(np.ascontiguousarray(design.T))
+        return np.asarray(np.eye(len(at)) - design @ response)
 
     def covariance_of(self, columns: Ints) -> Floats:
         """Covariance (c, k, k) of sets (c, k) of unknowns other than eliminated targets (columns of the design)."""

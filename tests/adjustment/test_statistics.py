@@ -61,6 +61,16 @@ def test_each_restless_target_is_judged_by_its_own_noise():
     assert found.outliers(estimated=True)[0].p_value < 1e-3
 
 
+def test_a_large_error_blames_none_of_the_readings_that_it_bends():
+    clean = noisy(3)
+    found = adjust(spoiled(clean, [(20, 0)], [80.0]), TRACKER)
+    assert np.sum(np.abs(found.w) > critical_w(int(found.problem.use.sum()))) > 1
+    assert [(one.row, one.observable) for one in found.outliers()] == [(20, 0)]
+    two = adjust(spoiled(clean, [(20, 0), (47, 2)], [80.0, 9.0]), TRACKER)
+    assert [(one.row, one.observable) for one in two.outliers()] == [(20, 0), (47, 2)]
+    assert two.outliers()[1].size / two.problem.sigma[47, 2] == pytest.approx(9.0, abs=4.0)
+
+
 def test_tau_exceeds_its_limit_as_often_as_its_level_says():
     over, count = 0, 0
     for seed in range(40):
