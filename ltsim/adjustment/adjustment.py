@@ -17,11 +17,12 @@ from ltsim.adjustment.prior import ParameterPrior
 from ltsim.adjustment.problem import NetworkProblem
 from ltsim.adjustment.reliability import (
     FAMILY_LEVEL,
+    FEW,
     UNCHECKED,
-    critical_tau,
-    critical_w,
+    chance_of_tau,
     noncentrality,
     normalised,
+    one_after_another,
     redundancy_of,
     restless,
 )
@@ -35,6 +36,7 @@ from ltsim.recording.recording import Recording
 from ltsim.results import Result
 from ltsim.scene.sightings import Sightings
 from ltsim.solve.blocks import BlockFactor, SingularSystemError
+from ltsim.solve.design import as_dense
 from ltsim.solve.gauss_newton import Solution, planned, solve
 from ltsim.solve.projection import Projection, projection_of
 from ltsim.solve.threads import in_one_thread
@@ -42,6 +44,8 @@ from ltsim.solve.threads import in_one_thread
 STEEP = 1e-4
 """Cosine of an elevation below which a pointing is one to the zenith."""
 MOST_NAMED = 4
+MOST_APART = 300
+"""Readings that do not fit, above which they are not tested one after another: it is the noise."""
 
 
 @dataclass(frozen=True)
@@ -52,6 +56,8 @@ class FlaggedReading:
     observable: int
     size: float
     w: float
+    p_value: float
+    """Chance of one reading as far out, or farther, in the whole of a sound recording."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -183,6 +189,7 @@ class Adjustment(Result):
             return "no distance, no known length and no two known points give the network its scale"
         seen = np.zeros((len(recording.stations), len(recording.targets)), dtype=bool)
         seen[recording.station, recording.target] = True
+        seen[problem.levels.station] = False  # to an upright station a line is as good as any targets
         for name, own in zip(recording.stations, seen & (seen.sum(axis=0) > 1), strict=True):
             if own.sum() > 2 and on_a_line(self.state.points[own]):
                 return f"station {name}: the {own.sum()} targets that it shares with others lie on a line, or nearly so"
@@ -269,24 +276,40 @@ class Adjustment(Result):
         return self.recording.measured & ~self.problem.use
 
     def outliers(self, level: float = FAMILY_LEVEL, *, estimated: bool = False) -> list[FlaggedReading]:
-        """Readings whose residual is too large for chance over the whole recording, largest first.
+        """Readings whose residual is too large for chance over the whole recording, the surest first.
 
-        By the stated noise (w), or with sigma0 as `estimated` from the residuals themselves (tau), that of readings to
-        `restless` targets apart from that of all others.
+        One after another, as what one of them does to the residuals of others blames none of these; those that no test
+        tells from it are beside it. By the stated noise (w), or with sigma0 `estimated` from the residuals themselves
+        (tau): where some targets are `restless`, each that has readings enough by its own.
         """
-        count = int(self.problem.use.sum())
-        limit = np.full((len(self.w), 1), critical_w(count, level))
-        if estimated:
-            limit[:] = self.sigma0 * critical_tau(count, self.dof, level)
-            own: Bools = np.isin(self.recording.target, self.restless[0])
-            for group in (own, ~own) if own.any() else ():
-                square = np.nansum((self.residuals / self.problem.sigma)[group] ** 2)
-                dof = np.nansum(self.redundancy[group])
-                limit[group] = np.sqrt(square / dof) * critical_tau(count, int(dof), level)
-        rows, columns = np.nonzero(np.nan_to_num(np.abs(self.w)) > limit)
-        size = self.residuals[rows, columns] / self.redundancy[rows, columns]
-        found = map(FlaggedReading, rows.tolist(), columns.tolist(), size.tolist(), self.w[rows, columns].tolist())
-        return sorted(found, key=lambda outlier: -abs(outlier.w))
+        use, target, count = self.problem.use, self.recording.target, int(self.problem.use.sum())
+        whitened = np.where(use, self.residuals / self.problem.sigma, 0.0)
+        scale = np.full(use.shape, self.sigma0 if estimated else 1.0)
+        dof = np.full(use.shape, float(self.dof) if estimated else np.inf)
+        if estimated and len(self.restless[0]):
+            checks = np.bincount(target, np.nansum(self.redundancy, axis=1))
+            group = np.where(checks >= FEW, np.arange(len(checks)), -1)[target]
+            for own in (group == one for one in np.unique(group)):
+                dof[own] = np.nansum(self.redundancy[own])
+                scale[own] = np.linalg.norm(whitened[own]) / np.sqrt(dof[own])
+        some = use & (chance_of_tau(np.nan_to_num(np.abs(self.w)) / scale, dof, count) < level)
+        rows, columns = np.nonzero(some)
+        unit, place = self.problem.sigma[some], list(zip(rows.tolist(), columns.tolist(), strict=True))
+        found = one_after_another(whitened[some], self._shown(rows, columns), scale[some], dof[some], count, level)
+        return [FlaggedReading(*place[k], float(error * unit[k]), w, p_value) for k, error, w, p_value in found]
+
+    def _shown(self, rows: Ints, columns: Ints) -> Floats:
+        """(k, k) What an error of each of some readings in use does to the residuals of all of them, in their sigmas.
+
+        Of more than `MOST_APART` nobody tells one from another: each is taken for itself.
+        """
+        use = self.problem.use
+        if len(rows) > MOST_APART:
+            return np.diag(self.redundancy[rows, columns])
+        at = (np.cumsum(use) - 1).reshape(use.shape)[rows, columns]
+        design = as_dense(self.solution.system.design[at])
+        response = self.factor.covariance_columns(np.ascontiguousarray(design.T))
+        return np.asarray(np.eye(len(at)) - design @ response)
 
     def covariance_of(self, columns: Ints) -> Floats:
         """Covariance (c, k, k) of sets (c, k) of unknowns other than eliminated targets (columns of the design)."""
@@ -362,7 +385,7 @@ class Adjustment(Result):
         """The adjustment with other further effects, beside the same readings and weights, in the factor's datum."""
         old, model = self.problem, replace(self.problem.model, effects=tuple(effects))
         new = NetworkProblem.of(model, sigma=old.sigma, use=old.use, prior=old.prior)
-        problem = replace(new, gauge=old.gauge, levels=old.levels)
+        problem = replace(new, gauge=old.gauge, levels=old.levels, yaws=old.yaws)
         solution = solve(problem, replace(start, extra=np.zeros(model.extra_size)))
         return replace(self, problem=problem, solution=solution, datum=None)
 

@@ -10,11 +10,12 @@ from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.components import Component, Grouping, estimated_components
 from ltsim.adjustment.datum import InnerDatum, about, moved_to_datum, stated_datum
 from ltsim.adjustment.frame import misses
-from ltsim.adjustment.known import KINDS, SIGMAS, Kind, KnownTest, judged
+from ltsim.adjustment.known import KINDS, SIGMAS, KnownTest, judged
 from ltsim.adjustment.prior import ParameterPrior
 from ltsim.adjustment.problem import WEAK, NetworkProblem
 from ltsim.adjustment.rows import Marks
 from ltsim.adjustment.snooping import copied_rows, screened, snooped, without_loose
+from ltsim.adjustment.stated import Kind
 from ltsim.arrays import Bools, Floats
 from ltsim.effects.signature import Signature
 from ltsim.errors import ModelError, NetworkError

@@ -43,6 +43,8 @@ class Frame:
     """(S, 3) [m]: rough places of the stations on a floor plan."""
     yaw: Floats
     """(S,) [rad]: where the zero of each circle points on that plan."""
+    oriented: Bools
+    """(S,): stations whose yaw is known, not only roughly."""
     near: Floats
     """(T, 3) [m]: known or approximate places of the targets."""
     in_plan: Floats
@@ -61,6 +63,7 @@ class Frame:
             marks,
             _metres([s.position_mm or NOWHERE for s in setups]),
             np.array([np.nan if s.yaw_deg is None else s.yaw_deg * DEGREE for s in setups]),
+            np.array([s.yaw_sigma_arcsec is not None for s in setups], dtype=bool),
             _metres([_stated(recording, name, chosen=False) for name in recording.targets]),
             _metres([_in_plan(recording.target_setup(name)) for name in recording.targets]),
         )
@@ -76,10 +79,12 @@ class Frame:
         both = np.isfinite(here).all(axis=1) & np.isfinite(there).all(axis=1)
         return here[both], there[both]
 
-    def motion(self, position: Floats, points: Floats, turn: Floats) -> tuple[Floats, Floats] | None:
+    def motion(
+        self, position: Floats, points: Floats, turn: Floats, heading: Floats | None = None
+    ) -> tuple[Floats, Floats] | None:
         """Rotation and translation into the frame; None where the frame does not say.
 
-        `turn` (3, 3) has turned the levels of the network upright already.
+        `turn` (3, 3) has turned the levels of the network upright already, and `heading` what is known of its yaw.
         """
         here, there = self.common(position, points)
         if len(here) >= 3 and not on_a_line(there):
@@ -88,6 +93,9 @@ class Frame:
         if len(here) < 2:
             both = np.isfinite(points).all(axis=1) & np.isfinite(self.in_plan).all(axis=1)
             here, there = points[both], self.in_plan[both]
+        if heading is not None and len(here) == 1:
+            shift = there[0] - heading @ turn @ here[0]
+            return heading @ turn, np.array([*shift[:2], height])
         if not self.level.any() or len(here) < 2:
             return None
         try:
@@ -151,6 +159,14 @@ class Frame:
         """Whether a network stands on the floor plan already, as well as the plan knows places."""
         motion = self.plan_motion(position, rotation)
         return motion is not None and bool(misses(position, position, motion).max() < ROUGH_PLACE)
+
+    def heading(self, rotation: Floats, joined: Bools) -> Floats | None:
+        """The turn (3, 3) about z that brings upright stations to the yaws that are known; None where none is."""
+        chosen = self.oriented & joined
+        if not chosen.any():
+            return None
+        ahead = rotation[chosen, :, 0]
+        return about_z(float(np.angle(np.sum(np.exp(1j * (self.yaw[chosen] - np.arctan2(ahead[:, 1], ahead[:, 0])))))))
 
     def upright(self, rotation: Floats, joined: Bools) -> Floats:
         """The smallest turn (3, 3) that brings the axes of levelled stations to their plumb lines."""

@@ -4,9 +4,8 @@ A wrong one bends every reading that it meets. It is therefore judged before sin
 chi-square fall most, for the unknowns that it takes, is the one that is believed.
 """
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 from scipy import special
@@ -23,27 +22,26 @@ from ltsim.adjustment.reliability import (
     surprise,
 )
 from ltsim.adjustment.snooping import snooped
-from ltsim.arrays import Bools, Floats, Ints
+from ltsim.adjustment.stated import Kind, KnownInRows, KnownValue, common_scale, known_values, without
+from ltsim.arrays import Bools, Floats
 from ltsim.model.measurement import State
 from ltsim.notation import with_sigma
-from ltsim.recording.lengths import UNKNOWN_PPM
-from ltsim.recording.recording import Recording
 from ltsim.solve.design import as_dense
 from ltsim.solve.gauss_newton import Solution, solve
 from ltsim.units import ARCSECOND, MILLIMETRE
 
-Kind = Literal["point", "length", "level", "mark", "axes", "scale"]
 WORDS: dict[Kind, str] = {
     "point": "the known coordinates of",
     "length": "the known length",
     "level": "the level of",
+    "yaw": "the azimuth zero of",
     "mark": "the set-up of",
     "axes": "the stated coordinates of",
     "scale": "the scale of",
 }
-UNITS = {"level": ("arcsec", ARCSECOND), "scale": ("ppm", 1e-6)}
+UNITS = {"level": ("arcsec", ARCSECOND), "yaw": ("arcsec", ARCSECOND), "scale": ("ppm", 1e-6)}
 """Of an error; millimetres where nothing is said."""
-KINDS: tuple[Kind, ...] = ("point", "length", "level", "mark", "scale")
+KINDS: tuple[Kind, ...] = ("point", "length", "level", "yaw", "mark", "scale")
 SCALED: tuple[Kind, ...] = KINDS[:-1]
 """What is left out where lengths give the ranges their scale: that all of them contradict it is told."""
 SIGMAS = 5.0
@@ -64,31 +62,6 @@ RIVAL = 100.0
 """How many times likelier than another the error of one known value must be before it alone is blamed."""
 MOST_OUT = 1 / 3
 """Share of the known values of a kind beyond which they contradict each other, and none can be named."""
-
-
-@dataclass(frozen=True)
-class KnownValue:
-    """A point, length or level, all lengths, or that a set-up stands on its mark; (q,) [m, rad or 1], a component."""
-
-    kind: Kind
-    name: str
-    """Target, both ends of a length, or station."""
-    axes: str
-    """Coordinates that are known, of a point."""
-    sigma: Floats
-    """Stated standard deviation."""
-    residual: Floats
-    """Stated less adjusted."""
-
-
-@dataclass(frozen=True)
-class KnownInRows(KnownValue):
-    """A known value in the rows of an adjustment."""
-
-    rows: Ints
-    """(r,): rows of the system that its error reaches."""
-    signature: Floats
-    """(r, q): what an error of 1 [m, rad] in each component does to them."""
 
 
 @dataclass(frozen=True)
@@ -161,64 +134,16 @@ def loosened(problem: NetworkProblem, state: State) -> NetworkProblem:
     sizes = problem.sigma * np.stack([np.ones_like(range_), range_, range_], axis=1)
     floor = FINEST * float(np.median(sizes[problem.use]))
     turn = floor / float(np.median(range_[problem.use.any(axis=1)]))
-    control, marks, levels = problem.control.no_finer(floor), problem.known_marks.no_finer(floor), problem.levels
+    control, marks = problem.control.no_finer(floor), problem.known_marks.no_finer(floor)
+    levels, yaws = problem.levels, problem.yaws
     if np.any(levels.sigma < turn):
         levels = replace(levels, sigma=np.maximum(levels.sigma, turn))
-    if control is problem.control and marks is problem.known_marks and levels is problem.levels:
+    if np.any(yaws.sigma < turn):
+        yaws = replace(yaws, sigma=np.maximum(yaws.sigma, turn))
+    given = problem.control, problem.known_marks, problem.levels, problem.yaws
+    if all(one is other for one, other in zip((control, marks, levels, yaws), given, strict=True)):
         return problem
-    return replace(problem, control=control, known_marks=marks, levels=levels)
-
-
-def known_values(problem: NetworkProblem, state: State) -> Iterator[KnownInRows]:
-    """The known values of a problem, in the order of its rows."""
-    recording, first, gauge = problem.model.recording, int(problem.use.sum()), problem.gauge
-    shown, gap = gauge.whitened(np.eye(len(gauge))), problem.length_residuals(state)
-    for i in np.flatnonzero(np.isfinite(gauge.sigma)).tolist():
-        name = f"{recording.targets[gauge.first[i]]}-{recording.targets[gauge.second[i]]}"
-        reached = np.flatnonzero(shown[:, i])
-        column = shown[reached, i : i + 1]
-        yield KnownInRows("length", name, "", gauge.sigma[i : i + 1], gap[i : i + 1], first + reached, column)
-    first += len(gauge)
-    marks = problem.known_marks, problem.marks.names, state.position
-    for known, names, here in ((problem.control, recording.targets, state.points), marks):
-        for i, place in enumerate(known.target.tolist()):
-            axes = known.axes[i]
-            root = known.root[i][np.ix_(axes, axes)]
-            sigma = np.linalg.norm(np.linalg.inv(root), axis=1)
-            said = "".join(axis for axis, stated in zip("xyz", axes, strict=True) if stated)
-            rows = first + np.arange(len(root))
-            yield KnownInRows("point", names[place], said, sigma, (known.points[i] - here[place])[axes], rows, root)
-            first += len(root)
-    tilts = -problem.levels.predict(state.rotation)
-    for i, station in enumerate(problem.levels.station.tolist()):
-        sigma, rows = np.full(2, problem.levels.sigma[i]), problem.level_rows.start + 2 * i + np.arange(2)
-        yield KnownInRows("level", recording.stations[station], "", sigma, tilts[i], rows, np.diag(1.0 / sigma))
-    yield from _centrings(problem, state)
-
-
-def _scale(problem: NetworkProblem, state: State) -> Iterator[KnownInRows]:
-    """What all known lengths share, if there are several: their temperature, and what they are measured against."""
-    gauge, felt = problem.gauge, np.isfinite(problem.gauge.sigma)
-    if felt.sum() > 1:
-        shown = gauge.whitened(np.where(felt, gauge.length, 0.0)[:, None])
-        weight, gap = float(np.sum(shown**2)), gauge.whitened(np.where(felt, problem.length_residuals(state), 0.0))
-        rows, sigma = int(problem.use.sum()) + np.arange(len(gauge)), np.array([weight**-0.5])
-        yield KnownInRows("scale", "all known lengths", "", sigma, gap @ shown / weight, rows, shown)
-
-
-def _centrings(problem: NetworkProblem, state: State) -> Iterator[KnownInRows]:
-    """Set-ups over marks that something else shows too: each is said to stand there exactly."""
-    marks, recording = problem.marks, problem.model.recording
-    shared = (marks.target >= 0) | (np.bincount(marks.first, minlength=len(marks.first))[marks.first] > 1)
-    if not shared.any():
-        return
-    number = np.cumsum(problem.use).reshape(problem.use.shape) - 1
-    by_place = problem.model.linearised(state).by_pose[:, :, :3] / problem.sigma[:, :, None]
-    for s in np.flatnonzero(shared).tolist():
-        own = problem.use & (recording.station == s)[:, None]
-        if own.any():
-            name = recording.stations[s]
-            yield KnownInRows("mark", name, "xyz", np.zeros(3), np.zeros(3), number[own], -by_place[own])
+    return replace(problem, control=control, known_marks=marks, levels=levels, yaws=yaws)
 
 
 def known_tests(problem: NetworkProblem, solution: Solution[State], least: float = 0.0) -> list[KnownTest]:
@@ -230,7 +155,7 @@ def known_tests(problem: NetworkProblem, solution: Solution[State], least: float
         return []
     residual, tests = problem.residual(solution.x), []
     values = [v for v in known_values(problem, solution.x) if float(np.linalg.norm(residual[v.rows])) >= least]
-    values += _scale(problem, solution.x) if least else []
+    values += common_scale(problem, solution.x) if least else []
     for some in (values[i : i + AT_ONCE] for i in range(0, len(values), AT_ONCE)):
         inside = np.hstack([as_dense(solution.system.design[value.rows]).T @ value.signature for value in some])
         response, first = solution.factor.covariance_columns(inside), 0
@@ -305,7 +230,7 @@ def judged(
         return (*given, contradictory) if contradictory else judged(*given, kinds, again)
     if min(test.w for test in gone) < PLAIN and _price(kept, ended, gone) >= _price(problem, given[1], ()):
         return *given, ()
-    off = {(v.kind, v.name): v.residual for v in (*known_values(problem, ended.x), *_scale(problem, ended.x))}
+    off = {(v.kind, v.name): v.residual for v in (*known_values(problem, ended.x), *common_scale(problem, ended.x))}
     for i, test in enumerate(out):
         if test.left_out and test.kind != "mark":  # what it is off by in the end
             out[i] = replace(test, residual=off[test.kind, test.name], error=off[test.kind, test.name])
@@ -382,19 +307,3 @@ def _too_many(problem: NetworkProblem, solution: Solution[State], out: Sequence[
     every = [value.kind for value in known_values(problem, solution.x)]
     gone = [test.kind for test in out]
     return any(gone.count(kind) > max(1.0, MOST_OUT * every.count(kind)) for kind in KINDS)
-
-
-def without(recording: Recording, test: KnownValue) -> Recording:
-    """The recording whose set-up does not state one known value."""
-    setup, name = recording.setup, test.name
-    if test.kind in ("length", "scale"):
-        left = tuple(d for d in recording.gauge.distance if f"{d.from_}-{d.to}" != name)
-        unsaid: dict[str, object] = {"sigma_scale_ppm": UNKNOWN_PPM} if test.kind == "scale" else {"distance": left}
-        change: dict[str, object] = {"gauge": recording.gauge.model_copy(update=unsaid)}
-    elif test.kind in ("level", "mark"):
-        unsaid = {"levelled": False} if test.kind == "level" else {"over": None}
-        change = {"stations": setup.stations | {name: setup.stations[name].model_copy(update=unsaid)}}
-    else:
-        unsaid = {"known_mm": None, "approximate_mm": setup.targets[name].known_mm}
-        change = {"targets": setup.targets | {name: setup.targets[name].model_copy(update=unsaid)}}
-    return recording.replace(setup=setup.model_copy(update=change))

@@ -9,7 +9,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from ltsim.adjustment.prior import ParameterPrior, prior_sigmas
-from ltsim.adjustment.rows import VERTICAL, ControlRows, GaugeRows, LevelRows, Marks, free_motions
+from ltsim.adjustment.rows import VERTICAL, ControlRows, GaugeRows, LevelRows, Marks, YawRows, free_motions
+from ltsim.adjustment.unknowns import Unknowns
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.geometry.polar import wrap
 from ltsim.geometry.rotations import cross_matrix
@@ -24,53 +25,6 @@ UPRIGHT = 1.0 - 1e-8
 """Cosine of the lean up to which a plumb line counts as that of the network (0.14 mrad, 900 m on the earth)."""
 WEAK = 300.0
 """Prior sigmas to which further effects are held: far beyond any plausible size."""
-
-
-@dataclass(frozen=True)
-class Unknowns:
-    """Columns of the design: poses, kept targets, instrument parameters, further effects; then the other targets.
-
-    Set-ups over one mark share the columns of their position, with the target where that mark is one.
-    """
-
-    pose: Ints
-    """(S, 6): translation, then rotation."""
-    target: Ints
-    """(T, 3): gauge targets and those under a set-up are kept, all others are eliminated block by block."""
-    instrument: Ints
-    """(I, p)."""
-    extra: Ints
-    """(q,)."""
-    kept: int
-    """Number of kept columns K."""
-    size: int
-    """Number of all columns."""
-
-    @classmethod
-    def of(cls, model: MeasurementModel, gauge: GaugeRows, marks: Marks) -> Unknowns:
-        """The unknowns of a model."""
-        recording, over = model.recording, marks.target >= 0
-        stations, targets = len(recording.stations), len(recording.targets)
-        size = 0
-
-        def fresh(rows: int, width: int) -> Ints:
-            nonlocal size
-            first, size = size, size + rows * width
-            return np.arange(first, size).reshape(rows, width)
-
-        own = np.ones((stations, 6), dtype=bool)
-        own[:, :3] = (~over & (marks.first == np.arange(stations)))[:, None]
-        keep = np.zeros(targets, dtype=bool)
-        keep[np.concatenate([gauge.first, gauge.second, marks.target[over]])] = True
-        pose, target = np.full((stations, 6), -1), np.empty((targets, 3), dtype=np.int64)
-        pose[own] = fresh(int(own.sum()), 1)[:, 0]
-        target[keep] = fresh(int(keep.sum()), 3)
-        instrument, extra = fresh(len(recording.instruments), model.construction.size), fresh(1, model.extra_size)[0]
-        kept = size
-        target[~keep] = fresh(int((~keep).sum()), 3)
-        pose[over, :3] = target[marks.target[over]]
-        pose[:, :3] = np.where(pose[:, :3] < 0, pose[marks.first, :3], pose[:, :3])
-        return cls(pose, target, instrument, extra, kept, size)
 
 
 @dataclass(frozen=True)
@@ -173,8 +127,8 @@ class NetworkProblem:
     """Unknown poses, targets, instrument parameters and further effects of a recording.
 
     Rows of the system, in order: the measured readings (row by row, range azimuth elevation), gauge lengths, control
-    points, known marks under stations, levels, what no reading determines (held where it is), priors of the instrument
-    parameters, weak priors of the further effects, datum.
+    points, known marks under stations, levels, yaws, what no reading determines (held where it is), priors of the
+    instrument parameters, weak priors of the further effects, datum.
     """
 
     model: MeasurementModel
@@ -191,6 +145,7 @@ class NetworkProblem:
     gauge: GaugeRows
     control: ControlRows
     levels: LevelRows
+    yaws: YawRows
     marks: Marks
     known_marks: ControlRows
     unknowns: Unknowns
@@ -213,7 +168,7 @@ class NetworkProblem:
         marks = Marks.of(recording)
         used = recording.measured if use is None else recording.measured & use
         gauge, control, levels = GaugeRows.of(recording), ControlRows.of(recording), LevelRows.of(recording, used)
-        known_marks = ControlRows.of_stations(recording, marks)
+        known_marks, yaws = ControlRows.of_stations(recording, marks), YawRows.of(recording, used)
         plausible = [held_to * size for effect in model.effects for size in effect.spread]
         plausible += [size for heads in model.heads for size in heads.spread]
         return cls(
@@ -221,11 +176,12 @@ class NetworkProblem:
             sigma=recording.sigma() if sigma is None else sigma,
             prior=prior or ParameterPrior.independent(prior_sigmas(recording, model.construction)),
             extra_sigma=np.array(plausible, dtype=np.float64),
-            free=free_motions(control, known_marks, levels),
+            free=free_motions(control, known_marks, levels, yaws),
             use=used,
             gauge=gauge,
             control=control,
             levels=levels,
+            yaws=yaws,
             marks=marks,
             known_marks=known_marks,
             unknowns=Unknowns.of(model, gauge, marks),
@@ -266,16 +222,19 @@ class NetworkProblem:
         control = self.control.residual(state.points)
         marks = self.known_marks.residual(state.position)
         levels = -self.levels.predict(state.rotation) / self.levels.sigma[:, None]
+        yaws = self.yaws.residual(state.rotation) / self.yaws.sigma
         held = np.zeros(self.structure.held)
         prior = self.prior.residual(state.instrument)
         extra = -(state.extra / self.extra_sigma)[np.isfinite(self.extra_sigma)]
         datum = np.zeros(self.free.shape[1])
-        return np.concatenate([pointings, gauge, control, marks, levels.ravel(), held, prior, extra, datum])
+        return np.concatenate([pointings, gauge, control, marks, levels.ravel(), yaws, held, prior, extra, datum])
 
     @property
     def knows_nothing(self) -> bool:
         """Whether no known length, point or level joins the readings."""
-        return not (len(self.gauge) or self.control.count or self.known_marks.count or len(self.levels))
+        return not (
+            len(self.gauge) or self.control.count or self.known_marks.count or len(self.levels) or len(self.yaws)
+        )
 
     def length_residuals(self, state: State) -> Floats:
         """Known less adjusted lengths (g,) [m]."""
@@ -324,6 +283,7 @@ class NetworkProblem:
             np.repeat(at.target[self.control.target], self.control.axes.sum(axis=1), axis=0),
             np.repeat(at.pose[self.known_marks.target, :3], self.known_marks.axes.sum(axis=1), axis=0),
             np.repeat(at.pose[self.levels.station, 3:], 2, axis=0),
+            at.pose[self.yaws.station, 3:],
             self.structure.held_columns,
             self._prior_columns(),
             at.extra[np.isfinite(self.extra_sigma)][:, None],
@@ -344,6 +304,7 @@ class NetworkProblem:
             self.control.weights(),
             self.known_marks.weights(),
             self.levels.derivative(state.rotation) / self.levels.sigma[:, None, None],
+            self.yaws.derivative(state.rotation) / self.yaws.sigma[:, None],
             self.structure.held_directions(state) / DATUM_SIGMA[0],
             self.prior.roots if self.prior.correlated else 1.0 / self.prior.sigma[np.isfinite(self.prior.sigma)],
             1.0 / self.extra_sigma[np.isfinite(self.extra_sigma)],
@@ -386,6 +347,14 @@ class NetworkProblem:
         lengths = int(np.isfinite(self.gauge.sigma).sum())
         lengths -= lengths > 0 and not self.gauge.tell_scale
         heads = sum(len(heads.parameters) for heads in self.model.heads)
-        known = lengths + self.control.count + self.known_marks.count + 2 * len(self.levels) + priors + heads
+        known = (
+            lengths
+            + self.control.count
+            + self.known_marks.count
+            + 2 * len(self.levels)
+            + len(self.yaws)
+            + priors
+            + heads
+        )
         unknown = self.unknowns.size - self.free.shape[1] - self.structure.held + self.structure.idle
         return int(self.use.sum()) + known - unknown

@@ -24,6 +24,8 @@ FEW = 15
 """Degrees of freedom below which an estimated sigma0 is too uncertain to replace a stated one."""
 FAR_MORE = 2.0
 """Ratio of the scatter of a target's readings to that of the others from which it has a noise of its own."""
+ALIKE = 0.9
+"""Squared correlation of the residuals of two readings from which no test tells which of them is wrong."""
 UNCHECKED = 1e-6
 """Redundancy below which no other reading checks a reading: its residual is rounding error."""
 
@@ -90,6 +92,37 @@ def critical_tau(count: int, dof: int, level: float = FAMILY_LEVEL) -> float:
         return float("inf")
     t = float(-special.stdtrit(dof - 1, 0.5 * single_level(count, level)))
     return float(np.sqrt(dof) * t / np.sqrt(dof - 1 + t * t)) if np.isfinite(t) else float(np.sqrt(dof))
+
+
+def chance_of_tau(tau: Floats, dof: Floats, count: int) -> Floats:
+    """Chance that one of `count` readings is as far out, by a sigma0 of `dof`; infinite `dof`: by the stated noise."""
+    known = np.where(np.isfinite(dof), np.maximum(dof, 2.0), 2.0)
+    t = tau * np.sqrt((known - 1.0) / np.maximum(known - tau**2, 1e-300))
+    single = 2.0 * np.where(np.isfinite(dof), special.stdtr(known - 1.0, -t), special.ndtr(-tau))
+    single = np.where(dof < 2, 1.0, single)
+    return np.asarray(-np.expm1(count * np.log1p(-np.minimum(single, 1.0 - 1e-16))))
+
+
+def one_after_another(
+    gap: Floats, shown: Floats, scale: Floats, dof: Floats, count: int, level: float
+) -> list[tuple[int, float, float, float]]:
+    """Of k readings those that do not belong: which, its error in sigmas, its w, and its chance; the surest first.
+
+    `gap` (k,) are their residuals in sigmas, `shown` (k, k) what an error of each does to these. What one of them
+    explains is no reason to blame another; readings that it is not told from stand beside it.
+    """
+    found, seen = list[tuple[int, float, float, float]](), np.diag(shown).copy()
+    while (seen > UNCHECKED).any():
+        w = np.where(seen > UNCHECKED, gap / np.sqrt(np.maximum(seen, UNCHECKED)), 0.0)
+        chance, k = chance_of_tau(np.abs(w) / scale, dof, count), int(np.argmax(np.abs(w) / scale))
+        if not chance[k] < level:
+            break
+        alike = (shown[k] ** 2 > ALIKE * shown[k, k] * np.diag(shown)) & (seen > UNCHECKED)
+        beside = [i for i in np.flatnonzero(alike & (chance < level)).tolist() if i != k]
+        found += [(i, float(gap[i] / seen[i]), float(w[i]), float(chance[i])) for i in (k, *beside)]
+        gap, shown = gap - shown[k] * gap[k] / seen[k], shown - np.outer(shown[k], shown[k]) / seen[k]
+        seen = np.where(alike | (seen <= UNCHECKED), 0.0, np.diag(shown))
+    return found
 
 
 def single_level(count: int, level: float) -> float:

@@ -1,4 +1,4 @@
-"""Rows of the adjustment that are not pointings: gauge lengths, priors, control points, levels, datum."""
+"""Rows of the adjustment that are not pointings: gauge lengths, priors, control points, levels, yaws, datum."""
 
 from __future__ import annotations
 
@@ -9,13 +9,14 @@ import numpy as np
 import scipy.linalg
 
 from ltsim.arrays import Bools, Floats, Ints
+from ltsim.geometry.polar import wrap
 from ltsim.geometry.rigid import ON_A_LINE, rigid_motion
 from ltsim.geometry.rotations import cross_matrix, perpendicular
 from ltsim.model.measurement import verticals
 from ltsim.recording.lengths import KnownLengths
 from ltsim.recording.recording import Recording
 from ltsim.recording.setup import Target, symmetric
-from ltsim.units import ARCSECOND, MILLIMETRE
+from ltsim.units import ARCSECOND, DEGREE, MILLIMETRE
 
 VERTICAL = np.array([0.0, 0.0, 1.0])
 
@@ -179,12 +180,45 @@ class LevelRows:
         return -self.across @ cross_matrix(rotation[self.station] @ VERTICAL)
 
 
+@dataclass(frozen=True)
+class YawRows:
+    """Levelled stations whose azimuth zero is known, as by a gyroscope: one turn each about the network's z axis."""
+
+    station: Ints
+    sigma: Floats
+    yaw: Floats
+    """(y,) [rad]: of azimuth zero, counter-clockwise from x."""
+
+    @classmethod
+    def of(cls, recording: Recording, used: Bools) -> YawRows:
+        """The oriented stations of a recording that use azimuths (n, 3)."""
+        turned = np.bincount(recording.station, used[:, 1], len(recording.stations)) > 0
+        setups = [(i, recording.station_setup(name)) for i, name in enumerate(recording.stations)]
+        rows = [(i, s.yaw_sigma_arcsec, s.yaw_deg) for i, s in setups if s.yaw_sigma_arcsec and turned[i]]
+        station, sigma, yaw = (np.array([row[k] for row in rows], dtype=np.float64) for k in range(3))
+        return cls(station.astype(np.int64), sigma * ARCSECOND, yaw * DEGREE)
+
+    def __len__(self) -> int:
+        return len(self.station)
+
+    def residual(self, rotation: Floats) -> Floats:
+        """Stated less adjusted yaws (y,) [rad]."""
+        ahead = rotation[self.station, :, 0]
+        return wrap(self.yaw - np.arctan2(ahead[:, 1], ahead[:, 0]))
+
+    def derivative(self, rotation: Floats) -> Floats:
+        """Derivative (y, 3) of the adjusted yaws by the rotation vector in the network frame."""
+        ahead = rotation[self.station, :, 0]
+        flat = ahead * [1.0, 1.0, 0.0]
+        return np.cross(ahead, np.cross(VERTICAL, flat) / np.sum(flat**2, axis=1, keepdims=True))
+
+
 PARALLEL = 1e-2
 """Plumb lines that differ by less do not tell the network's yaw (1e-2 rad are 64 km on the earth)."""
 
 
-def free_motions(control: ControlRows, marks: ControlRows, levels: LevelRows) -> Floats:
-    """Rigid motions (6, f) that no control point and no level fixes, as columns of (translation, rotation).
+def free_motions(control: ControlRows, marks: ControlRows, levels: LevelRows, yaws: YawRows) -> Floats:
+    """Rigid motions (6, f) that no control point, level or yaw fixes, as columns of (translation, rotation).
 
     Their number is decided by structure: none with three control points off one line, the four that keep the
     vertical with levels alone, all six without either.
@@ -199,6 +233,8 @@ def free_motions(control: ControlRows, marks: ControlRows, levels: LevelRows) ->
         alike = float(np.linalg.norm(levels.vertical - mean, axis=1).max()) < PARALLEL
         across = levels.across[:1] if alike else levels.across
         rows.append(np.concatenate([np.zeros((2 * len(across), 3)), across.reshape(-1, 3)], axis=1))
+    if len(yaws):
+        rows.append(np.eye(6)[5:])
     if not rows:
         return np.eye(6)
     _, singular, right = np.linalg.svd(np.vstack(rows))

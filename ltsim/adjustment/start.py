@@ -93,7 +93,7 @@ class Growth:
     def run(self, beginning: str) -> None:
         """Join everything that can be joined from one of `BEGINNINGS`, then go to the stated frame."""
         getattr(self, f"_begin_with_{beginning}")()
-        steps = self._join_by_cloud, self._locate, self._join_by_fit, self._anchor
+        steps = self._join_by_cloud, self._join_by_yaw, self._locate, self._join_by_fit, self._anchor
         while not self.is_complete and any(step() for step in steps):
             pass
         self._settle()
@@ -172,6 +172,15 @@ class Growth:
             return True
         return False
 
+    def _join_by_yaw(self) -> bool:
+        """Join an oriented station over a mark that has a place, once the network is in its frame."""
+        for station in np.flatnonzero(self._frame.oriented & ~self._joined).tolist() if self._anchored else ():
+            stand = self._stand(station)
+            if stand is not None:
+                self._place(station, stand, about_z(float(self._frame.yaw[station])))
+                return True
+        return False
+
     def _targets(self, which: Ints) -> Floats:
         """Known places (k, 3) of some targets."""
         placed = self._pairs.medians(self._placed, which)
@@ -237,7 +246,8 @@ class Growth:
         if self._anchored or not self._frame.is_stated:
             return False
         turn = self._frame.upright(self._rotation, self._joined)
-        motion = self._frame.motion(self._position, self._known(), turn)
+        heading = self._frame.heading(turn @ self._rotation, self._joined)
+        motion = self._frame.motion(self._position, self._known(), turn, heading)
         if motion is None:
             return False
         self._move(*motion)
@@ -254,6 +264,8 @@ class Growth:
         first = int(np.argmax(self._joined))
         self._move(self._rotation[first].T.copy(), -self._rotation[first].T @ self._position[first])
         turn = self._frame.upright(self._rotation, self._joined)
+        heading = self._frame.heading(turn @ self._rotation, self._joined)
+        turn = turn if heading is None else heading @ turn
         if not np.array_equal(turn, np.eye(3)):
             self._move(turn, np.zeros(3))
         here, there = self._frame.common(self._position, self._known())

@@ -11,12 +11,12 @@ from ltsim.adjustment import Adjustment, adjust as adjusted_network
 from ltsim.adjustment.components import Grouping
 from ltsim.adjustment.doubt import require_result
 from ltsim.adjustment.known import KINDS, SCALED
-from ltsim.adjustment.moving import moving_stations
+from ltsim.adjustment.moving import EvenMotion, moving_stations
 from ltsim.adjustment.prior import ParameterPrior, expected_sigmas, prior_sigmas
 from ltsim.calibration import result
 from ltsim.calibration.beside import Wanted, estimated_beside
 from ltsim.calibration.calibration import Calibration
-from ltsim.calibration.conflict import beyond_prior, disagreement, too_quiet
+from ltsim.calibration.conflict import UNEXPLAINED, beyond_prior, disagreement, too_quiet
 from ltsim.calibration.known import WIDE, Choice
 from ltsim.calibration.worth import correction_of
 from ltsim.effects.range_mode import RangeMode
@@ -30,6 +30,8 @@ from ltsim.recording.result_file import SourceEntry
 
 PASSES = 5
 """Adjustments until the noise and the parameters that contradict their prior are settled."""
+MISFIT = 1e-3
+"""Chance of a larger chi-square in a plain network, below which it is asked whether a station moves."""
 
 
 def calibrate_network(
@@ -150,13 +152,29 @@ def _adjusted(
     how: dict[str, Any] = {"robust": robust, "variance_components": grouping, "datum": datum, "prior": prior}
     how["judging"] = KINDS if prior is None or prior.held.all() else SCALED
     found = adjusted_network(recording, construction, effects=effects, **how)
+    if found.sigma0 >= UNEXPLAINED and any(test.kind == "scale" for test in found.wrong):
+        how["judging"] = KINDS  # lengths so far off that no scale of an instrument is: they count by their ratios
+        found = adjusted_network(recording, construction, effects=effects, **how)
     require_result(found)
-    if moving := moving_stations(found):
+    if moving := _moving(found):
         found = adjusted_network(recording, construction, effects=(*effects, *moving), **how | {"robust": True})
         require_result(found)
     if datum and not found.problem.free.shape[1]:
         raise NetworkError("the control points define the frame already: leave the datum out, or their coordinates")
     return found
+
+
+def _moving(found: Adjustment) -> tuple[EvenMotion, ...]:
+    """Stations that move; what an instrument's errors do to the readings of a plain network moves none."""
+    if found.construction.size:
+        return moving_stations(found)
+    if not found.p_value < MISFIT and not found.outliers():
+        return ()
+    try:
+        built = stated_construction(found.recording)
+    except NetworkError:  # of two designs: nothing is known of their errors
+        return moving_stations(found)
+    return moving_stations(adjusted_network(found.recording, built, robust=True))
 
 
 def _calibration(source: Recording, adjustment: Adjustment, method: str, *, advise: bool, robust: bool) -> Calibration:

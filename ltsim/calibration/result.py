@@ -1,5 +1,7 @@
 """From an adjusted network to a calibration: what every method writes down in the same way."""
 
+from typing import Any
+
 import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
@@ -68,12 +70,12 @@ def outliers_of(adjustment: Adjustment) -> tuple[OutlierRow, ...]:
     recording = adjustment.recording
     scaled = np.nan_to_num(adjustment.residuals / adjustment.problem.sigma)
 
-    def row(i: int, column: int, size: float, w: float, *, gross: bool = False, left_out: bool = False) -> OutlierRow:
+    def row(i: int, column: int, size: float, w: float, **more: Any) -> OutlierRow:
         unit, factor = SHOWN_UNITS[column]
         station, target = recording.stations[recording.station[i]], recording.targets[recording.target[i]]
         observable = OBSERVABLES[column]
         named = {"row": i + 1, "station": station, "target": target, "observable": observable, "unit": unit}
-        return OutlierRow(size=size / factor, w=w, gross=gross, left_out=left_out, **named)
+        return OutlierRow(size=size / factor, w=w, **named, **more)
 
     found = []
     for i in np.flatnonzero(adjustment.gross).tolist():
@@ -83,7 +85,7 @@ def outliers_of(adjustment: Adjustment) -> tuple[OutlierRow, ...]:
     for i, k in sorted(np.argwhere(single).tolist(), key=lambda at: -abs(scaled[at[0], at[1]])):
         found.append(row(i, k, adjustment.residuals[i, k], float(scaled[i, k]), left_out=True))
     trusted = adjustment.outliers(estimated=verdict_of(adjustment).by_estimate)
-    return (*found, *(row(o.row, o.observable, o.size, o.w) for o in trusted))
+    return (*found, *(row(o.row, o.observable, o.size, o.w, p_value=o.p_value) for o in trusted))
 
 
 def _has_size(adjustment: Adjustment, scaled: Floats) -> Bools:
@@ -199,18 +201,21 @@ def frame_of(adjustment: Adjustment) -> str:
     problem, recording = adjustment.problem, adjustment.recording
     free = problem.free.shape[1]
     first = recording.stations[0]
-    control = [recording.targets[i] for i in problem.control.target]
+    known, flat = problem.control, adjustment.open_heights[problem.control.target]
+    control = [recording.targets[i] for i in known.target[known.axes[:, :2].any(axis=1) | ~flat]]
     control += [problem.marks.names[i] for i in problem.known_marks.target]
     levelled = [recording.stations[i] for i in problem.levels.station]
+    turned = [recording.stations[i] for i in problem.yaws.station]
+    zeros = f" and the azimuth zero of {listing(turned)}" if turned else ""
+    points = f"control point{'s' if len(control) > 1 else ''} {listing(control)}"
     if free == 0:
-        return f"the frame of the control points {listing(control)}"
+        return f"the frame of the {points}{zeros}"
     rest = f"is {_free_axes(adjustment, first)}" + _inner(adjustment)
     if free == 6:
         return rest.removeprefix("is ")
     if not control:
-        return f"z follows the levels of {listing(levelled)}; the rest {rest}"
-    held = f"the control points {listing(control)}" + (" and the levels" if levelled else "")
-    return f"{held}; what these leave free {rest}"
+        return f"z follows the levels of {listing(levelled)}{zeros.replace(' and', ', x')}; the rest {rest}"
+    return f"the {points}{' and the levels' if levelled else ''}{zeros}; what these leave free {rest}"
 
 
 def _free_axes(adjustment: Adjustment, first: str) -> str:

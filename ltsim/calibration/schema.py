@@ -200,6 +200,8 @@ class OutlierRow(Entry):
     """Of the size."""
     w: Finite
     """Normalised residual."""
+    p_value: Known = None
+    """Chance of one reading as far out in a whole sound recording, by the test that is trusted; none where left out."""
     gross: bool = False
     """The largest of a whole pointing that was left out."""
     left_out: bool = False
@@ -209,7 +211,7 @@ class OutlierRow(Entry):
 class KnownEntry(Entry):
     """A component of a known value, tested like a reading; what gives only axes has the kind `axes`."""
 
-    kind: Literal["point", "length", "level", "mark", "axes", "scale"]
+    kind: Literal["point", "length", "level", "yaw", "mark", "axes", "scale"]
     """What is known."""
     name: str
     """Target, both ends of a length, station, or what `scale` is of."""

@@ -46,6 +46,7 @@ DATUM = {
     "axes": "stated coordinates",
     "length": "known length",
     "level": "level",
+    "yaw": "azimuth zero",
     "mark": "place of the stand",
 }
 """What is called wrong of each kind of known value."""

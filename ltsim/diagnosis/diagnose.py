@@ -10,10 +10,11 @@ from scipy.special import chdtrc
 
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.adjustment.gross import GrossFinding, explain_gross, mend_faces, mend_stations
-from ltsim.adjustment.known import SCALED, KnownTest, without
+from ltsim.adjustment.known import SCALED, KnownTest
 from ltsim.adjustment.occupations import mend_tripods
 from ltsim.adjustment.refit import Refit
 from ltsim.adjustment.residual_space import ResidualSpace
+from ltsim.adjustment.stated import without
 from ltsim.arrays import Bools
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.calibration.known import Known

@@ -5,7 +5,7 @@ those of the network the other, each an equal part (Bonferroni), and within a te
 that was looked at.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import reduce
 
@@ -196,7 +196,7 @@ class _Judged:
 
 def _judged(visit: StationOccupation, construction: Construction, family: Family, rows: Ints) -> _Judged:
     gross, bump, visit = _events(visit, construction, family)
-    items = [_of_gross(visit, gross, rows), _of_bump(visit, bump, rows, family)]
+    items = [_of_gross(visit, gross, rows, family), _of_bump(visit, bump, rows, family)]
     recording, even = visit.recording, EvenMotion((visit.recording.stations[0],))
     motions: list[StationMotion] = [] if bump is None else [bump]
     found = [motion.design(visit.sightings) for motion in motions]
@@ -234,9 +234,9 @@ def _own_scatter(visit: StationOccupation, family: Family) -> Floats | None:
 
 def _events(
     visit: StationOccupation, construction: Construction, family: Family
-) -> tuple[list[int], StationBump | None, StationOccupation]:
-    """Gross pointings, taken out one by one until a bump explains more than the next of them would."""
-    gross: list[int] = []
+) -> tuple[dict[int, float], StationBump | None, StationOccupation]:
+    """Gross pointings with their chances, taken out one by one until a bump explains more than the next would."""
+    gross: dict[int, float] = {}
     most = max(1, MOST_GROSS * len(visit.use))
     while True:
         drop, rank = visit.of_pointings()
@@ -249,7 +249,7 @@ def _events(
         enough = alone[worst] <= max(-np.log(family.share), creep if steady else 0.0) or len(gross) >= most
         if enough or (bump is not None and alone[worst] <= _surprise(explained) - np.log(gaps)):
             return gross, bump, visit
-        gross.append(worst)
+        gross[worst] = float(np.exp(-alone[worst]))
         use: Bools = visit.use & np.asarray(np.arange(len(visit.use)) != worst)
         visit = StationOccupation.of(visit.recording, construction, use, visit.sigma)
 
@@ -279,11 +279,12 @@ def _surprise(explained: ColumnsFit) -> float:
     return float(surprise(explained.drop, explained.rank))
 
 
-def _of_gross(visit: StationOccupation, gross: Sequence[int], rows: Ints) -> Item:
+def _of_gross(visit: StationOccupation, gross: Mapping[int, float], rows: Ints, family: Family) -> Item:
     recording, name = visit.recording, visit.recording.stations[0]
     targets = tuple(dict.fromkeys(recording.targets[recording.target[i]] for i in gross))
-    sentence = gross_sentence(visit, gross, rows)
-    return Item.of(name, "gross", not gross, sentence, targets=targets, rows=tuple(int(rows[i]) for i in gross))
+    sentence, told = gross_sentence(visit, list(gross), rows), tuple(int(rows[i]) for i in gross)
+    chance = family.adjusted(max(gross.values())) if gross else None
+    return Item.of(name, "gross", not gross, sentence, chance, targets=targets, rows=told)
 
 
 def _of_bump(visit: StationOccupation, bump: StationBump | None, rows: Ints, family: Family) -> Item:

@@ -1,6 +1,7 @@
 """What the stations of a recording say together: whether they agree on their common targets, and on the vertical."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 
 import numpy as np
 from scipy import special
@@ -9,10 +10,11 @@ from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.doubt import require_result, weaknesses
 from ltsim.adjustment.estimate import adjust
 from ltsim.adjustment.gross import mistakes
-from ltsim.adjustment.known import Kind, known_tests
+from ltsim.adjustment.known import known_tests
 from ltsim.adjustment.moving import moving_stations, told_motions
 from ltsim.adjustment.occupations import moved_tripods
 from ltsim.adjustment.reliability import FEW
+from ltsim.adjustment.stated import Kind
 from ltsim.adjustment.verdict import LEVEL as RARE, Agreement, verdict
 from ltsim.arrays import Bools
 from ltsim.effects.motions import StationMotion
@@ -46,10 +48,15 @@ def plain_network(recording: Recording, motions: Sequence[StationMotion]) -> Adj
 def with_own_noise(recording: Recording, plain: Adjustment) -> tuple[Recording, tuple[Item, ...]]:
     """The recording with readings to targets that scatter far more than all others as uncertain as they show.
 
-    What `adjust` says of such targets is an item; none of their pointings is one to measure again for that alone.
+    What `adjust` says of such targets is an item where they still do beside the instrument's errors, which bend the
+    readings to near and steep ones most; none of their pointings is one to measure again for that alone.
     """
+    if plain.wrong or not len(plain.restless[0]):
+        return recording, ()
+    with suppress(NetworkError):  # of two designs: nothing is known of their errors
+        plain = adjust(recording, stated_construction(recording), effects=plain.effects, judging=TESTED)
     named, own, rest = plain.restless
-    if plain.wrong or not len(named) or not own > 1.0 or verdict(plain).case is not Agreement.LARGER_NOISE:
+    if not len(named) or not own > 1.0 or verdict(plain).case is not Agreement.LARGER_NOISE:
         return recording, ()
     rows = np.isin(recording.target, named)
     told = [one[share > CHECKED] for one, share in zip(plain.w[rows].T, plain.redundancy[rows].T, strict=True)]

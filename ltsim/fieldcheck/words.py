@@ -8,7 +8,7 @@ import numpy as np
 from ltsim.arrays import Ints
 from ltsim.fieldcheck.faces import Faces
 from ltsim.fieldcheck.occupation import ColumnsFit, StationOccupation
-from ltsim.notation import with_sigma
+from ltsim.notation import listing, with_sigma
 from ltsim.recording.recording import OBSERVABLES, Recording
 from ltsim.units import ARCSECOND, MICROMETRE, MICRORADIAN, MILLIMETRE
 
@@ -68,7 +68,8 @@ def gross_sentence(visit: StationOccupation, gross: Sequence[int], rows: Ints) -
         return f"{name}: no pointing stands out"
     first = recording.targets[recording.target[gross[0]]]
     again = np.flatnonzero(recording.target == recording.target[gross[0]])
-    more = f"; {len(gross)} such pointings in all" if len(gross) > 1 else ""
+    others = listing([str(rows[i]) for i in gross[1:]])
+    more = f"; {len(gross)} such pointings in all, with row {others}" if others else ""
     miss = visit.miss(gross[0])
     if not np.isfinite(miss):
         return f"{name} to {first}, row {rows[gross[0]]}: its readings do not fit the others{more}: measure again"

@@ -28,6 +28,7 @@ from ltsim.recording.reflectors import excess_radii, smrs_of
 from ltsim.recording.settings import read_setup, setup_from, setup_to_toml
 from ltsim.recording.setup import Setup
 from ltsim.recording.slips import check_degrees
+from ltsim.recording.specification import overruled
 from ltsim.recording.tables.sheets import MAX_FIELDS, Row, is_folder
 from ltsim.results import guarded, plain
 from ltsim.units import DEGREE, FACTOR, MILLIMETRE, NAMED
@@ -222,7 +223,7 @@ def _check_smrs(recording: Recording, folder: Path) -> None:
 
 
 def _idle_settings(recording: Recording) -> tuple[str, ...]:
-    """Notes on settings without effect: stations, marks and points that nothing reaches, a lone reference radius."""
+    """Notes on settings without effect: stations, marks and points that nothing reaches, an idle radius or sheet."""
     setup, notes = recording.setup, []
     marks = Counter(s.over for name, s in setup.stations.items() if s.over and name in recording.stations)
     for name in recording.stations:
@@ -243,6 +244,11 @@ def _idle_settings(recording: Recording) -> tuple[str, ...]:
         elif target.datum and name not in recording.targets and name not in marks:
             notes.append(
                 f"targets.{name} is of the datum but was never measured: left out{_near(name, recording.targets)}"
+            )
+    for place, one in {"instrument": setup.instrument, **setup.instruments}.items():
+        if one.sheet is not None and (kept := overruled(one)):
+            notes.append(
+                f"{place}: {', '.join(kept)} stand above those of the data sheet {one.sheet}, which is not used there"
             )
     if setup.heads_sigma_mm is not None and not recording.labels.keys() & {*OCCUPATION_COLUMNS}:
         notes.append(f"heads_sigma_mm changes nothing: the table has no column {' or '.join(OCCUPATION_COLUMNS)}")

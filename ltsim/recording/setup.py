@@ -219,7 +219,9 @@ class Station(TomlSection):
     position_mm: Vector | None = None
     """Rough place of the head on the floor plan, without weight: it turns nest directions into the frame."""
     yaw_deg: Finite | None = None
-    """Rough direction of azimuth zero, counter-clockwise from x: used where no three places are known."""
+    """Direction of azimuth zero, counter-clockwise from x: a rough one, used where no three places are known."""
+    yaw_sigma_arcsec: Sigma | None = None
+    """Standard deviation of `yaw_deg`, as by a gyroscope: it is then a condition with weight at a levelled station."""
     levelled: bool = False
     """Its standing axis follows a level: a condition with weight."""
     levelling_sigma_arcsec: Sigma = 1.0
@@ -232,6 +234,12 @@ class Station(TomlSection):
     """Target whose mark the instrument stands over."""
     vertical: Direction | None = None
     """Direction of plumb here, in the network's frame; z where it is not given."""
+
+    @model_validator(mode="after")
+    def _oriented(self) -> Station:
+        if self.yaw_sigma_arcsec is not None and (self.yaw_deg is None or not self.levelled):
+            raise ValueError("it should have yaw_deg, and levelled = true, where it states yaw_sigma_arcsec")
+        return self
 
 
 class Target(TomlSection):

@@ -176,6 +176,16 @@ def stated_by(name: str, given: Mapping[str, Any], limits: Iterable[str] = ()) -
     return tables
 
 
+def overruled(instrument: Instrument) -> list[str]:
+    """Keys of noise and prior in which an instrument differs from what its data sheet says of them."""
+    if instrument.sheet is None:
+        return []
+    own: dict[str, dict[str, float]] = instrument.model_dump(include={"noise", "prior"})
+    left = () if all(key in figures(instrument.sheet) for key in LIMITS) else RANGES
+    pairs = [(t, k, x) for t, values in stated_by(instrument.sheet, own).items() for k, x in values.items()]
+    return [f"{t}.{k}" for t, k, x in pairs if not np.isclose(own[t][k], x, rtol=1e-5) and not k.startswith(left)]
+
+
 @functools.cache
 def _sheets() -> dict[str, dict[str, Any]]:
     text = Path(__file__).with_name("sheets.csv").read_text(encoding="utf-8")

@@ -120,6 +120,7 @@ def observed_sources(adjustment: Adjustment, reach: Floats) -> list[Source]:
     for name, count in (
         (CONTROL, problem.control.count + problem.known_marks.count),
         ("levels", 2 * len(problem.levels)),
+        ("orientations", len(problem.yaws)),
         ("", problem.structure.held),
         (PRIORS, int(np.isfinite(problem.prior.sigma).sum())),
     ):

@@ -18,7 +18,7 @@ PRINTED = 5e-6
 """[m] Half of the last digit that gama-local prints."""
 CC, GON, MM = np.pi / 2e6, np.pi / 200, 1e-3
 KINDS = {"direction": (5 * CC, GON), "angle": (7 * CC, GON), "z-angle": (8 * CC, GON)}
-KINDS |= {"distance": (2 * MM, 1.0), "s-distance": (2 * MM, 1.0)}
+KINDS |= {"azimuth": (6 * CC, GON), "distance": (2 * MM, 1.0), "s-distance": (2 * MM, 1.0)}
 """Standard deviation, and the unit of the value in the file."""
 PLACES = {
     "A": (0.0, 0.0, 0.0),
@@ -49,7 +49,12 @@ class Sight:
         if self.kind == "angle":
             u, v, _ = places[self.back] - places[self.start]
             return float(np.arctan2(v, u) - np.arctan2(y, x))
-        values = {"direction": -np.arctan2(y, x), "z-angle": np.arctan2(flat, z), "distance": flat}
+        values = {
+            "direction": -np.arctan2(y, x),
+            "azimuth": np.pi / 2 - np.arctan2(y, x),
+            "z-angle": np.arctan2(flat, z),
+            "distance": flat,
+        }
         return float(values.get(self.kind, np.hypot(flat, z)))
 
 
@@ -147,6 +152,16 @@ SPACE = sights("direction z-angle s-distance", "AB AC AE BA BC BE CA CB CE EA EB
 NETWORKS = {
     "free in plan": Network(placed("A B C D E", 'adj="XY"'), PLAN, "Ax Ay Bx By Cx Cy Dx Dy Ex Ey"),
     "fixed in plan": Network(placed("A B", 'fix="xy"') | dict.fromkeys("CDE", 'adj="xy"'), PLAN, "Cx Cy Dx Dy Ex Ey"),
+    "one point and azimuths in plan": Network(
+        placed("A", 'fix="xy"') | dict.fromkeys("BCDEF", 'adj="xy"'),
+        [*PLAN, *sights("azimuth", "AB CE DF"), *sights("distance", "AF")],
+        "Bx By Cx Cy Dx Dy Ex Ey Fx Fy",
+    ),
+    "one point and an azimuth in space": Network(
+        placed("A", 'fix="xyz"') | dict.fromkeys("BCE", 'adj="xyz"'),
+        [*SPACE, *sights("azimuth", "CA")],
+        "Bx By Bz Cx Cy Cz Ex Ey Ez",
+    ),
     "traverse of angles": Network(
         placed("A B D", 'fix="xy"') | dict.fromkeys("ECF", 'adj="xy"'), TRAVERSE, "Ex Ey Cx Cy Fx Fy"
     ),

@@ -15,6 +15,7 @@ from ltsim.calibration import calibrate_network
 from ltsim.calibration.files import calibration_file
 from ltsim.errors import RecordError
 from ltsim.geometry.alignment import align
+from ltsim.geometry.polar import wrap
 from ltsim.randomness import stream
 from ltsim.recording.coordinates import read_points
 from ltsim.recording.recording import Recording
@@ -129,6 +130,18 @@ def test_a_wrong_temperature_of_the_gauge_is_told_of_all_its_lengths_and_of_no_r
     assert no_go[0].startswith("all known lengths are ")
 
 
+def test_a_calibration_does_not_follow_lengths_so_far_off_that_no_scale_of_an_instrument_is() -> None:
+    recording = network(seed=2, faces=2)[0]
+    assert recording.setup.gauge is not None
+    gauge = recording.setup.gauge.model_copy(update={"measured_at_c": 45.0, "expansion_per_k": 23.2e-6})
+    found = lt.calibrate(recording.replace(setup=recording.setup.model_copy(update={"gauge": gauge})))
+    assert (found.known[0].kind, found.known[0].left_out) == ("scale", True)
+    assert found.fit.sigma0 == pytest.approx(1.0, abs=0.1)
+    scale = found.parameters[found.names.index("range-scale")]
+    assert abs(scale.value) < 3.0 * scale.prior_sigma
+    assert not found.outliers
+
+
 def test_a_wrong_level_and_a_wrong_height_are_named() -> None:
     recording, _ = network(seed=6, faces=2)
     stations = {name: Station(levelled=True, levelling_sigma_arcsec=1.0) for name in recording.stations}
@@ -144,6 +157,28 @@ def test_a_wrong_level_and_a_wrong_height_are_named() -> None:
     found = adjust(levelled.replace(setup=levelled.setup.model_copy(update={"targets": heights})))
     assert [(test.kind, test.name, test.axes) for test in found.wrong] == [("point", "T16", "z")]
     assert found.wrong[0].error[0] == pytest.approx(1.02, abs=1e-3)
+
+
+def test_known_azimuth_zeros_turn_the_network_and_a_wrong_one_is_named() -> None:
+    recording, _ = network(seed=6, faces=2)
+    ahead = adjust(recording).state.rotation[:, :, 0]
+    yaws = np.degrees(np.arctan2(ahead[:, 1], ahead[:, 0])) + 100.0
+
+    def oriented(off_arcsec: float) -> Recording:
+        stations = {
+            name: Station(levelled=True, yaw_deg=yaw + (off_arcsec / 3600 if name == "S3" else 0), yaw_sigma_arcsec=2.0)
+            for name, yaw in zip(recording.stations, yaws.tolist(), strict=True)
+        }
+        return recording.replace(setup=recording.setup.model_copy(update={"stations": stations}))
+
+    sound, wrong = adjust(oriented(0.0)), adjust(oriented(60.0))
+    assert sound.wrong == ()
+    assert sound.problem.free.shape[1] == 3
+    turned = sound.state.rotation[:, :, 0]
+    assert np.abs(wrap(np.arctan2(turned[:, 1], turned[:, 0]) - np.radians(yaws))).max() < 2e-5
+    assert [(test.kind, test.name) for test in wrong.wrong] == [("yaw", "S3")]
+    assert 3600 * np.degrees(wrong.wrong[0].error[0]) == pytest.approx(60.0, abs=6.0)
+    assert "the azimuth zero of S3 is off by" in wrong.wrong[0].sentence
 
 
 def test_of_two_points_that_contradict_each_other_nobody_can_tell_which() -> None:

@@ -5,11 +5,12 @@ import pytest
 from scipy import stats
 
 from ltsim.adjustment import adjust
-from ltsim.adjustment.reliability import critical_tau, critical_w
+from ltsim.adjustment.reliability import chance_of_tau, critical_tau, critical_w
 from ltsim.adjustment.verdict import Agreement, verdict
 from ltsim.model.construction import misalignment
 from ltsim.randomness import stream
-from ltsim.recording.setup import Instrument, Station
+from ltsim.recording.recording import Recording
+from ltsim.recording.setup import Instrument, Setup, Station
 from tests.networks import drawn, network
 
 TRACKER = misalignment()
@@ -38,6 +39,36 @@ def test_tau_limit_is_that_of_pope():
     assert critical_tau(1, 100_000, 0.05) == pytest.approx(stats.norm.isf(0.025), abs=1e-3)
     assert critical_tau(50, 20) < critical_w(50)
     assert critical_tau(1, 1) == np.inf
+
+
+def test_the_chance_at_a_limit_is_its_level():
+    limits = np.array([critical_tau(50, 20), critical_w(50)])
+    assert chance_of_tau(limits, np.array([20.0, np.inf]), 50) == pytest.approx([0.01, 0.01], rel=1e-6)
+    assert chance_of_tau(np.array([3.0]), np.array([1.0]), 50) == 1.0
+
+
+def test_each_restless_target_is_judged_by_its_own_noise():
+    rng, times = stream(4, "restless"), 40
+    target = np.repeat(np.arange(4), times)
+    scatter = np.array([1.0, 1.0, 8.0, 40.0])[target][:, None] * rng.standard_normal((len(target), 3))
+    place = np.array([[3.0, 0.0, 0.1], [3.0, 1.5, 0.2], [3.0, 3.0, -0.1], [3.0, 4.5, 0.0]])[target]
+    zero, rows = np.zeros(len(target), dtype=np.int64), np.arange(len(target))
+    recording = Recording(Setup(), ("S",), ("A", "B", "C", "D"), zero, target, zero + 1, rows, rows * 1.0, place)
+    scatter[2 * times + 5, 1] = 8.0 * 6.0  # six of its own standard deviations, one and a half of the loudest
+    found = adjust(recording.with_readings(place + scatter * recording.sigma()))
+    assert found.restless[0].tolist() == [3, 2]
+    assert [(one.row, one.observable) for one in found.outliers(estimated=True)] == [(2 * times + 5, 1)]
+    assert found.outliers(estimated=True)[0].p_value < 1e-3
+
+
+def test_a_large_error_blames_none_of_the_readings_that_it_bends():
+    clean = noisy(3)
+    found = adjust(spoiled(clean, [(20, 0)], [80.0]), TRACKER)
+    assert np.sum(np.abs(found.w) > critical_w(int(found.problem.use.sum()))) > 1
+    assert [(one.row, one.observable) for one in found.outliers()] == [(20, 0)]
+    two = adjust(spoiled(clean, [(20, 0), (47, 2)], [80.0, 9.0]), TRACKER)
+    assert [(one.row, one.observable) for one in two.outliers()] == [(20, 0), (47, 2)]
+    assert two.outliers()[1].size / two.problem.sigma[47, 2] == pytest.approx(9.0, abs=4.0)
 
 
 def test_tau_exceeds_its_limit_as_often_as_its_level_says():

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 from scipy import stats
@@ -12,6 +14,7 @@ from ltsim.calibration import calibrate_network
 from ltsim.calibration.conflict import log_odds
 from ltsim.chances import CONSTANT, SIZES
 from ltsim.errors import ModelError
+from ltsim.geometry.polar import from_polar, to_polar
 from ltsim.geometry.rigid import rigid_motion
 from ltsim.model.construction import dh, misalignment
 from ltsim.recording.setup import Gauge, GaugeDistance, Instrument, Prior, Station
@@ -213,3 +216,18 @@ def test_a_stated_prior_holds_for_a_corrected_instrument_too(make) -> None:
     sizes = dict(zip(found.names, found.prior_sigma[0], strict=True))
     assert sizes["beam-tilt"] == pytest.approx(3e-6)
     assert sizes["range-offset"] == pytest.approx(3e-6)
+
+
+@pytest.mark.parametrize("seed", [2, 12, 17])
+def test_errors_of_an_uncalibrated_instrument_move_no_station_in_a_plain_adjustment(seed: int) -> None:
+    recording, _ = lt.simulate("paper-workshop", seed=seed)
+    found = lt.adjust(recording)
+    assert found.verdict is not None
+    assert "moves while it measures" not in found.verdict.sentence
+    rows = recording.station == 2
+    share = (recording.time[rows] - recording.time[rows].min()) / np.ptp(recording.time[rows])
+    readings, sunk = recording.readings.copy(), from_polar(recording.readings[rows])
+    readings[rows] = to_polar(sunk + share[:, None] * [0.0, 0.0, 2e-3])
+    moved = lt.adjust(recording.with_readings(readings))
+    assert moved.verdict is not None
+    assert re.match(r"Station S3 moves while it measures, by (199|20[01])\d", moved.verdict.sentence)

@@ -12,6 +12,7 @@ import pytest
 from scipy import stats
 
 import ltsim as lt
+from ltsim.adjustment.estimate import adjust
 from ltsim.adjustment.reliability import surprise
 from ltsim.cli.check import changes, follow, mpe_of
 from ltsim.cli.main import run
@@ -404,3 +405,10 @@ def test_readings_to_targets_that_scatter_are_told_as_that_and_none_is_gross() -
         (told,) = (item for item in failed if "scatter" in item.sentence and not item.station)
         assert set(told.targets) == {"T04", "T10", "T15", "T21"}
         assert not [item for item in failed if item.rows]
+
+
+@pytest.mark.parametrize(("scenario", "seed"), [("paper-workshop-two-face", 5), ("paper-workshop", 10)])
+def test_what_an_uncalibrated_instrument_does_to_near_targets_is_no_scatter_of_theirs(scenario: str, seed: int) -> None:
+    recording, _ = lt.simulate(scenario, seed=seed)
+    assert len(adjust(recording).restless[0])
+    assert check(recording).passed

@@ -123,3 +123,20 @@ def test_what_a_specification_of_ones_own_becomes() -> None:
     assert made["transverse_um_per_m"] == pytest.approx(6)
     assert made["range_um"] == pytest.approx(10)
     assert "2 standard deviations" in own.assumption
+
+
+def test_a_sheet_below_what_the_file_states_itself_is_told_key_by_key(tmp_path: Path) -> None:
+    """A converted table states the default noise in full: a sheet that is named beside it would change nothing."""
+    lt.write(lt.simulate("paper-workshop", seed=1)[0], tmp_path / "rec")
+    setup = tmp_path / "rec" / "setup.toml"
+    whole = setup.read_text()
+    setup.write_text(whole.replace("[instrument]\n", '[instrument]\nsheet = "leica-at500"\n', 1))
+    told = [
+        note for note in lt.read(tmp_path / "rec").notes if "stand above those of the data sheet leica-at500" in note
+    ]
+    assert len(told) == 1
+    assert "noise.azimuth_arcsec" in told[0]
+    assert "prior.range_scale_ppm" in told[0]
+    bare = re.sub(r"\[instrument\.(noise|prior)\]\n(.+\n)*", "", setup.read_text())
+    setup.write_text(bare)
+    assert not [note for note in lt.read(tmp_path / "rec").notes if "stand above" in note]

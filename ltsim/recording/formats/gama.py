@@ -1,9 +1,9 @@
 """Input files of GNU Gama (``gama-local``).
 
-Understood are directions, zenith angles, slope and horizontal distances, angles, heights of instrument and target,
-points that are fixed, constrained, adjusted or observed with a covariance. Each set of directions with an orientation
-of its own becomes a set-up of its own over the same point; distances alone between two targets are known lengths.
-What has no place in a recording (height differences, vectors, azimuths) is named in a note and left out.
+Understood are directions, azimuths, zenith angles, slope and horizontal distances, angles, heights of instrument and
+target, points that are fixed, constrained, adjusted or observed with a covariance. Each set of directions becomes a
+set-up of its own over the same point, azimuths an oriented one; distances alone between two targets are known lengths.
+What has no place in a recording (height differences, vectors) is named in a note and left out.
 
 Gama's instruments are levelled exactly and its angles count clockwise unless said otherwise; a left-handed system of
 axes is made right-handed by turning y over, which a note says.
@@ -40,7 +40,7 @@ from ltsim.units import ARCSECOND, DEGREE, FACTOR, GON, MILLIMETRE
 LEFT_HANDED, RIGHT_HANDED = ("ne", "sw", "es", "wn"), ("en", "nw", "se", "ws")
 FIXED_MM = 1e-4
 CC = FACTOR["cc"]
-STATED = {"direction": "direction", "z-angle": "zenith-angle", "s-distance": "distance", "distance": "distance"}
+STATED = {"z-angle": "zenith-angle", "s-distance": "distance"} | {k: k for k in ("direction", "azimuth", "distance")}
 """Under which name the file states the standard deviation of an observation."""
 NAMES = ("id", "from", "to", "bs", "fs")
 """Attributes that name a point."""
@@ -82,11 +82,13 @@ class _Network:
     points: dict[str, _Point] = field(default_factory=dict)
     sets: Counter[str] = field(default_factory=Counter)
     over: dict[str, str] = field(default_factory=dict)
+    north: float = 0.0  # [deg] counter-clockwise from x
+    oriented: set[str] = field(default_factory=set)  # set-ups of azimuths: their circles are zero in the north
     observed: list[Observed] = field(default_factory=list)
     left_out: Counter[str] = field(default_factory=Counter)
     notes: list[str] = field(default_factory=list)
 
-    def station(self, point: str, *, with_directions: bool) -> str:
+    def station(self, point: str, *, with_directions: bool = False) -> str:
         """Name of the set-up over a point; further sets of directions get further set-ups."""
         self.sets[point] += with_directions
         name = numbered(point, max(self.sets[point] - 1, 0))
@@ -142,6 +144,7 @@ def _read_axes(node: Node, network: _Network) -> None:
         raise node.where.wrong(message)
     network.y_sign = -1.0 if axes in LEFT_HANDED else 1.0
     network.angle_sign = -1.0 if angles == "left-handed" else 1.0
+    network.north = {"n": 0.0, "e": 90.0, "s": 180.0, "w": -90.0}[axes[0]]
     if network.y_sign < 0:
         network.notes.append(f"axes-xy='{axes}' is a left-handed system: y is turned over to make it right-handed")
 
@@ -230,12 +233,13 @@ def _read_obs(block: Node, network: _Network) -> None:
     if len(variances) not in (0, len(inner)):
         raise block.where.wrong("a <cov-mat> that does not match its observations")
     sigmas = np.sqrt(variances).tolist() if len(variances) else [NAN] * len(inner)
-    directions = {_from(child, block) for child in inner if child.tag == "direction"}
-    names = {point: network.station(point, with_directions=True) for point in sorted(directions)}
+    circles = {(_from(child, block), child.tag) for child in inner if child.tag in ("direction", "azimuth")}
+    names = {circle: network.station(circle[0], with_directions=True) for circle in sorted(circles, reverse=True)}
+    network.oriented |= {name for (_, kind), name in names.items() if kind == "azimuth"}
     for child, sigma in zip(inner, sigmas, strict=True):
         if child.tag in STATED:
             point = _from(child, block)
-            station = names.get(point) or network.station(point, with_directions=False)
+            station = names.get((point, child.tag)) or names.get((point, "direction")) or network.station(point)
             network.observed.append(_observation(child, block, station, sigma, network))
         elif child.tag == "angle":
             _read_angle(child, block, sigma, network)
@@ -259,7 +263,7 @@ def _observation(child: Node, block: Node, station: str, sigma: float, network: 
         return Observed("distance", station, target, value, stated * MILLIMETRE, *heights, flat, child.line)
     value, second = _angle(child)
     stated = (sigma if np.isfinite(sigma) else _stdev(child, network)) * second
-    if child.tag == "direction":
+    if child.tag in ("direction", "azimuth"):
         return Observed("azimuth", station, target, network.angle_sign * value, stated, line=child.line)
     if value > np.pi:
         raise child.where.wrong("a zenith angle beyond half a circle", "<z-angle> val")
@@ -335,6 +339,8 @@ def _finished(network: _Network) -> Recording:
             levelling_sigma_arcsec=EXACT_LEVEL_ARCSEC,
             over=network.over[name],
             position_mm=network.points.get(network.over[name], _Point()).place,
+            yaw_deg=network.north if name in network.oriented else None,
+            yaw_sigma_arcsec=EXACT_LEVEL_ARCSEC if name in network.oriented else None,
             instrument_height_mm=instrument_heights.get(name, 0.0),
         )
         for name in dict.fromkeys(p.station for p in pointings)

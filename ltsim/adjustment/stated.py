@@ -1,0 +1,119 @@
+"""What the set-up of a network states, in the rows of its adjustment: each known value, its gap, its error's effect."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from ltsim.adjustment.problem import NetworkProblem
+from ltsim.arrays import Floats, Ints
+from ltsim.model.measurement import State
+from ltsim.recording.lengths import UNKNOWN_PPM
+from ltsim.recording.recording import Recording
+
+Kind = Literal["point", "length", "level", "yaw", "mark", "axes", "scale"]
+UNSAID: dict[str, dict[str, object]] = {
+    "level": {"levelled": False, "yaw_sigma_arcsec": None},
+    "yaw": {"yaw_sigma_arcsec": None},
+    "mark": {"over": None},
+}
+"""What the set-up of a station states no more without a known value of a kind."""
+
+
+@dataclass(frozen=True)
+class KnownValue:
+    """A point, length or level, all lengths, or that a set-up stands on its mark; (q,) [m, rad or 1], a component."""
+
+    kind: Kind
+    name: str
+    """Target, both ends of a length, or station."""
+    axes: str
+    """Coordinates that are known, of a point."""
+    sigma: Floats
+    """Stated standard deviation."""
+    residual: Floats
+    """Stated less adjusted."""
+
+
+@dataclass(frozen=True)
+class KnownInRows(KnownValue):
+    """A known value in the rows of an adjustment."""
+
+    rows: Ints
+    """(r,): rows of the system that its error reaches."""
+    signature: Floats
+    """(r, q): what an error of 1 [m, rad] in each component does to them."""
+
+
+def known_values(problem: NetworkProblem, state: State) -> Iterator[KnownInRows]:
+    """The known values of a problem, in the order of its rows."""
+    recording, first, gauge = problem.model.recording, int(problem.use.sum()), problem.gauge
+    shown, gap = gauge.whitened(np.eye(len(gauge))), problem.length_residuals(state)
+    for i in np.flatnonzero(np.isfinite(gauge.sigma)).tolist():
+        name = f"{recording.targets[gauge.first[i]]}-{recording.targets[gauge.second[i]]}"
+        reached = np.flatnonzero(shown[:, i])
+        column = shown[reached, i : i + 1]
+        yield KnownInRows("length", name, "", gauge.sigma[i : i + 1], gap[i : i + 1], first + reached, column)
+    first += len(gauge)
+    marks = problem.known_marks, problem.marks.names, state.position
+    for known, names, here in ((problem.control, recording.targets, state.points), marks):
+        for i, place in enumerate(known.target.tolist()):
+            axes = known.axes[i]
+            root = known.root[i][np.ix_(axes, axes)]
+            sigma = np.linalg.norm(np.linalg.inv(root), axis=1)
+            said = "".join(axis for axis, stated in zip("xyz", axes, strict=True) if stated)
+            rows = first + np.arange(len(root))
+            yield KnownInRows("point", names[place], said, sigma, (known.points[i] - here[place])[axes], rows, root)
+            first += len(root)
+    tilts = -problem.levels.predict(state.rotation)
+    for i, station in enumerate(problem.levels.station.tolist()):
+        sigma, rows = np.full(2, problem.levels.sigma[i]), problem.level_rows.start + 2 * i + np.arange(2)
+        yield KnownInRows("level", recording.stations[station], "", sigma, tilts[i], rows, np.diag(1.0 / sigma))
+    gap, first = problem.yaws.residual(state.rotation), problem.level_rows.stop
+    for i, station in enumerate(problem.yaws.station.tolist()):
+        sigma = problem.yaws.sigma[i : i + 1]
+        rows = np.array([first + i])
+        yield KnownInRows("yaw", recording.stations[station], "", sigma, gap[i : i + 1], rows, 1.0 / sigma[:, None])
+    yield from _centrings(problem, state)
+
+
+def common_scale(problem: NetworkProblem, state: State) -> Iterator[KnownInRows]:
+    """What all known lengths share, if there are several: their temperature, and what they are measured against."""
+    gauge, felt = problem.gauge, np.isfinite(problem.gauge.sigma)
+    if felt.sum() > 1:
+        shown = gauge.whitened(np.where(felt, gauge.length, 0.0)[:, None])
+        weight, gap = float(np.sum(shown**2)), gauge.whitened(np.where(felt, problem.length_residuals(state), 0.0))
+        rows, sigma = int(problem.use.sum()) + np.arange(len(gauge)), np.array([weight**-0.5])
+        yield KnownInRows("scale", "all known lengths", "", sigma, gap @ shown / weight, rows, shown)
+
+
+def _centrings(problem: NetworkProblem, state: State) -> Iterator[KnownInRows]:
+    """Set-ups over marks that something else shows too: each is said to stand there exactly."""
+    marks, recording = problem.marks, problem.model.recording
+    shared = (marks.target >= 0) | (np.bincount(marks.first, minlength=len(marks.first))[marks.first] > 1)
+    if not shared.any():
+        return
+    number = np.cumsum(problem.use).reshape(problem.use.shape) - 1
+    by_place = problem.model.linearised(state).by_pose[:, :, :3] / problem.sigma[:, :, None]
+    for s in np.flatnonzero(shared).tolist():
+        own = problem.use & (recording.station == s)[:, None]
+        if own.any():
+            name = recording.stations[s]
+            yield KnownInRows("mark", name, "xyz", np.zeros(3), np.zeros(3), number[own], -by_place[own])
+
+
+def without(recording: Recording, test: KnownValue) -> Recording:
+    """The recording whose set-up does not state one known value."""
+    setup, name = recording.setup, test.name
+    if test.kind in ("length", "scale"):
+        left = tuple(d for d in recording.gauge.distance if f"{d.from_}-{d.to}" != name)
+        unsaid: dict[str, object] = {"sigma_scale_ppm": UNKNOWN_PPM} if test.kind == "scale" else {"distance": left}
+        change: dict[str, object] = {"gauge": recording.gauge.model_copy(update=unsaid)}
+    elif test.kind in UNSAID:
+        unsaid = UNSAID[test.kind]
+        change = {"stations": setup.stations | {name: setup.stations[name].model_copy(update=unsaid)}}
+    else:
+        unsaid = {"known_mm": None, "approximate_mm": setup.targets[name].known_mm}
+        change = {"targets": setup.targets | {name: setup.targets[name].model_copy(update=unsaid)}}
+    return recording.replace(setup=setup.model_copy(update=change))

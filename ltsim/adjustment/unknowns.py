@@ -1,0 +1,58 @@
+"""Where each unknown of a network stands among the columns of its design."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ltsim.adjustment.rows import GaugeRows, Marks
+from ltsim.arrays import Ints
+from ltsim.model.measurement import MeasurementModel
+
+
+@dataclass(frozen=True)
+class Unknowns:
+    """Columns of the design: poses, kept targets, instrument parameters, further effects; then the other targets.
+
+    Set-ups over one mark share the columns of their position, with the target where that mark is one.
+    """
+
+    pose: Ints
+    """(S, 6): translation, then rotation."""
+    target: Ints
+    """(T, 3): gauge targets and those under a set-up are kept, all others are eliminated block by block."""
+    instrument: Ints
+    """(I, p)."""
+    extra: Ints
+    """(q,)."""
+    kept: int
+    """Number of kept columns K."""
+    size: int
+    """Number of all columns."""
+
+    @classmethod
+    def of(cls, model: MeasurementModel, gauge: GaugeRows, marks: Marks) -> Unknowns:
+        """The unknowns of a model."""
+        recording, over = model.recording, marks.target >= 0
+        stations, targets = len(recording.stations), len(recording.targets)
+        size = 0
+
+        def fresh(rows: int, width: int) -> Ints:
+            nonlocal size
+            first, size = size, size + rows * width
+            return np.arange(first, size).reshape(rows, width)
+
+        own = np.ones((stations, 6), dtype=bool)
+        own[:, :3] = (~over & (marks.first == np.arange(stations)))[:, None]
+        keep = np.zeros(targets, dtype=bool)
+        keep[np.concatenate([gauge.first, gauge.second, marks.target[over]])] = True
+        pose, target = np.full((stations, 6), -1), np.empty((targets, 3), dtype=np.int64)
+        pose[own] = fresh(int(own.sum()), 1)[:, 0]
+        target[keep] = fresh(int(keep.sum()), 3)
+        instrument, extra = fresh(len(recording.instruments), model.construction.size), fresh(1, model.extra_size)[0]
+        kept = size
+        target[~keep] = fresh(int((~keep).sum()), 3)
+        pose[over, :3] = target[marks.target[over]]
+        pose[:, :3] = np.where(pose[:, :3] < 0, pose[marks.first, :3], pose[:, :3])
+        return cls(pose, target, instrument, extra, kept, size)
