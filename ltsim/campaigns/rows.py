@@ -20,11 +20,11 @@ from ltsim.campaigns.calibrators import (
     fitted_effects,
     stacks,
 )
-from ltsim.campaigns.columns import labels_of, parameter_columns, rows_of_method, with_settings, z_scores
+from ltsim.campaigns.columns import Columns, labels_of, parameter_columns, rows_of_method, with_settings, z_scores
 from ltsim.campaigns.design import Factor
-from ltsim.campaigns.engine import FAILED, STATUSES, Calibrated, Calibrator
-from ltsim.campaigns.judge import Columns, Judge
-from ltsim.campaigns.schema import CHECKED, column_of
+from ltsim.campaigns.engine import Calibrated, Calibrator
+from ltsim.campaigns.judge import Judge
+from ltsim.campaigns.schema import CHECKED, FAILED, STATUSES, column_of
 from ltsim.campaigns.spec import JUDGE, Campaign
 from ltsim.campaigns.store import encoded, statistics_of
 from ltsim.campaigns.truth import Block, CellTruth, truth_of

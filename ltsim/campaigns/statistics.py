@@ -15,8 +15,7 @@ import pyarrow.parquet as pq
 
 from ltsim.arrays import Floats
 from ltsim.campaigns.columns import TYPES
-from ltsim.campaigns.engine import FAILED, FULL
-from ltsim.campaigns.schema import CHECKED, LEVELS, SHARES, column_of, summary_table
+from ltsim.campaigns.schema import CHECKED, FAILED, FULL, LEVELS, SHARES, column_of, summary_table
 from ltsim.campaigns.stopping import level_of, quantile
 from ltsim.campaigns.store import Store, literal
 from ltsim.errors import ModelError, SetupError, unknown_name

@@ -15,6 +15,7 @@ from ltsim.model.construction import stated_construction
 from ltsim.recording.recording import Recording
 from ltsim.recording.setup import Limits, Setup
 from ltsim.remedies.remedy import FloorPlan
+from ltsim.saved import Valued
 from ltsim.scene.cad import read_mesh, size_question
 from ltsim.scene.visibility import Reason, Visibility, cone_opening, shadow_radius
 from ltsim.simulation.scenario import Scenario
@@ -38,7 +39,7 @@ class Sights:
 
 
 @dataclass(frozen=True)
-class PlacedWorkshop:
+class PlacedWorkshop(Valued):
     """Stations, targets and surroundings in one frame whose z axis is vertical; metres and radians."""
 
     title: str

@@ -16,6 +16,7 @@ from scipy import optimize, special
 from ltsim.arrays import Bools, Floats
 from ltsim.geometry.expansion import Expansion
 from ltsim.randomness import stream
+from ltsim.saved import Valued
 from ltsim.tasks.inputs import Inputs
 from ltsim.tasks.measurands import Measurand
 from ltsim.tasks.propagation import Propagated, parts_of
@@ -39,7 +40,7 @@ CHARACTERISTIC: dict[str, Callable[[Floats], Floats]] = {
 
 
 @dataclass(frozen=True)
-class Drawn:
+class Drawn(Valued):
     """The distribution of the results."""
 
     values: Floats
