@@ -127,6 +127,7 @@ class Gap:
     What is added to the covariance along the free motions changes nothing, and makes that of a datum of its own whole.
     """
 
+    names: Sequence[str]
     gap: Floats
     covariance: Floats
     free: Floats
@@ -180,13 +181,11 @@ class Gap:
         return inverse @ (self._root @ self.gap), inverse @ inverse.T
 
 
-def judged(
-    gap: Gap, common: Sequence[str], fixed: Bools, level: float, sources: tuple[SourceEntry, SourceEntry]
-) -> Comparison:
+def judged(gap: Gap, fixed: Bools, level: float, sources: tuple[SourceEntry, SourceEntry]) -> Comparison:
     """The search among the common points that are not `fixed`, known to be stable, and what is told of all."""
     tested = np.flatnonzero(~fixed)
     moved = _search(gap, tested, level)
-    displacements = tuple(_displacement(gap, i, name, moved, len(tested), level) for i, name in enumerate(common))
+    displacements = tuple(_displacement(gap, i, moved, len(tested), level) for i in range(gap.count))
     statistic, dof, left = gap.cost(), gap.dof, gap.dof - len(gap.axes) * len(moved)
     scale = float(gap.estimate(moved)[0][gap.free.shape[1] - 1]) if gap.scaled else None
     return Comparison(
@@ -223,7 +222,7 @@ def _search(gap: Gap, tested: Ints, level: float) -> list[int]:
     return moved
 
 
-def _displacement(gap: Gap, i: int, name: str, moved: list[int], tested: int, level: float) -> Displacement:
+def _displacement(gap: Gap, i: int, moved: list[int], tested: int, level: float) -> Displacement:
     """What one point did in the frame that the unmoved ones hold, and its test beside the moved ones."""
     count, a = max(tested, 1), len(gap.axes)
     others = [p for p in moved if p != i]
@@ -236,7 +235,7 @@ def _displacement(gap: Gap, i: int, name: str, moved: list[int], tested: int, le
     factor = float(2.0 * special.gammaincinv(0.5 * a, COVERAGE))
     semi_axes = np.sqrt(factor * np.clip(np.linalg.eigvalsh(covariance), 0.0, None))[::-1]
     return Displacement(
-        target=name,
+        target=gap.names[i],
         moved=i in moved,
         place_mm=(gap.places[i] / MILLIMETRE).tolist(),
         shift_um=(shift / MICROMETRE).tolist(),

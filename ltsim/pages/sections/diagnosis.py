@@ -68,7 +68,7 @@ def diagnosis_section(content: DiagnosisFile, beside: Beside) -> Section:
         blocks = [scene(from_adjustment(pair[1], plain=pair[0])), *blocks]
     lead = len(blocks)
     for number_, finding in enumerate(content.findings, start=1):
-        blocks += _finding(finding, number_, sentence(content.summary), pair, before, after)
+        blocks += _finding(finding, number_, sentence(content.summary), pair, (before, after))
     modelled = ", with the findings modelled" if content.findings else ""
     if constants := clear_constants(content.instruments):
         blocks.append(Note(f"The clearest constants of the instruments{modelled}", f"{'; '.join(constants)}."))
@@ -146,7 +146,7 @@ def _residuals(content: DiagnosisFile, beside: Beside, pair: Pair | None) -> tup
 
 
 def _finding(
-    finding: Finding, number_: int, answer: str, pair: Pair | None, before: Residuals | None, after: Residuals | None
+    finding: Finding, number_: int, answer: str, pair: Pair | None, residuals: tuple[Residuals | None, Residuals | None]
 ) -> list[Block]:
     """One finding: its sentence if the answer lacks it, what carries it, where it is, what it does to the readings."""
     name = finding.effect if finding.known else "an effect that no catalogue entry explains"
@@ -156,7 +156,7 @@ def _finding(
     formula = f" Proposed term: {finding.formula}." if finding.formula and new else ""
     said = f"{words.rstrip('.')}.{formula}{cure}"
     blocks: list[Block] = [] if said in answer else [Note(f"Finding {number_}: {name}", said, "bad")]
-    drawn = finding_drawing(finding, before, after)
+    drawn = finding_drawing(finding, *residuals)
     if drawn is not None:
         text = "Residuals without the finding (left) and with it modelled (right)."
         if finding.curve is not None and len(finding.curve.at) >= MOST_STEPS:
