@@ -124,10 +124,10 @@ class Prepared:
                 yield judge, calibrators, judge.truth.draw(seed, number)
             return
         for low in range(first, last, TOGETHER):
-            for stack, numbers in stacks(self._own(range(low, min(low + TOGETHER, last)))):
+            for stack, numbers in stacks(self._geometries(range(low, min(low + TOGETHER, last)))):
                 yield Judge(stack), [StackCalibrator.of(m, stack) for m in methods], stack.draw_trials(seed, numbers)
 
-    def _own(self, trials: range) -> dict[int, CellTruth]:
+    def _geometries(self, trials: range) -> dict[int, CellTruth]:
         """The geometry of each trial that has a possible one; they share the set-up with the common one."""
         found, seed = {}, self.campaign.seed
         for trial in trials:

@@ -147,7 +147,7 @@ class Gap:
         """Degrees of freedom of the global test."""
         return len(self._root) - self.free.shape[1]
 
-    def own(self, point: int) -> float | None:
+    def chi2_of(self, point: int) -> float | None:
         """Chi-square of one point's difference by itself; None where the frame is free."""
         if self.free.shape[1]:
             return None
@@ -244,7 +244,7 @@ def _displacement(gap: Gap, i: int, moved: list[int], tested: int, level: float)
         semi_axes_um=(semi_axes / MICROMETRE).tolist(),
         p_value=float(min(1.0, count * special.chdtrc(a, max(drop, 0.0)))),
         visible_um=(float(visible[0]), float(visible[-1])),
-        own_chi2=gap.own(i),
+        own_chi2=gap.chi2_of(i),
     )
 
 

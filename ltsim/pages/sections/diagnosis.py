@@ -82,7 +82,7 @@ def diagnosis_section(content: DiagnosisFile, beside: Beside) -> Section:
         title = f"Constants{name}{modelled}"
         blocks += table_of(title, entry.parameters, "name=constant", "value+-sigma", "unit")
         blocks += combined(f"What the recording determines{name} in combination", entry.determined)
-    blocks += _found_from(content)
+    blocks += _detectability(content)
     blocks += target_table(beside.file(TARGETS.file, content), note="Adjusted with the findings modelled.")
     named = (recording.setup.title if recording else "") or (content.recording.title if content.recording else "")
     answer = sentence(content.summary)
@@ -254,7 +254,7 @@ def _hidden(content: DiagnosisFile) -> list[Block]:
     return [Grid("Not to be seen in this recording", header, rows, note=note)] if rows else []
 
 
-def _found_from(content: DiagnosisFile) -> list[Block]:
+def _detectability(content: DiagnosisFile) -> list[Block]:
     """How small an effect may be to be found."""
     note = (
         "About 80 % of recordings of this network are told as a mismatch if an effect at a middling place is this "
