@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 from pydantic import BaseModel
@@ -139,10 +139,14 @@ def columns_of(model: type[BaseModel], names: str = "", **more: Mapping[str, str
     made = []
     for name in names.split() or model.model_fields:
         field = model.model_fields[name]
-        kind = "flag" if field.annotation is bool else "text" if field.annotation is str else "number"
+        kind = "flag" if field.annotation is bool else "text" if _is_text(field.annotation) else "number"
         how: dict[str, Any] = {"name": name, "kind": kind, "field": name, **more.get(name, {})}
         made.append(Column(meaning=(field.description or "").rstrip("."), **how))
     return tuple(made)
+
+
+def _is_text(annotation: Any) -> bool:
+    return annotation is str or all(isinstance(choice, str) for choice in get_args(annotation) or (0,))
 
 
 @dataclass(frozen=True)

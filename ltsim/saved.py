@@ -160,9 +160,9 @@ class _Writer:
     def _whole(self, value: Any) -> dict[str, Any]:
         number = self._met[id(value)] = len(self._met)
         self._kept.append(value)
-        return {"no": number, **self._told(value)}
+        return {"no": number, **self._entry(value)}
 
-    def _told(self, value: Any) -> dict[str, Any]:
+    def _entry(self, value: Any) -> dict[str, Any]:
         if isinstance(value, np.ndarray | np.generic):
             self.arrays.append(np.asarray(value))
             kind = "array" if isinstance(value, np.ndarray) else "scalar"
@@ -240,7 +240,7 @@ class _Reader:
             from scipy.sparse import csr_array
 
             return csr_array(*parts)
-        kind = _found(tree["class"], ours=True)
+        kind = _named_object(tree["class"], ours=True)
         if "__reduce__" not in kind.__dict__:
             raise TypeError(f"{kind} is made otherwise")
         return kind(*parts)
@@ -264,7 +264,7 @@ _MAKERS: dict[str, Callable[[_Reader, dict[str, Any]], Any]] = {
     "frozenset": lambda reader, tree: frozenset(reader.value(item) for item in tree["of"]),
     "dict": _Reader._mapping,
     "proxy": lambda reader, tree: MappingProxyType(reader._mapping(tree)),
-    "name": lambda reader, tree: _found(tree["of"], ours=True),
+    "name": lambda reader, tree: _named_object(tree["of"], ours=True),
     "enum": lambda reader, tree: _data_class(tree["class"])[tree["of"]],
     "model": _Reader._model,
     "object": _Reader._object,
@@ -279,7 +279,7 @@ def _name(thing: Any) -> str:
     return f"{thing.__module__}:{thing.__qualname__}"
 
 
-def _found(name: str, *, ours: bool) -> Any:
+def _named_object(name: str, *, ours: bool) -> Any:
     """What a name stands for: of ltsim, or where that is allowed of any module that is loaded."""
     module, _, inside = name.partition(":")
     if module.partition(".")[0] == "ltsim":
@@ -294,7 +294,7 @@ def _found(name: str, *, ours: bool) -> Any:
 
 def _data_class(name: str) -> Any:
     """A class that holds data and nothing else."""
-    kind = _found(name, ours=False)
+    kind = _named_object(name, ours=False)
     if not (isinstance(kind, type) and (dataclasses.is_dataclass(kind) or issubclass(kind, BaseModel | Enum | tuple))):
         raise TypeError(f"{name} holds no data")
     return kind

@@ -6,7 +6,7 @@ import copy
 import json
 import pickle
 import zipfile
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, is_dataclass, replace
 from importlib import import_module
 from pathlib import Path
 from pkgutil import walk_packages
@@ -255,6 +255,25 @@ def test_every_result_is_drawn_with_what_its_axes_mean_and_has_a_table(drawn: li
         told += [ax.get_title(loc) for ax in figure.axes for loc in ("left", "right")]
         assert any(told) or figure.get_supxlabel(), type(result)
         assert isinstance(result, View | Scenario | Adjustment) or len(result.to_dataframe().columns), type(result)
+
+
+def test_every_table_of_every_result_reads_its_own_csv_back(drawn: list[Any]):
+    for result in drawn:
+        for name in result._tables():
+            table = result.table(name)
+            again = table.parsed(table.csv())
+            assert again.header == table.header, (type(result), name)
+            assert len(again.rows) == len(table.rows), (type(result), name)
+
+
+def test_the_parts_of_a_result_are_compared_by_value(drawn: list[Any], kept: dict[str, Any]):
+    """Those of an adjustment are the solver's matrices, which nobody compares."""
+    whole = [result for result in [*drawn, kept["truth"]] if is_dataclass(result) and type(result) is not Adjustment]
+    for result in whole:
+        held = [getattr(result, field.name) for field in fields(result)]
+        parts = [part for value in held for part in (value if isinstance(value, tuple) else (value,))]
+        for part in filter(is_dataclass, parts):
+            assert copy.deepcopy(part) == part, (type(result), type(part))
 
 
 def test_what_has_no_table_says_so():

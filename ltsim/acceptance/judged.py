@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from ltsim.acceptance.files import AcceptanceFile, TestEntry, group_entries
+from ltsim.acceptance.spec import Acceptance
 from ltsim.acceptance.tests import Test, number_of, rows_of
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.arrays import Floats, Ints
@@ -133,13 +134,7 @@ def _length_variance(adjusted: Adjustment, placed: Sequence[int], pairs: Ints, d
 
 
 def judged(
-    tests: Sequence[TestEntry],
-    specification: Specification,
-    *,
-    title: str,
-    name: str,
-    left: int = 0,
-    recording: Recording | None = None,
+    tests: Sequence[TestEntry], acceptance: Acceptance, *, left: int = 0, recording: Recording | None = None
 ) -> AcceptanceFile:
     """Errors that were found, against their limits; `left` tests of the plan have none."""
     groups = {t.group: float(all(o.passes for o in tests if o.group == t.group)) for t in tests}
@@ -159,10 +154,10 @@ def judged(
             f"; for {blunt} the uncertainty is more than a quarter of the limit, too much to judge by them alone"
         )
     content = AcceptanceFile(
-        title=title,
+        title=acceptance.title,
         kind="measured" if recording is None else "network",
-        plan=name,
-        specification=specification,
+        plan=acceptance.plan if recording is None else "own network",
+        specification=acceptance.limits,
         passes=float(not failed and not left),
         sentence=sentence,
         groups=group_entries(tests, groups, predicted=False),

@@ -8,7 +8,8 @@ from functools import cached_property
 import numpy as np
 
 from ltsim.acceptance.files import AcceptanceFile, SensitivityEntry, TestEntry, WorstEntry, group_entries
-from ltsim.acceptance.tests import Test
+from ltsim.acceptance.spec import Acceptance
+from ltsim.acceptance.tests import Test, envelope
 from ltsim.arrays import Bools, Floats
 from ltsim.geometry.polar import across_beam, from_polar, to_polar, unit_vectors
 from ltsim.geometry.rigid import less_rigid
@@ -216,9 +217,10 @@ def _root(covariance: Floats) -> Floats:
 
 
 def predicted(
-    plan: AcceptancePlan, found: AcceptancePrediction, worst: Worst, prior: Floats, *, title: str, name: str, of: str
+    plan: AcceptancePlan, found: AcceptancePrediction, prior: Floats, acceptance: Acceptance, *, of: str
 ) -> AcceptanceFile:
-    """What tests will find, for the instrument that `of` names."""
+    """What tests will find, for the instrument that `of` names; `prior` (p,) [SI] is what its constants usually are."""
+    worst = plan.worst_passing(prior, envelope())
     size = np.hypot(found.errors[:, 0], found.errors[:, 1])
     signed = np.where(plan.is_length, found.errors[:, 0], size)
     expanded = 2 * np.sqrt(np.sum(found.sigma**2, axis=1))
@@ -249,9 +251,9 @@ def predicted(
     if weakest[0] < 0.9995:
         sentence += f"; the hardest is {weakest[1].name} ({100 * weakest[0]:.1f} %)"
     return AcceptanceFile(
-        title=title,
+        title=acceptance.title,
         kind="predicted",
-        plan=name,
+        plan=acceptance.plan,
         specification=plan.specification,
         assumption=plan.specification.assumption,
         passes=found.all_pass,

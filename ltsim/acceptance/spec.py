@@ -80,6 +80,11 @@ class Acceptance(TomlSection):
         except ModelError as problem:
             raise SetupError(str(problem)) from None
 
+    @property
+    def plan(self) -> str:
+        """What the tests are called: the standard, or the file of tests."""
+        return self.tests or self.standard or ""
+
     def plan_of(self, folder: Path) -> tuple[Test, ...]:
         """The tests, by files that lie in (or are named from) `folder`, or by the standard; raises SetupError."""
         if self.standard is None:

@@ -10,7 +10,6 @@ from ltsim.acceptance.files import AcceptanceFile
 from ltsim.acceptance.judged import by_network, judged, read_measured
 from ltsim.acceptance.prediction import AcceptancePlan, predicted
 from ltsim.acceptance.spec import Acceptance, acceptance_from, load_acceptance
-from ltsim.acceptance.tests import envelope
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.files import read_calibration
 from ltsim.errors import SetupError
@@ -53,15 +52,14 @@ def _answer(acceptance: Acceptance, folder: Path) -> AcceptanceFile:
     if acceptance.recording is not None:
         recording = read(folder / acceptance.recording)
         found = by_network(recording, limits)
-        return judged(found, limits, title=acceptance.title, name="own network", recording=recording)
-    name = acceptance.tests or acceptance.standard or ""
+        return judged(found, acceptance, recording=recording)
     tests = acceptance.plan_of(folder)
     stated = limits.instrument(acceptance.construction)
     built = of_design(acceptance.construction)
     if acceptance.measured is not None:
         plan = AcceptancePlan(tests, built, limits, stated.noise)
         errors = read_measured(folder / acceptance.measured, tests, plan.limits)
-        return judged(errors, limits, title=acceptance.title, name=name, left=len(tests) - len(errors))
+        return judged(errors, acceptance, left=len(tests) - len(errors))
     known = None if acceptance.calibration is None else _known(folder / acceptance.calibration)
     built = built if known is None else known.construction
     prior = np.array([p.sigma_from(stated.prior) for p in built.parameters])
@@ -75,8 +73,7 @@ def _answer(acceptance: Acceptance, folder: Path) -> AcceptanceFile:
             mean, of = mean - known.applied[0], "the corrected instrument"
     plan = AcceptancePlan(tests, built, limits, stated.noise)
     outcome = plan.predict(mean, covariance, trials=acceptance.trials, seed=acceptance.seed)
-    worst = plan.worst_passing(prior, envelope())
-    return predicted(plan, outcome, worst, prior, title=acceptance.title, name=name, of=of)
+    return predicted(plan, outcome, prior, acceptance, of=of)
 
 
 def _known(path: Path) -> Calibration:

@@ -24,6 +24,7 @@ from ltsim.errors import RecordError, option
 from ltsim.model.construction import Construction
 from ltsim.remedies.undetermined import SILENT
 from ltsim.results import Columns, Result
+from ltsim.saved import Valued
 
 RESOLVED = 1e-12
 """Relative eigenvalue under which a covariance is singular by construction, and least variance in prior variances."""
@@ -64,7 +65,7 @@ class CalibrationChange:
 
 
 @dataclass(frozen=True)
-class Population:
+class Population(Valued):
     """What an instrument's parameters are like from one calibration to the next."""
 
     mean: Floats

@@ -78,7 +78,7 @@ class Stack(CellTruth):
         """Arrays (n, ...) of the trials in the common order, with a last index for the trial."""
         return np.ascontiguousarray(np.stack([a[r] for a, r in zip(each, self.rows.T, strict=True)], axis=-1))
 
-    def own(self, together: Floats, trial: int) -> Floats:
+    def of_trial(self, together: Floats, trial: int) -> Floats:
         """What belongs to one trial of a gathered array (n, ..., B), in its own order."""
         own = np.empty(together.shape[:-1])
         own[self.rows[:, trial]] = together[..., trial]
@@ -122,7 +122,7 @@ class Stack(CellTruth):
         values = np.concatenate([draw.values for draw in draws], axis=2)
         exact = self._exact(values)
         alone = tuple(
-            truth.read(draw, self.own(exact, k)[:, :, None])
+            truth.read(draw, self.of_trial(exact, k)[:, :, None])
             for k, (truth, draw) in enumerate(zip(self.truths, draws, strict=True))
         )
         amounts = tuple(

@@ -231,7 +231,7 @@ def _add(source: Floats, goal: Floats) -> None:
 
 
 @compiled
-def _known(gauge: Ints, i: int, j: int) -> int:
+def _length_of_pair(gauge: Ints, i: int, j: int) -> int:
     """Which known length a pair of targets has; -1 for none."""
     for g in range(len(gauge)):
         if (gauge[g, 0] == i and gauge[g, 1] == j) or (gauge[g, 0] == j and gauge[g, 1] == i):
@@ -259,7 +259,7 @@ def distance_forces(clouds: Floats, seen: Bools, gauge: Ints, length: Floats, fo
                     count += 1
                     for t in range(trials):
                         middle[t] += own[s, t]
-            known = _known(gauge, i, j)
+            known = _length_of_pair(gauge, i, j)
             for s in range(sets):
                 if not (seen[s, i] and seen[s, j]):
                     continue

@@ -6,15 +6,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
+from numpy.typing import NDArray
 
 from ltsim.arrays import Floats
 from ltsim.campaigns.design import Factor
-from ltsim.campaigns.engine import FAILED, STATUSES
-from ltsim.campaigns.judge import Columns
-from ltsim.campaigns.schema import OF_PARAMETER, column_of
+from ltsim.campaigns.schema import FAILED, OF_PARAMETER, STATUSES, column_of
 from ltsim.effects.effect import Effect, Parameter
 from ltsim.model.construction import Construction
 
+Columns = dict[str, NDArray[Any]]
+"""Named results (B,), one value a trial; lengths in um, as the names say."""
 TYPES = {"number": pa.float64(), "integer": pa.int64(), "boolean": pa.bool_()}
 
 

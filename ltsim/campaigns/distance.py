@@ -142,7 +142,7 @@ class BatchDistance(Engine):
         prior, trials = self.problem.prior_sigma[:, :, None], block.deviation.shape[2]
         unknowns, moved = np.zeros((self.problem.prior_sigma.size, trials)), np.full(trials, np.inf)
         readings = {trial: self.truth.recording.readings + block.deviation[:, :, trial] for trial in wanted.tolist()}
-        kept = {trial: self._kept if self.as_printed else self._own(own) for trial, own in readings.items()}
+        kept = {trial: self._kept if self.as_printed else self._combinations(own) for trial, own in readings.items()}
         for iteration in range(CAP if self.absolute else CAP_OF_WEAK):
             active = wanted[moved[wanted] >= CLOSED]
             if not len(active):
@@ -159,7 +159,7 @@ class BatchDistance(Engine):
                 moved[trial] = np.abs(kept[trial] @ step).max()
         return unknowns.reshape(*prior.shape[:2], trials) * prior, moved
 
-    def _own(self, readings: Floats) -> Floats:
+    def _combinations(self, readings: Floats) -> Floats:
         """A trial's combinations (q, k): those of its objective's axes that are nearest to what is estimated."""
         design = self._mean_rows.compare @ self.problem.by_parameter(readings, np.zeros(self.problem.prior_sigma.size))
         axes = np.linalg.eigh(design.T @ design)[1]

@@ -16,6 +16,7 @@ from ltsim.adjustment.datum import InnerDatum
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.calibration import calibrate_distance, calibrate_network
 from ltsim.campaigns.network import BatchNetwork
+from ltsim.campaigns.schema import CONVERGED, FAILED, FULL, STATUSES
 from ltsim.campaigns.truth import Block, CellTruth
 from ltsim.effects.effect import Effect
 from ltsim.errors import LtsimError
@@ -29,9 +30,6 @@ from ltsim.simulation.simulator import certified_by
 SUSPECT = 0.6e-3
 SUSPECT_FACTOR = 10.0
 """A pointing this far off [m], and this many times further than the usual one, the full solver may screen out."""
-
-STATUSES = CONVERGED, FULL, FAILED = "converged", "full solver", "failed"
-"""Status of a trial: in the batch; by the full solver, since the batch was not enough; not at all."""
 
 
 @dataclass(frozen=True)

@@ -6,10 +6,8 @@ The same quantities as in `ltsim.evaluation`, which judges one recording at a ti
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ltsim.arrays import Bools, Floats
 from ltsim.campaigns.cloud_kernels import (
@@ -21,6 +19,7 @@ from ltsim.campaigns.cloud_kernels import (
     station_means,
     to_network,
 )
+from ltsim.campaigns.columns import Columns
 from ltsim.campaigns.engine import Calibrated, members
 from ltsim.campaigns.kernels import points_of
 from ltsim.campaigns.truth import Block, CellTruth
@@ -30,9 +29,6 @@ from ltsim.model.construction import Construction, ideal
 
 FLAT = 1e-3
 """Targets that are this near to one line, as a share of their spread along it, do not fix a rotation."""
-
-Columns = dict[str, NDArray[Any]]
-"""Named results (B,), one value a trial; lengths in um, as the names say."""
 
 
 @dataclass(frozen=True)

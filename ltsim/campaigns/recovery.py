@@ -31,13 +31,12 @@ from ltsim.calibration.verbs import wanted
 from ltsim.campaigns.recovery_checks import (
     COVERED,
     FALSE_ALARM,
-    RecoveryCheck,
     chi_square_check,
     mean_check,
     parameter_checks,
     tolerance_check,
 )
-from ltsim.campaigns.schema import CHECKS, TRIALS, Errors
+from ltsim.campaigns.schema import CHECKS, TRIALS, Errors, RecoveryCheck
 from ltsim.campaigns.scoring import Calibrator, Trial, checked_command, estimates_by, score, score_estimates
 from ltsim.effects.effect import Effect
 from ltsim.effects.verbs import each_of
@@ -191,6 +190,8 @@ class How:
     construction: Construction | None = None
     extra_effects: tuple[Wanted, ...] = ()
     calibrator: Calibrator | None = None
+    errors: Errors = "drawn"
+    """Whether instruments have errors from the prior, or as the scenario states them."""
 
 
 def recover(
@@ -260,9 +261,10 @@ def recover(
     named = each_of(with_effects)
     seen = simulate(scenario, seed=seed).recording if named else None
     extra_effects = tuple(wanted(text, seen) for text in named if seen is not None)
-    how = How(method, own if construction is None else construction_called(construction), extra_effects, calibrator)
+    built = own if construction is None else construction_called(construction)
+    how = How(method, built, extra_effects, calibrator, mode)
     began, found, within = time.monotonic(), [], dict[str, RecoveryTolerance]()
-    for trial in run_trials(scenario, trials, how, seed=seed, jobs=jobs, errors=mode):
+    for trial in run_trials(scenario, trials, how, seed=seed, jobs=jobs):
         if trial is not None:
             within = within or _within(given, trial)
         found.append(trial)
@@ -270,15 +272,13 @@ def recover(
     return Recovery(tuple(found), mode, within, time.monotonic() - began)
 
 
-def run_trials(
-    scenario: Scenario, trials: int, how: How | None = None, *, seed: int = 0, jobs: int = 1, errors: Errors = "drawn"
-) -> Iterator[Trial | None]:
+def run_trials(scenario: Scenario, trials: int, how: How, *, seed: int = 0, jobs: int = 1) -> Iterator[Trial | None]:
     """Run the trials one by one, in order; the same for any number of jobs.
 
     Raises SetupError when the calibrator's parameters are not among those that are drawn.
     """
-    made = from_prior(scenario) if errors == "drawn" else scenario
-    work = ((made, seed, index, how or How(), errors) for index in range(trials))
+    made = from_prior(scenario) if how.errors == "drawn" else scenario
+    work = ((made, seed, index, how) for index in range(trials))
     return parallel(run_trial, work, min(jobs, trials), batch=4)
 
 
@@ -310,7 +310,7 @@ def from_prior(scenario: Scenario) -> Scenario:
     )
 
 
-def run_trial(scenario: Scenario, seed: int, index: int, how: How, errors: Errors) -> Trial | None:
+def run_trial(scenario: Scenario, seed: int, index: int, how: How) -> Trial | None:
     """One trial; None where the calibration gave no result."""
     work = fieldwork(scenario, seed, *place_key(index, "per-trial"))
     recording, truth = measure(work, seed, index)
@@ -327,7 +327,7 @@ def run_trial(scenario: Scenario, seed: int, index: int, how: How, errors: Error
     if how.calibrator is None:
         return own
     estimates = estimates_by(how.calibrator, recording, f"trial {index}")
-    return None if estimates is None else score_estimates(estimates, truth, errors, own)
+    return None if estimates is None else score_estimates(estimates, truth, how.errors, own)
 
 
 def calibrated(recording: Recording, how: How, construction: Construction) -> Calibration:

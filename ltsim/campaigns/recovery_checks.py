@@ -6,14 +6,13 @@ trials make chance wider: a correct model fails any of them in one run of a hund
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Self
 
 import numpy as np
 from scipy import stats
 
 from ltsim.arrays import Floats
+from ltsim.campaigns.schema import RecoveryCheck
 from ltsim.errors import ModelError
-from ltsim.recording.result_file import Entry, Finite, Known
 
 FALSE_ALARM = 0.01
 """Chance that a correct model fails any of the checks."""
@@ -22,34 +21,6 @@ MEAN_WITHIN, SPREAD_WITHIN, COVERAGE_WITHIN = 0.1, 0.05, 0.015
 CHI2_WITHIN, WHOLE_WITHIN = 0.02, 0.05
 ONE_DEGREE = float(np.sqrt(2.0))
 """Standard deviation of a mean square over its mean where all that it averages is one number."""
-
-
-class RecoveryCheck(Entry):
-    """One number that has to lie between two bounds."""
-
-    what: str
-    """Parameter, or chi-square, targets, stations."""
-    statistic: str
-    """Which number of it."""
-    value: Known
-    """What it is."""
-    low: Finite
-    """What it should not be below."""
-    high: Finite
-    """What it should not be above."""
-    passed: bool
-    """It lies between."""
-
-    @classmethod
-    def of(cls, what: str, statistic: str, value: float, low: float, high: float) -> Self:
-        """The check of a number; NaN fails."""
-        passed = bool(low <= value <= high)
-        return cls(what=what, statistic=statistic, value=value, low=low, high=high, passed=passed)
-
-    def sentence(self) -> str:
-        """What was found and what was allowed."""
-        verdict, value = "passes" if self.passed else "fails", "unknown" if self.value is None else f"{self.value:.3f}"
-        return f"{self.what} {verdict}: {self.statistic} {value}, allowed {self.low:.3f} to {self.high:.3f}"
 
 
 def recovery_checks(

@@ -39,7 +39,7 @@ class Results(Statistics, Result):
         ModelError
             When there is no such statistic, method, factor or level.
         """
-        self._known(statistic)
+        self._quoted(statistic)
         return paired(self, statistic, **between)
 
     def plot(self, statistic: str = "", along: str = "", *, panel: str = "", **levels: Any) -> Figure:

@@ -20,11 +20,11 @@ from ltsim.campaigns.calibrators import (
     fitted_effects,
     stacks,
 )
-from ltsim.campaigns.columns import labels_of, parameter_columns, rows_of_method, with_settings, z_scores
+from ltsim.campaigns.columns import Columns, labels_of, parameter_columns, rows_of_method, with_settings, z_scores
 from ltsim.campaigns.design import Factor
-from ltsim.campaigns.engine import FAILED, STATUSES, Calibrated, Calibrator
-from ltsim.campaigns.judge import Columns, Judge
-from ltsim.campaigns.schema import CHECKED, column_of
+from ltsim.campaigns.engine import Calibrated, Calibrator
+from ltsim.campaigns.judge import Judge
+from ltsim.campaigns.schema import CHECKED, FAILED, STATUSES, column_of
 from ltsim.campaigns.spec import JUDGE, Campaign
 from ltsim.campaigns.store import encoded, statistics_of
 from ltsim.campaigns.truth import Block, CellTruth, truth_of
@@ -124,10 +124,10 @@ class Prepared:
                 yield judge, calibrators, judge.truth.draw(seed, number)
             return
         for low in range(first, last, TOGETHER):
-            for stack, numbers in stacks(self._own(range(low, min(low + TOGETHER, last)))):
+            for stack, numbers in stacks(self._geometries(range(low, min(low + TOGETHER, last)))):
                 yield Judge(stack), [StackCalibrator.of(m, stack) for m in methods], stack.draw_trials(seed, numbers)
 
-    def _own(self, trials: range) -> dict[int, CellTruth]:
+    def _geometries(self, trials: range) -> dict[int, CellTruth]:
         """The geometry of each trial that has a possible one; they share the set-up with the common one."""
         found, seed = {}, self.campaign.seed
         for trial in trials:

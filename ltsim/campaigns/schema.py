@@ -2,13 +2,12 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field
 
 from ltsim.campaigns.design import Factor
-from ltsim.campaigns.recovery_checks import RecoveryCheck
-from ltsim.recording.result_file import Entry, ResultFile
+from ltsim.recording.result_file import Entry, Finite, Known, ResultFile
 from ltsim.results import Column, Table, columns_of, numbers, texts
 
 Whole = Annotated[int, Field(ge=0)]
@@ -19,6 +18,8 @@ SUMMARY = "summary.csv"
 CHECKED = "full_difference_sigma"
 """Column of the trials that were calibrated once more by the full solver."""
 OF_PARAMETER = "of the parameter"
+STATUSES = CONVERGED, FULL, FAILED = "converged", "full solver", "failed"
+"""Status of a trial: in the batch; by the full solver, since the batch was not enough; not at all."""
 Errors = Literal["drawn", "stated"]
 Statistic = Literal["criteria", "errors", "z-scores", "estimates", "truth"]
 BY_READING = (
@@ -134,6 +135,34 @@ def summary_table(factors: Mapping[str, str]) -> Table:
             *numbers("r", **{f"quantile_{100 * level:g}_percent": "over the trials" for level in LEVELS}),
         ),
     )
+
+
+class RecoveryCheck(Entry):
+    """One number that has to lie between two bounds."""
+
+    what: str
+    """Parameter, or chi-square, targets, stations."""
+    statistic: str
+    """Which number of it."""
+    value: Known
+    """What it is."""
+    low: Finite
+    """What it should not be below."""
+    high: Finite
+    """What it should not be above."""
+    passed: bool
+    """It lies between."""
+
+    @classmethod
+    def of(cls, what: str, statistic: str, value: float, low: float, high: float) -> Self:
+        """The check of a number; NaN fails."""
+        passed = bool(low <= value <= high)
+        return cls(what=what, statistic=statistic, value=value, low=low, high=high, passed=passed)
+
+    def sentence(self) -> str:
+        """What was found and what was allowed."""
+        verdict, value = "passes" if self.passed else "fails", "unknown" if self.value is None else f"{self.value:.3f}"
+        return f"{self.what} {verdict}: {self.statistic} {value}, allowed {self.low:.3f} to {self.high:.3f}"
 
 
 CHECKS = Table("checks.csv", "numbers that have to lie between two bounds", columns_of(RecoveryCheck))

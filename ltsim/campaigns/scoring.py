@@ -33,6 +33,7 @@ from ltsim.errors import RecordError, SetupError
 from ltsim.recording import Recording, write as write_recording
 from ltsim.recording.files import shown
 from ltsim.recording.setup import Finite
+from ltsim.saved import Valued
 from ltsim.simulation.truth import Truth
 from ltsim.units import FACTOR
 
@@ -122,7 +123,7 @@ class NetworkScore:
 
 
 @dataclass(frozen=True)
-class Trial:
+class Trial(Valued):
     """What a calibrator found in one trial; parameters in the units that people read."""
 
     names: tuple[str, ...]

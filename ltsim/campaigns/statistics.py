@@ -15,8 +15,7 @@ import pyarrow.parquet as pq
 
 from ltsim.arrays import Floats
 from ltsim.campaigns.columns import TYPES
-from ltsim.campaigns.engine import FAILED, FULL
-from ltsim.campaigns.schema import CHECKED, LEVELS, SHARES, column_of, summary_table
+from ltsim.campaigns.schema import CHECKED, FAILED, FULL, LEVELS, SHARES, column_of, summary_table
 from ltsim.campaigns.stopping import level_of, quantile
 from ltsim.campaigns.store import Store, literal
 from ltsim.errors import ModelError, SetupError, unknown_name
@@ -189,7 +188,7 @@ class Statistics:
         except duckdb.Error as problem:
             raise ModelError(f"the query fails: {' '.join(str(problem).split())}") from None
 
-    def _known(self, column: str) -> str:
+    def _quoted(self, column: str) -> str:
         if column not in self.columns:
             raise unknown_name("column of these rows", column, self.columns)
         return f'"{column}"'
@@ -202,7 +201,7 @@ class Statistics:
 
     def spread(self, column: str) -> list[Spread]:
         """Mean, spread and quantiles of a column in every cell and for every method."""
-        name = self._known(column)
+        name = self._quoted(column)
         if column in SHARES:
             return self._shares(column)
         size = self.manifest.trials * len(self.manifest.cells) * len(self.manifest.methods)
@@ -235,7 +234,7 @@ class Statistics:
 
     def values(self, column: str, cell: int, method: str, *, most: int) -> Floats:
         """Finite values (n,) of a column in a cell for a method, of the first `most` trials."""
-        name = self._known(column)
+        name = self._quoted(column)
         return self.of_trials((name,), cell, method, f"isfinite({name}) AND trial < {int(most)}")[0]
 
     def of_trials(self, terms: Sequence[str], cell: int, method: str, where: str) -> Floats:
@@ -251,7 +250,7 @@ class Statistics:
         """Mean, spread and coverage of the z-scores of every parameter."""
         found = []
         for column in (c for c in self.columns if c.startswith("z:")):
-            name, parameter = self._known(column), column.removeprefix("z:")
+            name, parameter = self._quoted(column), column.removeprefix("z:")
             what = f"count({name}), avg({name}), stddev_samp({name}), avg((abs({name}) <= {NORMAL_95})::INT)"
             for cell, method, count, mean, deviation, coverage in self._each(what, f"isfinite({name})"):
                 found.append(Scores(cell, method, parameter, count, mean, _number(deviation), coverage))
@@ -273,15 +272,15 @@ class Statistics:
             "cells": [
                 cell.model_dump() | {"levels": own} for cell, own in zip(self.manifest.cells, self.levels, strict=True)
             ],
-            "ends": [_known(asdict(entry)) for entry in self.checked()],
+            "ends": [_without_nan(asdict(entry)) for entry in self.checked()],
             "levels": LEVELS,
             "meanings": {c: known.meaning for c in wanted if (known := column_of(c))},
             "columns": [
-                _known(asdict(entry)) | {"unit": self.units.get(column, "")}
+                _without_nan(asdict(entry)) | {"unit": self.units.get(column, "")}
                 for column in wanted
                 for entry in self.spread(column)
             ],
-            "z_scores": [_known(asdict(entry)) for entry in self.z_scores()],
+            "z_scores": [_without_nan(asdict(entry)) for entry in self.z_scores()],
         }
 
 
@@ -299,12 +298,12 @@ def terms_of(statistic: str) -> tuple[str, ...]:
     return f"({raw} - {calibrated})", f"({raw} - {perfect})"
 
 
-def _known(value: Any) -> Any:
+def _without_nan(value: Any) -> Any:
     """The same with None for what is not known, as JSON has it."""
     if isinstance(value, dict):
-        return {key: _known(own) for key, own in value.items()}
+        return {key: _without_nan(own) for key, own in value.items()}
     if isinstance(value, tuple):
-        return tuple(_known(own) for own in value)
+        return tuple(_without_nan(own) for own in value)
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 

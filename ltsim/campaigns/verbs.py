@@ -73,7 +73,7 @@ def campaign(
             raise SetupError("a campaign that is no file needs a folder for its rows: out=...")
         with TemporaryDirectory() as place:
             file = Path(place) / "campaign.toml"
-            file.write_text(to_toml(_from_here(source)), encoding="utf-8")
+            file.write_text(to_toml(_with_resolved_paths(source)), encoding="utf-8")
             try:
                 return campaign(file, out=out, jobs=jobs, resume=resume, force=force, changes=changes)
             except SetupError as problem:
@@ -92,7 +92,7 @@ def campaign(
     return Results(folder)
 
 
-def _from_here(tables: Mapping[str, Any]) -> dict[str, Any]:
+def _with_resolved_paths(tables: Mapping[str, Any]) -> dict[str, Any]:
     """The tables with their format, and files named from the root, since a file of them lies elsewhere."""
     from ltsim.campaigns.spec import FORMAT
 

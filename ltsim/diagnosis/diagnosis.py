@@ -23,11 +23,12 @@ from ltsim.recording.recording import Recording
 from ltsim.recording.result_file import SourceEntry
 from ltsim.remedies.detectability import MinimalSize
 from ltsim.results import Columns, Result, Table, by_entry, by_row
+from ltsim.saved import Valued
 from ltsim.units import FACTOR
 
 
 @dataclass(frozen=True)
-class Targets:
+class Targets(Valued):
     """Coordinates (T, 3) [m] and their covariance (T, 3, 3) [m^2]."""
 
     points: Floats

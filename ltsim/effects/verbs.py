@@ -41,7 +41,8 @@ def Effect(  # noqa: N802 - it stands for a class of the catalogue
         Where it acts; all where neither is given.
     **constants
         In the units that the catalogue shows, such as ``law="visit"``; parameters too where the effect is simulated or
-        injected, such as ``index_drift=60``. What is not given, the readings or the draws choose.
+        injected, such as ``index_drift=60``. What is not given, the readings or the draws choose; where an effect is
+        fitted they also choose what is given as it is by default, which a text holds: ``"index-drift:law=linear"``.
 
     Returns
     -------

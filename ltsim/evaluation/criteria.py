@@ -19,6 +19,7 @@ from ltsim.recording.recording import Recording
 from ltsim.recording.reflectors import require_one_radius
 from ltsim.recording.result_file import Entry, Known, ResultFile
 from ltsim.results import Column, Result, Table
+from ltsim.saved import Valued
 from ltsim.units import MICROMETRE
 
 MOST_PLACES = 20_000_000
@@ -26,7 +27,7 @@ MOST_PLACES = 20_000_000
 
 
 @dataclass(frozen=True)
-class Differences:
+class Differences(Valued):
     """Sizes of disagreement (k,) [m]: one a pair of targets for distances, one a target for coordinates."""
 
     values: Floats
@@ -52,7 +53,7 @@ class Differences:
 
 
 @dataclass(frozen=True)
-class Improvement:
+class Improvement(Valued):
     """A criterion before and after calibration; `after` is None where there are no parameters."""
 
     before: Differences

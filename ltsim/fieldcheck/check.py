@@ -38,6 +38,7 @@ from ltsim.model.construction import Construction, stated_construction
 from ltsim.recording.exchange import RecordingSource, recording_of
 from ltsim.recording.recording import Recording
 from ltsim.results import Columns, Result, by_row
+from ltsim.saved import Valued
 
 LEVEL = 0.01
 MOST_GROSS = 0.1
@@ -52,7 +53,7 @@ OWN_DOF = 6.0
 
 
 @dataclass(frozen=True)
-class SetUp:
+class SetUp(Valued):
     """One set-up: its items, its two-face differences (None without pairs) and its model (None where nothing repeats).
 
     `rows` are the rows of the whole recording, from 1.

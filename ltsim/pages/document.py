@@ -186,7 +186,7 @@ class Section:
     def text(self) -> str:
         """What a terminal says: the answer, the facts, sentences and tables, what to do next."""
         facts = "; ".join(f"{fact.name}: {fact.value}" for fact in self.facts)
-        said = [self.answer, facts, *map(_told, self.blocks[: self.told])]
+        said = [self.answer, facts, *map(_as_text, self.blocks[: self.told])]
         said += ["\n".join(["What to do next:", *(f"- {line}" for line in self.actions)])] if self.actions else []
         return "\n\n".join(filter(None, said))
 
@@ -205,7 +205,7 @@ class Document:
     actions: Sequence[str] = ()
 
 
-def _told(block: Block) -> str:
+def _as_text(block: Block) -> str:
     """A block in lines; pictures and settings stay on the page."""
     match block:
         case Note():

@@ -74,7 +74,7 @@ def agreement(chi2: float, dof: int, p: float | None) -> tuple[bool, str]:
     return agrees, f"the readings {'agree' if agrees else 'do not agree'} with the model and the stated noise {tested}"
 
 
-def told_apart(labels: Sequence[str]) -> tuple[str, ...]:
+def distinct_labels(labels: Sequence[str]) -> tuple[str, ...]:
     """Labels without the words that all of them begin with, where something is left then."""
     if len(set(labels)) < 2:
         return tuple(labels)

@@ -15,6 +15,7 @@ from ltsim.model.construction import stated_construction
 from ltsim.recording.recording import Recording
 from ltsim.recording.setup import Limits, Setup
 from ltsim.remedies.remedy import FloorPlan
+from ltsim.saved import Valued
 from ltsim.scene.cad import read_mesh, size_question
 from ltsim.scene.visibility import Reason, Visibility, cone_opening, shadow_radius
 from ltsim.simulation.scenario import Scenario
@@ -38,7 +39,7 @@ class Sights:
 
 
 @dataclass(frozen=True)
-class PlacedWorkshop:
+class PlacedWorkshop(Valued):
     """Stations, targets and surroundings in one frame whose z axis is vertical; metres and radians."""
 
     title: str
@@ -49,9 +50,9 @@ class PlacedWorkshop:
     """(S, 3, 3): instrument frame to this frame."""
     targets: tuple[str, ...]
     points: Floats
-    nest_normal: Floats
+    nest_normal: Floats = field(default_factory=lambda: np.zeros((0, 3)))
     """(T, 3): the normal is NaN where the reflector is turned by hand."""
-    floor: Floats
+    floor: Floats = field(default_factory=lambda: np.zeros((0, 2)))
     """(k, 2): outline."""
     floor_height: float = 0.0
     walls: Floats = field(default_factory=lambda: np.zeros((0, 4, 3)))
@@ -121,8 +122,7 @@ def from_adjustment(adjustment: Adjustment, *, plain: Adjustment | None = None, 
     placed = np.asarray(np.isfinite(adjustment.target_covariance[:, :2, :2]).all(axis=(1, 2)))
     rows, number = placed[recording.target], np.cumsum(placed) - 1
     correction = None if plain is None else (state.points - plain.state.points)[placed]
-    return assemble(
-        recording.setup,
+    network = PlacedWorkshop(
         title=title or recording.setup.title,
         stations=recording.stations,
         position=state.position,
@@ -135,6 +135,7 @@ def from_adjustment(adjustment: Adjustment, *, plain: Adjustment | None = None, 
         covariance=np.nan_to_num(adjustment.target_covariance[placed]),
         correction=correction,
     )
+    return with_surroundings(network, recording.setup)
 
 
 def from_recording(recording: Recording) -> PlacedWorkshop:
@@ -145,45 +146,29 @@ def from_recording(recording: Recording) -> PlacedWorkshop:
     return from_adjustment(full if full.solution.converged else plain, plain=plain)
 
 
-def assemble(
-    setup: Setup,
-    *,
-    title: str,
-    stations: tuple[str, ...],
-    position: Floats,
-    rotation: Floats,
-    targets: tuple[str, ...],
-    points: Floats,
-    sights: Sights | None = None,
-    covariance: Floats | None = None,
-    correction: Floats | None = None,
-) -> PlacedWorkshop:
+def with_surroundings(network: PlacedWorkshop, setup: Setup) -> PlacedWorkshop:
     """Bring a network into the frame of the floor plan where the set-up knows one, and add floor, walls and gauge."""
-    plan = FloorPlan.by(setup, stations, position, rotation)
+    plan = FloorPlan.by(setup, network.stations, network.position, network.rotation)
     turn, planned = plan.rotation, plan.known
-    points, position = plan.place(points), plan.place(position)
-    normal = _nest_normals(setup, targets)
+    points, position = plan.place(network.points), plan.place(network.position)
+    normal = _nest_normals(setup, network.targets)
     height = 0.0 if planned and points[:, 2].min() > -0.05 else float(points[:, 2].min())
-    notes = () if height == 0.0 else ("the floor is taken at the lowest target",)
     planes = _wall_planes(points, normal) if planned else []
     floor = _floor_between(rectangle(np.concatenate([points, position])[:, :2]), planes)
-    return PlacedWorkshop(
-        title=title,
-        stations=stations,
+    return replace(
+        network,
         position=position,
-        rotation=turn @ rotation,
-        targets=targets,
+        rotation=turn @ network.rotation,
         points=points,
         nest_normal=normal,
         floor=floor,
         floor_height=height,
         walls=_wall_corners(planes, floor, height, float(points[:, 2].max()) + 0.3),
-        gauge=gauge_pairs(setup, targets),
+        gauge=gauge_pairs(setup, network.targets),
         elevation_min=_elevation_min(setup),
-        sights=sights,
-        covariance=None if covariance is None else turn @ covariance @ turn.T,
-        correction=None if correction is None else correction @ turn.T,
-        notes=notes,
+        covariance=None if network.covariance is None else turn @ network.covariance @ turn.T,
+        correction=None if network.correction is None else network.correction @ turn.T,
+        notes=() if height == 0.0 else ("the floor is taken at the lowest target",),
     )
 
 

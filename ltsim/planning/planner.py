@@ -18,6 +18,7 @@ from ltsim.planning.survey import Survey
 from ltsim.planning.tolerances import Demands, Kept, every_loss, judged
 from ltsim.planning.workshop import fixed_of, objective_of, site_of, survey_of
 from ltsim.results import Columns, Result
+from ltsim.saved import Valued
 from ltsim.scene.visibility import Visibility, aimed_normals, visibility
 from ltsim.simulation.physics import planned_construction
 from ltsim.simulation.scenario import Scenario
@@ -25,7 +26,7 @@ from ltsim.units import MILLIMETRE
 
 
 @dataclass(frozen=True)
-class Option:
+class Option(Valued):
     """One point of the curve: a way of working, the best layout found for it, what it costs and what it is worth."""
 
     survey: Survey
@@ -42,7 +43,7 @@ class Option:
 
 
 @dataclass(frozen=True)
-class Evaluated:
+class Evaluated(Valued):
     """A layout with everything that is known of it before measuring."""
 
     survey: Survey

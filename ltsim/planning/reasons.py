@@ -208,7 +208,7 @@ def fewest(plan: Plan) -> Option | None:
     """The option with the fewest stations that is as good as the scenario's own layout, worked in the same way."""
     if plan.reference is None or not plan.reference.qualities:
         return None
-    goal = _own_value(plan)
+    goal = _reference_value(plan)
     good = [o for o in plan.options if _same_way(plan, o) and o.value <= goal]
     return min(good, key=lambda o: (len(o.survey.position), o.value), default=None)
 
@@ -220,7 +220,7 @@ def _curve(plan: Plan) -> list[str]:
         goal = " ".join(plan.chosen.qualities)
         found.append(
             f"{len(few.survey.position)} stations are enough to match the {len(reference.survey.position)} of the "
-            f"scenario's own layout ({_shown(goal, few.value)} against {_shown(goal, _own_value(plan))}) in "
+            f"scenario's own layout ({_shown(goal, few.value)} against {_shown(goal, _reference_value(plan))}) in "
             f"{few.hours:.1f} h."
         )
     count = len(plan.chosen.survey.position)
@@ -239,7 +239,7 @@ def _curve(plan: Plan) -> list[str]:
     return found
 
 
-def _own_value(plan: Plan) -> float:
+def _reference_value(plan: Plan) -> float:
     """The objective of the scenario's own layout."""
     if plan.reference is None:
         return float("inf")

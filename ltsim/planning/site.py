@@ -13,6 +13,7 @@ from ltsim.arrays import Bools, Floats, Ints
 from ltsim.notation import listing
 from ltsim.planning.floor import Area, KeepOut, may_stand, over
 from ltsim.planning.survey import Survey
+from ltsim.saved import Valued
 from ltsim.scene.meshes import Obstacles
 from ltsim.scene.visibility import SightLimits, narrowest_cone, visibility
 
@@ -31,7 +32,7 @@ TIE = 1e-4
 
 
 @dataclass(frozen=True)
-class Site:
+class Site(Valued):
     """The freedom of a plan."""
 
     survey: Survey

@@ -123,7 +123,7 @@ class Kept:
         return f"margin {left:.0f} %" if left >= 0 else f"{-left:.0f} % too large"
 
     @property
-    def told(self) -> str:
+    def worst_point(self) -> str:
         """The worst point with its margin, where there is one."""
         return f"worst {self.worst_words} ({self.margin})" if self.radius else APART
 
@@ -184,7 +184,7 @@ def every_loss(survey: Survey, demands: Demands, built: Construction) -> tuple[K
     return tuple(kept for kind in kinds for kept in after_losses(survey, demands, built, kind))
 
 
-def told_losses(survey: Survey, demands: Demands, built: Construction) -> list[Kept]:
+def losses_of(survey: Survey, demands: Demands, built: Construction) -> list[Kept]:
     """How the survey stands without each station, and without each sight where that is asked for: of a verdict."""
     kinds = ("station", "sight") if demands.robust == "sight" else ("station",)
     return [loss for kind in kinds for loss in after_losses(survey, demands, built, kind)]
@@ -209,11 +209,11 @@ def verdict(demands: Demands, kept: Kept, losses: Sequence[Kept]) -> str:
     """Reached or not, the worst point and its margin, and the worst of it with any one station lost."""
     count = len(demands.tolerance)
     what = f"all {count}" if kept.good else f"{len(kept.radius) - len(kept.over)} of {count}"
-    words = f"{what} tolerances kept at {100 * demands.level:g} %, {kept.told}"
+    words = f"{what} tolerances kept at {100 * demands.level:g} %, {kept.worst_point}"
     worst = max((loss for loss in losses if not loss.of_sight), key=lambda loss: loss.ratio, default=None)
     if worst is not None:
         lost = "all kept too" if worst.good else f"not kept without {worst.lost}"
-        words += f"; with any one station lost {lost}, {worst.told}"
+        words += f"; with any one station lost {lost}, {worst.worst_point}"
     return f"{'Reached' if reached(demands, kept, losses) else 'Not reached'}: {words}"
 
 

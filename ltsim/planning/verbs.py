@@ -15,7 +15,7 @@ from ltsim.planning.site import Site
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.starts import PlanningProblem
 from ltsim.planning.survey import Survey
-from ltsim.planning.tolerances import Demands, judged, told_losses, verdict
+from ltsim.planning.tolerances import Demands, judged, losses_of, verdict
 from ltsim.planning.workshop import site_of
 from ltsim.remedies.next_measurement import Progress, next_measurement as next_measurement, quiet
 from ltsim.simulation.physics import planned_construction
@@ -172,7 +172,7 @@ def _alternative(problem: PlanningProblem, survey: Survey, words: str) -> Altern
     demands, built = Demands.of(problem.file), problem.built
     if demands:
         kept = judged(survey, demands, built)
-        losses = told_losses(survey, demands, built)
+        losses = losses_of(survey, demands, built)
         ratio = max([kept.ratio, *([loss.ratio for loss in losses] if demands.robust != "no" else [])])
         return Alternative(words, survey, verdict(demands, kept, losses), ratio)
     kept = judged(survey, Demands(dict.fromkeys(survey.target_names, np.inf)), built)

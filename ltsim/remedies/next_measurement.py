@@ -37,6 +37,7 @@ from ltsim.remedies.remedy import (
     returns,
 )
 from ltsim.results import Columns, Result
+from ltsim.saved import Valued
 
 DECISIVE = 10.0
 """Expected difference of chi-square from which two explanations count as told apart."""
@@ -136,7 +137,7 @@ def _stand_ins(space: ResidualSpace, truth: Explanation, rival: Effect) -> list[
 
 
 @dataclass(frozen=True)
-class Proposal:
+class Proposal(Valued):
     """A remedy and what it would bring."""
 
     remedy: Remedy

@@ -21,13 +21,14 @@ from ltsim.recording.result_file import read_json
 from ltsim.recording.settings import sentence
 from ltsim.recording.setup import Finite, TomlSection, Vector
 from ltsim.results import Columns, Result
+from ltsim.saved import Valued
 from ltsim.units import FACTOR, MILLIMETRE
 
 Format = Literal["ltsim-truth/1"]
 
 
 @dataclass(frozen=True)
-class AppliedEffect:
+class AppliedEffect(Valued):
     """An effect that was at work, with the true values (q,) [SI] of its parameters."""
 
     effect: Effect

@@ -127,6 +127,7 @@ class Gap:
     What is added to the covariance along the free motions changes nothing, and makes that of a datum of its own whole.
     """
 
+    names: Sequence[str]
     gap: Floats
     covariance: Floats
     free: Floats
@@ -146,7 +147,7 @@ class Gap:
         """Degrees of freedom of the global test."""
         return len(self._root) - self.free.shape[1]
 
-    def own(self, point: int) -> float | None:
+    def chi2_of(self, point: int) -> float | None:
         """Chi-square of one point's difference by itself; None where the frame is free."""
         if self.free.shape[1]:
             return None
@@ -180,13 +181,11 @@ class Gap:
         return inverse @ (self._root @ self.gap), inverse @ inverse.T
 
 
-def judged(
-    gap: Gap, common: Sequence[str], fixed: Bools, level: float, sources: tuple[SourceEntry, SourceEntry]
-) -> Comparison:
+def judged(gap: Gap, fixed: Bools, level: float, sources: tuple[SourceEntry, SourceEntry]) -> Comparison:
     """The search among the common points that are not `fixed`, known to be stable, and what is told of all."""
     tested = np.flatnonzero(~fixed)
     moved = _search(gap, tested, level)
-    displacements = tuple(_displacement(gap, i, name, moved, len(tested), level) for i, name in enumerate(common))
+    displacements = tuple(_displacement(gap, i, moved, len(tested), level) for i in range(gap.count))
     statistic, dof, left = gap.cost(), gap.dof, gap.dof - len(gap.axes) * len(moved)
     scale = float(gap.estimate(moved)[0][gap.free.shape[1] - 1]) if gap.scaled else None
     return Comparison(
@@ -223,7 +222,7 @@ def _search(gap: Gap, tested: Ints, level: float) -> list[int]:
     return moved
 
 
-def _displacement(gap: Gap, i: int, name: str, moved: list[int], tested: int, level: float) -> Displacement:
+def _displacement(gap: Gap, i: int, moved: list[int], tested: int, level: float) -> Displacement:
     """What one point did in the frame that the unmoved ones hold, and its test beside the moved ones."""
     count, a = max(tested, 1), len(gap.axes)
     others = [p for p in moved if p != i]
@@ -236,7 +235,7 @@ def _displacement(gap: Gap, i: int, name: str, moved: list[int], tested: int, le
     factor = float(2.0 * special.gammaincinv(0.5 * a, COVERAGE))
     semi_axes = np.sqrt(factor * np.clip(np.linalg.eigvalsh(covariance), 0.0, None))[::-1]
     return Displacement(
-        target=name,
+        target=gap.names[i],
         moved=i in moved,
         place_mm=(gap.places[i] / MILLIMETRE).tolist(),
         shift_um=(shift / MICROMETRE).tolist(),
@@ -245,7 +244,7 @@ def _displacement(gap: Gap, i: int, name: str, moved: list[int], tested: int, le
         semi_axes_um=(semi_axes / MICROMETRE).tolist(),
         p_value=float(min(1.0, count * special.chdtrc(a, max(drop, 0.0)))),
         visible_um=(float(visible[0]), float(visible[-1])),
-        own_chi2=gap.own(i),
+        own_chi2=gap.chi2_of(i),
     )
 
 

@@ -47,7 +47,7 @@ def compare(
     given = _in_common(first, second, same_instrument)
     one, other = (_Epoch.of(a, i, given) for a, i in zip((first, second), at, strict=True))
     sources = SourceEntry.of(first.recording), SourceEntry.of(second.recording)
-    return judged(_aligned(one, other, scaled, known), common, known & (stable is not None), level, sources)
+    return judged(_aligned(one, other, scaled, known), known & (stable is not None), level, sources)
 
 
 def compare_coordinates(
@@ -69,7 +69,7 @@ def compare_coordinates(
     one, other = (_Epoch.listed(epoch, common, free) for epoch in (first, second))
     gap = _aligned(one, other, scaled, known, first.along)
     sources = SourceEntry.listed(first), SourceEntry.listed(second)
-    return judged(gap, common, known & (stable is not None), level, sources)
+    return judged(gap, known & (stable is not None), level, sources)
 
 
 def _frame(kind: str, common: Sequence[str], stable: Sequence[str] | None, *, held: int) -> Bools:
@@ -92,6 +92,7 @@ class _Epoch:
     `by_given` (T a, g) is how the points follow what the epochs may have in common, in standard deviations.
     """
 
+    names: Sequence[str]
     points: Floats
     covariance: Floats
     by_given: Floats
@@ -102,7 +103,8 @@ class _Epoch:
         reach = reach_of(adjustment, at)
         groups = {source.name: source.response for source in observed_sources(adjustment, reach)}
         given = [np.zeros((reach.shape[1], 0)), *(groups[name] for name in common if name in groups)]
-        return cls(adjustment.state.points[at], reach.T @ reach, np.hstack(given), adjustment.problem.free)
+        names = [adjustment.recording.targets[i] for i in at]
+        return cls(names, adjustment.state.points[at], reach.T @ reach, np.hstack(given), adjustment.problem.free)
 
     @classmethod
     def listed(cls, found: Coordinates, common: Sequence[str], free: bool) -> Self:
@@ -110,7 +112,7 @@ class _Epoch:
         at = np.array([found.names.index(name) for name in common])
         rows = rows_of(at, len(found.axes))
         open_ = np.eye(6) if free else np.zeros((6, 0))
-        return cls(found.points[at], found.covariance[np.ix_(rows, rows)], np.zeros((len(rows), 0)), open_)
+        return cls(common, found.points[at], found.covariance[np.ix_(rows, rows)], np.zeros((len(rows), 0)), open_)
 
 
 def _in_common(first: Adjustment, second: Adjustment, same_instrument: bool) -> list[str]:
@@ -164,7 +166,7 @@ def _aligned(first: _Epoch, second: _Epoch, scaled: bool, known: Bools, axes: In
         covariance = covariance + np.trace(covariance) * basis @ basis.T
     if scaled:
         motions = np.hstack([motions, (one - middle)[:, axes].reshape(-1, 1)])
-    return Gap((other - one)[:, axes].ravel(), covariance, motions, axes, one, scaled)
+    return Gap(first.names, (other - one)[:, axes].ravel(), covariance, motions, axes, one, scaled)
 
 
 def _about(free: Floats, centre: Floats) -> Floats:

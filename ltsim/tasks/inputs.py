@@ -19,6 +19,7 @@ from ltsim.errors import ModelError, SetupError, unknown_name
 from ltsim.model.construction import ideal, stated_construction
 from ltsim.recording.recording import OBSERVABLES, Recording
 from ltsim.recording.reflectors import smrs_of
+from ltsim.saved import Valued
 from ltsim.tasks.spec import Tasks, TypeB
 from ltsim.units import MILLIMETRE
 
@@ -31,7 +32,7 @@ LENGTHS, CONTROL, PRIORS = "known lengths", "control points", "what the maker gu
 
 
 @dataclass(frozen=True)
-class Source:
+class Source(Valued):
     """One source of uncertainty of the points."""
 
     name: str
@@ -49,7 +50,7 @@ class Source:
 
 
 @dataclass(frozen=True)
-class Inputs:
+class Inputs(Valued):
     """Estimated points and what they depend on."""
 
     adjustment: Adjustment

@@ -9,6 +9,7 @@ import numpy as np
 from ltsim.arrays import Floats, Ints
 from ltsim.errors import ModelError, NetworkError, unknown_name
 from ltsim.geometry.alignment import best_fit
+from ltsim.saved import Valued
 from ltsim.tasks.features import Feature, fit
 from ltsim.tasks.spec import Task
 from ltsim.units import DEGREE, MILLIMETRE, PPM
@@ -35,7 +36,7 @@ def _deg(*names: str) -> list[Output]:
 
 
 @dataclass(frozen=True)
-class Measurand:
+class Measurand(Valued):
     """A task on the points of a network."""
 
     task: Task

@@ -16,6 +16,7 @@ from scipy import optimize, special
 from ltsim.arrays import Bools, Floats
 from ltsim.geometry.expansion import Expansion
 from ltsim.randomness import stream
+from ltsim.saved import Valued
 from ltsim.tasks.inputs import Inputs
 from ltsim.tasks.measurands import Measurand
 from ltsim.tasks.propagation import Propagated, parts_of
@@ -39,7 +40,7 @@ CHARACTERISTIC: dict[str, Callable[[Floats], Floats]] = {
 
 
 @dataclass(frozen=True)
-class Drawn:
+class Drawn(Valued):
     """The distribution of the results."""
 
     values: Floats
@@ -84,9 +85,11 @@ def draw(
     tolerance = tolerance_of(linear.sigma, settings.digits)
     error = np.full((4, len(linear.values)), np.inf)
     while len(kept) < most and not np.all(FINE * error <= tolerance):
-        values, by_line = _batch(inputs, measurands, stretch, settings.seed, len(kept), linear)
-        kept.append(values)
-        figures.append(_figures(values, settings.coverage) - _figures(by_line, settings.coverage))
+        shift, grown = _errors(inputs, stretch, settings.seed, len(kept))
+        by_line = linear.values + shift @ linear.by_points.T + np.outer(grown, linear.by_stretch)
+        points = inputs.points + shift.reshape(BATCH, *inputs.points.shape)
+        kept.append(_results(measurands, points, stretch.factor + grown))
+        figures.append(_figures(kept[-1], settings.coverage) - _figures(by_line, settings.coverage))
         if len(kept) > 1:
             error = 2.0 * np.std(figures, axis=0, ddof=1) / np.sqrt(len(figures))
     mean, sigma, low, high = exact + np.mean(figures, axis=0)
@@ -103,15 +106,8 @@ def draw(
     )
 
 
-def _batch(
-    inputs: Inputs,
-    measurands: Sequence[Measurand],
-    stretch: Expansion,
-    seed: int,
-    number: int,
-    linear: Propagated,
-) -> tuple[Floats, Floats]:
-    """Results (BATCH, k) of one batch, and those of the linear model by the same draws."""
+def _errors(inputs: Inputs, stretch: Expansion, seed: int, number: int) -> tuple[Floats, Floats]:
+    """Draws of one batch: errors of all points (BATCH, 3 T) [m], and of the part's expansion (BATCH,)."""
     shift = np.zeros((BATCH, inputs.points.size))
     for i, source in enumerate(inputs.sources):
         shape = BATCH, source.response.shape[1]
@@ -120,11 +116,14 @@ def _batch(
     grown = np.zeros(BATCH)
     for name, sigma in parts_of(stretch):
         grown += sigma * stream(seed, "uncertainty", name, number).standard_normal(BATCH)
-    by_line = linear.values + shift @ linear.by_points.T + np.outer(grown, linear.by_stretch)
-    points, factor = inputs.points + shift.reshape(BATCH, *inputs.points.shape), stretch.factor + grown
+    return shift, grown
+
+
+def _results(measurands: Sequence[Measurand], points: Floats, factor: Floats) -> Floats:
+    """Results (BATCH, k) at points (BATCH, T, 3) [m] of a part that has grown by factors (BATCH,)."""
     pieces = [slice(at, at + PIECE) for at in range(0, BATCH, PIECE)]
     rows = [np.concatenate([m.values(points[p], factor[p]) for m in measurands], axis=1) for p in pieces]
-    return np.concatenate(rows), by_line
+    return np.concatenate(rows)
 
 
 def _linear_figures(inputs: Inputs, linear: Propagated, coverage: float) -> Floats:

@@ -11,6 +11,7 @@ from ltsim.adjustment import adjust
 from ltsim.arrays import Floats
 from ltsim.geometry.expansion import Expansion
 from ltsim.randomness import stream
+from ltsim.saved import Valued
 from ltsim.tasks.inputs import Inputs
 from ltsim.tasks.measurands import Measurand
 from ltsim.tasks.spec import PartExpansion
@@ -35,7 +36,7 @@ def parts_of(stretch: Expansion) -> list[tuple[str, float]]:
 
 
 @dataclass(frozen=True)
-class Propagated:
+class Propagated(Valued):
     """Results of all tasks together by the law of propagation."""
 
     values: Floats

@@ -22,7 +22,7 @@ from ltsim.planning.planner import sight_table
 from ltsim.planning.site import Site
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import Survey
-from ltsim.planning.tolerances import Demands, judged, radius, told_losses, verdict
+from ltsim.planning.tolerances import Demands, judged, losses_of, radius, verdict
 from ltsim.planning.workshop import site_of
 from ltsim.recording.files import write_texts
 from ltsim.recording.settings import to_toml
@@ -160,7 +160,7 @@ class Board:
         if not self.demands or np.linalg.norm(survey.position[:, None] - survey.points, axis=2).min() < TOUCH:
             return ""
         survey = survey.replace(seen=sight_table(self.site, survey).visible)
-        losses = told_losses(survey, self.demands, self.construction)
+        losses = losses_of(survey, self.demands, self.construction)
         return verdict(self.demands, judged(survey, self.demands, self.construction), losses)
 
     def moved(self, stations: Sequence[Mapping[str, Any]]) -> Scenario:

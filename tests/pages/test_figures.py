@@ -34,7 +34,7 @@ from ltsim.pages.figures import (
 )
 from ltsim.pages.residuals import Residuals
 from ltsim.pages.sections.campaign import coverage_words
-from ltsim.pages.words import told_apart, typeset
+from ltsim.pages.words import distinct_labels, typeset
 from ltsim.pages.workshop import from_adjustment, from_scenario
 from ltsim.planning.schema import PlanChange, PlannedParameterEntry as PlannedEntry, PlanResult
 from ltsim.randomness import stream
@@ -336,10 +336,10 @@ def test_a_plan_lists_where_each_tripod_goes() -> None:
 
 
 def test_labels_lose_what_they_share() -> None:
-    assert told_apart(["tracker_20Sep", "tracker_22Sep"]) == ("20Sep", "22Sep")
-    assert told_apart(["one", "two"]) == ("one", "two")
-    assert told_apart(["same", "same"]) == ("same", "same")
-    assert told_apart(["a-b-", "a-b-1"]) == ("a-b-", "a-b-1")
+    assert distinct_labels(["tracker_20Sep", "tracker_22Sep"]) == ("20Sep", "22Sep")
+    assert distinct_labels(["one", "two"]) == ("one", "two")
+    assert distinct_labels(["same", "same"]) == ("same", "same")
+    assert distinct_labels(["a-b-", "a-b-1"]) == ("a-b-", "a-b-1")
 
 
 def test_drawing_changes_no_global_setting() -> None:

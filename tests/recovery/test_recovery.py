@@ -56,7 +56,7 @@ def test_the_paper_chain_recovers_itself() -> None:
     scenario = load_scenario("paper-workshop-two-face")
     instrument = scenario.instrument.model_copy(update={"construction": "dh"})
     scenario = scenario.model_copy(update={"instrument": instrument})
-    trials = tuple(run_trials(scenario, 100, seed=3, jobs=2))
+    trials = tuple(run_trials(scenario, 100, How(), seed=3, jobs=2))
     assert [c.sentence() for c in Recovery(trials).failures()] == []
 
 
@@ -78,7 +78,7 @@ def test_a_parameter_that_the_model_lacks_fails() -> None:
 def test_understated_noise_fails() -> None:
     scenario = load_scenario("paper-workshop-re-aimed")
     noisy = scenario.model_copy(update={"instrument": scenario.instrument.model_copy(update={"noise_factor": 1.5})})
-    result = Recovery(tuple(run_trials(noisy, 40, seed=1)))
+    result = Recovery(tuple(run_trials(noisy, 40, How(), seed=1)))
     assert {"chi-square", "targets"} <= {failure.what for failure in result.failures()}
 
 

@@ -165,7 +165,7 @@ def by_factor(
     for ax, panel in zip(axes.flat, panels, strict=False):
         for k, name in enumerate(names):
             own = [row for row in rows if (row.panel, row.line) == (panel, name)]
-            _line(ax, own, k, len(names), words, joined=joined)
+            _line(ax, own, _places(own, words, (k + 0.5) / len(names)), k, joined=joined)
         if published is not None:
             ax.axhline(published, color=style.INK, linewidth=1.2, linestyle=(0, (4, 2)), label="the paper")
         if joined:
@@ -184,18 +184,21 @@ def by_factor(
     return figure
 
 
-def _line(ax: Axes, rows: Sequence[Swept], k: int, count: int, words: Sequence[str], *, joined: bool) -> None:
+def _places(rows: Sequence[Swept], words: Sequence[str], share: float) -> Floats:
+    """Where rows stand on the axis; at words a line has a share of the room of its own."""
+    place = [words.index(row.x) if isinstance(row.x, str) else row.x for row in rows]
+    return np.array(place, dtype=np.float64) + (0.3 * (share - 0.5) if words else 0.0)
+
+
+def _line(ax: Axes, rows: Sequence[Swept], place: Floats, k: int, *, joined: bool) -> None:
     if not rows:
         return
-    place = np.array([words.index(row.x) if isinstance(row.x, str) else row.x for row in rows], dtype=np.float64)
     order = np.argsort(place, kind="stable")
     x, mean = place[order], np.array([rows[i].mean for i in order])
     low, high = (np.array([getattr(rows[i], side) for i in order]) for side in ("low", "high"))
-    if words:
-        x = x + 0.3 * ((k + 0.5) / count - 0.5)
     colour = style.CYCLE[k % len(style.CYCLE)]
     five, ninety_five = (np.array([getattr(rows[i], side) for i in order]) for side in ("five", "ninety_five"))
-    if joined and not words and np.any(five < ninety_five):
+    if joined and not isinstance(rows[0].x, str) and np.any(five < ninety_five):
         ax.fill_between(x, five, ninety_five, color=colour, alpha=0.12, linewidth=0, label=NINETY if k == 0 else None)
     told = (f"{rows[0].line}: mean, 95 % interval" if k == 0 else rows[0].line).removeprefix(": ")
     ax.errorbar(

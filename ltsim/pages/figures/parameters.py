@@ -11,7 +11,7 @@ from ltsim.calibration.history_schema import CourseEntry
 from ltsim.calibration.schema import ParameterEntry
 from ltsim.notation import number, with_sigma
 from ltsim.pages import style
-from ltsim.pages.words import is_determined, told_apart, typeset
+from ltsim.pages.words import distinct_labels, is_determined, typeset
 from ltsim.planning.schema import PlannedParameterEntry
 from ltsim.results import Table
 
@@ -126,7 +126,7 @@ def history_figure(names: Sequence[str], courses: Sequence[CourseEntry]) -> Figu
     rows = max(1, -(-len(courses) // columns))
     figure = style.new_figure(0.7 + 1.35 * rows)
     panels = figure.subplots(rows, columns, sharex=True, squeeze=False)
-    labels = [style.shorten(name, 24) for name in told_apart(names)]
+    labels = [style.shorten(name, 24) for name in distinct_labels(names)]
     place = np.arange(len(labels))
     for ax, course in zip(panels.ravel(), courses, strict=False):
         band = (course.mean - course.spread, course.mean + course.spread)

@@ -1,6 +1,7 @@
 """Residuals by station and against what they might depend on, and what a finding puts through them."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -87,8 +88,8 @@ def signature_figure(before: Residuals, after: Residuals, covariate: str, where:
             rows = residuals.of(observable) & np.isfinite(residuals.covariates[covariate])
             here = rows & residuals.at(where.stations, where.targets)
             if (rows & ~here).any():
-                _dots(ax, residuals, rows & ~here, covariate, colour="#C3C8CC", label="elsewhere")
-            _dots(ax, residuals, here, covariate, colour=style.AFTER, label="where the finding acts", size=4.0)
+                _dots(ax, residuals, rows & ~here, covariate, color="#C3C8CC", label="elsewhere", ms=2.5)
+            _dots(ax, residuals, here, covariate, color=style.AFTER, label="where the finding acts", ms=4.0)
             _running_mean(ax, residuals.covariates[covariate][here], residuals.residual[here], label="running mean")
             size = float(np.sqrt(np.mean(residuals.w[here] ** 2))) if here.any() else 0.0
             ax.set_title(f"{word}: rms {size:.2f} of the stated noise", fontsize=8, fontweight="normal")
@@ -112,9 +113,8 @@ def driver_curve(curve: Curve, carrier: str, residuals: Residuals | None = None)
     factor, label = _axis(covariate)
     sign = 1.0
     if residuals is not None and covariate in residuals.covariates and carrier in OBSERVABLE_UNIT:
-        _dots(
-            ax, residuals, residuals.of(carrier), covariate, colour=style.BEFORE, label="residuals without the finding"
-        )
+        rows, label_ = residuals.of(carrier), "residuals without the finding"
+        _dots(ax, residuals, rows, covariate, color=style.BEFORE, label=label_, ms=2.5)
         sign = -FACTOR[unit] / FACTOR[OBSERVABLE_UNIT[carrier]]
         unit = OBSERVABLE_UNIT[carrier]
     order = np.argsort(at, kind="stable")
@@ -148,13 +148,11 @@ def _reading(observable: str) -> str:
     return f"{observable} [{style.unit_text(OBSERVABLE_UNIT[observable])}]"
 
 
-def _dots(
-    ax: Axes, residuals: Residuals, rows: Bools, covariate: str, *, colour: str, label: str, size: float = 2.5
-) -> None:
-    """Residuals against one covariate, over a line at zero."""
+def _dots(ax: Axes, residuals: Residuals, rows: Bools, covariate: str, **look: Any) -> None:
+    """Residuals against one covariate, over a line at zero; `look` is matplotlib's."""
     many = int(rows.sum()) > MOST_DOTS
     x, y = residuals.covariates[covariate][rows], residuals.residual[rows]
-    ax.plot(x, y, ".", ms=size, color=colour, alpha=0.7, label=label, rasterized=many, zorder=1.5)
+    ax.plot(x, y, ".", alpha=0.7, rasterized=many, zorder=1.5, **look)
     ax.axhline(0.0, color=style.INK, linewidth=0.6)
     style.quiet_axis(ax, grid="both")
 

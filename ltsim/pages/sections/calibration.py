@@ -233,13 +233,13 @@ def workshop_of(
     """The calibrated network, ready to be drawn."""
     from scipy.spatial.transform import Rotation
 
-    from ltsim.pages.workshop import assemble
+    from ltsim.pages.workshop import PlacedWorkshop, with_surroundings
 
     names, points, sigma = read_targets(targets)
     stations = tuple(s.name for s in content.stations)
-    return assemble(
-        recording.setup if recording is not None else Setup(),
-        title=(recording.setup.title if recording is not None else "") or "Calibrated network",
+    setup = recording.setup if recording is not None else Setup()
+    network = PlacedWorkshop(
+        title=setup.title or "Calibrated network",
         stations=stations,
         position=np.array([s.position for s in content.stations]),
         rotation=Rotation.from_quat([s.rotation_quaternion for s in content.stations]).as_matrix(),
@@ -248,6 +248,7 @@ def workshop_of(
         sights=_sights(residuals, stations, names),
         covariance=np.einsum("ti,ij->tij", np.nan_to_num(sigma) ** 2, np.eye(3)),
     )
+    return with_surroundings(network, setup)
 
 
 def _sights(residuals: Residuals | None, stations: Sequence[str], targets: Sequence[str]) -> Sights | None:

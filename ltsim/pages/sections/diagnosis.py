@@ -68,7 +68,7 @@ def diagnosis_section(content: DiagnosisFile, beside: Beside) -> Section:
         blocks = [scene(from_adjustment(pair[1], plain=pair[0])), *blocks]
     lead = len(blocks)
     for number_, finding in enumerate(content.findings, start=1):
-        blocks += _finding(finding, number_, sentence(content.summary), pair, before, after)
+        blocks += _finding(finding, number_, sentence(content.summary), pair, (before, after))
     modelled = ", with the findings modelled" if content.findings else ""
     if constants := clear_constants(content.instruments):
         blocks.append(Note(f"The clearest constants of the instruments{modelled}", f"{'; '.join(constants)}."))
@@ -82,7 +82,7 @@ def diagnosis_section(content: DiagnosisFile, beside: Beside) -> Section:
         title = f"Constants{name}{modelled}"
         blocks += table_of(title, entry.parameters, "name=constant", "value+-sigma", "unit")
         blocks += combined(f"What the recording determines{name} in combination", entry.determined)
-    blocks += _found_from(content)
+    blocks += _detectability(content)
     blocks += target_table(beside.file(TARGETS.file, content), note="Adjusted with the findings modelled.")
     named = (recording.setup.title if recording else "") or (content.recording.title if content.recording else "")
     answer = sentence(content.summary)
@@ -146,7 +146,7 @@ def _residuals(content: DiagnosisFile, beside: Beside, pair: Pair | None) -> tup
 
 
 def _finding(
-    finding: Finding, number_: int, answer: str, pair: Pair | None, before: Residuals | None, after: Residuals | None
+    finding: Finding, number_: int, answer: str, pair: Pair | None, residuals: tuple[Residuals | None, Residuals | None]
 ) -> list[Block]:
     """One finding: its sentence if the answer lacks it, what carries it, where it is, what it does to the readings."""
     name = finding.effect if finding.known else "an effect that no catalogue entry explains"
@@ -156,7 +156,7 @@ def _finding(
     formula = f" Proposed term: {finding.formula}." if finding.formula and new else ""
     said = f"{words.rstrip('.')}.{formula}{cure}"
     blocks: list[Block] = [] if said in answer else [Note(f"Finding {number_}: {name}", said, "bad")]
-    drawn = finding_drawing(finding, before, after)
+    drawn = finding_drawing(finding, *residuals)
     if drawn is not None:
         text = "Residuals without the finding (left) and with it modelled (right)."
         if finding.curve is not None and len(finding.curve.at) >= MOST_STEPS:
@@ -254,7 +254,7 @@ def _hidden(content: DiagnosisFile) -> list[Block]:
     return [Grid("Not to be seen in this recording", header, rows, note=note)] if rows else []
 
 
-def _found_from(content: DiagnosisFile) -> list[Block]:
+def _detectability(content: DiagnosisFile) -> list[Block]:
     """How small an effect may be to be found."""
     note = (
         "About 80 % of recordings of this network are told as a mismatch if an effect at a middling place is this "

@@ -13,7 +13,7 @@ from ltsim.fieldcheck.files import CheckFile
 from ltsim.notation import number, with_sigma
 from ltsim.pages import figures
 from ltsim.pages.document import Beside, Block, Fact, Grid, Note, Notes, Picture, Section, mood, table_block, table_of
-from ltsim.pages.words import count, duration, listing, natural, sentence, told_apart
+from ltsim.pages.words import count, distinct_labels, duration, listing, natural, sentence
 from ltsim.planning.schema import NextFile
 from ltsim.tasks.comparison import DISPLACEMENTS, Comparison
 from ltsim.tasks.files import UncertaintyFile
@@ -194,7 +194,7 @@ def next_section(content: NextFile, _: Beside) -> Section:
 def history_section(content: HistoryFile, _: Beside) -> Section:
     """Whether an instrument has changed."""
     labels = [c.label for c in content.calibrations]
-    short = dict(zip(labels, told_apart(labels), strict=True))
+    short = dict(zip(labels, distinct_labels(labels), strict=True))
     since, usual = content.since_first, len(labels) > ENOUGH_STEPS
     changed = bool(content.events) if usual else since.p_value < LEVEL
     known = [p for p in content.parameters if p.constant.dof]
