@@ -157,8 +157,10 @@ def _in_words(text: str, recording: Recording) -> Wanted:
         else:
             known = ", ".join(recording.stations)
             raise ModelError(f"'{text}': '{item}' is no station ({known}), no target, and no CONSTANT=VALUE")
+    if is_law and constants:
+        raise ModelError(f"'{text}': a law has no constants but those in its words")
     if is_law:
-        return Wanted(read_law(carrier.strip(), driver.strip(), recording, **places, constants=constants))
+        return Wanted(read_law(carrier.strip(), driver.strip(), recording, **places))
     stated = {kind for kind, named in places.items() if named} | set(constants)
     return Wanted(effect_from(name.strip(), places, constants), frozenset(stated))
 

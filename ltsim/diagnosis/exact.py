@@ -15,7 +15,7 @@ from ltsim.calibration.evidence import log_sum_exp
 from ltsim.diagnosis.evidence import evidence_of, evidence_with
 from ltsim.diagnosis.hypotheses import Found
 from ltsim.effects.signature import Tunable
-from ltsim.laws.carriers import Carrier, change_by
+from ltsim.laws.carriers import CARRIERS
 from ltsim.laws.law import Law
 
 T = TypeVar("T", bound=Tunable)
@@ -40,7 +40,7 @@ class Exact:
         self.space = space
         self._pointing = np.nonzero(space.use)[0]
         self._grams: dict[Tunable, Floats] = {}
-        self._carried: dict[Carrier, Floats] = {}
+        self._carried: dict[str, Floats] = {}
         self._rows: dict[Place, Rows] = {}
 
     def moments(self, effects: Sequence[Tunable], base: Found) -> list[tuple[Floats, Floats]]:
@@ -129,10 +129,10 @@ class Exact:
         if not isinstance(effects[0], Law):
             return np.hstack([self.space.signature(effect) for effect in effects]), edges
         found = np.empty((len(rows.pointing), edges[-1]))
-        carried: dict[Carrier, Floats] = {}
+        carried: dict[str, Floats] = {}
         for effect, low, high in zip(effects, edges[:-1], edges[1:], strict=True):
             assert isinstance(effect, Law)
-            name = effect.carrier
+            name = effect.carrier.name
             if name not in carried:
                 carried[name] = self._moved(name)[rows.place]
             columns = effect.columns(self.space.sightings)[rows.pointing]
@@ -140,10 +140,10 @@ class Exact:
             np.multiply(carried[name][:, :, None], columns[:, None, :], out=found[:, low:high].reshape(shape))
         return found, edges
 
-    def _moved(self, name: Carrier) -> Floats:
+    def _moved(self, name: str) -> Floats:
         """Whitened change (m, c) of the readings by each component of a carrier, computed once."""
         if name not in self._carried:
-            self._carried[name] = self.space.whiten(change_by(name, self.space.sightings))
+            self._carried[name] = self.space.whiten(CARRIERS[name][1](self.space.sightings))
         return self._carried[name]
 
     def _project(self, effects: Sequence[Tunable], signatures: Floats, edges: Ints, rows: Rows) -> None:

@@ -26,7 +26,6 @@ from ltsim.diagnosis.words import LIKELY, card_sentence, law_sentence, outside_s
 from ltsim.effects import BASELINE
 from ltsim.effects.effect import Effect, NoiseEffect, SlotEffect
 from ltsim.effects.signature import Tunable, constants_of
-from ltsim.effects.verbs import constants_in_words
 from ltsim.laws.drivers import words_of
 from ltsim.laws.law import Law
 from ltsim.laws.places import trackers_of
@@ -324,8 +323,6 @@ def where_of(effect: Tunable, carried: tuple[str, ...] = ()) -> Where:
 def law_words(law: Law, driver: str) -> str:
     """A law and its driver in a line: ``distance correction follows cos(3 azimuth)``."""
     what = f"{law.carrier.name} correction" if law.carrier.kind == "reading" else law.carrier.name
-    constants = constants_in_words(law.carrier.card) if law.carrier.card else ""
-    what += f" ({constants})" if constants else ""
     own = IN_ITS_OWN_WAY if law.each else ""
     return f"{what} differs{own}" if law.driver.kind == "constant" else f"{what} follows {driver}{own}"
 

@@ -13,11 +13,10 @@ import numpy as np
 
 from ltsim.chances import CONSTANT
 
-PRIOR = {"named": 0.53, "varied": 0.05, "law": 0.28, "noise": 0.095, "scatter": 0.005, "constant": CONSTANT}
+PRIOR = {"named": 0.53, "law": 0.33, "noise": 0.095, "scatter": 0.005, "constant": CONSTANT}
 """What is missing where something is missing."""
 ABOUT = {
     "named": "an effect of the catalogue that shifts readings, all effects alike",
-    "varied": "such an effect whose size follows something",
     "law": "a carrier that follows a driver, without a card",
     "noise": "a change of the noise that the catalogue names",
     "scatter": "noise that no card describes",
@@ -33,7 +32,7 @@ PLAIN = 1.0 - OUTSIDE * SAME_OBSERVABLE
 AS_NOISE = 0.25
 """Chance that a shift that nobody listed looks like noise, and not like a shift in one of the three observables."""
 _NOISE = PRIOR["noise"] + PRIOR["scatter"]
-NOISY = _NOISE / (_NOISE + AS_NOISE * OUTSIDE * (PRIOR["named"] + PRIOR["varied"] + PRIOR["law"]))
+NOISY = _NOISE / (_NOISE + AS_NOISE * OUTSIDE * (PRIOR["named"] + PRIOR["law"]))
 """Most that is stated of noise that is more than stated: what nobody listed may shift readings, and look like it."""
 PLACES = {"everywhere": 0.5, "set-up": 0.2, "instrument": 0.1, "target": 0.1, "group": 0.1}
 """Where a law without a card acts."""

@@ -12,7 +12,6 @@ from collections import OrderedDict
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import replace
-from functools import cached_property
 from itertools import combinations
 from typing import NamedTuple
 
@@ -32,14 +31,9 @@ from ltsim.diagnosis.probe import Probe
 from ltsim.diagnosis.schema import Estimate
 from ltsim.diagnosis.shapes import apart, between, shape_posterior
 from ltsim.diagnosis.space import panels
-from ltsim.effects.effect import Effect
 from ltsim.effects.signature import ShapeParameter, Tunable
-from ltsim.laws.carriers import of_card
-from ltsim.laws.columns import LOW
-from ltsim.laws.drivers import Driver, beside_one
 from ltsim.laws.law import Law
 from ltsim.laws.names import name_of
-from ltsim.laws.offered import drivers_of
 from ltsim.laws.sizes import sizes_of
 
 MOST_MEMBERS = 5
@@ -147,8 +141,6 @@ class Searcher:
         entries = self._laws(hits, base)
         for i, family in enumerate(np.argsort(-families)):
             entries.append(self._card(int(family), values, float(families[family]), base, refine=i < self._most))
-        least = _promising(max(h.value for h in entries))
-        entries += [law for h in entries if h.value > least for law in self._varied(h, base)]
         entries = [replace(h, value=h.value + alike(h, base.members)) for h in entries]
         entries.sort(key=lambda h: -h.value)
         return Ranking(tuple(entries), float(log_sum_exp(np.array([h.value for h in entries]))))
@@ -168,23 +160,6 @@ class Searcher:
             if i == members[0] or value + prior > best.value:
                 best = replace(best, effect=effect, value=whole)
         return best
-
-    def _varied(self, card: Hypothesis, base: Found) -> list[Hypothesis]:
-        """Laws by which the size of a card, at its place and with its constants, is itself a curve in something."""
-        effect = card.effect
-        carrier = of_card(effect) if isinstance(effect, Effect) and effect.scope in ("all", "station") else None
-        if carrier is None or type(effect) in ORDINARY:
-            return []
-        laws = [Law(effect.stations, effect.targets, carrier, curve) for curve in self._curves]
-        constant, *values = self.exact.evidence([effect, *laws], base).tolist()
-        prior = log_share("varied", len(laws)) - log_share("named", 1)
-        alone = card.value - constant + prior  # its place and its constants are averaged as those of the card alone
-        return [Hypothesis(law, prior, alone + value, law.name) for law, value in zip(laws, values, strict=True)]
-
-    @cached_property
-    def _curves(self) -> list[Driver]:
-        """What the size of a card may follow."""
-        return [beside_one(curve) for curve in drivers_of(self.space.sightings, LOW)["curve"]]
 
     def _basins(self, members: Ints, values: Floats) -> list[int]:
         """The best members of a family, and others nearly as good at another place or shape."""

@@ -135,14 +135,6 @@ def shape_of(effect: AnyEffect) -> dict[str, Any]:
     return {name: value / units[name] if name in units else value for name, value in values.items()}
 
 
-def constants_in_words(effect: AnyEffect) -> str:
-    """The constants of an effect with their units: ``height 2.9 m, width 0.3 m``; empty for none."""
-    units = {s.name: f" {s.unit}" for s in effect.shape}
-    told = ((name, value if isinstance(value, tuple) else (value,)) for name, value in shape_of(effect).items())
-    numbers = ((n, " ".join(f"{v:.4g}" if isinstance(v, float) else str(v) for v in some)) for n, some in told)
-    return ", ".join(f"{name} {value}{units.get(name, '')}" for name, value in numbers)
-
-
 @dataclasses.dataclass(frozen=True, repr=False)
 class EffectList(Result):
     """Effects of the catalogue; `effects` are their classes."""

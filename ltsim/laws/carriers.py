@@ -15,7 +15,7 @@ from ltsim.arrays import Floats
 from ltsim.effects import BASELINE
 from ltsim.effects.air_gradient import AirGradient
 from ltsim.effects.azimuth_eccentricity import AzimuthEccentricity
-from ltsim.effects.effect import Effect, Mistake, NoiseEffect, Term
+from ltsim.effects.effect import Term
 from ltsim.effects.elevation_eccentricity import ElevationEccentricity
 from ltsim.effects.motions import station_design
 from ltsim.effects.signature import by_displacement, on_readings
@@ -42,11 +42,9 @@ class Carrier:
     observables : tuple of str
         What it mainly shows in; empty for all.
     kind : str
-        reading, instrument, circle, stand, target, air, reflector or card.
+        reading, instrument, circle, stand, target, air or reflector.
     ways : tuple of str
         Its components in words; one of no name where it has no direction.
-    card : Effect, optional
-        The effect of the catalogue whose size varies, where that is the quantity.
     """
 
     name: str
@@ -55,7 +53,6 @@ class Carrier:
     observables: tuple[str, ...] = ()
     kind: str = "instrument"
     ways: tuple[str, ...] = ("",)
-    card: Effect | None = None
 
 
 _SLOTS = {
@@ -162,23 +159,3 @@ def carrier_designs(sightings: Sightings) -> dict[str, tuple[Carrier, Floats]]:
         if design.any() and not any(same):
             found[name] = carrier, design
     return found
-
-
-SIZE_OF = "size of "
-"""What the carrier that is the size of an effect of the catalogue is called, before the effect's name."""
-
-
-def of_card(effect: Effect) -> Carrier | None:
-    """The size of an effect of the catalogue as a carrier; None where it is no shift, or has sizes of several kinds."""
-    first, *others = effect.parameters
-    alike = all((p.unit, p.prior_sigma) == (first.unit, first.prior_sigma) for p in others)
-    if isinstance(effect, NoiseEffect | Mistake) or not (alike and effect.observables):
-        return None
-    ways = tuple(p.name for p in effect.parameters) if others else ("",)
-    observables = () if len(effect.observables) == len(OBSERVABLES) else effect.observables
-    return Carrier(SIZE_OF + effect.name, first.unit, float(effect.spread[0]), observables, "card", ways, effect)
-
-
-def change_by(carrier: Carrier, sightings: Sightings) -> Floats:
-    """Change (n, 3, c) of the raw readings per unit of each component of a carrier."""
-    return carrier.card.design(sightings) if carrier.card else CARRIERS[carrier.name][1](sightings)

@@ -238,8 +238,3 @@ def pieces(steps: Sequence[Driver]) -> Driver:
 def smooth(name: str, modes: int = MODES) -> Driver:
     """A smooth driver."""
     return Driver("smooth", (name,), constant=modes)
-
-
-def beside_one(curve: Driver) -> Driver:
-    """A constant and a curve: what has a size anyhow, and varies."""
-    return Driver("product", curve.covariates, factors=(curve,))

@@ -14,7 +14,7 @@ import numpy as np
 
 from ltsim.arrays import Floats
 from ltsim.effects.signature import Parameter, Tunable
-from ltsim.laws.carriers import CARRIERS, Carrier, change_by
+from ltsim.laws.carriers import CARRIERS, Carrier
 from ltsim.laws.columns import CIRCULAR, FINE, LOW, MODES, one_each
 from ltsim.laws.drivers import CLOCKS, CONSTANT, Driver, pieces, simple, smooth
 from ltsim.laws.offered import MOST_VISITS, WAVE_STEP
@@ -86,12 +86,11 @@ class Law(Tunable):
     @property
     def covariates(self) -> tuple[str, ...]:
         """What the law depends on, in the words of the interface."""
-        own = self.carrier.card.covariates if self.carrier.card else ()
-        return tuple(dict.fromkeys((*own, *self.driver.told)))
+        return self.driver.told
 
     def design(self, sightings: Sightings) -> Floats:
         """Change (n, 3, k) of the raw readings per unit of each coefficient."""
-        moved = change_by(self.carrier, sightings)
+        moved = CARRIERS[self.carrier.name][1](sightings)
         found: Floats = moved[:, :, :, None] * self.columns(sightings)[:, None, None, :]
         return found.reshape(len(sightings), 3, -1)
 

@@ -3,15 +3,13 @@
 import re
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
-from ltsim.effects.verbs import effect_from
 from ltsim.errors import ModelError
-from ltsim.laws.carriers import CARRIERS, SIZE_OF, Carrier, of_card
+from ltsim.laws.carriers import CARRIERS
 from ltsim.laws.columns import LOW, MODES
-from ltsim.laws.drivers import CLOCKS, PLACE, Driver, amounts, beside_one, pieces
+from ltsim.laws.drivers import CLOCKS, PLACE, Driver, amounts, pieces
 from ltsim.laws.law import Law
 from ltsim.laws.offered import FOLLOWED, OPERATORS
 from ltsim.recording.recording import Recording
@@ -121,26 +119,16 @@ _STEPS = re.compile(r", (?=step\(|ramp\()")
 
 
 def read_law(
-    carrier: str,
-    words: str,
-    recording: Recording,
-    *,
-    stations: tuple[str, ...] = (),
-    targets: tuple[str, ...] = (),
-    constants: Mapping[str, Any] | None = None,
+    carrier: str, words: str, recording: Recording, *, stations: tuple[str, ...] = (), targets: tuple[str, ...] = ()
 ) -> Law:
-    """The law of a carrier that follows a driver, as `describe` tells it, at some places; raises ModelError.
-
-    An effect of the catalogue whose size is the carrier has `constants`, as `effect_from` takes them.
-    """
-    what = _carrier(carrier, {"stations": stations, "targets": targets}, constants or {})
-    modes, each = LOW if what.card else MODES, words.endswith(IN_ITS_OWN_WAY)
-    driver = read_driver(words.removesuffix(IN_ITS_OWN_WAY), recording, modes)
+    """The law of a carrier that follows a driver, as `describe` tells it, at some places; raises ModelError."""
+    if carrier not in CARRIERS:
+        raise ModelError(f"there is no carrier called '{carrier}'; carriers are {', '.join(CARRIERS)}")
+    driver, each = read_driver(words.removesuffix(IN_ITS_OWN_WAY), recording), words.endswith(IN_ITS_OWN_WAY)
     if each and (stations or targets):
         raise ModelError(f"'{words}' goes with all set-ups, not with {', '.join((*stations, *targets))}")
     owned = [f for f in (driver, *driver.factors) if f.covariates == ("target",)]
     driver = Driver("product", factors=(driver,)) if owned == [driver] else driver
-    driver = beside_one(driver) if what.card and driver.kind == "smooth" else driver
     if not targets and owned:
         raise ModelError(f"'{words}' goes with some targets, named behind the law: {carrier} ~ {words}:TARGET,TARGET")
     if targets or any(factor.kind == "wave" for factor in driver.factors):  # a group tilts, the whole may bend
@@ -150,22 +138,7 @@ def read_law(
             for f in driver.factors
         )
         driver = replace(driver, factors=tuple(factors))
-    return Law(recording.stations if each else stations, targets, what, driver, each=each)
-
-
-def _carrier(name: str, places: Mapping[str, tuple[str, ...]], constants: Mapping[str, Any]) -> Carrier:
-    """The carrier of a name; the size of an effect, which acts at some places and has constants, among them."""
-    if name.startswith(SIZE_OF):
-        effect = effect_from(name.removeprefix(SIZE_OF), places, constants)
-        if (found := of_card(effect)) is None:
-            raise ModelError(f"{effect.name} has no size that could follow anything")
-        return found
-    if constants:
-        raise ModelError(f"'{name}': a law has no constants but those in its words")
-    if name not in CARRIERS:
-        known = ", ".join(CARRIERS)
-        raise ModelError(f"there is no carrier called '{name}'; carriers are {known}, and '{SIZE_OF}EFFECT'")
-    return CARRIERS[name][0]
+    return Law(recording.stations if each else stations, targets, CARRIERS[carrier][0], driver, each=each)
 
 
 def read_driver(words: str, recording: Recording, modes: int = MODES) -> Driver:

@@ -7,15 +7,12 @@ import json
 import numpy as np
 import pytest
 
-import ltsim as lt
 from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.diagnosis import diagnose
 from ltsim.diagnosis.files import write_diagnosis
 from ltsim.effects import find_effect
-from ltsim.effects.air_layer import AirLayer
 from ltsim.effects.effect import by_displacement, on_readings
-from ltsim.effects.range_cyclic import RangeCyclic
 from ltsim.errors import RecordError
 from ltsim.geometry.alignment import align
 from ltsim.model.construction import misalignment
@@ -378,30 +375,6 @@ def test_a_wave_between_the_rates_of_the_grid_is_one_finding():
     assert first.where.covariates == ("elevation",)
     assert first.carrier == "distance"
     assert "a wave in elevation, 83." in first.driver
-
-
-@pytest.mark.parametrize(
-    ("effect", "size", "covariates", "observables"),
-    [
-        (RangeCyclic(wavelength=0.61), lambda s: np.exp(-s.range_ / 2.0), {"distance"}, ("distance",)),
-        (AirLayer(height=3.0, width=0.2), lambda s: s.time / s.time[-1], {"height", "time"}, ("distance", "elevation")),
-    ],
-    ids=["fading-cycle", "growing-layer"],
-)
-def test_an_effect_of_the_catalogue_whose_size_varies_is_told_as_that(effect, size, covariates, observables, tmp_path):
-    recording, state = workshop(4, faces=2)
-    sightings = sightings_of(recording, state)
-    change = effect.design(sightings)[:, :, 0] * size(sightings)[:, None]
-    hidden, _ = strengthened(recording, state, change)
-    found = diagnose(hidden)
-    first = found.findings[0]
-    assert (first.effect, first.carrier) == ("unknown", f"size of {effect.name}")
-    assert set(first.where.covariates) == covariates and first.where.observables == observables
-    assert first.curve is not None and first.curve.unit == effect.parameters[0].unit
-    constant = type(effect).shape[0].name
-    assert f"({constant} " in first.sentence
-    found.save(tmp_path / "found.lt")
-    assert lt.read(tmp_path / "found.lt") == found
 
 
 def test_an_encoder_of_any_number_of_lines_is_named():

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from ltsim.adjustment import adjust
-from ltsim.effects.air_layer import AirLayer
 from ltsim.errors import ModelError
-from ltsim.laws.columns import LOW, SIMPLE
-from ltsim.laws.drivers import CONSTANT, Driver, across_the_room, amounts, beside_one, pieces, simple, smooth
+from ltsim.laws.columns import SIMPLE
+from ltsim.laws.drivers import CONSTANT, Driver, across_the_room, amounts, pieces, simple, smooth
 from ltsim.laws.offered import FOLLOWED, drivers_of
 from ltsim.laws.words import EXAMPLES, OWNERS, SAID, describe, read_driver, read_law
 from ltsim.recording import Recording
@@ -119,15 +118,3 @@ def test_examples_are_read(recording: Recording) -> None:
 def test_what_is_not_understood_is_answered_with_what_is(recording: Recording, words: str, said: str) -> None:
     with pytest.raises(ModelError, match=said):
         read_driver(words, recording)
-
-
-def test_the_size_of_an_effect_is_a_carrier(recording: Recording) -> None:
-    law = read_law("size of air-layer", "a smooth function of time", recording, constants={"height": 2.9})
-    assert law.carrier.card == AirLayer(height=2.9)
-    assert law.driver == beside_one(smooth("time", LOW)) and law.parameters[0].unit == "K"
-    assert law.covariates == ("height", "time")
-    for name in ("station-settling", "noise-level", "target-swap", "gauge-scale"):
-        with pytest.raises(ModelError, match=f"{name} has no size that could follow anything"):
-            read_law(f"size of {name}", "time", recording)
-    with pytest.raises(ModelError, match="'distance': a law has no constants"):
-        read_law("distance", "time", recording, constants={"height": 2.9})
