@@ -124,7 +124,8 @@ class Explained:
         shown = self.shown[member]
         gain = self.gain(member)
         mean = posterior(*searcher.exact.moments([effect], others)[0], hypothesis.spread)[0]
-        done, rows = space.signature(effect) @ mean, int(space.use.sum())
+        signature, rows = space.signature(effect), int(space.use.sum())
+        done = signature @ mean
         left = searcher.with_members([hypothesis]).left[0] @ mean
         where = self._where(effect, shown_in(space.use, done[:rows], left[:rows]))
         told = self._estimates(member, hypothesis, others)
@@ -146,8 +147,8 @@ class Explained:
         if hypothesis.known:
             doubt = self._doubt(effect, told)
             sentence = card_sentence(name, where, told, probability, shown=shown) + doubt
-        more["moves_targets_um"] = moved = distortion(space, effect, mean)
-        touched = max(int(np.count_nonzero(space.signature(effect).any(axis=1))), 1)
+        more["moves_targets_um"] = moved = distortion(space, done)
+        touched = max(int(np.count_nonzero(signature.any(axis=1))), 1)
         felt = number(np.sqrt(max(float(gain.sum()), 0.0) / touched), 2)
         sentence += f" Not modelled, it leaves {felt} sigma rms in the readings that it acts on"
         sentence += f" and moves the targets by {number(moved, 2)} um rms.{self._readings(gain)}"
