@@ -99,20 +99,15 @@ class Explained:
         return [self._shown(i) for i in range(len(self.found.members))]
 
     def chance(self, member: int) -> float:
-        """Probability of a member, whatever it is called, if it has a size and no more constants than readings carry.
+        """Probability of a member, whatever it is called, if it has no more constants than readings carry it.
 
-        Coefficients of a law may each be in doubt where the law is not; one of no known form, at no place and in no
-        observable, says nothing beside others.
+        One of no known form, at no place and in no observable, says nothing beside others.
         """
-        effect, gain = self.refit.effects[member], self.gain(member)
-        sizes = [one for one in self.refit.told[member] if one.parameter in effect.parameters]
-        together = len(sizes) > 1 and float(gain.sum()) > SURE**2 * constants_of(effect)
-        sized = isinstance(effect, Law) or together or any(abs(one.value) > SURE * one.sigma for one in sizes)
-        shown = self.shown[member]
+        effect, gain, shown = self.refit.effects[member], self.gain(member), self.shown[member]
         says = self._where(effect) != Where(covariates=words_of(effect.covariates)) or shown >= LIKELY
         # so many readings alike would carry the gain (participation ratio)
         carried = float(gain.sum() ** 2 / max(float(np.sum(gain**2)), TINY))
-        return max(self.probability(member), shown) if sized and says and carried >= constants_of(effect) else 0.0
+        return max(self.probability(member), shown) if says and carried >= constants_of(effect) else 0.0
 
     def finding(self, member: int) -> Finding:
         """The finding of a member, a mean shift, beside the others."""
