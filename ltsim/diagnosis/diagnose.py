@@ -286,28 +286,11 @@ def _beyond_level(noise: Sequence[NoiseHypothesis]) -> bool:
 
 
 def _likely(explained: Explained, besides: bool) -> Explained:
-    """Without findings whose name has little chance, the least likely first.
-
-    What explains most stays, unless something is told `besides`. A finding beside which another one has its name, and
-    without which it has none, stays in the model and is not told.
-    """
-    told = explained
-    while True:
-        members = told.found.members
-        gains = [told.gain(i).sum() for i in range(len(members))]
-        chances = [told.chance(i) for i in range(len(members))]
-        doubtful = [
-            i
-            for i, one in enumerate(members)
-            if chances[i] < LIKELY and one.key not in told.untold and (besides or gains[i] < max(gains))
-        ]
-        if not doubtful:
-            return told
-        least = min(doubtful, key=lambda i: chances[i])
-        fewer = told.without(least)
-        rest = np.delete(chances, least)
-        lost = any(one >= LIKELY > fewer.chance(i) for i, one in enumerate(rest))
-        told = replace(told, untold=(*told.untold, members[least].key)) if lost else fewer
+    """Findings of little chance stay in the model, untold; what explains most is told, if nothing is told `besides`."""
+    members = explained.found.members
+    gains = [explained.gain(i).sum() for i in range(len(members))]
+    doubtful = [explained.chance(i) < LIKELY and (besides or gains[i] < max(gains)) for i in range(len(members))]
+    return replace(explained, untold=tuple(one.key for one, d in zip(members, doubtful, strict=True) if d))
 
 
 def _told(
@@ -338,7 +321,9 @@ def _told(
     detectable, undetectable = sight
     return Diagnosis(
         verdict=verdict,
-        summary=summarise(verdict, findings, detection.p_value, before, after, untold=len(likely[room:])),
+        summary=summarise(
+            verdict, findings, detection.p_value, before, after, untold=len(explained.untold) + len(likely[room:])
+        ),
         statistic=baseline.chi2,
         dof=baseline.dof,
         p_value=detection.chi2_p_value,

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
@@ -60,12 +60,7 @@ class Explained:
     found: Found
     refit: Refit
     untold: tuple[str, ...] = ()
-    """Keys of members that are modelled, for what is told needs them, and have no name to tell."""
-
-    def without(self, member: int) -> Self:
-        """The same without one of its members."""
-        found = self.case.searcher.without(self.found, member)
-        return replace(self, found=found, refit=self.case.refit(found.effects, self.case.sigma))
+    """Keys of members that are modelled, and too doubtful to be told."""
 
     def _ranking(self, member: int) -> Ranking:
         """All that could stand in a member's place: changes of the noise among it, and a cause that nobody listed."""
@@ -99,15 +94,20 @@ class Explained:
         return [self._shown(i) for i in range(len(self.found.members))]
 
     def chance(self, member: int) -> float:
-        """Probability of a member, whatever it is called, if it has no more constants than readings carry it.
+        """Probability of a member, whatever it is called, if it has a size and no more constants than readings carry.
 
-        One of no known form, at no place and in no observable, says nothing beside others.
+        Coefficients of a law may each be in doubt where the law is not; one of no known form, at no place and in no
+        observable, says nothing beside others.
         """
-        effect, gain, shown = self.refit.effects[member], self.gain(member), self.shown[member]
+        effect, gain = self.refit.effects[member], self.gain(member)
+        sizes = [one for one in self.refit.told[member] if one.parameter in effect.parameters]
+        together = len(sizes) > 1 and float(gain.sum()) > SURE**2 * constants_of(effect)
+        sized = isinstance(effect, Law) or together or any(abs(one.value) > SURE * one.sigma for one in sizes)
+        shown = self.shown[member]
         says = self._where(effect) != Where(covariates=words_of(effect.covariates)) or shown >= LIKELY
         # so many readings alike would carry the gain (participation ratio)
         carried = float(gain.sum() ** 2 / max(float(np.sum(gain**2)), TINY))
-        return max(self.probability(member), shown) if says and carried >= constants_of(effect) else 0.0
+        return max(self.probability(member), shown) if sized and says and carried >= constants_of(effect) else 0.0
 
     def finding(self, member: int) -> Finding:
         """The finding of a member, a mean shift, beside the others."""

@@ -138,7 +138,7 @@ def without_clock(parameter: Estimate) -> Estimate:
 def summarise(
     verdict: str, findings: Sequence[Finding], p_value: float, before: Misfit, after: Misfit, *, untold: int = 0
 ) -> str:
-    """The answer in a few sentences, with which a report begins; `untold` smaller findings are modelled alone."""
+    """The answer in a few sentences, with which a report begins; `untold` more findings are modelled alone."""
     if verdict == "consistent":
         return (
             f"The recording agrees with the model and the stated noise (chi-square {before.chi2:.0f} for "
@@ -154,7 +154,7 @@ def summarise(
     more = f" Also: {' '.join(f.sentence for f in findings[1:])}" if len(findings) > 1 else ""
     others = ["physics outside the catalogue" if e.effect == "unknown" else e.effect for e in first.equivalents]
     open_ = f" This recording cannot exclude {' or '.join(others)} instead." if others else ""
-    rest = f" Smaller, modelled and not told: {untold}." if untold else ""
+    rest = f" Modelled and not told, being smaller or in doubt: {untold}." if untold else ""
     return first.sentence + open_ + more + rest + _course(before.held_out_rms, after.held_out_rms)
 
 
