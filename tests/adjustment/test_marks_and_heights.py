@@ -95,3 +95,12 @@ def test_a_point_under_another_name_is_no_exchange() -> None:
     target[12] = (target[12] + 5) % 28
     (said,) = doubts(adjust(recording.replace(target=target)))
     assert said.startswith(f"At station S1 what is booked as {booked} (row 13) is {meant}")
+
+
+def test_a_target_that_one_set_up_calls_otherwise_is_told_and_neighbours_are_not() -> None:
+    recording, _ = network(seed=3, stations=3)
+    other = np.where((recording.station == 1) & (recording.target == 5), len(recording.targets), recording.target)
+    (said,) = doubts(adjust(recording.replace(targets=(*recording.targets, "P-77"), target=other)))
+    assert said.startswith(f"{recording.targets[5]} and P-77 lie within 0.0")
+    beside = recording.readings + [[0.002, 0.0, 0.0]] * (other == len(recording.targets))[:, None]
+    assert doubts(adjust(recording.replace(targets=(*recording.targets, "P-77"), target=other, readings=beside))) == ()
