@@ -18,9 +18,7 @@ from ltsim.adjustment.problem import NetworkProblem
 from ltsim.adjustment.reliability import (
     FAMILY_LEVEL,
     FEW,
-    UNCHECKED,
     chance_of_tau,
-    noncentrality,
     normalised,
     one_after_another,
     redundancy_of,
@@ -236,21 +234,6 @@ class Adjustment(Result):
     def restless(self) -> tuple[Ints, float, float]:
         """Targets with a noise of their own, the scatter of their readings and of the others over the stated one."""
         return restless(self.w, self.redundancy, self.recording.target)
-
-    @property
-    def minimal_detectable_bias(self) -> Floats:
-        """Smallest error (n, 3) [m, rad, rad] of each reading that `outliers` finds with 80 %; inf where unchecked.
-
-        References
-        ----------
-        Baarda, A testing procedure for use in geodetic networks (1968): sigma sqrt(lambda_0 / r).
-        """
-        use = self.problem.use
-        bias = np.where(use, np.inf, np.nan)
-        checked = use & (self.redundancy > UNCHECKED)
-        needed = noncentrality(level=FAMILY_LEVEL, hypotheses=int(use.sum()))
-        bias[checked] = np.sqrt(needed / self.redundancy[checked]) * self.problem.sigma[checked]
-        return bias
 
     @cached_property
     def known(self) -> tuple[KnownTest, ...]:

@@ -252,7 +252,7 @@ def _in_the_end(test: KnownTest, problem: NetworkProblem, state: State) -> Known
     """The test of a known value that was left out, with what it is off by at the state without it."""
     if test.kind == "mark":
         own = problem.model.recording.stations.index(test.name)
-        return replace(test, error=problem.marks.place(own, state) - state.position[own])
+        return replace(test, error=problem.marks.place(own, state.position, state.points) - state.position[own])
     every = (*known_values(problem, state), *common_scale(problem, state))
     off = next(value.residual for value in every if (value.kind, value.name) == (test.kind, test.name))
     return replace(test, residual=off, error=off)

@@ -80,22 +80,14 @@ def critical_w(count: int, level: float = FAMILY_LEVEL) -> float:
     return float(-special.ndtri(0.5 * single_level(count, level)))
 
 
-def critical_tau(count: int, dof: int, level: float = FAMILY_LEVEL) -> float:
-    """Limit of |tau| = |w| / sigma0 for `count` readings tested together with a sigma0 of `dof` degrees of freedom.
+def chance_of_tau(tau: Floats, dof: Floats, count: int) -> Floats:
+    """Chance that one of `count` readings is as far out, by a sigma0 of `dof`; infinite `dof`: by the stated noise.
 
     References
     ----------
     Pope, The statistics of residuals and the detection of outliers, NOAA TR NOS 65 NGS 1 (1976):
     tau = sqrt(f) t / sqrt(f - 1 + t^2), t of Student with f - 1 degrees of freedom.
     """
-    if dof < 2:
-        return float("inf")
-    t = float(-special.stdtrit(dof - 1, 0.5 * single_level(count, level)))
-    return float(np.sqrt(dof) * t / np.sqrt(dof - 1 + t * t)) if np.isfinite(t) else float(np.sqrt(dof))
-
-
-def chance_of_tau(tau: Floats, dof: Floats, count: int) -> Floats:
-    """Chance that one of `count` readings is as far out, by a sigma0 of `dof`; infinite `dof`: by the stated noise."""
     known = np.where(np.isfinite(dof), np.maximum(dof, 2.0), 2.0)
     t = tau * np.sqrt((known - 1.0) / np.maximum(known - tau**2, 1e-300))
     single = 2.0 * np.where(np.isfinite(dof), special.stdtr(known - 1.0, -t), special.ndtr(-tau))

@@ -8,14 +8,13 @@ import numpy as np
 
 from ltsim.arrays import Floats
 from ltsim.calibration.calibration import Calibration
-from ltsim.calibration.events import Event, events
+from ltsim.calibration.events import events
 from ltsim.calibration.history import CalibrationChange, History
 from ltsim.calibration.history_schema import (
     CalibrationOf,
     ChangeEntry,
     CourseEntry,
     DifferenceEntry,
-    EventEntry,
     HistoryFile,
 )
 from ltsim.calibration.schema import RESIDUALS, TARGETS, CalibrationFile, Fit, VerdictEntry
@@ -182,7 +181,7 @@ def history_file(history: History) -> HistoryFile:
         mean_covariance=(history.population.covariance / np.outer(factors, factors)).tolist(),
         constant=history.constancy(),
         changes=tuple(_change(history, change) for change in history.changes()),
-        events=tuple(_event(history, event) for event in events(history)),
+        events=events(history),
         since_first=_change(history, history.change(0, len(history) - 1)),
     )
 
@@ -198,20 +197,6 @@ def _course(history: History, k: int) -> CourseEntry:
         mean=known.mean[k] / parameter.factor,
         spread=known.spread[k] / parameter.factor,
         constant=history.constancy(k),
-    )
-
-
-def _event(history: History, event: Event) -> EventEntry:
-    parameter = history.construction.parameters[event.parameter]
-    ends: dict[str, Any] = {"from": history.labels[event.step], "to": history.labels[event.step + 1]}
-    return EventEntry(
-        **ends,
-        name=parameter.name,
-        difference=event.difference / parameter.factor,
-        sigma=event.sigma / parameter.factor,
-        usual=event.usual / parameter.factor,
-        unit=parameter.unit,
-        p_value=event.p_value,
     )
 
 

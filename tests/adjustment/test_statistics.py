@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 
 from ltsim.adjustment import adjust
-from ltsim.adjustment.reliability import chance_of_tau, critical_tau, critical_w
+from ltsim.adjustment.reliability import FAMILY_LEVEL, chance_of_tau, critical_w, noncentrality
 from ltsim.adjustment.verdict import Agreement, verdict
 from ltsim.model.construction import misalignment
 from ltsim.randomness import stream
@@ -33,17 +33,17 @@ def spoiled(recording, where, sizes):
 # --- tests of single readings -------------------------------------------------------------------------------------
 
 
-def test_tau_limit_is_that_of_pope():
-    # t(9, 2.5 %) = 2.2622: tau = sqrt(10) t / sqrt(9 + t^2).
-    assert critical_tau(1, 10, 0.05) == pytest.approx(1.90391, abs=1e-5)
-    assert critical_tau(1, 100_000, 0.05) == pytest.approx(stats.norm.isf(0.025), abs=1e-3)
-    assert critical_tau(50, 20) < critical_w(50)
-    assert critical_tau(1, 1) == np.inf
+def critical_tau(dof: int) -> float:
+    """Limit of |tau| at 5 % in two sides (Pope 1976)."""
+    t = stats.t.isf(0.025, dof - 1)
+    return float(np.sqrt(dof) * t / np.sqrt(dof - 1 + t * t))
 
 
 def test_the_chance_at_a_limit_is_its_level():
-    limits = np.array([critical_tau(50, 20), critical_w(50)])
-    assert chance_of_tau(limits, np.array([20.0, np.inf]), 50) == pytest.approx([0.01, 0.01], rel=1e-6)
+    # t(9, 2.5 %) = 2.2622: tau = sqrt(10) t / sqrt(9 + t^2) = 1.90391.
+    limits, dof = np.array([1.90391, critical_tau(20), stats.norm.isf(0.025)]), np.array([10.0, 20.0, np.inf])
+    assert chance_of_tau(limits, dof, 1) == pytest.approx(0.05, rel=1e-4)
+    assert chance_of_tau(np.array([critical_w(50)]), np.array([np.inf]), 50) == pytest.approx(0.01, rel=1e-6)
     assert chance_of_tau(np.array([3.0]), np.array([1.0]), 50) == 1.0
 
 
@@ -76,14 +76,15 @@ def test_tau_exceeds_its_limit_as_often_as_its_level_says():
     for seed in range(40):
         found = adjust(noisy(seed, (3.0, 3.0, 3.0), stations=2), TRACKER)
         tau = found.tau[np.nan_to_num(found.redundancy) > 0.2]
-        over += int(np.sum(np.abs(tau) > critical_tau(1, found.dof, 0.05)))
+        over += int(np.sum(np.abs(tau) > critical_tau(found.dof)))
         count += len(tau)
     assert over / count == pytest.approx(0.05, abs=0.015)
 
 
 def test_an_error_of_the_detectable_size_is_found_with_its_power():
     clean = adjust(noisy(3), TRACKER)
-    bias = clean.minimal_detectable_bias / clean.problem.sigma
+    needed = noncentrality(level=FAMILY_LEVEL, hypotheses=int(clean.problem.use.sum()))
+    bias = np.sqrt(needed / clean.redundancy)
     rows = stream(5, "rows").permutation(len(clean.recording))[:120]
     limit = critical_w(int(clean.problem.use.sum()))
     found = 0

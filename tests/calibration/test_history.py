@@ -147,10 +147,10 @@ def test_what_moves_from_day_to_day_is_no_event():
 def test_a_blow_stands_out_and_is_dated():
     for trial in range(3):
         history = walked(trial, blow=12.0)
-        found = events(history)
-        assert [(event.step, CONSTRUCTION.names[event.parameter]) for event in found] == [(7, CONSTRUCTION.names[6])]
-        assert found[0].difference == pytest.approx(12.0 * PRIOR[6], rel=0.25)
-        assert found[0].usual == pytest.approx(0.7 * PRIOR[6], rel=0.5)
+        found, size = events(history), PRIOR[6] / CONSTRUCTION.parameters[6].factor
+        assert [(event.from_, event.name) for event in found] == [("c7", CONSTRUCTION.names[6])]
+        assert found[0].difference == pytest.approx(12.0 * size, rel=0.25)
+        assert found[0].usual == pytest.approx(0.7 * size, rel=0.5)
         entry = history_file(history).events[0]
         assert (entry.from_, entry.to, entry.unit) == ("c7", "c8", CONSTRUCTION.parameters[6].unit)
 
@@ -179,7 +179,7 @@ def test_half_a_year_may_move_what_a_day_may_not():
 
 def test_a_blow_between_two_days_stands_out_of_a_wandering_instrument():
     found = events(wandered(0, blow=12.0))
-    assert [(event.step, CONSTRUCTION.names[event.parameter]) for event in found] == [(6, CONSTRUCTION.names[6])]
+    assert [(event.from_, event.name) for event in found] == [("c6", CONSTRUCTION.names[6])]
 
 
 @pytest.mark.parametrize(
