@@ -41,7 +41,8 @@ def events(history: History, level: float = LEVEL) -> tuple[EventEntry, ...]:
     sigma = np.array([change.sigma for change in changes]) / factor
     known = np.flatnonzero((sigma > 0).all(axis=0)).tolist()
     growth, looks = _growth(history), len(changes) * max(len(known), 1)
-    found = [(i, k, *of) for k in known for i, *of in _steps(difference[:, k], sigma[:, k], growth, level / looks)]
+    each = {k: _steps(difference[:, k], sigma[:, k], growth, level / looks) for k in known}
+    found = sorted((i, k, usual, p) for k, steps in each.items() for i, usual, p in steps)
     return tuple(
         EventEntry(
             **{"from": history.labels[i], "to": history.labels[i + 1]},
@@ -52,7 +53,7 @@ def events(history: History, level: float = LEVEL) -> tuple[EventEntry, ...]:
             usual=usual,
             p_value=min(1.0, p * looks),
         )
-        for i, k, usual, p in sorted(found)
+        for i, k, usual, p in found
     )
 
 
