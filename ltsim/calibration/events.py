@@ -36,13 +36,12 @@ def events(history: History, level: float = LEVEL) -> tuple[EventEntry, ...]:
     """
     if not can_tell(history):
         return ()
-    changes, factor = history.changes(), np.array([p.factor for p in history.construction.parameters])
-    difference = np.array([change.difference for change in changes]) / factor
-    sigma = np.array([change.sigma for change in changes]) / factor
+    steps = [change.parameters for change in history.changes()]
+    difference, sigma = (np.array([[getattr(p, key) for p in own] for own in steps]) for key in ("difference", "sigma"))
     known = np.flatnonzero((sigma > 0).all(axis=0)).tolist()
-    growth, looks = _growth(history), len(changes) * max(len(known), 1)
+    growth, looks = _growth(history), len(steps) * max(len(known), 1)
     each = {k: _steps(difference[:, k], sigma[:, k], growth, level / looks) for k in known}
-    found = sorted((i, k, usual, p) for k, steps in each.items() for i, usual, p in steps)
+    found = sorted((i, k, usual, p) for k, own in each.items() for i, usual, p in own)
     return tuple(
         EventEntry(
             **{"from": history.labels[i], "to": history.labels[i + 1]},
