@@ -225,11 +225,6 @@ class Adjustment(Result):
         """Normalised residuals (n, 3), standard normal where the model holds (Baarda 1968)."""
         return normalised(self.problem, self.residuals, self.redundancy)
 
-    @property
-    def tau(self) -> Floats:
-        """Residuals over their standard deviations by the estimated sigma0 (n, 3) (Pope 1976)."""
-        return self.w / self.sigma0
-
     @cached_property
     def restless(self) -> tuple[Ints, float, float]:
         """Targets with a noise of their own, the scatter of their readings and of the others over the stated one."""
