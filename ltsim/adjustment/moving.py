@@ -104,9 +104,10 @@ def _motions_of(adjustment: Adjustment, state: State, station: int) -> Iterator[
     yield EvenMotion((name,)), 1
     use = adjustment.problem.use & ~(adjustment.gross & (adjustment.recording.station != station))[:, None]
     problem = without_loose(replace(adjustment.problem, use=use), state)
-    space = ResidualSpace.of(replace(adjustment, problem=problem, solution=solve(problem, state)))
-    gaps = [motion for motion in SuddenMotion.candidates(space.sightings) if motion.stations == (name,)]
-    if gaps and space.adjustment.solution.converged:
+    plain = replace(adjustment, problem=problem, solution=solve(problem, state))
+    gaps = [motion for motion in SuddenMotion.candidates(plain.sightings) if motion.stations == (name,)]
+    if gaps and plain.solution.converged:
+        space = ResidualSpace.of(plain)
         falls = [space.explained(space.signature(motion))[0] for motion in gaps]
         yield gaps[int(np.argmax(falls))], len(gaps)
 
@@ -122,11 +123,10 @@ def told_motions(adjustment: Adjustment) -> Iterator[tuple[Motion, str]]:
             parts = " and ".join(_length(values[at] / one, spread[at, at] / one**2, unit) for unit, one, at in sizes)
             moved = f"moves while it measures, by {parts} in all"
             if isinstance(effect, SuddenMotion):
-                rows = np.flatnonzero(effect.mask(adjustment.sightings))
-                times = adjustment.sightings.time[rows]
-                last = rows[np.argmax(np.where(times < effect.time, times, -np.inf))] + 1
-                next_ = rows[np.argmin(np.where(times < effect.time, np.inf, times))] + 1
-                moved = f"moved between rows {last} and {next_}, by {parts}"
+                seen = adjustment.sightings
+                order = seen.order[effect.mask(seen)[seen.order] > 0]
+                at = int(np.searchsorted(seen.time[order], effect.time))
+                moved = f"moved between rows {order[at - 1] + 1} and {order[at] + 1}, by {parts}"
             yield (
                 effect,
                 f"station {', '.join(effect.stations)} {moved}: estimated beside the rest, so that its pointings are "
