@@ -148,16 +148,10 @@ def loosened(problem: NetworkProblem, state: State) -> NetworkProblem:
     sizes = problem.sigma * np.stack([np.ones_like(range_), range_, range_], axis=1)
     floor = FINEST * float(np.median(sizes[problem.use]))
     turn = floor / float(np.median(range_[problem.use.any(axis=1)]))
-    control, marks = problem.control.no_finer(floor), problem.known_marks.no_finer(floor)
-    levels, yaws = problem.levels, problem.yaws
-    if np.any(levels.sigma < turn):
-        levels = replace(levels, sigma=np.maximum(levels.sigma, turn))
-    if np.any(yaws.sigma < turn):
-        yaws = replace(yaws, sigma=np.maximum(yaws.sigma, turn))
-    given = problem.control, problem.known_marks, problem.levels, problem.yaws
-    if all(one is other for one, other in zip((control, marks, levels, yaws), given, strict=True)):
-        return problem
-    return replace(problem, control=control, known_marks=marks, levels=levels, yaws=yaws)
+    floors = {"control": floor, "known_marks": floor, "levels": turn, "yaws": turn}
+    tested = {name: getattr(problem, name).no_finer(least) for name, least in floors.items()}
+    exact = any(tested[name] is not getattr(problem, name) for name in floors)
+    return replace(problem, **tested) if exact else problem
 
 
 def known_tests(problem: NetworkProblem, solution: Solution[State], least: float = 0.0) -> list[KnownTest]:

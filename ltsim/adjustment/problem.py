@@ -231,7 +231,7 @@ class NetworkProblem:
 
     @property
     def knows_nothing(self) -> bool:
-        """Whether no known length, point or level joins the readings."""
+        """Whether no known length, point, level or azimuth zero joins the readings."""
         return not (
             len(self.gauge) or self.control.count or self.known_marks.count or len(self.levels) or len(self.yaws)
         )

@@ -81,7 +81,7 @@ def critical_w(count: int, level: float = FAMILY_LEVEL) -> float:
 
 
 def chance_of_tau(tau: Floats, dof: Floats, count: int) -> Floats:
-    """Chance that one of `count` readings is as far out, by a sigma0 of `dof`; infinite `dof`: by the stated noise.
+    """Chance that one of `count` readings has such a |w| / sigma0; infinite `dof`: by the stated noise.
 
     References
     ----------

@@ -170,6 +170,10 @@ class LevelRows:
     def __len__(self) -> int:
         return len(self.station)
 
+    def no_finer(self, turn: float) -> LevelRows:
+        """The same levels, none known better than `turn` [rad]."""
+        return self if np.all(self.sigma >= turn) else replace(self, sigma=np.maximum(self.sigma, turn))
+
     def predict(self, rotation: Floats) -> Floats:
         """Components (l, 2) of the stations' vertical axes across the plumb line."""
         axis = rotation[self.station] @ VERTICAL
@@ -200,6 +204,10 @@ class YawRows:
 
     def __len__(self) -> int:
         return len(self.station)
+
+    def no_finer(self, turn: float) -> YawRows:
+        """The same azimuth zeros, none known better than `turn` [rad]."""
+        return self if np.all(self.sigma >= turn) else replace(self, sigma=np.maximum(self.sigma, turn))
 
     def residual(self, rotation: Floats) -> Floats:
         """Stated less adjusted yaws (y,) [rad]."""

@@ -206,18 +206,19 @@ def frame_of(adjustment: Adjustment) -> str:
     control += [problem.marks.names[i] for i in problem.known_marks.target]
     levelled = [recording.stations[i] for i in problem.levels.station]
     turned = [recording.stations[i] for i in problem.yaws.station]
-    zeros = f" and the azimuth zero of {listing(turned)}" if turned else ""
+    zeros = [f"the azimuth zero of {listing(turned)}"] if turned else []
     points = f"control point{'s' if len(control) > 1 else ''} {listing(control)}"
     if free == 0:
-        return f"the frame of the {points}{zeros}"
+        return f"the frame of {' and '.join([f'the {points}', *zeros])}"
     rest = f"is {_free_axes(adjustment, first)}"
     if adjustment.datum is not None:
         rest += f", standard deviations by inner constraints over {listing(adjustment.datum.names)}"
     if free == 6:
         return rest.removeprefix("is ")
     if not control:
-        return f"z follows the levels of {listing(levelled)}{zeros.replace(' and', ', x')}; the rest {rest}"
-    return f"the {points}{' and the levels' if levelled else ''}{zeros}; what these leave free {rest}"
+        return f"{', x '.join([f'z follows the levels of {listing(levelled)}', *zeros])}; the rest {rest}"
+    levels = ["the levels"] if levelled else []
+    return f"{' and '.join([f'the {points}', *levels, *zeros])}; what these leave free {rest}"
 
 
 def _free_axes(adjustment: Adjustment, first: str) -> str:

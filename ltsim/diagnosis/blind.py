@@ -9,7 +9,6 @@ from ltsim.arrays import Floats
 from ltsim.diagnosis.cards import Cards
 from ltsim.diagnosis.schema import Undetectable
 from ltsim.effects.effect import Effect
-from ltsim.effects.signature import Tunable
 from ltsim.geometry.rigid import rigid_motion
 from ltsim.remedies.detectability import MinimalSize, information_left, seen_from, thinned
 from ltsim.remedies.remedy import advice
@@ -55,16 +54,16 @@ def _seen(places: Sequence[tuple[Effect, Floats, Floats]]) -> list[tuple[Effect,
 
 def _undetectable(space: ResidualSpace, effect: Effect, times: float) -> Undetectable:
     sizes = np.diag([p.prior_sigma for p in effect.parameters])
-    hides = max(distortion(space, effect, size) for size in sizes)
+    hides = max(distortion(space, space.signature(effect) @ size) for size in sizes)
     size = f"only at {times:.0f} times a bad but plausible size" if np.isfinite(times) else "at no size"
     reason = f"absorbed by poses, targets and instrument parameters: it would show {size}"
     seen = times if np.isfinite(times) else None
     return Undetectable(effect=effect.name, reason=reason, hides_um=hides, shows_at=seen, cure=advice("cause"))
 
 
-def distortion(space: ResidualSpace, effect: Tunable, values: Floats) -> float:
-    """What values (q,) [SI] of an effect do to the adjusted targets: rms [um] after the best rigid fit."""
-    moved = space.moved_targets(space.signature(effect) @ values).ravel()
+def distortion(space: ResidualSpace, shift: Floats) -> float:
+    """What a whitened shift (m,) of the readings does to the adjusted targets: rms [um] after the best rigid fit."""
+    moved = space.moved_targets(shift).ravel()
     points = space.adjustment.state.points
     motion = rigid_motion(points, points.mean(axis=0))
     rest = moved - motion @ np.linalg.lstsq(motion, moved, rcond=None)[0]

@@ -28,7 +28,7 @@ from ltsim.diagnosis.evidence import restricted
 from ltsim.diagnosis.findings import Explained, among, noise_finding
 from ltsim.diagnosis.held_out import HeldOut, held_out as left_out
 from ltsim.diagnosis.history import HistoryExpectation
-from ltsim.diagnosis.hypotheses import Found
+from ltsim.diagnosis.hypotheses import Found, likeliest
 from ltsim.diagnosis.instruments import Contradiction, contradictions, instrument_entries
 from ltsim.diagnosis.noise import NoiseHypothesis, most_likely
 from ltsim.diagnosis.probe import TRIALS
@@ -239,23 +239,24 @@ def _in_turn(case: Case, found: Found, threshold: float) -> Found:
         most = int(np.argmax(gains))
         if gains[most] < (least if not most and (case.noise or members) else 0.0):
             break
-        likeliest = _with_probability(ranked[most], rest[most])
+        told = _with_probability(ranked[most], rest[most])
         beside = case.space.beside(kept[most].effects)
-        case.add_noise(most_likely(beside, case.space.sigma, likeliest))
+        case.add_noise(most_likely(beside, case.space.sigma, told))
         case.weigh(case.settle_noise(kept[most].effects))
         found = case.searcher.search(threshold, something=False)
     return found
 
 
 def _with_probability(ranked: Sequence[tuple[float, NoiseHypothesis]], rest: float) -> NoiseHypothesis:
-    """The first change of the noise, with its probability among all of them and what else was tried."""
+    """The likeliest change of the noise, with its probability among all of them and what else was tried."""
     values = np.array([value for value, _ in ranked])
     weights = np.exp(values - log_sum_exp(np.array([0.0, rest, *values])))
     named: dict[str, float] = {}
     for (_, one), weight in zip(ranked, weights.tolist(), strict=True):
         named[one.effect.name] = named.get(one.effect.name, 0.0) + weight
-    value, best = ranked[0]
-    probability, rivals = among(named, best.effect.name)
+    name = likeliest(named)
+    value, best = next(one for one in ranked if one[1].effect.name == name)
+    probability, rivals = among(named, name)
     return replace(best, evidence=value, probability=probability, equivalents=rivals)
 
 

@@ -99,20 +99,15 @@ class Explained:
         return [self._shown(i) for i in range(len(self.found.members))]
 
     def chance(self, member: int) -> float:
-        """Probability of a member, whatever it is called, if it has a size and no more constants than readings carry.
+        """Probability of a member, whatever it is called, if it has no more constants than readings carry it.
 
-        Coefficients of a law may each be in doubt where the law is not; one of no known form, at no place and in no
-        observable, says nothing beside others.
+        One of no known form, at no place and in no observable, says nothing beside others.
         """
-        effect, gain = self.refit.effects[member], self.gain(member)
-        sizes = [one for one in self.refit.told[member] if one.parameter in effect.parameters]
-        together = len(sizes) > 1 and float(gain.sum()) > SURE**2 * constants_of(effect)
-        sized = isinstance(effect, Law) or together or any(abs(one.value) > SURE * one.sigma for one in sizes)
-        shown = self.shown[member]
+        effect, gain, shown = self.refit.effects[member], self.gain(member), self.shown[member]
         says = self._where(effect) != Where(covariates=words_of(effect.covariates)) or shown >= LIKELY
         # so many readings alike would carry the gain (participation ratio)
         carried = float(gain.sum() ** 2 / max(float(np.sum(gain**2)), TINY))
-        return max(self.probability(member), shown) if sized and says and carried >= constants_of(effect) else 0.0
+        return max(self.probability(member), shown) if says and carried >= constants_of(effect) else 0.0
 
     def finding(self, member: int) -> Finding:
         """The finding of a member, a mean shift, beside the others."""
@@ -124,7 +119,8 @@ class Explained:
         shown = self.shown[member]
         gain = self.gain(member)
         mean = posterior(*searcher.exact.moments([effect], others)[0], hypothesis.spread)[0]
-        done, rows = space.signature(effect) @ mean, int(space.use.sum())
+        signature, rows = space.signature(effect), int(space.use.sum())
+        done = signature @ mean
         left = searcher.with_members([hypothesis]).left[0] @ mean
         where = self._where(effect, shown_in(space.use, done[:rows], left[:rows]))
         told = self._estimates(member, hypothesis, others)
@@ -146,8 +142,8 @@ class Explained:
         if hypothesis.known:
             doubt = self._doubt(effect, told)
             sentence = card_sentence(name, where, told, probability, shown=shown) + doubt
-        more["moves_targets_um"] = moved = distortion(space, effect, mean)
-        touched = max(int(np.count_nonzero(space.signature(effect).any(axis=1))), 1)
+        more["moves_targets_um"] = moved = distortion(space, done)
+        touched = max(int(np.count_nonzero(signature.any(axis=1))), 1)
         felt = number(np.sqrt(max(float(gain.sum()), 0.0) / touched), 2)
         sentence += f" Not modelled, it leaves {felt} sigma rms in the readings that it acts on"
         sentence += f" and moves the targets by {number(moved, 2)} um rms.{self._readings(gain)}"

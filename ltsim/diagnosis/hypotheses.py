@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import product
@@ -150,10 +150,8 @@ class Ranking:
         return replace(self, outside=self.total + likeness + float(np.log(OUTSIDE / (1.0 - OUTSIDE))))
 
     def name(self) -> str:
-        """The likeliest name; `unknown` where that is likelier than all names together."""
-        named = self.probabilities()
-        unknown = named.pop("unknown", 0.0)
-        return "unknown" if unknown > sum(named.values()) else max(named, key=lambda name: named[name])
+        """The likeliest name."""
+        return likeliest(self.probabilities())
 
     @cached_property
     def weights(self) -> Floats:
@@ -182,6 +180,12 @@ class Ranking:
         for hypothesis, weight in zip(self.entries, self.weights.tolist(), strict=True):
             found[hypothesis.name] = min(found.get(hypothesis.name, 0.0) + weight, 1.0)
         return found
+
+
+def likeliest(chances: Mapping[str, float]) -> str:
+    """The likeliest name by its probability; `unknown` where that is likelier than all names together."""
+    named = {name: chance for name, chance in chances.items() if name != "unknown"}
+    return "unknown" if chances.get("unknown", 0.0) > sum(named.values()) else max(named, key=lambda name: named[name])
 
 
 NEGLIGIBLE = 6.0

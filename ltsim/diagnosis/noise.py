@@ -5,12 +5,12 @@ the restricted likelihood ratio is exactly
     log L = [ r' W r + c' N^-1 c - log|N| - sum log s ] / 2,   N = 1 - Q' W Q,   c = Q' W r.
 Everything is scored by its diagonal form, (r^2 W - k log s) / 2 summed over readings of redundancy k, the recording and
 what it is judged by alike; what stands out is computed exactly where there is a basis. Sizes are averaged over a grid,
-so these hypotheses compete with mean shifts by the same evidence.
+a fine one for what stands out, so these hypotheses compete with mean shifts by the same evidence.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -40,14 +40,16 @@ EVERYWHERE, GROWING, AT_TARGETS = (0.25, 0.6, 1.5, 4.0, 12.0), (2.0, 6.0, 20.0),
 fewer readings have them, the larger they must be to be seen."""
 MOST_TARGETS = 60
 """Targets up to whose number each is tried on its own, and those that belong together."""
-COMPARED, BEHIND = 6, 20.0
-"""Families that are computed exactly, the likeliest among them, and how much log evidence they may be behind."""
+COMPARED = 6
+"""Families that are computed exactly, the likeliest of them."""
 TINY = 1e-300
 LEAST_SHARE = 0.05
 """Redundancy that a mean of repeats has at least."""
 FACTORS, COARSE = np.geomspace(0.05, 400.0, 96), np.geomspace(1.5, 400.0, 15)
 """Factors on a variance over which amounts are averaged: a tenth apart, for the noise of a thousand readings is known
 to a twentieth; of one among many, those that are clearly more."""
+FINE = 48
+"""Sizes over which what stands out is averaged: a tenth apart, as `FACTORS`."""
 LOUDER = np.array([0.05, 0.15, 0.5])
 """Shares of all targets, or set-ups, that have more noise than stated."""
 LEAST_OWNERS = 4
@@ -80,7 +82,7 @@ class NoiseHypothesis:
 
 
 def _patterns(sightings: Sightings, trackers: Sequence[Place]) -> Iterator[tuple[str, NoisePattern, tuple[float, ...]]]:
-    """Noise that no effect of the catalogue describes: family, pattern, sizes."""
+    """Noise that no effect of the catalogue describes: family, pattern, sizes; of whole observables it is the level."""
     known = ["elevation", "distance", "time", "station-time", "move-azimuth", "move-elevation"]
     known += ["incidence"] if np.isfinite(sightings.incidence).any() else []
     some: list[tuple[str, ...]] = [*((observable,) for observable in OBSERVABLES), OBSERVABLES[1:]]
@@ -93,7 +95,6 @@ def _patterns(sightings: Sightings, trackers: Sequence[Place]) -> Iterator[tuple
     for acts in (*some, OBSERVABLES):
         for faces in REPEATS if acts == ("distance",) and np.ptp(sightings.face) else REPEATS[:1]:
             yield "repeating", NoisePattern(acts, repeating=faces), EVERYWHERE
-        yield "scatter", NoisePattern(acts), EVERYWHERE
         for group in groups:
             yield "target", NoisePattern(acts, targets=tuple(names[t] for t in group)), AT_TARGETS
 
@@ -205,6 +206,7 @@ class NoiseBank:
     means: sp.csr_array
     basis: Floats | None
     amounts: tuple[Amounts, ...]
+    space: ResidualSpace
 
     @classmethod
     def of(cls, space: ResidualSpace, hypotheses: Sequence[NoiseHypothesis], *, quieter: bool = True) -> NoiseBank:
@@ -237,7 +239,7 @@ class NoiseBank:
         family = np.array([index[h.family] for h in hypotheses], dtype=np.int64)
         basis = space.projection.basis if isinstance(space.projection, BasisProjection) else None
         amounts = (Level.of(space, quieter=quieter), *Each.all_of(space))
-        return cls(list(hypotheses), names, family, gain, logs, means, basis, amounts)
+        return cls(list(hypotheses), names, family, gain, logs, means, basis, amounts, space)
 
     def log_likelihood_ratio(self, residual: Floats, redundancy: Floats) -> Floats:
         """(h, trials) for whitened residuals (m, trials) of a redundancy (m,)."""
@@ -280,6 +282,18 @@ class NoiseBank:
         fit = float(weight @ own**2 + turned @ np.linalg.solve(normal, turned))
         return 0.5 * (fit - float(np.linalg.slogdet(normal)[1]) - float(logs.data.sum(dtype=np.float64)))
 
+    def _finely(self, members: Ints, likeliest: int, ratio: Floats, residual: Floats, redundancy: Floats) -> float:
+        """Log evidence of a family, the sizes of its likeliest effect averaged finely: each alone, or all of them."""
+        effect = self.hypotheses[likeliest].effect
+        same = np.array([self.hypotheses[i].effect == effect for i in members.tolist()])
+        tried = np.array([self.hypotheses[i].values for i in members[same].tolist()])
+        ends = np.where(tried > 0.0, tried, np.inf).min(axis=0), tried.max(axis=0)
+        gained = gained_by(self.space, self.space.sigma, effect, residual, redundancy)
+        each = log_sum_exp(np.array([gained(sizes) for sizes in np.geomspace(*ends, FINE)])) - np.log(FINE)
+        subsets = [*each, each.sum()] if len(each) > 1 else each
+        own = log_sum_exp(np.array(subsets)) + np.log(same.sum() / len(subsets))
+        return float(log_sum_exp(np.append(ratio[~same], own)) - np.log(len(members)))
+
     def ranked(self, residual: Floats, redundancy: Floats, extension: Floats) -> list[tuple[float, NoiseHypothesis]]:
         """Every family in the order of its evidence with prior, exact for the first; each with its likeliest member."""
         ratio = self.log_likelihood_ratio(residual[:, None], redundancy)
@@ -289,8 +303,11 @@ class NoiseBank:
             members = np.flatnonzero(self.family == family)
             likeliest = int(members[int(np.argmax(ratio[members, 0]))])
             value = float(evidence[family])
-            if rank < COMPARED and value > evidence.max() - BEHIND and self.basis is not None:
-                value += self.exact(likeliest, residual, extension) - float(ratio[likeliest, 0])
+            if rank < COMPARED:
+                value = self._finely(members, likeliest, ratio[members, 0], residual, redundancy)
+                value += self.share(self.families[family])
+                if self.basis is not None:
+                    value += self.exact(likeliest, residual, extension) - float(ratio[likeliest, 0])
             found.append((value, self.hypotheses[likeliest]))
         for one in self.amounts:
             value = float(self._of_amounts(one, residual[:, None], redundancy)[0])
@@ -323,25 +340,23 @@ def _grown(means: sp.csr_array, factor: Floats) -> Floats:
     return 1.0 + np.maximum((means > 0).astype(np.float64) @ (padded - 1.0), 0.0)
 
 
-def most_likely(space: ResidualSpace, stated: Floats, hypothesis: NoiseHypothesis) -> NoiseHypothesis:
-    """A hypothesis with its sizes, their deviations, and twice the log ratio of the restricted likelihood.
+def gained_by(
+    space: ResidualSpace, stated: Floats, effect: NoiseSignature, residual: Floats, redundancy: Floats
+) -> Callable[[Floats], Floats]:
+    """What sizes (k,) of an effect gain in log restricted likelihood (k,), each by the readings that follow it.
 
-    Variances are those of the hypothesis on the `stated` (n, 3) ones; residuals are whitened by the space's own. Sizes
-    and deviations are those of the posterior, since the likelihood of a variance is skew and ends at zero; a priori all
-    factors on a variance are alike, by their logarithm. Each reading follows one size at most, so that each size has a
-    posterior of its own.
+    Each reading follows one size at most. Variances are those of the effect on the `stated` (n, 3) ones; residuals (m,)
+    are whitened by the space's own.
     """
-    effect, used = hypothesis.effect, space.use
-    faces = getattr(effect, "repeating", "")
+    faces, used, scale = getattr(effect, "repeating", ""), space.use, effect.spread
     means = repeat_means(space, faces) if faces else None
-    share = space.redundancy[: int(used.sum())] if means is None else _share_of_means(means, space.redundancy)
-    squares = space.residual[: len(share)] ** 2 if means is None else (means @ space.residual) ** 2
+    share = redundancy[: int(used.sum())] if means is None else _share_of_means(means, redundancy)
+    squares = residual[: len(share)] ** 2 if means is None else (means @ residual) ** 2
 
     def factors(values: Floats) -> Floats:
         factor = (effect.variance(space.sightings, stated, values) / space.sigma**2)[used]
         return factor if means is None else _grown(means, factor)
 
-    scale = effect.spread
     own = np.argmax([factors(one) != factors(0.0 * scale) for one in np.diag(scale)], axis=0)
 
     def gained(values: Floats) -> Floats:
@@ -350,6 +365,17 @@ def most_likely(space: ResidualSpace, stated: Floats, hypothesis: NoiseHypothesi
             each = np.where(factor > 0.0, restricted(squares, share, factor), -np.inf)
         return np.asarray(np.bincount(own, each, minlength=len(scale)), dtype=np.float64)
 
+    return gained
+
+
+def most_likely(space: ResidualSpace, stated: Floats, hypothesis: NoiseHypothesis) -> NoiseHypothesis:
+    """A hypothesis with its sizes, their deviations, and twice the log ratio of the restricted likelihood.
+
+    Sizes and deviations are those of the posterior, since the likelihood of a variance is skew and ends at zero; a
+    priori all factors on a variance are alike, by their logarithm. Each size has a posterior of its own (`gained_by`).
+    """
+    effect, scale = hypothesis.effect, hypothesis.effect.spread
+    gained = gained_by(space, stated, effect, space.residual, space.redundancy)
     least, most = np.full(len(scale), np.log1p(effect.least)), np.full(len(scale), np.log1p(LARGEST))
     low, high = least, most
     for _ in range(ZOOMS):

@@ -246,7 +246,7 @@ def _idle_settings(recording: Recording) -> tuple[str, ...]:
                 f"targets.{name} is of the datum but was never measured: left out{_near(name, recording.targets)}"
             )
     for place, one in {"instrument": setup.instrument, **setup.instruments}.items():
-        if one.sheet is not None and (kept := overruled(one)):
+        if kept := overruled(one):
             notes.append(
                 f"{place}: {', '.join(kept)} stand above those of the data sheet {one.sheet}, which is not used there"
             )

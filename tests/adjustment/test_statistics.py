@@ -33,17 +33,17 @@ def spoiled(recording, where, sizes):
 # --- tests of single readings -------------------------------------------------------------------------------------
 
 
-def critical_tau(dof: int) -> float:
-    """Limit of |tau| at 5 % in two sides (Pope 1976)."""
-    t = stats.t.isf(0.025, dof - 1)
-    return float(np.sqrt(dof) * t / np.sqrt(dof - 1 + t * t))
+def test_tau_limit_is_that_of_pope():
+    # t(9, 2.5 %) = 2.2622: tau = sqrt(10) t / sqrt(9 + t^2).
+    tau, dof = np.array([1.90391, stats.norm.isf(0.025)]), np.array([10.0, 100_000.0])
+    assert chance_of_tau(tau, dof, 1) == pytest.approx([0.05, 0.05], rel=1e-4)
 
 
 def test_the_chance_at_a_limit_is_its_level():
-    # t(9, 2.5 %) = 2.2622: tau = sqrt(10) t / sqrt(9 + t^2) = 1.90391.
-    limits, dof = np.array([1.90391, critical_tau(20), stats.norm.isf(0.025)]), np.array([10.0, 20.0, np.inf])
-    assert chance_of_tau(limits, dof, 1) == pytest.approx(0.05, rel=1e-4)
-    assert chance_of_tau(np.array([critical_w(50)]), np.array([np.inf]), 50) == pytest.approx(0.01, rel=1e-6)
+    limit = np.full(2, critical_w(50))
+    by_data, by_statement = chance_of_tau(limit, np.array([20.0, np.inf]), 50)
+    assert by_statement == pytest.approx(0.01, rel=1e-6)
+    assert by_data < by_statement
     assert chance_of_tau(np.array([3.0]), np.array([1.0]), 50) == 1.0
 
 
@@ -76,7 +76,7 @@ def test_tau_exceeds_its_limit_as_often_as_its_level_says():
     for seed in range(40):
         found = adjust(noisy(seed, (3.0, 3.0, 3.0), stations=2), TRACKER)
         tau = found.w[np.nan_to_num(found.redundancy) > 0.2] / found.sigma0
-        over += int(np.sum(np.abs(tau) > critical_tau(found.dof)))
+        over += int(np.sum(chance_of_tau(np.abs(tau), np.full(len(tau), float(found.dof)), 1) < 0.05))
         count += len(tau)
     assert over / count == pytest.approx(0.05, abs=0.015)
 

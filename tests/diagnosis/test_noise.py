@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy.special import logsumexp
 
 from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace
@@ -11,6 +14,7 @@ from ltsim.diagnosis.case import Case
 from ltsim.diagnosis.noise import FACTORS, NoiseBank, NoiseHypothesis, noise_hypotheses, repeat_means
 from ltsim.diagnosis.prior import PRIOR
 from ltsim.effects.noise_level import NoiseLevel
+from ltsim.effects.turbulence import Turbulence
 from ltsim.laws.scatter import BOTH_FACES, NoisePattern
 from ltsim.model.construction import misalignment
 from ltsim.randomness import stream
@@ -80,11 +84,33 @@ def test_evidence_is_the_restricted_likelihood_of_correlated_residuals(repeated)
         assert bank.exact(i, residual, nothing) == pytest.approx(dense, rel=1e-3, abs=1e-3)
 
 
-def test_what_looks_like_noise_may_still_be_a_law(repeated):
-    """Scatter alone is as good an explanation as a noise level; only the prior odds tell them apart."""
-    space, pair, bank = repeated
-    evidence = evidence_of(bank, scattered(space, pair, shared=False), space.redundancy)
-    assert -6.0 < evidence["unknown:noise:scatter"] - evidence["noise-level"] < 0.0
+def test_sizes_between_those_of_the_grid_count_as_much(repeated):
+    """Turbulence of a size that no grid holds: each of its two amounts, or both, averaged over the logarithm."""
+    space, _, bank = repeated
+    effect, used = Turbulence(), space.use
+    between = np.sqrt(np.prod([sizes[0] for sizes in effect.size_grid()[2:4]]))
+    true = effect.variance(space.sightings, space.sigma, np.array([between, 0.0])) / space.sigma**2
+    residual = space.residual.copy()
+    residual[: int(used.sum())] *= np.sqrt(true[used])
+
+    def gained(k, log_size):
+        sizes = np.exp(log_size) * np.eye(2)[k]
+        factor = (effect.variance(space.sightings, space.sigma, sizes) / space.sigma**2)[used]
+        squares, share = residual[: len(factor)] ** 2, space.redundancy[: len(factor)]
+        return 0.5 * np.sum(squares * (1.0 - 1.0 / factor) - share * np.log(factor))
+
+    one = []
+    for k in range(2):
+        tried = [np.log(sizes[k]) for sizes in effect.size_grid() if sizes[k]]
+        fine = np.linspace(min(tried), max(tried), 4001)
+        logs = np.array([gained(k, x) for x in fine])
+        one.append(logsumexp(logs) - np.log(len(fine)))
+    whole = logsumexp([*one, sum(one)]) - np.log(3)
+    rough = replace(bank, basis=None)  # in its diagonal form
+    found = {h.family: value for value, h in rough.ranked(residual, space.redundancy, np.zeros((space.size, 0)))}
+    assert found["turbulence"] - bank.share("turbulence") == pytest.approx(whole, abs=0.1)
+    coarse = evidence_of(bank, residual, space.redundancy)["turbulence"]
+    assert found["turbulence"] > coarse + 1.0
 
 
 def test_the_evidence_of_a_noise_level_lets_each_observable_be_by_itself(repeated):
