@@ -18,9 +18,7 @@ from ltsim.adjustment.problem import NetworkProblem
 from ltsim.adjustment.reliability import (
     FAMILY_LEVEL,
     FEW,
-    UNCHECKED,
     chance_of_tau,
-    noncentrality,
     normalised,
     one_after_another,
     redundancy_of,
@@ -227,30 +225,10 @@ class Adjustment(Result):
         """Normalised residuals (n, 3), standard normal where the model holds (Baarda 1968)."""
         return normalised(self.problem, self.residuals, self.redundancy)
 
-    @property
-    def tau(self) -> Floats:
-        """Residuals over their standard deviations by the estimated sigma0 (n, 3) (Pope 1976)."""
-        return self.w / self.sigma0
-
     @cached_property
     def restless(self) -> tuple[Ints, float, float]:
         """Targets with a noise of their own, the scatter of their readings and of the others over the stated one."""
         return restless(self.w, self.redundancy, self.recording.target)
-
-    @property
-    def minimal_detectable_bias(self) -> Floats:
-        """Smallest error (n, 3) [m, rad, rad] of each reading that `outliers` finds with 80 %; inf where unchecked.
-
-        References
-        ----------
-        Baarda, A testing procedure for use in geodetic networks (1968): sigma sqrt(lambda_0 / r).
-        """
-        use = self.problem.use
-        bias = np.where(use, np.inf, np.nan)
-        checked = use & (self.redundancy > UNCHECKED)
-        needed = noncentrality(level=FAMILY_LEVEL, hypotheses=int(use.sum()))
-        bias[checked] = np.sqrt(needed / self.redundancy[checked]) * self.problem.sigma[checked]
-        return bias
 
     @cached_property
     def known(self) -> tuple[KnownTest, ...]:

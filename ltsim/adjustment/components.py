@@ -35,11 +35,6 @@ class Component:
     redundancy: float
     """Of the group's readings together."""
 
-    @property
-    def is_stated(self) -> bool:
-        """Whether the stated noise lies within three standard deviations."""
-        return not abs(self.factor - 1.0) > 3.0 * self.sigma
-
 
 def estimated_components(
     problem: NetworkProblem,

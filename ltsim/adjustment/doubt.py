@@ -3,11 +3,12 @@
 from collections.abc import Iterator
 
 import numpy as np
+from scipy.spatial import KDTree
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.estimate import adjust
 from ltsim.adjustment.frame import ROUGH_PLACE, Frame, misses, upright_alignment
-from ltsim.adjustment.gross import mend_stations, mistakes
+from ltsim.adjustment.gross import CLOSE, mend_stations, mistakes
 from ltsim.adjustment.moving import told_motions
 from ltsim.adjustment.occupations import moved_tripods
 from ltsim.arrays import Bools, Floats
@@ -16,6 +17,7 @@ from ltsim.geometry.alignment import align
 from ltsim.geometry.polar import wrap
 from ltsim.notation import listing
 from ltsim.recording.slips import GON, UNIT_SLIPS, Slip
+from ltsim.units import MILLIMETRE
 
 MOST_LEFT_OUT = 0.5
 """Share of the pointings that may be left out before what remains is no result."""
@@ -144,7 +146,10 @@ def _unit_that_fits(adjustment: Adjustment) -> str:
 
 def doubts(adjustment: Adjustment) -> tuple[str, ...]:
     """Sentences: what nobody can tell, mistakes, stations that lost most of their readings, sigmas that mislead."""
-    kinds = _known, _motions, _plan, _undecided, _mistakes, _tripods, _thin_stations, _uncertain_figures, _copies
+    kinds = (
+        *(_known, _motions, _plan, _undecided, _mistakes, _two_names),
+        *(_tripods, _thin_stations, _uncertain_figures, _copies),
+    )
     return tuple(doubt for kind in kinds for doubt in kind(adjustment))
 
 
@@ -211,6 +216,21 @@ def _mistakes(adjustment: Adjustment) -> Iterator[str]:
     if told:
         more = f"; {len(told) - MOST_NAMED} more such mistakes" if len(told) > MOST_NAMED else ""
         yield f"{'; '.join(told[:MOST_NAMED])}{more}: left out here; ltsim diagnose adjusts with them mended"
+
+
+def _two_names(adjustment: Adjustment) -> Iterator[str]:
+    """Targets at one place that no set-up sees both of: one target, perhaps, that was booked under two names."""
+    recording, points = adjustment.recording, adjustment.state.points
+    seen = np.zeros((len(recording.targets), len(recording.stations)), dtype=bool)
+    placed = adjustment.problem.use.all(axis=1)
+    seen[recording.target[placed], recording.station[placed]] = True
+    known = np.flatnonzero(seen.any(axis=1))
+    for a, b in KDTree(points[known]).query_pairs(CLOSE, output_type="ndarray"):
+        one, other = known[[a, b]]
+        if not (seen[one] & seen[other]).any():
+            gap = float(np.linalg.norm(points[one] - points[other])) / MILLIMETRE
+            names = f"{recording.targets[one]} and {recording.targets[other]}"
+            yield f"{names} lie within {gap:.2g} mm and no set-up sees both: perhaps one target by two names"
 
 
 def _tripods(adjustment: Adjustment) -> Iterator[str]:

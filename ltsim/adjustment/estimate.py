@@ -28,6 +28,8 @@ from ltsim.solve.gauss_newton import Solution, solve
 from ltsim.solve.threads import in_one_thread
 from ltsim.units import MILLIMETRE
 
+MOST = 0.5
+"""Share of a set-up's pointings that miss by far, from which its mark or its height is doubted and not they."""
 TURNED = 1e-7
 """[rad] A network turned by more is linearised anew."""
 
@@ -103,6 +105,7 @@ def adjust(
     searched = start is None
     if start is None:
         _, network, gross, lost = screened(recording)
+        gross &= ~_beside_marks(recording, gross)
         parameters = np.zeros((len(recording.instruments), built.size)) if prior is None else prior.mean
         start = State(*network, parameters)
     recording = with_plumb_lines(recording, start.position)
@@ -148,6 +151,14 @@ def _check_marks(recording: Recording) -> None:
             f"row {rows[0] + 1}: station {station} stands over target {target} and measures it; "
             "state its instrument height or take the row out"
         )
+
+
+def _beside_marks(recording: Recording, gross: Bools) -> Bools:
+    """(n,) True for the pointings of a set-up over a mark most of which miss: its height or its mark may be wrong."""
+    count = len(recording.stations)
+    over = np.array([recording.station_setup(name).over is not None for name in recording.stations])
+    share = np.bincount(recording.station, gross, count) / np.bincount(recording.station, minlength=count)
+    return np.asarray((over & (share > MOST))[recording.station])
 
 
 def _check_normals(problem: NetworkProblem) -> None:

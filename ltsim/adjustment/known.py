@@ -52,6 +52,8 @@ FELT = 0.2
 """Whitened residual below which a known value need not be looked at: what is 5 sigmas off has more."""
 FINEST = 0.3
 """Standard deviation of an exact value, in that of a reading at its target, with which it is tested."""
+UPRIGHT = 0.01
+"""Share of an error of height that may show in plan, for instruments and targets stand upright within that."""
 AT_ONCE = 64
 """Known values that are tested together."""
 PLAIN = 20.0
@@ -88,6 +90,13 @@ class KnownTest(KnownValue):
         return float(np.sqrt(self.drop))
 
     @property
+    def is_height(self) -> bool:
+        """Whether its error is one of the height alone."""
+        *plan, height = np.abs(self.error).tolist()
+        small = [max(SIGMAS * sigma, UPRIGHT * height) for sigma in self.sigma_error[:-1]]
+        return bool(plan) and height > SIGMAS * self.sigma_error[-1] and all(map(float.__lt__, plan, small))
+
+    @property
     def off(self) -> str:
         """By how much it is wrong, in words."""
         size = float(np.linalg.norm(self.error))
@@ -102,7 +111,10 @@ class KnownTest(KnownValue):
         what = f"{WORDS[self.kind]} {self.name}"
         if self.kind == "mark":
             mark = f"the mark of {', '.join(self.rivals)}" if self.rivals else "its mark"
-            return f"set-up {self.name} stands {self.off} beside {mark} (w = {self.w:.3g}): given a place of its own"
+            where, cause = ("above", "low") if self.error[-1] < 0 else ("below", "high")
+            where, cause = (where, f" (its height is stated too {cause})") if self.is_height else ("beside", "")
+            end = f"{mark}{cause} (w = {self.w:.3g}): given a place of its own"
+            return f"set-up {self.name} stands {self.off} {where} {end}"
         if self.kind == "scale":
             more, less = ("long", "short") if self.error[0] > 0 else ("short", "long")
             causes = "a temperature, an expansion or the scale of the ranges is not what is stated"
@@ -112,6 +124,8 @@ class KnownTest(KnownValue):
             both = ", ".join((self.name, *self.rivals))
             return f"{both} contradict each other ({what} by {self.off}) and nobody can tell which is wrong"
         rest = "by what the others say: left out of the datum" if self.kind == "axes" else "not its readings: left out"
+        if self.under and self.is_height:
+            rest = f"or the height of set-up {self.under} over it: left out"
         verb = "are" if self.kind in ("point", "axes") else "is"
         return f"{what} {verb} off by {self.off} (w = {self.w:.3g}), {rest}"
 
@@ -179,6 +193,7 @@ def _test(value: KnownInRows, left: Floats, pull: Floats) -> KnownTest:
         np.where(sure, np.sqrt(np.sum(back**2 / share, axis=1)), np.inf),
         float(np.sum(along**2 / share)),
         int(checked.sum()),
+        under=value.under,
     )
 
 
@@ -224,11 +239,17 @@ def judged(
         return (*given, contradictory) if contradictory else judged(*given, kinds, again)
     if min(test.w for test in gone) < PLAIN and _price(kept, ended, gone) >= _price(problem, given[1], ()):
         return *given, ()
-    off = {(v.kind, v.name): v.residual for v in (*known_values(problem, ended.x), *common_scale(problem, ended.x))}
-    for i, test in enumerate(out):
-        if test.left_out and test.kind != "mark":  # what it is off by in the end
-            out[i] = replace(test, residual=off[test.kind, test.name], error=off[test.kind, test.name])
-    return kept, ended, tuple(out)
+    return kept, ended, tuple(_in_the_end(test, problem, ended.x) if test.left_out else test for test in out)
+
+
+def _in_the_end(test: KnownTest, problem: NetworkProblem, state: State) -> KnownTest:
+    """The test of a known value that was left out, with what it is off by at the state without it."""
+    if test.kind == "mark":
+        own = problem.model.recording.stations.index(test.name)
+        return replace(test, error=problem.marks.place(own, state.position, state.points) - state.position[own])
+    every = (*known_values(problem, state), *common_scale(problem, state))
+    off = next(value.residual for value in every if (value.kind, value.name) == (test.kind, test.name))
+    return replace(test, residual=off, error=off)
 
 
 def _each_other(wrong: Sequence[KnownTest], every: Sequence[KnownTest]) -> tuple[KnownTest, ...]:

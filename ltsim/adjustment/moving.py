@@ -1,7 +1,8 @@
 """Stations that move while they measure: what a motion explains, no pointing is blamed for.
 
-A tripod that sinks bends all that is measured from it, and a test of single readings then names many of them. Where it
-does so, an even motion of their station is tried in their place; it is believed where it costs less.
+A tripod that sinks, or that somebody touched, bends all that is measured from it, and a test of single readings then
+names many of them. Where it does so, a motion of their station is tried in their place, an even one and one at once; it
+is believed where it costs less.
 """
 
 from collections.abc import Iterator
@@ -13,7 +14,8 @@ from scipy import special
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.problem import NetworkProblem
 from ltsim.adjustment.reliability import FAMILY_LEVEL, critical_w
-from ltsim.adjustment.snooping import snooped
+from ltsim.adjustment.residual_space import ResidualSpace
+from ltsim.adjustment.snooping import snooped, without_loose
 from ltsim.arrays import Floats
 from ltsim.effects.effect import Stage
 from ltsim.effects.motions import StationMotion
@@ -21,6 +23,7 @@ from ltsim.effects.station_bump import StationBump
 from ltsim.model.measurement import State
 from ltsim.notation import with_sigma
 from ltsim.scene.sightings import Sightings
+from ltsim.solve.gauss_newton import solve
 from ltsim.units import MICROMETRE, MICRORADIAN
 
 WITNESSES = 3
@@ -49,51 +52,85 @@ class EvenMotion(StationMotion):
         return (self.mask(sightings) * share)[:, None, None] * np.eye(6)
 
 
+@dataclass(frozen=True)
+class SuddenMotion(StationBump):
+    """A motion of a station at once, in one gap between its pointings, whoever made it."""
+
+    name = EvenMotion.name
+
+
+Motion = EvenMotion | SuddenMotion
+
+
 def by_runs(sightings: Sightings) -> Sightings:
     """The sightings, those of a target that is watched without a break at one time."""
     _, run = np.unique(np.stack([sightings.station, sightings.seating]), axis=1, return_inverse=True)
     return replace(sightings, time=(np.bincount(run, sightings.time) / np.bincount(run))[run])
 
 
-def moving_stations(adjustment: Adjustment) -> tuple[EvenMotion, ...]:
-    """The stations whose even motion makes all but a few readings fit that do not fit otherwise, and costs less.
+def moving_stations(adjustment: Adjustment) -> tuple[Motion, ...]:
+    """The stations whose motion makes all but a few readings fit that do not fit otherwise, and costs less.
 
     Its price is that of its test, and that of a reading which does not belong the same (as `known` has it).
     """
-    recording, problem, found = adjustment.recording, adjustment.problem, list[EvenMotion]()
+    recording, problem, found = adjustment.recording, adjustment.problem, list[Motion]()
     blamed = adjustment.rejected.any() or adjustment.outliers(estimated=True)
     if not (adjustment.solution.converged and blamed):
         return ()
     placed = ~problem.structure.unseen[recording.target]
     problem = replace(problem, use=recording.measured & placed[:, None])
     each = critical_w(int(problem.use.sum())) ** 2
-    paid = float(special.chdtri(len(EvenMotion.parameters), FAMILY_LEVEL / len(recording.stations)))
     kept, ended = snooped(problem, adjustment.state)
     for station in _suspects(problem, kept):
-        motion = EvenMotion((recording.stations[station],))
-        wider, start = _with_motion(problem, ended.x, motion)
-        fewer, better = snooped(wider, start)
-        gain = (ended.cost - better.cost) / max(1.0, better.cost / max(fewer.dof, 1))
-        gain += each * (int(fewer.use.sum()) - int(kept.use.sum()))
-        if gain > paid and station not in _suspects(wider, fewer):
+        best = 0.0
+        wider, fewer, better = problem, kept, ended
+        for motion, looks in _motions_of(replace(adjustment, problem=problem), ended.x, station):
+            tried, start = _with_motion(problem, ended.x, motion)
+            left, solution = snooped(tried, start)
+            gain = (ended.cost - solution.cost) / max(1.0, solution.cost / max(left.dof, 1))
+            gain += each * (int(left.use.sum()) - int(kept.use.sum()))
+            gain -= float(special.chdtri(len(motion.parameters), FAMILY_LEVEL / (looks * len(recording.stations))))
+            if gain > best and station not in _suspects(tried, left):
+                best, chosen, wider, fewer, better = gain, motion, tried, left, solution
+        if best > 0.0:
             problem, kept, ended = wider, fewer, better
-            found.append(motion)
+            found.append(chosen)
     return tuple(found)
 
 
-def told_motions(adjustment: Adjustment) -> Iterator[tuple[EvenMotion, str]]:
-    """Each even motion of a station among an adjustment's effects, and a sentence on it."""
+def _motions_of(adjustment: Adjustment, state: State, station: int) -> Iterator[tuple[Motion, int]]:
+    """An even motion of a station, and that at once which explains most of all its readings; each with its looks."""
+    name = adjustment.recording.stations[station]
+    yield EvenMotion((name,)), 1
+    use = adjustment.problem.use & ~(adjustment.gross & (adjustment.recording.station != station))[:, None]
+    problem = without_loose(replace(adjustment.problem, use=use), state)
+    plain = replace(adjustment, problem=problem, solution=solve(problem, state))
+    gaps = [motion for motion in SuddenMotion.candidates(plain.sightings) if motion.stations == (name,)]
+    if gaps and plain.solution.converged:
+        space = ResidualSpace.of(plain)
+        falls = [space.explained(space.signature(motion))[0] for motion in gaps]
+        yield gaps[int(np.argmax(falls))], len(gaps)
+
+
+def told_motions(adjustment: Adjustment) -> Iterator[tuple[Motion, str]]:
+    """Each motion of a station among an adjustment's effects that no cause has, and a sentence on it."""
     first = 0
     for effect in adjustment.effects:
         own = slice(first, first := first + len(effect.parameters))
-        if isinstance(effect, EvenMotion):
+        if isinstance(effect, Motion):
             values, spread = adjustment.state.extra[own], adjustment.extra_covariance[own, own]
             sizes = (("um", MICROMETRE, slice(0, 3)), ("urad", MICRORADIAN, slice(3, 6)))
             parts = " and ".join(_length(values[at] / one, spread[at, at] / one**2, unit) for unit, one, at in sizes)
+            moved = f"moves while it measures, by {parts} in all"
+            if isinstance(effect, SuddenMotion):
+                seen = adjustment.sightings
+                order = seen.order[effect.mask(seen)[seen.order] > 0]
+                at = int(np.searchsorted(seen.time[order], effect.time))
+                moved = f"moved between rows {order[at - 1] + 1} and {order[at] + 1}, by {parts}"
             yield (
                 effect,
-                f"station {', '.join(effect.stations)} moves while it measures, by {parts} in all: estimated beside "
-                "the rest, so that its pointings are not to blame",
+                f"station {', '.join(effect.stations)} {moved}: estimated beside the rest, so that its pointings are "
+                "not to blame",
             )
 
 
@@ -112,7 +149,7 @@ def _suspects(problem: NetworkProblem, kept: NetworkProblem) -> list[int]:
     return sorted(np.flatnonzero(targets >= WITNESSES).tolist(), key=lambda s: -targets[s])
 
 
-def _with_motion(problem: NetworkProblem, state: State, motion: EvenMotion) -> tuple[NetworkProblem, State]:
+def _with_motion(problem: NetworkProblem, state: State, motion: Motion) -> tuple[NetworkProblem, State]:
     """The problem with a further effect, and a state of it."""
     effects = problem.model.effects
     model = replace(problem.model, effects=(*effects, motion))

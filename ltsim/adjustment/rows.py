@@ -282,6 +282,17 @@ class Marks:
         height = np.array([s.instrument_height_mm if s.over else 0.0 for s in setups]) * MILLIMETRE
         return cls(target, np.array(first, dtype=np.int64), names, vertical, vertical * height[:, None])
 
+    def place(self, station: int, position: Floats, points: Floats) -> Floats:
+        """Where a set-up (3,) should be by its mark, as the target there or another set-up on it shows; else NaN.
+
+        `position` (S, 3) and `points` (T, 3) [m] are NaN where nothing has a place yet.
+        """
+        if self.target[station] >= 0:
+            return np.asarray(points[self.target[station]] + self.offset[station])
+        others = [k for k, name in enumerate(self.names) if name and name == self.names[station] and k != station]
+        placed = (position[k] - self.offset[k] + self.offset[station] for k in others if np.isfinite(position[k, 0]))
+        return next(placed, np.full(3, np.nan))
+
     def on_marks(self, position: Floats, points: Floats) -> Floats:
         """Positions (S, 3) put onto their marks: targets at `points` (T, 3), else that of the first set-up."""
         settled = position[self.first] - self.offset[self.first] + self.offset

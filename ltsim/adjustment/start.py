@@ -127,15 +127,7 @@ class Growth:
 
     def _stand(self, station: int) -> Floats | None:
         """Where an unjoined station stands, if its mark has a place already."""
-        marks = self._frame.marks
-        if marks.target[station] >= 0:
-            place = self._known()[marks.target[station]] + marks.offset[station]
-        else:
-            same = (marks.first == marks.first[station]) & np.isfinite(self._position[:, 0])
-            if not same.any():
-                return None
-            one = int(np.argmax(same))
-            place = self._position[one] - marks.offset[one] + marks.offset[station]
+        place = self._frame.marks.place(station, self._position, self._known())
         return place if np.isfinite(place).all() else None
 
     # --- steps -----------------------------------------------------------------------------------------------------

@@ -1,7 +1,7 @@
 """What the set-up of a network states, in the rows of its adjustment: each known value, its gap, its error's effect."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -34,6 +34,8 @@ class KnownValue:
     """Stated standard deviation."""
     residual: Floats
     """Stated less adjusted."""
+    under: str = field(default="", kw_only=True)
+    """The set-up that stands over a point which nothing else shows."""
 
 
 @dataclass(frozen=True)
@@ -56,15 +58,17 @@ def known_values(problem: NetworkProblem, state: State) -> Iterator[KnownInRows]
         column = shown[reached, i : i + 1]
         yield KnownInRows("length", name, "", gauge.sigma[i : i + 1], gap[i : i + 1], first + reached, column)
     first += len(gauge)
-    marks = problem.known_marks, problem.marks.names, state.position
-    for known, names, here in ((problem.control, recording.targets, state.points), marks):
+    points = problem.control, recording.targets, ("",) * len(recording.targets), state.points
+    marks = problem.known_marks, problem.marks.names, recording.stations, state.position
+    for known, names, under, here in (points, marks):
         for i, place in enumerate(known.target.tolist()):
             axes = known.axes[i]
             root = known.root[i][np.ix_(axes, axes)]
             sigma = np.linalg.norm(np.linalg.inv(root), axis=1)
             said = "".join(axis for axis, stated in zip("xyz", axes, strict=True) if stated)
             rows = first + np.arange(len(root))
-            yield KnownInRows("point", names[place], said, sigma, (known.points[i] - here[place])[axes], rows, root)
+            gap, over = (known.points[i] - here[place])[axes], under[place]
+            yield KnownInRows("point", names[place], said, sigma, gap, rows, root, under=over)
             first += len(root)
     tilts = -problem.levels.predict(state.rotation)
     for i, station in enumerate(problem.levels.station.tolist()):

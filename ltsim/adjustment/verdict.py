@@ -36,8 +36,6 @@ class Verdict:
     """The verdict and why, for a person."""
     by_estimate: bool
     """Whether standard deviations should be multiplied with the estimated sigma0."""
-    outliers: int
-    """Readings that do not belong by the test to be trusted."""
 
 
 def verdict(adjustment: Adjustment, level: float = LEVEL) -> Verdict:
@@ -55,41 +53,39 @@ def _by_tests(adjustment: Adjustment, level: float) -> Verdict:
     dof, sigma0, chi2 = adjustment.dof, adjustment.sigma0, adjustment.chi2
     if dof <= 0:
         sentence = "There is no redundancy: nothing can be tested, the stated noise holds."
-        return Verdict(Agreement.UNCHECKED, sentence, False, 0)
+        return Verdict(Agreement.UNCHECKED, sentence, False)
     low, high = np.sqrt(2.0 * special.gammaincinv(0.5 * dof, [level / 2, 1 - level / 2]) / dof)
     outliers, by_tau = adjustment.outliers(), len(adjustment.outliers(estimated=True))
     by_w, wrong = len(outliers), _readings(len(outliers))
     shown = f"sigma0 = {sigma0:.3f} ({dof} degrees of freedom, {low:.3f} to {high:.3f} expected)"
     if low <= sigma0 <= high and not by_w:
-        return Verdict(Agreement.CLEAN, f"Noise and model agree with the readings: {shown}, no outlier.", False, 0)
+        return Verdict(Agreement.CLEAN, f"Noise and model agree with the readings: {shown}, no outlier.", False)
     if low <= sigma0 <= high:
         sentence = f"Trust the test of single readings: {wrong} although {shown} passes, because one sum over many "
-        return Verdict(Agreement.HIDDEN_ERRORS, f"{sentence}readings hardly feels a few wrong ones.", False, by_w)
+        return Verdict(Agreement.HIDDEN_ERRORS, f"{sentence}readings hardly feels a few wrong ones.", False)
     if sigma0 < low and dof < FEW:
         sentence = f"Trust the stated noise: {shown} is smaller, but so few degrees of freedom prove little."
-        return Verdict(Agreement.SMALLER_NOISE, sentence, False, by_w)
+        return Verdict(Agreement.SMALLER_NOISE, sentence, False)
     if sigma0 < low:
         sentence = f"Trust the estimated sigma0: {shown}, the stated noise is too large, and the w-test by it too "
-        return Verdict(
-            Agreement.SMALLER_NOISE, f"{sentence}lenient; by the tau-test {_readings(by_tau)}.", True, by_tau
-        )
+        return Verdict(Agreement.SMALLER_NOISE, f"{sentence}lenient; by the tau-test {_readings(by_tau)}.", True)
     rest = chi2 - sum(o.w**2 for o in outliers)
     healed = dof > by_w and rest <= high**2 * (dof - by_w)
     if by_w and healed and by_w <= max(1, ONLY_A_FEW * int(adjustment.problem.use.sum())):
         sentence = f"Trust the test of single readings: {shown} fails only because {wrong}; "
-        return Verdict(Agreement.SINGLE_ERRORS, f"{sentence}without them the stated noise holds.", False, by_w)
+        return Verdict(Agreement.SINGLE_ERRORS, f"{sentence}without them the stated noise holds.", False)
     if dof < FEW:
         sentence = (
             f"Trust the global test: {shown}, noise or model are wrong; with so few degrees of freedom neither "
             "the estimated sigma0 nor a test of single readings says by how much or where."
         )
-        return Verdict(Agreement.LARGER_NOISE, sentence, True, by_tau)
+        return Verdict(Agreement.LARGER_NOISE, sentence, True)
     sentence = (
         f"Trust the global test and the estimated sigma0: {shown}; the noise is larger than stated or a systematic "
         f"effect is missing from the model, and of the {by_w} readings that the w-test blames {by_tau or 'none'} stand "
         f"out from the noise they show{_by_targets(adjustment)}."
     )
-    return Verdict(Agreement.LARGER_NOISE, sentence, True, by_tau)
+    return Verdict(Agreement.LARGER_NOISE, sentence, True)
 
 
 def _by_targets(adjustment: Adjustment) -> str:

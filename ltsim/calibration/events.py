@@ -9,13 +9,12 @@ Where the days between calibrations are known, part of that spread may grow with
 is the mean over `SHARES`, each weighted by how likely it makes the other steps.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy import optimize, special
 
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.calibration.history import LEVEL, History
+from ltsim.calibration.history_schema import EventEntry
 
 LEAST_STEPS = 3
 """Steps from which one can stand out of the others; with so few only a gross one does."""
@@ -25,41 +24,36 @@ SHARES = np.linspace(0.0, 1.0, 5)
 """Parts of the variance of usual steps that grow with the days between."""
 
 
-@dataclass(frozen=True)
-class Event:
-    """One step of one parameter."""
-
-    step: int
-    """From calibration number `step` to the next."""
-    parameter: int
-    difference: float
-    sigma: float
-    """[SI]: later minus earlier, and its standard deviation by the two calibrations."""
-    usual: float
-    """[SI]: standard deviation of the parameter's own steps, without that of their estimates."""
-    p_value: float
-    """Over all steps and parameters (Bonferroni)."""
-
-
 def can_tell(history: History) -> bool:
     """Whether there are steps enough for one to stand out of the others."""
     return len(history) > LEAST_STEPS
 
 
-def events(history: History, level: float = LEVEL) -> list[Event]:
-    """The steps that stand out, in the order of time; none where there are too few to tell."""
+def events(history: History, level: float = LEVEL) -> tuple[EventEntry, ...]:
+    """The steps that stand out, in the order of time; none where there are too few to tell.
+
+    Each by the chance of as large a one over all steps and parameters (Bonferroni).
+    """
     if not can_tell(history):
-        return []
-    changes = history.changes()
-    difference = np.array([change.difference for change in changes])
-    sigma = np.array([change.sigma for change in changes])
-    known = np.flatnonzero((sigma > 0).all(axis=0))
-    looks = len(changes) * max(len(known), 1)
-    growth = _growth(history)
-    found: list[Event] = []
-    for k in known.tolist():
-        found += _of_parameter(difference[:, k], sigma[:, k], growth, k, level, looks)
-    return sorted(found, key=lambda event: (event.step, event.parameter))
+        return ()
+    steps = [change.parameters for change in history.changes()]
+    difference, sigma = (np.array([[getattr(p, key) for p in own] for own in steps]) for key in ("difference", "sigma"))
+    known = np.flatnonzero((sigma > 0).all(axis=0)).tolist()
+    growth, looks = _growth(history), len(steps) * max(len(known), 1)
+    each = {k: _steps(difference[:, k], sigma[:, k], growth, level / looks) for k in known}
+    found = sorted((i, k, usual, p) for k, own in each.items() for i, usual, p in own)
+    return tuple(
+        EventEntry(
+            **{"from": history.labels[i], "to": history.labels[i + 1]},
+            name=history.construction.names[k],
+            unit=history.construction.parameters[k].unit,
+            difference=difference[i, k],
+            sigma=sigma[i, k],
+            usual=usual,
+            p_value=min(1.0, p * looks),
+        )
+        for i, k, usual, p in found
+    )
 
 
 def _growth(history: History) -> Floats:
@@ -69,21 +63,19 @@ def _growth(history: History) -> Floats:
     return between / middle if middle > 0 else np.ones(len(history) - 1)
 
 
-def _of_parameter(
-    difference: Floats, sigma: Floats, growth: Floats, parameter: int, level: float, looks: int
-) -> list[Event]:
+def _steps(difference: Floats, sigma: Floats, growth: Floats, level: float) -> list[tuple[int, float, float]]:
+    """Steps (K - 1,) of one parameter that stand out at a level: which, how large they usually are, and the chance."""
     usual: Bools = np.ones(len(difference), dtype=bool)
-    found: list[Event] = []
+    found: list[tuple[int, float, float]] = []
     while usual.sum() > LEAST_STEPS - 1:
         steps = np.flatnonzero(usual)
         judged = [_judged(difference, sigma, growth, int(i), steps[steps != i]) for i in steps]
         best = int(np.argmin([p for p, _ in judged]))
         p, spread = judged[best]
-        if p * looks >= level:
+        if p >= level:
             break
-        i = int(steps[best])
-        usual[i] = False
-        found.append(Event(i, parameter, float(difference[i]), float(sigma[i]), spread, min(1.0, p * looks)))
+        usual[steps[best]] = False
+        found.append((int(steps[best]), spread, p))
     return found
 
 

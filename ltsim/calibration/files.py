@@ -2,20 +2,16 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from ltsim.arrays import Floats
 from ltsim.calibration.calibration import Calibration
-from ltsim.calibration.events import Event, events
-from ltsim.calibration.history import CalibrationChange, History
+from ltsim.calibration.events import events
+from ltsim.calibration.history import History
 from ltsim.calibration.history_schema import (
     CalibrationOf,
-    ChangeEntry,
     CourseEntry,
-    DifferenceEntry,
-    EventEntry,
     HistoryFile,
 )
 from ltsim.calibration.schema import RESIDUALS, TARGETS, CalibrationFile, Fit, VerdictEntry
@@ -181,9 +177,9 @@ def history_file(history: History) -> HistoryFile:
         parameters=tuple(_course(history, k) for k in range(history.construction.size)),
         mean_covariance=(history.population.covariance / np.outer(factors, factors)).tolist(),
         constant=history.constancy(),
-        changes=tuple(_change(history, change) for change in history.changes()),
-        events=tuple(_event(history, event) for event in events(history)),
-        since_first=_change(history, history.change(0, len(history) - 1)),
+        changes=tuple(history.changes()),
+        events=events(history),
+        since_first=history.change(0, len(history) - 1),
     )
 
 
@@ -198,37 +194,4 @@ def _course(history: History, k: int) -> CourseEntry:
         mean=known.mean[k] / parameter.factor,
         spread=known.spread[k] / parameter.factor,
         constant=history.constancy(k),
-    )
-
-
-def _event(history: History, event: Event) -> EventEntry:
-    parameter = history.construction.parameters[event.parameter]
-    ends: dict[str, Any] = {"from": history.labels[event.step], "to": history.labels[event.step + 1]}
-    return EventEntry(
-        **ends,
-        name=parameter.name,
-        difference=event.difference / parameter.factor,
-        sigma=event.sigma / parameter.factor,
-        usual=event.usual / parameter.factor,
-        unit=parameter.unit,
-        p_value=event.p_value,
-    )
-
-
-def _change(history: History, change: CalibrationChange) -> ChangeEntry:
-    parameters = history.construction.parameters
-    told: dict[str, Any] = {"from": change.first, "to": change.second, **change.joint.model_dump()}
-    return ChangeEntry(
-        **told,
-        changed=tuple(parameters[k].name for k in change.changed()),
-        parameters=tuple(
-            DifferenceEntry(
-                name=parameter.name,
-                difference=change.difference[k] / parameter.factor,
-                sigma=change.sigma[k] / parameter.factor,
-                unit=parameter.unit,
-                p_value=change.p_values[k],
-            )
-            for k, parameter in enumerate(parameters)
-        ),
     )

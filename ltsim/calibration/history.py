@@ -11,6 +11,7 @@ import datetime
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from scipy import linalg, special
@@ -18,7 +19,7 @@ from scipy import linalg, special
 from ltsim.arrays import Floats
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.evidence import ReadingsEvidence, evidence
-from ltsim.calibration.history_schema import ChiSquareEntry
+from ltsim.calibration.history_schema import ChangeEntry, ChiSquareEntry, DifferenceEntry
 from ltsim.chances import p_is
 from ltsim.errors import RecordError, option
 from ltsim.model.construction import Construction
@@ -31,37 +32,6 @@ RESOLVED = 1e-12
 ROUNDS, SETTLED = 2000, 1e-4
 LEVEL = 0.01
 """Chance that an unchanged instrument shows any changed parameter between two calibrations (Holm over them)."""
-
-
-@dataclass(frozen=True)
-class CalibrationChange:
-    """Later minus earlier calibration."""
-
-    first: str
-    second: str
-    """Labels."""
-    difference: Floats
-    sigma: Floats
-    """(p,) [SI]: of each parameter, and what noise alone would make of it; 0 where neither calibration tells anything.
-    """
-    joint: ChiSquareEntry
-    """Of all parameters together."""
-
-    @property
-    def p_values(self) -> Floats:
-        """(p,) two-sided, of each parameter by itself."""
-        z = np.divide(self.difference, self.sigma, out=np.zeros_like(self.sigma), where=self.sigma > 0)
-        return 2.0 * special.ndtr(-np.abs(z))
-
-    def changed(self, level: float = LEVEL) -> list[int]:
-        """Places of the parameters that changed, by Holm's procedure at `level` over all of them."""
-        order = np.argsort(self.p_values)
-        found: list[int] = []
-        for rank, k in enumerate(order):
-            if self.p_values[k] > level / (len(order) - rank):
-                break
-            found.append(int(k))
-        return sorted(found)
 
 
 @dataclass(frozen=True)
@@ -173,7 +143,7 @@ class History(Result):
         return joint
 
     def _lines(self) -> list[str]:
-        since = self.change(0, len(self) - 1).joint
+        since = self.change(0, len(self) - 1)
         return [
             f"History: {len(self)} calibrations, {self.labels[0]} to {self.labels[-1]}",
             f"first to last: chi2 {since.chi2:.1f}/{since.dof}, {p_is(since.p_value)}",
@@ -187,22 +157,37 @@ class History(Result):
         columns = {f"{p.name} [{p.unit}]": numbers[:, k] / p.factor for k, p in enumerate(self.construction.parameters)}
         return {"label": list(self.labels), **{name: column.tolist() for name, column in columns.items()}}
 
-    def change(self, first: int, second: int) -> CalibrationChange:
-        """What calibration number `second` says against number `first`."""
-        contrast = np.zeros((1, len(self)))
+    def change(self, first: int, second: int) -> ChangeEntry:
+        """What calibration number `second` says against number `first`: later minus earlier, each by what noise makes.
+
+        Parameters that changed are told by Holm's procedure at `LEVEL`; nothing of one that neither tells anything of.
+        """
+        contrast, parameters = np.zeros((1, len(self))), self.construction.parameters
         contrast[0, [first, second]] = -1.0, 1.0
-        gap, spread = self._contrasted(contrast, np.eye(self.construction.size))
-        variance = np.where(self._gain > SILENT, np.diag(spread), 0.0)
-        difference, sigma = gap * self.prior_sigma, np.sqrt(variance) * self.prior_sigma
-        joint = _test(*self._contrasted(contrast, self._told))
-        return CalibrationChange(self.labels[first], self.labels[second], difference, sigma, joint)
+        gap, spread = self._contrasted(contrast, np.eye(len(parameters)))
+        sigma = np.sqrt(np.where(self._gain > SILENT, np.diag(spread), 0.0))
+        z = np.divide(gap, sigma, out=np.zeros_like(sigma), where=sigma > 0)
+        chances = 2.0 * special.ndtr(-np.abs(z))
+        order = np.argsort(chances)
+        holds = chances[order] > LEVEL / np.arange(len(order), 0, -1)
+        changed = np.sort(order[: int(np.argmax(holds)) if holds.any() else len(order)])
+        unit = self.prior_sigma / [p.factor for p in parameters]
+        told: dict[str, Any] = _test(*self._contrasted(contrast, self._told)).model_dump()
+        return ChangeEntry(
+            **told | {"from": self.labels[first], "to": self.labels[second]},
+            changed=tuple(parameters[k].name for k in changed),
+            parameters=tuple(
+                DifferenceEntry(name=p.name, difference=gap[k] * one, sigma=sigma[k] * one, unit=p.unit, p_value=chance)
+                for k, (p, one, chance) in enumerate(zip(parameters, unit, chances, strict=True))
+            ),
+        )
 
     @cached_property
     def _gain(self) -> Floats:
         """(p,) mean share of each parameter's prior variance that the readings removed."""
         return 1.0 - np.mean([np.diag(e.remaining) for e in self._evidence], axis=0)
 
-    def changes(self) -> list[CalibrationChange]:
+    def changes(self) -> list[ChangeEntry]:
         """Each calibration against the one before."""
         return [self.change(i, i + 1) for i in range(len(self) - 1)]
 

@@ -11,7 +11,7 @@ from ltsim.adjustment import Adjustment, adjust as adjusted_network
 from ltsim.adjustment.components import Grouping
 from ltsim.adjustment.doubt import require_result
 from ltsim.adjustment.known import KINDS, SCALED
-from ltsim.adjustment.moving import EvenMotion, moving_stations
+from ltsim.adjustment.moving import Motion, moving_stations
 from ltsim.adjustment.prior import ParameterPrior, expected_sigmas, prior_sigmas
 from ltsim.calibration import result
 from ltsim.calibration.beside import Wanted, estimated_beside
@@ -157,14 +157,14 @@ def _adjusted(
         found = adjusted_network(recording, construction, effects=effects, **how)
     require_result(found)
     if moving := _moving(found):
-        found = adjusted_network(recording, construction, effects=(*effects, *moving), **how | {"robust": True})
+        found = adjusted_network(recording, construction, effects=(*effects, *moving), **how)
         require_result(found)
     if datum and not found.problem.free.shape[1]:
         raise NetworkError("the control points define the frame already: leave the datum out, or their coordinates")
     return found
 
 
-def _moving(found: Adjustment) -> tuple[EvenMotion, ...]:
+def _moving(found: Adjustment) -> tuple[Motion, ...]:
     """Stations that move; what an instrument's errors do to the readings of a plain network moves none."""
     if found.construction.size:
         return moving_stations(found)

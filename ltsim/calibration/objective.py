@@ -8,6 +8,7 @@ For least squares the sum over pairs of stations is the number of stations times
 the mean over stations, which makes the objective linear in the number of stations.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -32,8 +33,6 @@ class Distances:
     """(D,) [m]."""
     group: Ints
     """(D,): which pair of targets."""
-    setting: Ints
-    """(D,): which set."""
     by_parameter: Floats
     """(D, q): per prior sigma of each parameter."""
     by_reading: sp.csr_array
@@ -73,19 +72,12 @@ class DistanceProblem:
         return matrix, np.stack([kept // count, kept % count], axis=1)
 
     @cached_property
-    def _pairs(self) -> tuple[Ints, Ints, Ints, Ints]:
-        """First and second averaged point, pair of targets and set of every distance."""
-        owner = self._averaging[1]
-        count = len(self.recording.targets)
-        first, second = [], []
-        for number in range(int(self.sets.max(initial=-1)) + 1):
-            at = np.flatnonzero(owner[:, 0] == number)
-            i, j = np.triu_indices(len(at), k=1)
-            first.append(at[i])
-            second.append(at[j])
-        a, b = np.concatenate(first), np.concatenate(second)
+    def _pairs(self) -> tuple[Ints, Ints, Ints]:
+        """First and second averaged point, and pair of targets of every distance."""
+        sets, target = self._averaging[1].T
+        a, b = _all_pairs(np.flatnonzero(sets == number) for number in range(int(self.sets.max(initial=-1)) + 1))
         self._check_size(len(a))
-        return a, b, owner[a, 1] * count + owner[b, 1], owner[a, 0]
+        return a, b, target[a] * len(self.recording.targets) + target[b]
 
     def _check_size(self, count: int) -> None:
         if count * (self.prior_sigma.size + 8) > LARGEST:
@@ -94,9 +86,9 @@ class DistanceProblem:
     def at(self, unknowns: Floats) -> Distances:
         """All distances at unknowns (I p,) in units of the prior sigmas."""
         point, by_reading, by_value = self._points(self.recording.readings, unknowns)
-        _, _, group, setting = self._pairs
+        group = self._pairs[2]
         length, unit, by_parameter = self._lengths(point, by_value)
-        return Distances(length, group, setting, by_parameter, self._by_reading(unit, by_reading))
+        return Distances(length, group, by_parameter, self._by_reading(unit, by_reading))
 
     def by_parameter(self, readings: Floats, unknowns: Floats) -> Floats:
         """Derivative (D, q) of all distances by the unknowns (q,) when the readings are others (n, 3)."""
@@ -106,7 +98,7 @@ class DistanceProblem:
     def _lengths(self, point: Floats, by_value: Floats) -> tuple[Floats, Floats, Floats]:
         """Distances (D,), their directions (D, 3) and their derivatives (D, q) by the unknowns."""
         averaging, _ = self._averaging
-        a, b, _, _ = self._pairs
+        a, b, _ = self._pairs
         points = averaging @ point
         gap = points[a] - points[b]
         length = np.linalg.norm(gap, axis=1)
@@ -117,7 +109,7 @@ class DistanceProblem:
     def lengths(self, points: Floats) -> Floats:
         """All distances (D, B) within sets, in the order of `at`, of points (n, 3, B) in the instruments' frames."""
         averaging, _ = self._averaging
-        a, b, _, _ = self._pairs
+        a, b, _ = self._pairs
         means = (averaging @ points.reshape(len(points), -1)).reshape(-1, *points.shape[1:])
         return np.linalg.norm(means[a] - means[b], axis=1)
 
@@ -137,7 +129,7 @@ class DistanceProblem:
     def _by_reading(self, unit: Floats, by_reading: Floats) -> sp.csr_array:
         """Derivative (D, 3 n) of the distances by the whitened readings."""
         averaging, _ = self._averaging
-        a, b, _, _ = self._pairs
+        a, b, _ = self._pairs
         n = len(by_reading)
         along = [sp.diags_array(unit[:, i]) for i in range(3)]
         point_rows = sp.csr_array(averaging[a] - averaging[b])
@@ -171,10 +163,11 @@ def centring(distances: Distances) -> tuple[sp.csr_array, Floats]:
 def set_pairs(distances: Distances) -> tuple[Ints, Ints]:
     """Rows of `distances` to be compared with each other: the same pair of targets from two sets, all pairs of sets."""
     order = np.argsort(distances.group, kind="stable")
-    first, second = [], []
-    bounds = np.flatnonzero(np.diff(distances.group[order])) + 1
-    for members in np.split(order, bounds):
-        i, j = np.triu_indices(len(members), k=1)
-        first.append(members[i])
-        second.append(members[j])
-    return np.concatenate(first), np.concatenate(second)
+    return _all_pairs(np.split(order, np.flatnonzero(np.diff(distances.group[order])) + 1))
+
+
+def _all_pairs(groups: Iterable[Ints]) -> tuple[Ints, Ints]:
+    """First and second of all pairs within groups."""
+    pairs = [members[np.stack(np.triu_indices(len(members), k=1))] for members in groups]
+    first, second = np.concatenate(pairs, axis=1)
+    return first, second

@@ -210,7 +210,9 @@ def frame_of(adjustment: Adjustment) -> str:
     points = f"control point{'s' if len(control) > 1 else ''} {listing(control)}"
     if free == 0:
         return f"the frame of {' and '.join([f'the {points}', *zeros])}"
-    rest = f"is {_free_axes(adjustment, first)}" + _inner(adjustment)
+    rest = f"is {_free_axes(adjustment, first)}"
+    if adjustment.datum is not None:
+        rest += f", standard deviations by inner constraints over {listing(adjustment.datum.names)}"
     if free == 6:
         return rest.removeprefix("is ")
     if not control:
@@ -228,13 +230,6 @@ def _free_axes(adjustment: Adjustment, first: str) -> str:
     if adjustment.datum is None and frame.is_on_plan(state.position, state.rotation):
         return f"the frame of the floor plan, by the rough places of the stations, held at station {first}"
     return f"the frame of station {first}"
-
-
-def _inner(adjustment: Adjustment) -> str:
-    """How inner constraints define the datum, if they do."""
-    if adjustment.datum is None:
-        return ""
-    return f", standard deviations by inner constraints over {listing(adjustment.datum.names)}"
 
 
 def _stated(adjustment: Adjustment) -> bool:

@@ -257,7 +257,7 @@ def history(
     >>> import ltsim as lt
     >>> spring, autumn = (lt.simulate("paper-workshop", seed=s).recording for s in (1, 2))
     >>> course = lt.history([spring, autumn])
-    >>> course.change(0, 1).joint.dof > 0
+    >>> course.change(0, 1).dof > 0
     True
     """
     if isinstance(sources, Mapping):

@@ -21,7 +21,7 @@ from ltsim.arrays import Floats, Ints
 from ltsim.errors import RecordError
 from ltsim.recording.files import FilePlace, decoded, shown
 from ltsim.recording.tables import cells
-from ltsim.recording.tables.header import PLACE, READINGS, SIGMA_OF, TableColumn, columns_of, words_of
+from ltsim.recording.tables.header import PLACE, READINGS, SIGMA, SIGMA_OF, TableColumn, columns_of, words_of
 from ltsim.recording.tables.sheets import Row, Sheet, rows_of_head, sheets_of
 from ltsim.recording.xml import Node, banded, parse
 from ltsim.units import FACTOR, MILLIMETRE
@@ -38,7 +38,6 @@ GRID = 1e6
 GEODETIC = ("rechtswert", "hochwert", "easting", "northing", "east", "north", "e", "n")
 """Words of surveyors' lists, which are in metres where they state no unit."""
 WIDTHS = (4, 7, 8, 16, 17)
-SIGMA_OF_ALL = ("sigma", "stddev", "std", "sigmamm", "sigmaxyz")
 EXPECTED = (
     "expected a header that names the point and its coordinates, such as target,x_mm,y_mm,z_mm or "
     "Name;X [m];Y [m];Z [m], or lines of a name, x, y and z"
@@ -153,10 +152,6 @@ class _List:
     def __init__(self, sheet: Sheet, start: int, columns: list[TableColumn]) -> None:
         self.sheet, self.rows, self.columns = sheet, sheet.rows[start:], columns
         self.width = columns[-1].place + 1
-        overall = next((c for c in columns if not c.role and words_of(c.title)[0] in SIGMA_OF_ALL), None)
-        if overall is not None:
-            unit = "mm" if words_of(overall.title)[0] == "sigmamm" else overall.unit  # whatever the coordinates are in
-            self.columns = [replace(c, role="sigma", unit=unit) if c is overall else c for c in columns]
         sigmas = ("sigma", "covariance")
         self.numbers = {c.role: c for c in self.columns if c.role in PLACE or c.role.startswith(sigmas)}
         self.name = next(c for c in columns if c.role == "target")
@@ -219,7 +214,7 @@ def _covariance(numbers: Mapping[str, Floats], count: int) -> Floats:
     if "covariance 0" in numbers:
         full = np.stack([numbers[f"covariance {i}"] for i in range(9)], axis=1).reshape(count, 3, 3)
         return np.asarray((full + full.transpose(0, 2, 1)) / 2)
-    sigma = [numbers.get(SIGMA_OF[axis], numbers.get("sigma", np.full(count, np.nan))) for axis in PLACE]
+    sigma = [numbers.get(SIGMA_OF[axis], numbers.get(SIGMA, np.full(count, np.nan))) for axis in PLACE]
     found = np.zeros((count, 3, 3))
     found[:, range(3), range(3)] = np.square(sigma).T
     found[~np.isfinite(sigma).any(axis=0)] = np.nan

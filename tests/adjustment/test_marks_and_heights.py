@@ -8,22 +8,23 @@ import pytest
 from ltsim.adjustment import adjust
 from ltsim.adjustment.doubt import doubts
 from ltsim.adjustment.gross import mistakes
+from ltsim.fieldcheck import check
 from ltsim.geometry.polar import from_polar, to_polar
 from ltsim.model.construction import ideal
 from ltsim.model.measurement import MeasurementModel, State
 from ltsim.randomness import stream
 from ltsim.recording.recording import Recording
-from ltsim.recording.setup import Station
+from ltsim.recording.setup import Station, Target
 from tests.networks import STATIONS, mesh, network
 
 
-def two_days(beside: float, seed: int = 1) -> Recording:
+def two_days(beside: float, seed: int = 1, along: tuple[float, ...] = (0.8, 0.6, 0.0)) -> Recording:
     """Four levelled set-ups, the last one a second day over the mark of the first, `beside` it by so many metres."""
     recording, truth = network(stations=4)
     stations = {n: Station(levelled=True, over="M1" if n in ("S1", "S4") else None) for n in recording.stations}
     stated = recording.replace(setup=recording.setup.model_copy(update={"stations": stations}))
     position = STATIONS[:4].copy()
-    position[3] = position[0] + beside * np.array([0.8, 0.6, 0.0])
+    position[3] = position[0] + beside * np.array(along)
     state = State(position, truth.state.rotation, mesh(), np.zeros((1, 0)))
     exact = stated.with_readings(MeasurementModel(stated, ideal()).predict(state))
     noise = stream(seed, "noise").standard_normal(exact.readings.shape)
@@ -40,6 +41,36 @@ def test_a_set_up_beside_its_mark_gets_a_place_of_its_own() -> None:
     assert np.linalg.norm(wrong.error) == pytest.approx(1.5e-3, abs=0.05e-3)
     assert "stands 1.50" in doubts(found)[0] or "stands 1.49" in doubts(found)[0]
     assert found.sigma0 == pytest.approx(1.0, abs=0.15)
+
+
+@pytest.mark.parametrize("height", [0.002, 0.1, 1.0, -1.0])
+def test_a_wrong_height_of_an_upright_set_up_is_told_as_that_with_its_size(height: float) -> None:
+    recording = two_days(height, along=(0.0, 0.0, 1.0))
+    found = adjust(recording)
+    (wrong,) = found.wrong
+    assert (wrong.kind, wrong.name, wrong.is_height) == ("mark", "S4", True)
+    assert wrong.error[2] == pytest.approx(-height, abs=5.0 * wrong.sigma_error[2])
+    cause = ("above", "low") if height > 0 else ("below", "high")
+    assert "{} the mark of S1 (its height is stated too {})".format(*cause) in wrong.sentence
+    assert not found.gross.any()
+    assert found.sigma0 == pytest.approx(1.0, abs=0.15)
+    said = [item.sentence for item in check(recording).items if not item.passed]
+    assert len(said) == 1
+    assert "its height is stated too" in said[0]
+    assert float(said[0].split()[3]) == pytest.approx(1e3 * abs(height), abs=0.05)
+
+
+@pytest.mark.parametrize("height", [0.1, -1.0])
+def test_a_height_over_a_known_mark_that_nothing_else_shows_may_be_either(height: float) -> None:
+    recording, truth = network(seed=4, stations=4)
+    over = {name: Station(levelled=True, over=f"M{i}") for i, name in enumerate(recording.stations)}
+    marks = {f"M{i}": Target(known_mm=tuple(1e3 * place)) for i, place in enumerate(truth.state.position)}
+    marks["M2"] = Target(known_mm=tuple(1e3 * (truth.state.position[2] - [0.0, 0.0, height])))
+    setup = recording.setup.model_copy(update={"stations": over, "targets": recording.setup.targets | marks})
+    found = adjust(recording.replace(setup=setup))
+    (wrong,) = found.wrong
+    assert (wrong.kind, wrong.name) == ("point", "M2")
+    assert wrong.sentence.endswith("or the height of set-up S3 over it: left out")
 
 
 @pytest.mark.parametrize("height", [1.02, -0.1, 0.004])
@@ -64,3 +95,12 @@ def test_a_point_under_another_name_is_no_exchange() -> None:
     target[12] = (target[12] + 5) % 28
     (said,) = doubts(adjust(recording.replace(target=target)))
     assert said.startswith(f"At station S1 what is booked as {booked} (row 13) is {meant}")
+
+
+def test_a_target_that_one_set_up_calls_otherwise_is_told_and_neighbours_are_not() -> None:
+    recording, _ = network(seed=3, stations=3)
+    other = np.where((recording.station == 1) & (recording.target == 5), len(recording.targets), recording.target)
+    (said,) = doubts(adjust(recording.replace(targets=(*recording.targets, "P-77"), target=other)))
+    assert said.startswith(f"{recording.targets[5]} and P-77 lie within 0.0")
+    beside = recording.readings + [[0.002, 0.0, 0.0]] * (other == len(recording.targets))[:, None]
+    assert doubts(adjust(recording.replace(targets=(*recording.targets, "P-77"), target=other, readings=beside))) == ()

@@ -156,6 +156,31 @@ def test_of_a_tripod_that_sinks_no_pointing_is_blamed(faces: tuple[int, ...]) ->
     assert float(moved_by[1]) == pytest.approx(2000.0, rel=0.05)
 
 
+@pytest.mark.parametrize("millimetres", [0.1, 1.0])
+def test_a_bump_seen_in_one_face_is_told_by_the_others_and_no_pointing_is_blamed(millimetres: float) -> None:
+    """Eleven pointings before; nothing of the station was measured twice, so that only the network tells."""
+    clean = visits(6, values=0.1, stations=3).select(visits(6, stations=3).face == 1)
+    rows = clean.station == 0
+    first = clean.select(rows)
+    at = float(np.median(first.time))
+    motion = (first.time > at)[:, None] * np.array([1e-3 * millimetres, 0, 0, 0, 0, 2e-5])
+    bumped, visit = clean.readings.copy(), StationOccupation.of(first, misalignment())
+    bumped[rows] += exact_station_change(visit.sightings, motion)
+    recording = clean.with_readings(bumped)
+    found = check(recording)
+    assert kinds(found) == {("S1", "bump")}
+    order = np.flatnonzero(rows)[np.argsort(first.time, kind="stable")]
+    last = int(np.sum(first.time <= at))
+    between = f"station S1 moved between rows {order[last - 1] + 1} and {order[last] + 1}, by"
+    size = re.match(rf"no-go: {between} ([\d.]+) \+- ([\d.]+) um and ", found.sentence)
+    assert size is not None, found.sentence
+    assert float(size[1]) == pytest.approx(1e3 * millimetres, abs=4 * float(size[2]))
+    told = lt.adjust(recording)
+    assert told.outliers == ()
+    assert told.verdict is not None
+    assert told.verdict.sentence.startswith(f"S{between[1:]}")
+
+
 def test_scatter_of_a_target_is_no_drift_of_the_station() -> None:
     """Poses of a robot, each watched without a break: they settle and scatter by themselves."""
     one = visits(4).select(np.arange(6))

@@ -11,6 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import ltsim as lt
+from ltsim.adjustment import adjust
 from ltsim.errors import RecordError
 from ltsim.geometry.polar import from_polar
 from ltsim.recording import Hints, read
@@ -110,6 +112,31 @@ def test_coordinates_of_each_station_become_readings(tmp_path: Path) -> None:
         read(list_)
     alone = read(list_, format="table", hints=Hints(station="S9"))
     assert (alone.stations, len(alone)) == (("S9",), 6)
+
+
+def test_a_network_of_coordinates_is_that_of_its_readings_and_one_sigma_serves_all_axes(tmp_path: Path) -> None:
+    rows = places(tmp_path / "a.csv").read_text().splitlines()
+    once = [row.rsplit(";", 2)[0] for row in rows]
+    once[0] = once[0].replace("sX", "sigma")
+    found = lt.adjust(read(file_of(tmp_path, "\n".join(once) + "\n", "b.csv")))
+    whole = lt.adjust(read(tmp_path / "a.csv"))
+    assert found.fit.chi2 == pytest.approx(whole.fit.chi2, rel=1e-9)
+    r = workshop(faces=1)
+    range_, elevation = r.readings[:, 0], r.readings[:, 2]
+    sigma = 2e-5 * np.stack([np.ones(len(r)), 1 / (range_ * np.cos(elevation)), 1 / range_], axis=1)
+    polar = adjust(r, sigma=sigma)
+    np.testing.assert_allclose(found.adjustment.state.points, polar.state.points, atol=1e-8)
+    folder = tmp_path / "folder"
+    folder.mkdir()
+    for name in r.stations:
+        own = [row.split(";")[1:5] for row in rows if row.startswith(f"{name};")]
+        (folder / f"{name}.txt").write_text("".join(" ".join(cells).replace(",", ".") + "\n" for cells in own))
+    with pytest.raises(RecordError) as refused:
+        read(folder)
+    asked = str(refused.value).partition('--columns "')[2].rstrip('"')
+    assert asked == "target=1,x=2[mm],y=3[mm],z=4[mm]"
+    again = read(folder, hints=Hints(columns=asked))
+    np.testing.assert_allclose(adjust(again, sigma=sigma).state.points, polar.state.points, atol=1e-8)
 
 
 def test_names_that_differ_by_set_up(tmp_path: Path) -> None:

@@ -22,6 +22,8 @@ SIGMA_OF = {
     **{axis: f"sigma_{axis}_mm" for axis in PLACE},
 }
 """The role of a column with the standard deviation of another."""
+SIGMA = "sigma_mm"
+"""That of a column with the standard deviation of all three coordinates."""
 WORDS = {
     "station": "station stn st setup standpunkt stp stand standort stationname stationid from fromstn fromstation von "
     "instrument tracker stationsname setupname",
@@ -42,6 +44,7 @@ WORDS = {
     "x": "x e east easting rechtswert rw ost ostwert xcoordinate xkoordinate",
     "y": "y n north northing hochwert hw nord nordwert ycoordinate ykoordinate",
     "z": "z h height hohe hoehe zcoordinate zkoordinate",
+    SIGMA: "sigma stddev std sigmaxyz",
     "time": "time zeit timestamp zeitstempel zeitpunkt datetime utc uhrzeit clock clocktime times measuredat",
     "date": "date datum day",
     "instrument_height_mm": "instrumentheight insthgt insthgtm ih hi fromhgt stationheight instrumentenhohe "
@@ -57,7 +60,7 @@ WORDS = {
 ROLE_OF = {word: role for role, words in WORDS.items() for word in words.split()}
 ALLOWED = {
     **dict.fromkeys((*HORIZONTAL, *VERTICAL), ANGLES),
-    **dict.fromkeys((*DISTANCE, *PLACE, *HEIGHTS, "sigma_distance_mm"), LENGTHS),
+    **dict.fromkeys((*DISTANCE, *PLACE, *HEIGHTS, SIGMA, "sigma_distance_mm"), LENGTHS),
     **dict.fromkeys((f"sigma_{axis}_mm" for axis in PLACE), LENGTHS),
     **dict.fromkeys(("sigma_azimuth_arcsec", "sigma_elevation_arcsec"), SMALL_ANGLES),
     "time": ("s", "ms", "min", "h"),
@@ -109,7 +112,7 @@ def columns_of(fields: Sequence[str]) -> list[TableColumn]:
             one = _column(one.place, one.title, faced=False)
         if one.role == "target" and words_of(one.title)[0] in WEAK and not named <= {*WEAK}:
             one = replace(one, role="")
-        if one.role and ((one.role, one.face) in taken or (polar and one.role in PLACE)):
+        if one.role and ((one.role, one.face) in taken or (polar and one.role in (*PLACE, SIGMA))):
             one = replace(one, role="", face=0)
         taken.add((one.role, one.face))
         kept.append(one)

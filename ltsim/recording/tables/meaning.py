@@ -9,6 +9,7 @@ coordinates of a tracker, counter-clockwise. An azimuth beside a zenith angle ca
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from decimal import Decimal
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -33,7 +34,7 @@ from ltsim.recording.pointings import indices
 from ltsim.recording.recording import SIGMA_COLUMNS
 from ltsim.recording.slips import SHORTEST_MM
 from ltsim.recording.tables import cells
-from ltsim.recording.tables.header import DISTANCE, HEIGHTS, HORIZONTAL, PLACE, SIGMA_OF, VERTICAL, TableColumn
+from ltsim.recording.tables.header import DISTANCE, HEIGHTS, HORIZONTAL, PLACE, SIGMA, SIGMA_OF, VERTICAL, TableColumn
 from ltsim.recording.tables.rows import PointingTable, Printed
 from ltsim.units import ARCSECOND, DEGREE, FACTOR, MILLIMETRE, ratio
 
@@ -218,11 +219,13 @@ def _check_frames(table: PointingTable, points: Floats, file: Path) -> None:
 
 def sigmas_of_places(table: PointingTable, readings: Floats, length: str) -> list[dict[str, float]] | None:
     """Standard deviations of each pointing's readings (n, 3) by those of x, y, z, where the table states them."""
-    columns = [next((c for c in table.columns if c.role == SIGMA_OF[axis]), None) for axis in PLACE]
+    columns = [table.column((SIGMA_OF[axis],)) or table.column((SIGMA,)) for axis in PLACE]
     titles = [(c.title, FACTOR[c.unit or length]) for c in columns if c is not None]
     if not table.holds_places or len(titles) < len(PLACE):
         return None
-    given = [[cells.value(p.further.pop(title, ""), p.grouping) for title, _ in titles] for p in table.pointings]
+    given = [[cells.value(p.further.get(title, ""), p.grouping) for title, _ in titles] for p in table.pointings]
+    for p, (title, _) in product(table.pointings, titles):
+        p.further.pop(title, None)
     stated = np.array([[float(s) if s is not None and s > 0 else np.nan for s in row] for row in given])
     variance = (stated * [factor for _, factor in titles]) ** 2
     range_, azimuth, elevation = readings.T

@@ -29,6 +29,7 @@ from ltsim.recording.tables.sheets import Row, Sheet
 
 POSITIONS = ("station", "target", "azimuth", "vertical", "distance")
 """Roles of a table without a header whose lines are names and three numbers."""
+GON_CIRCLE = 400
 _STATION = re.compile(r"#?\s*([^\W\d_]+)\s*[:=;,\t ]\s*(\S.*?)[\s;,]*")
 
 
@@ -266,7 +267,7 @@ def unnamed(sheet: Sheet) -> str:
 
 
 def _guess(titles: Sequence[str], body: Sequence[Sequence[str]]) -> list[str]:
-    """Names first, then a face, then three numbers: an angle, a vertical angle, a distance."""
+    """Names first, then a face, then three numbers: two angles and a distance, or coordinates where they cannot be."""
     columns = list(zip(*body[:400], strict=True))
     texts = [i for i, column in enumerate(columns) if any(column) and not all(map(cells.is_value, column))]
     faces = [i for i, column in enumerate(columns) if i not in texts and all(map(cells.face, column))]
@@ -275,11 +276,13 @@ def _guess(titles: Sequence[str], body: Sequence[Sequence[str]]) -> list[str]:
     roles = ("station", "target")[-len(texts) :] if texts else ()
     said = [f"{role}={titles[i]}" for role, i in zip(roles, texts, strict=False)]
     said += [f"face={titles[i]}" for i in faces[:1]]
-    largest = {i: max(abs(cells.value(cell) or Decimal(0)) for cell in columns[i]) for i in numbers}
-    angle = "rad" if numbers and largest[numbers[0]] < 7 else "deg" if numbers and largest[numbers[0]] <= 360 else "gon"
-    lowest = min((cells.value(c) or Decimal(0) for c in columns[numbers[1]]), default=Decimal(0)) if numbers[1:] else 0
-    vertical = "elevation" if lowest < 0 else "vertical"
-    roles_left = (f"azimuth={{}}[{angle}]", f"{vertical}={{}}[{angle}]", "distance={}[{}]")
-    for i, form in zip(numbers, roles_left, strict=False):
-        said.append(form.format(titles[i], "m" if largest[i] < 200 else "mm"))
-    return said
+    values = {i: [cells.value(cell) or Decimal(0) for cell in columns[i]] for i in numbers}
+    largest = [max(map(abs, values[i])) for i in numbers]
+    angle = "rad" if max(largest[:1], default=0) < 7 else "deg" if largest[0] <= 360 else "gon"
+    vertical = "elevation" if numbers[1:] and min(values[numbers[1]]) < 0 else "vertical"
+    forms = [f"azimuth={{}}[{angle}]", f"{vertical}={{}}[{angle}]", "distance={}[{}]"]
+    if len(numbers) == len(PLACE) and (max(largest[:2]) > GON_CIRCLE or min(values[numbers[2]]) < 0):
+        forms, largest = [f"{axis}={{}}[{{}}]" for axis in PLACE], [max(largest)] * len(PLACE)
+    return said + [
+        f.format(titles[i], "m" if x < 200 else "mm") for i, x, f in zip(numbers, largest, forms, strict=False)
+    ]
