@@ -146,10 +146,8 @@ def _unit_that_fits(adjustment: Adjustment) -> str:
 
 def doubts(adjustment: Adjustment) -> tuple[str, ...]:
     """Sentences: what nobody can tell, mistakes, stations that lost most of their readings, sigmas that mislead."""
-    kinds = (
-        *(_known, _motions, _plan, _undecided, _mistakes, _two_names),
-        *(_tripods, _thin_stations, _uncertain_figures, _copies),
-    )
+    slips = _undecided, _mistakes, _two_names, _tripods
+    kinds = _known, _motions, _plan, *slips, _thin_stations, _uncertain_figures, _copies
     return tuple(doubt for kind in kinds for doubt in kind(adjustment))
 
 

@@ -4,7 +4,7 @@ A wrong one bends every reading that it meets. It is therefore judged before sin
 chi-square fall most, for the unknowns that it takes, is the one that is believed.
 """
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -239,17 +239,21 @@ def judged(
         return (*given, contradictory) if contradictory else judged(*given, kinds, again)
     if min(test.w for test in gone) < PLAIN and _price(kept, ended, gone) >= _price(problem, given[1], ()):
         return *given, ()
-    return kept, ended, tuple(_in_the_end(test, problem, ended.x) if test.left_out else test for test in out)
+    return kept, ended, tuple(_in_the_end(out, problem, ended.x))
 
 
-def _in_the_end(test: KnownTest, problem: NetworkProblem, state: State) -> KnownTest:
-    """The test of a known value that was left out, with what it is off by at the state without it."""
-    if test.kind == "mark":
-        own = problem.model.recording.stations.index(test.name)
-        return replace(test, error=problem.marks.place(own, state.position, state.points) - state.position[own])
-    every = (*known_values(problem, state), *common_scale(problem, state))
-    off = next(value.residual for value in every if (value.kind, value.name) == (test.kind, test.name))
-    return replace(test, residual=off, error=off)
+def _in_the_end(tests: Sequence[KnownTest], problem: NetworkProblem, state: State) -> Iterator[KnownTest]:
+    """The tests of known values, with what those left out are off by at the state without them."""
+    names, marks = problem.model.recording.stations, problem.marks
+    off = {(v.kind, v.name): v.residual for v in (*known_values(problem, state), *common_scale(problem, state))}
+    for test in tests:
+        if test.left_out and test.kind == "mark":
+            own = names.index(test.name)
+            yield replace(test, error=marks.place(own, state.position, state.points) - state.position[own])
+        elif test.left_out:
+            yield replace(test, residual=off[test.kind, test.name], error=off[test.kind, test.name])
+        else:
+            yield test
 
 
 def _each_other(wrong: Sequence[KnownTest], every: Sequence[KnownTest]) -> tuple[KnownTest, ...]:

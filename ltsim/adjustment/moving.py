@@ -23,7 +23,7 @@ from ltsim.effects.station_bump import StationBump
 from ltsim.model.measurement import State
 from ltsim.notation import with_sigma
 from ltsim.scene.sightings import Sightings
-from ltsim.solve.gauss_newton import solve
+from ltsim.solve.gauss_newton import Solution, solve
 from ltsim.units import MICROMETRE, MICRORADIAN
 
 WITNESSES = 3
@@ -82,19 +82,18 @@ def moving_stations(adjustment: Adjustment) -> tuple[Motion, ...]:
     each = critical_w(int(problem.use.sum())) ** 2
     kept, ended = snooped(problem, adjustment.state)
     for station in _suspects(problem, kept):
-        best = 0.0
-        wider, fewer, better = problem, kept, ended
+        best: tuple[float, Motion | None, NetworkProblem, NetworkProblem, Solution[State]]
+        best = 0.0, None, problem, kept, ended
         for motion, looks in _motions_of(replace(adjustment, problem=problem), ended.x, station):
             tried, start = _with_motion(problem, ended.x, motion)
             left, solution = snooped(tried, start)
             gain = (ended.cost - solution.cost) / max(1.0, solution.cost / max(left.dof, 1))
             gain += each * (int(left.use.sum()) - int(kept.use.sum()))
             gain -= float(special.chdtri(len(motion.parameters), FAMILY_LEVEL / (looks * len(recording.stations))))
-            if gain > best and station not in _suspects(tried, left):
-                best, chosen, wider, fewer, better = gain, motion, tried, left, solution
-        if best > 0.0:
-            problem, kept, ended = wider, fewer, better
-            found.append(chosen)
+            if gain > best[0] and station not in _suspects(tried, left):
+                best = gain, motion, tried, left, solution
+        _, chosen, problem, kept, ended = best
+        found += [chosen] if chosen else []
     return tuple(found)
 
 

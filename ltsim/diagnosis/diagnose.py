@@ -112,7 +112,7 @@ def diagnose(
     mistaken += [known_finding(test, baseline) for test in wrong]
     apart = _apart(case, found, settled, compared)
     odd = [instrument_finding(c) for c in apart if not _varies(c.parameter.name, found.effects)][:MOST_MEMBERS]
-    explained = _likely(Explained(case, detection, found, fitted), bool(mistaken or odd or _beyond_level(case.noise)))
+    explained = Explained(case, detection, found, fitted, bool(mistaken or odd or _beyond_level(case.noise)))
     repeated = not case.searcher.large if held_out is None else held_out
     errors = HeldOut() if case.searcher.large and not repeated else _held_out(explained, threshold, repeated)
     return _told(explained, sight, [*mistaken, *odd], settled, errors, mismatch=mismatch)
@@ -283,14 +283,6 @@ def _refitted(case: Case, found: Found) -> tuple[Found, Refit]:
 def _beyond_level(noise: Sequence[NoiseHypothesis]) -> bool:
     """Whether the noise is other than stated beyond its level, which is one line and no finding."""
     return any(not isinstance(one.effect, NoiseLevel) for one in noise)
-
-
-def _likely(explained: Explained, besides: bool) -> Explained:
-    """Findings of little chance stay in the model, untold; what explains most is told, if nothing is told `besides`."""
-    members = explained.found.members
-    gains = [explained.gain(i).sum() for i in range(len(members))]
-    doubtful = [explained.chance(i) < LIKELY and (besides or gains[i] < max(gains)) for i in range(len(members))]
-    return replace(explained, untold=tuple(one.key for one, d in zip(members, doubtful, strict=True) if d))
 
 
 def _told(

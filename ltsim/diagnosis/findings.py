@@ -59,8 +59,8 @@ class Explained:
     detection: Detection
     found: Found
     refit: Refit
-    untold: tuple[str, ...] = ()
-    """Keys of members that are modelled, and too doubtful to be told."""
+    besides: bool = False
+    """Whether anything is told beside the members."""
 
     def _ranking(self, member: int) -> Ranking:
         """All that could stand in a member's place: changes of the noise among it, and a cause that nobody listed."""
@@ -93,13 +93,26 @@ class Explained:
         """Probability that each member acts on this, here, and follows this, whatever it is called."""
         return [self._shown(i) for i in range(len(self.found.members))]
 
+    @cached_property
+    def gains(self) -> list[Floats]:
+        """By how much each member, beside the others, takes the squares (m,) of what is left down."""
+        without = (self.case.searcher.without(self.found, i) for i in range(len(self.found.members)))
+        return [others.residual**2 - self.found.residual**2 for others in without]
+
+    @cached_property
+    def untold(self) -> tuple[str, ...]:
+        """Keys of members of little chance: they are modelled; what explains most is told where nothing else is."""
+        members, gains = self.found.members, [gain.sum() for gain in self.gains]
+        doubtful = [self.chance(i) < LIKELY and (self.besides or gains[i] < max(gains)) for i in range(len(members))]
+        return tuple(one.key for one, doubt in zip(members, doubtful, strict=True) if doubt)
+
     def chance(self, member: int) -> float:
         """Probability of a member, whatever it is called, if it has a size and no more constants than readings carry.
 
         Coefficients of a law may each be in doubt where the law is not; one of no known form, at no place and in no
         observable, says nothing beside others.
         """
-        effect, gain = self.refit.effects[member], self.gain(member)
+        effect, gain = self.refit.effects[member], self.gains[member]
         sizes = [one for one in self.refit.told[member] if one.parameter in effect.parameters]
         together = len(sizes) > 1 and float(gain.sum()) > SURE**2 * constants_of(effect)
         sized = isinstance(effect, Law) or together or any(abs(one.value) > SURE * one.sigma for one in sizes)
@@ -117,7 +130,7 @@ class Explained:
         effect, name = hypothesis.effect, hypothesis.name
         probability, rivals = self.probability(member), among(ranking.probabilities(), name)[1]
         shown = self.shown[member]
-        gain = self.gain(member)
+        gain = self.gains[member]
         mean = posterior(*searcher.exact.moments([effect], others)[0], hypothesis.spread)[0]
         signature, rows = space.signature(effect), int(space.use.sum())
         done = signature @ mean
@@ -163,11 +176,6 @@ class Explained:
             equivalents=rivals,
             **_told(more),
         )
-
-    def gain(self, member: int) -> Floats:
-        """By how much a member, beside the others, takes the squares (m,) of what is left down."""
-        gain: Floats = self.case.searcher.without(self.found, member).residual ** 2 - self.found.residual**2
-        return gain
 
     def _readings(self, gain: Floats) -> str:
         """A sentence on the readings that carry a gain (m,), where they are few."""
