@@ -93,14 +93,16 @@ def _share(rows: Sequence[Row], key: str) -> Answer:
 
 
 def write_report(entrants: dict[str, list[Row]], out: Path, head: dict[str, Any]) -> None:
-    """recordings.jsonl, scores.json, table.md, where entrants that are not among these keep what they have there."""
+    """recordings.jsonl, scores.json, table.md; entrants that are not among these keep what they have of this truth."""
     out.mkdir(parents=True, exist_ok=True)
-    rows, scores = read_rows(out / ROWS) | entrants, out / "scores.json"
+    scores = out / "scores.json"
+    before = json.loads(scores.read_text(encoding="utf-8")) if scores.is_file() else {}
+    same = before.get("sha256") == head["sha256"]
+    rows = (read_rows(out / ROWS) if same else {}) | entrants
     columns = ["entrant", *dict.fromkeys(key for own in rows.values() for r in own for key in r)]
     lines = [[name, *(r.get(key) for key in columns[1:])] for name, own in rows.items() for r in own]
     (out / ROWS).write_text("".join(json.dumps(_short(line)) + "\n" for line in [columns, *lines]), encoding="utf-8")
-    summaries = json.loads(scores.read_text(encoding="utf-8"))["entrants"] if scores.is_file() else {}
-    summaries |= {name: summarise(own) for name, own in entrants.items()}
+    summaries = (before["entrants"] if same else {}) | {name: summarise(own) for name, own in entrants.items()}
     scores.write_text(json.dumps(_short(head | {"entrants": summaries}), indent=1) + "\n", encoding="utf-8")
     (out / "table.md").write_text(table(summaries, head), encoding="utf-8")
 

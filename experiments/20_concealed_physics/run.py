@@ -27,7 +27,8 @@ def run(given: Options) -> Made:
     draw(folder)
     file = folder / "manifest.json"
     earlier = json.loads(file.read_text(encoding="utf-8"))["answered_at"] if file.is_file() else {}
-    answered = earlier | {entrant: {"commit": commit(), "truth_sha256": seal} for entrant in able}
+    answered = {entrant: one for entrant, one in earlier.items() if one["truth_sha256"] == seal}
+    answered |= {entrant: {"commit": commit(), "truth_sha256": seal} for entrant in able}
     return Made(seed=cases[0].seed, folder=folder, more={"answered_at": answered})
 
 

@@ -36,7 +36,7 @@ catalogued = { 200 = 1 }
 """
 
 
-def test_who_was_scored_before_stays_beside_the_new_one(tmp_path: Path) -> None:
+def test_who_answered_the_same_truth_before_stays_beside_the_new_one(tmp_path: Path) -> None:
     row = {"name": "R1", "kind": "clean", "hall": "hall", "law": "", "strength": 0, "told_um": 1.0, "plain_um": 1.0,
            "seconds": 1.0, "answered": True, "p_value": 0.5, "stated": []}  # fmt: skip
     head = {"plan": "plan", "sha256": "0", "recordings": 1, "draws_excluded": 0}
@@ -45,6 +45,9 @@ def test_who_was_scored_before_stays_beside_the_new_one(tmp_path: Path) -> None:
     answers = json.loads((tmp_path / "scores.json").read_text())["entrants"]
     assert [answers[who]["false alarms, hall"]["right"] for who in ("one", "two")] == [1, 0]
     assert [r["found"] for own in report.read_rows(tmp_path / report.ROWS).values() for r in own] == [True, False]
+    report.write_report({"three": [row]}, tmp_path, head | {"sha256": "1"})
+    assert list(json.loads((tmp_path / "scores.json").read_text())["entrants"]) == ["three"]
+    assert list(report.read_rows(tmp_path / report.ROWS)) == ["three"]
 
 
 def test_a_program_that_is_not_there_is_left_out(
