@@ -206,6 +206,10 @@ class Injector:
             change = self.change(cause, values)
         made = self.recording.with_readings(self.recording.readings + change)
         lengths = self.lengths(cause, values)
+        if values.any() and not (np.nan_to_num(change).any() or lengths.any()):
+            raise ModelError(
+                f"{words}: changes no reading; expected a place that is measured, and after the time given"
+            )
         if lengths.any():
             known = self.space.adjustment.problem.gauge
             if made.setup.gauge is None or len(made.gauge.distance) != len(lengths):

@@ -124,6 +124,11 @@ def test_what_cannot_be_is_said(recording: Recording, cause: str, said: str) -> 
         lt.inject(recording, cause, noncentrality=1e9)
 
 
+def test_what_happens_after_the_last_pointing_changes_nothing_and_is_refused(recording: Recording) -> None:
+    with pytest.raises(ModelError, match="target-moved:T05,time=1e6: changes no reading; expected a place"):
+        lt.inject(recording, "target-moved:T05,time=1e6")
+
+
 def test_the_command_writes_a_recording_and_its_truth_apart(tmp_path: Path, recording: Recording) -> None:
     lt.write(recording, tmp_path / "rec")
     words = ["inject", str(tmp_path / "rec"), "range-step:S3", "--noncentrality", "100", "--quiet"]

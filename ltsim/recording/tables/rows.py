@@ -30,6 +30,7 @@ from ltsim.recording.tables.sheets import Row, Sheet
 POSITIONS = ("station", "target", "azimuth", "vertical", "distance")
 """Roles of a table without a header whose lines are names and three numbers."""
 GON_CIRCLE = 400
+"""A number beyond the circle with the most units is no angle."""
 _STATION = re.compile(r"#?\s*([^\W\d_]+)\s*[:=;,\t ]\s*(\S.*?)[\s;,]*")
 
 
