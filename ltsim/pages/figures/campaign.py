@@ -140,7 +140,7 @@ def sweep_figure(results: Results, statistic: str, along: str, *, panel: str = "
 def by_factor(
     rows: Sequence[Swept], *, label: str, axis: str, published: float | None = None, joined: bool = True
 ) -> Figure:
-    """Small multiples with common axes: means with 95 % intervals; the shade is the middle 90 % of trials.
+    """Small multiples with common axes: values, of trials their means, with 95 % intervals; their middle 90 % shaded.
 
     Parameters
     ----------
@@ -198,9 +198,11 @@ def _line(ax: Axes, rows: Sequence[Swept], place: Floats, k: int, *, joined: boo
     low, high = (np.array([getattr(rows[i], side) for i in order]) for side in ("low", "high"))
     colour = style.CYCLE[k % len(style.CYCLE)]
     five, ninety_five = (np.array([getattr(rows[i], side) for i in order]) for side in ("five", "ninety_five"))
-    if joined and not isinstance(rows[0].x, str) and np.any(five < ninety_five):
+    trials = bool(np.any(five < ninety_five))
+    if joined and not isinstance(rows[0].x, str) and trials:
         ax.fill_between(x, five, ninety_five, color=colour, alpha=0.12, linewidth=0, label=NINETY if k == 0 else None)
-    told = (f"{rows[0].line}: mean, 95 % interval" if k == 0 else rows[0].line).removeprefix(": ")
+    words = "mean, 95 % interval" if trials else "95 % interval"  # without trials a share, or what the label says
+    told = (f"{rows[0].line}: {words}" if k == 0 else rows[0].line).removeprefix(": ")
     ax.errorbar(
         x, mean, [mean - low, high - mean], color=colour, marker=style.MARKERS[k % len(style.MARKERS)], markersize=4.5,
         linestyle=("-" if joined else "none"), elinewidth=2.4, label=told,
