@@ -16,6 +16,7 @@ import matplotlib as mpl
 import numpy as np
 from cycler import cycler
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from PIL import Image
 
@@ -91,9 +92,16 @@ def new_figure(height: float, *, width: float = WIDTH, layout: Any = "constraine
 
 def svg(figure: Figure) -> str:
     """The figure as SVG text, the same bytes for the same data."""
-    stream = io.StringIO()
+    stream, layout, dpi = io.StringIO(), figure.get_layout_engine(), figure.dpi
     with mpl.rc_context(_SETTINGS):
+        if layout is not None:  # `savefig` would draw everything twice, the first time for the layout alone
+            FigureCanvasSVG(figure)
+            figure.dpi = FigureCanvasSVG.fixed_dpi
+            layout.execute(figure)
+            figure.set_layout_engine(None)
         figure.savefig(stream, format="svg", metadata={"Date": None})
+    figure.dpi = dpi
+    figure.set_layout_engine(layout)
     return stream.getvalue()
 
 
