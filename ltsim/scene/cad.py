@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import trimesh
 
 from ltsim.arrays import Floats
 from ltsim.errors import SetupError
@@ -100,6 +99,8 @@ def _triangles(path: Path, _changed: int, factor: float, up: str) -> Floats:
 
 def _as_written(path: Path) -> Floats:
     """Triangles (m, 3, 3) in the numbers and axes of a file, of an exact one [m]."""
+    import trimesh  # a third of a second that few need
+
     suffix, content = path.suffix.lower(), path.read_bytes()
     if suffix in EXACT:
         content, suffix = _as_glb(path, content), ".glb"
