@@ -208,7 +208,7 @@ class Injector:
         lengths = self.lengths(cause, values)
         if values.any() and not (np.nan_to_num(change).any() or lengths.any()):
             raise ModelError(
-                f"{words}: changes no reading; expected a place that is measured, and after the time given"
+                f"{words}: changes no reading; expected a place that is measured (after the time, where one is given)"
             )
         if lengths.any():
             known = self.space.adjustment.problem.gauge
