@@ -120,6 +120,8 @@ def recognised(path: Path) -> Format:
     """The format of a file or folder; raises RecordError when nothing is there, or no format fits."""
     if not path.exists():
         raise RecordError("there is no such file or folder", file=path)
+    if not (path / native.OBSERVATIONS).is_file() and (inside := sorted(path.glob(f"*/{native.OBSERVATIONS}"))):
+        raise RecordError(f"is no recording, but holds {len(inside)}; give {inside[0].parent}", file=path)
     head = ""
     if path.is_file():
         try:

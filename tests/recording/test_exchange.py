@@ -80,6 +80,9 @@ def test_unknown_things(tmp_path: Path) -> None:
         read(tmp_path / "a.txt", format="gamma")
     with pytest.raises(RecordError, match="there is no format called 'gsi'"):
         write(workshop(), tmp_path / "out", "gsi")
+    write(workshop(), tmp_path / "trial" / "recording")
+    with pytest.raises(RecordError, match="trial: is no recording, but holds 1; give "):
+        read(tmp_path / "trial")
 
 
 @settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
