@@ -14,7 +14,6 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from ltsim.arrays import Floats
-from ltsim.campaigns.columns import TYPES
 from ltsim.campaigns.schema import CHECKED, FAILED, FULL, LEVELS, SHARES, column_of, summary_table
 from ltsim.campaigns.stopping import level_of, quantile
 from ltsim.campaigns.store import Store, literal
@@ -119,9 +118,9 @@ class Statistics:
         source = f"read_parquet([{', '.join(map(literal, shards))}], union_by_name = true)"
         try:
             store.verify({cell.cell: cell.mark for cell in self.manifest.cells})
-            self._base.register("cells", self._cells())
             names = [row[0] for row in self._base.execute(f"DESCRIBE SELECT * FROM {source}").fetchall()]
             self._base.execute(f"CREATE VIEW rows AS SELECT *{_improvements(names)} FROM {source}")
+            self._hold_cells()
             held = [row[0] for row in self._base.execute("DESCRIBE rows").fetchall() if row[1] == "FLOAT"]
             self.columns: tuple[str, ...] = (*held, *(name for name in SHARES if set(errors_of(name)) <= {*held}))
             self.units = {f.name: f.unit for f in self.factors if f.unit} | _units(pq.read_schema(shards[0]))
@@ -129,14 +128,18 @@ class Statistics:
             raise _damaged(folder, problem) from None
         self.folder = folder
 
-    def _cells(self) -> pa.Table:
-        listed = self.manifest.cells
-        plain = {"cell": pa.array([c.cell for c in listed], pa.int32()), "label": pa.array([c.label for c in listed])}
-        own = {
-            f.name: pa.array([level[f.name] for level in self.levels], TYPES.get(f.kind, pa.string()))
-            for f in self.factors
-        }
-        return pa.table(plain | own)
+    def _cells(self) -> dict[str, list[Any]]:
+        cells = self.manifest.cells
+        plain: dict[str, list[Any]] = {"cell": [c.cell for c in cells], "label": [c.label for c in cells]}
+        return plain | {f.name: [level[f.name] for level in self.levels] for f in self.factors}
+
+    def _hold_cells(self) -> None:
+        """Table `cells`, in the types that the rows have; not through Arrow, which imports pandas for any list."""
+        cells = self._cells()
+        own = "".join(f', "{factor.name}"' for factor in self.factors)
+        self._base.execute(f"CREATE TABLE cells AS SELECT cell, method AS label{own} FROM rows LIMIT 0")
+        places = ", ".join("?" * len(cells))
+        self._base.executemany(f"INSERT INTO cells VALUES ({places})", [*zip(*cells.values(), strict=True)])
 
     def _lines(self) -> list[str]:
         manifest = self.manifest
@@ -151,7 +154,7 @@ class Statistics:
         summary = self.summary
         return {
             "summary": self._summary,
-            "cells": self._cells().to_pydict,
+            "cells": self._cells,
             "ends": lambda: by_row(self._with_settings(summary()["ends"])),
             "z_scores": lambda: by_row(self._with_settings(summary()["z_scores"])),
             "rows": self._rows,
