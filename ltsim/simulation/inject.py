@@ -26,8 +26,8 @@ from ltsim.units import MICROMETRE, MICRORADIAN
 
 FORMAT = "ltsim-injection/1"
 CLOSE, ROUNDS = 1e-4, 60
-LARGEST = 1e4
-"""Plausible sizes beyond which a cause would be seen by eye."""
+LARGEST = 30.0
+"""Standard deviations by which a reading may change, per root of what the adjustment leaves of the whole cause."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -188,15 +188,20 @@ class Injector:
         """The values times what leaves the wanted noncentrality; raises ModelError where none does."""
         if isinstance(cause, Mistake):
             raise ModelError(f"{cause.name} is made or not: it has no size that could be chosen")
-        factor = 1.0
+        factor, bound = 1.0, LARGEST * np.sqrt(wanted)
         for _ in range(ROUNDS):
             found = self.noncentrality(cause, factor * values)
-            if not found > 0.0 or factor > LARGEST:
+            if not found > 0.0 or (found < (1.0 + CLOSE) * wanted and self._peak(cause, factor * values) > bound):
                 break
             if abs(found / wanted - 1.0) < CLOSE:
                 return factor * values
             factor *= float(np.clip(np.sqrt(wanted / found), 1e-3, 1e3))
         raise ModelError(f"the network hides {cause.name} {cause.place}: at no sensible size it leaves {wanted:g}")
+
+    def _peak(self, cause: Tunable, values: Floats) -> float:
+        """Largest change of a reading, or deviation of a noise, in standard deviations of the reading."""
+        moved = self.deviation(cause, values) if isinstance(cause, NoiseEffect) else self.change(cause, values)
+        return float(np.nanmax(np.abs(moved) / self.space.sigma, initial=0.0))
 
     def put(self, cause: Tunable, values: Floats, words: str, rng: np.random.Generator) -> tuple[Recording, Injected]:
         """The recording with a cause in it, and what was put in."""
