@@ -1,6 +1,6 @@
-"""Networks that nobody here made: GNU Gama's, CERN's trackers, a total station, a scanner with known truth.
+"""Networks that nobody here made: GNU Gama's, CERN's trackers, a ring, a total station, a scanner with known truth.
 
-    python -m experiments 04 [gama] [cern] [geoeasy] [scanner]
+    python -m experiments 04 [gama] [cern] [ring] [geoeasy] [scanner]
 
 Reads ../shared/recordings beside the checkout; writes only figures found: rows and set-ups are numbers in the order of
 the file.
@@ -15,6 +15,7 @@ from scipy.optimize import least_squares
 
 from experiments.common import Made, Options, run_steps, show_table
 from ltsim.adjustment import Adjustment, adjust
+from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration import calibrate_network
 from ltsim.calibration.known import Choice
 from ltsim.effects import BASELINE
@@ -164,6 +165,44 @@ def components(found: Adjustment) -> Rows:
              "sigma": f"{c.sigma:.3f}", "redundancy": f"{c.redundancy:.1f}"} for c in found.components]  # fmt: skip
 
 
+RING = "field/esrf.lgc2"
+EDGES_M = (2, 3, 4, 5, 6, 8, 10, 12, 15, 18, 22, 27, 32)
+CLEAR = 8.0
+
+
+def ring(out: Path) -> None:
+    """How far what each tracker leaves by distance in half of its set-ups foretells what it leaves in the others."""
+    recording = read(DATA / RING)
+    space = ResidualSpace.of(adjust(recording, misalignment()))
+    left = np.full(space.use.shape, np.nan)
+    left[space.use] = space.residual[: int(space.use.sum())]
+    distance, tracker = recording.readings[:, 0], recording.instrument
+    half = np.zeros(len(recording), dtype=int)
+    for owner in np.unique(tracker):
+        for k, station in enumerate(np.unique(recording.station[tracker == owner])):
+            half[recording.station == station] = k % 2
+    bins = np.digitize(distance, EDGES_M)
+    rows: Rows = []
+    for j, observable in enumerate(OBSERVABLES):
+        use = np.isfinite(left[:, j])
+        groups = {"distance": bins, "distance, each tracker": 100 * tracker + bins, "tracker": tracker}
+        for by, group in groups.items():
+            told = sum(foretold(left[use, j], group[use], half[use] == k) for k in (0, 1))
+            whole = float(np.sum(left[use, j] ** 2))
+            means = [left[use & (group == g), j] for g in np.unique(group)]
+            clear = sum(len(m) > 1 and abs(m.mean()) > CLEAR * m.std() / np.sqrt(len(m)) for m in means)
+            rows.append({"observable": observable, "means_by": by, "chi2": f"{whole:.0f}",
+                         "foretold_share": f"{1 - told / whole:.3f}", "means": len(means),
+                         f"beyond_{CLEAR:.0f}_sigma": clear})  # fmt: skip
+    show_table(out / "ring.csv", rows)
+
+
+def foretold(left: np.ndarray, group: np.ndarray, asked: np.ndarray) -> float:
+    """Sum of squares of residuals that are `asked`, less the means of the others of their group."""
+    means = {g: left[(group == g) & ~asked].mean() for g in np.unique(group[~asked])}
+    return float(np.sum((left[asked] - [means.get(g, 0.0) for g in group[asked]]) ** 2))
+
+
 def geoeasy(out: Path) -> None:
     """A total station on 22 marks in two faces: noise with and without the instrument's errors."""
     recording = read(DATA / "geoeasy-total-station-22st" / "network.GSI")
@@ -263,7 +302,7 @@ def rounded(trial: int | None) -> Recording:
     return scanner_recording(scans, objects, True)
 
 
-STEPS = {"gama": gama, "cern": cern, "geoeasy": geoeasy, "scanner": scanner_truth}
+STEPS = {"gama": gama, "cern": cern, "ring": ring, "geoeasy": geoeasy, "scanner": scanner_truth}
 
 
 def run(given: Options) -> Made:
