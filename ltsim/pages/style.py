@@ -37,6 +37,8 @@ ON_PALE, ON_DEEP = "#23282c", "#fefefe"
 
 WIDTH = 4.9
 """Inches of every figure: on a phone its letters still have nine pixels."""
+LINE, HANDLE = 75, 8
+"""Letters that a legend as wide has in a line, and those that fit where a label's mark stands."""
 
 _SETTINGS: dict[Any, Any] = {
     "font.sans-serif": ["DejaVu Sans", "Verdana", "Arial"],
@@ -157,7 +159,13 @@ def at_right(ax: Axes, places: Floats, texts: Sequence[str]) -> None:
 def legend_of(figure: Figure, panels: Iterable[Axes], *, ncols: int = 3) -> None:
     """One legend above all panels, each label once."""
     known = {label: handle for ax in panels for handle, label in zip(*ax.get_legend_handles_labels(), strict=True)}
-    figure.legend(list(known.values()), list(known), loc="outside upper left", ncols=ncols)
+    columns = columns_for(list(known), ncols)
+    figure.legend(list(known.values()), list(known), loc="outside upper left", ncols=columns)
+
+
+def columns_for(labels: Sequence[str], most: int) -> int:
+    """Columns of a legend, as many as have room for the longest label: a wider one leaves a figure no axes."""
+    return max(1, min(most, LINE // (max(map(len, labels), default=0) + HANDLE)))
 
 
 def shorten(name: str, most: int = 34) -> str:

@@ -399,6 +399,15 @@ def test_a_place_with_room_around_it_has_its_name_whichever_way_it_is_turned(tur
     assert [text.get_text() for text in ax.texts] == ["S1"]
 
 
+def test_a_legend_of_long_names_of_stations_leaves_room_for_the_axes() -> None:
+    made = samples.recording()
+    names = {s: f"HALL-7.NORTH.TRIPOD.{s}" for s in made.stations}
+    setup = made.setup.model_copy(update={"stations": {names[k]: v for k, v in made.setup.stations.items()}})
+    figure = points.check_figure(check_of(made.replace(stations=tuple(names.values()), setup=setup)))
+    style.svg(figure)  # matplotlib warns where a layout leaves no axes
+    assert all(ax.get_position().width > 0.7 for ax in figure.axes)
+
+
 def lightness_and_hue(colour: str, sight: np.ndarray) -> np.ndarray:
     """CIE Lab of a colour as an eye with a deficiency sees it."""
     rgb = np.array(mpl.colors.to_rgb(colour))

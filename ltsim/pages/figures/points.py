@@ -85,7 +85,8 @@ def shares_of_limits(content: AcceptanceFile) -> Figure:
 
 OBSERVABLES = (("range", style.BLUE, "o"), ("across the beam", style.ORANGE, "s"), ("elevation", style.GREEN, "^"))
 MOST_NAMES = 40
-MOST_STATIONS = 8
+MOST_STATIONS, NAME = 8, 20
+"""Stations that a legend names, and letters of a name."""
 BELOW_LEGEND = 0.86
 """Share of the axes that a legend inside them leaves."""
 
@@ -141,7 +142,7 @@ def _course(ax: Axes, check: Check) -> None:
         if setup.visit is None:
             continue
         size = np.sqrt(np.mean(setup.visit.whitened**2, axis=1))
-        label = setup.station if i < MOST_STATIONS else None
+        label = style.shorten(setup.station, NAME) if i < MOST_STATIONS else None
         ax.plot(
             setup.visit.recording.time / scale, size, ".", ms=4, color=style.CYCLE[i % len(style.CYCLE)], label=label
         )
@@ -158,5 +159,5 @@ def _course(ax: Axes, check: Check) -> None:
     ax.set_ylim(0, 1.3 * ax.get_ylim()[1])
     if not ax.lines:
         ax.text(0.5, 0.5, "no target was measured twice from one set-up", transform=ax.transAxes, ha="center")
-    if ax.get_legend_handles_labels()[0]:
-        ax.legend(loc="upper right", ncols=5)
+    if names := ax.get_legend_handles_labels()[1]:
+        ax.legend(loc="upper right", ncols=style.columns_for(names, 5))
