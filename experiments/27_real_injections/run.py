@@ -1,7 +1,8 @@
 """Causes put into real recordings of others: what share is found, placed and told rightly, and what is told falsely.
 
-    python -m experiments 27           # goes on where it was broken off
-    python -m experiments 27 tables    # table and curves of rows.csv
+    python -m experiments 27               # goes on where it was broken off
+    python -m experiments 27 told-noise    # strength 100 alone, the noise that the readings have being stated
+    python -m experiments 27 tables        # table and curves of the committed rows
 
 Reads ../shared/recordings beside the checkout; writes figures found.
 """
@@ -39,13 +40,16 @@ GREW = 0.01
 
 
 @cache
-def background(file: str, clockwise: bool) -> tuple[Recording, Recording, tuple[Finding, ...]]:
-    """A recording, the same with the noise that it has instead of the stated one, and what is told of it as it is."""
+def background(file: str, clockwise: bool, told_noise: bool) -> tuple[Recording, Recording, tuple[Finding, ...]]:
+    """A recording that is asked, the same with the noise that it has, and what is told of the first as it is."""
     recording = lt.read(DATA / file, hints=Hints(azimuth="clockwise") if clockwise else None)
     told = lt.diagnose(recording, held_out=False)
     sigma = told.adjusted.problem.sigma / [MILLIMETRE, ARCSECOND, ARCSECOND]
     columns = dict(zip(SIGMA_COLUMNS, sigma.T, strict=True))
-    return recording, recording.replace(covariates={**recording.covariates, **columns}), tuple(told.findings)
+    weighted = recording.replace(covariates={**recording.covariates, **columns})
+    if told_noise:
+        recording, told = weighted, lt.diagnose(weighted, held_out=False)
+    return recording, weighted, tuple(told.findings)
 
 
 def place(one: Any, recording: Recording) -> tuple[set[str], set[str]]:
@@ -83,9 +87,9 @@ def key(told: Finding) -> Any:
     return told.where.model_copy(update={"covariates": ()})
 
 
-def one(network: Row, kind: str, strength: float, trial: int, seed: int) -> Row:
+def one(network: Row, kind: str, strength: float, trial: int, seed: int, told_noise: bool) -> Row:
     """One injection, diagnosed once by the default settings; `hidden` where the network shows no such cause."""
-    recording, weighted, before = background(network["file"], network.get("clockwise", False))
+    recording, weighted, before = background(network["file"], network.get("clockwise", False), told_noise)
     rng = np.random.default_rng([seed, *map(ord, network["file"] + kind), int(strength), trial])
     words = kind.format(station=rng.choice(recording.stations), unit="min" if recording.has_clock else "rows")
     row = {"site": network["site"], "file": network["file"], "kind": kind, "strength": strength, "trial": trial}
@@ -126,8 +130,8 @@ def rates(rows: list[Row], strength: float | str, network: str) -> list[Row]:
     return found
 
 
-def table_of(rows: list[Row], strengths: list[float]) -> list[Row]:
-    """All networks by strength, then each network and each kind at all strengths."""
+def table_of(rows: list[Row], strengths: list[float], told: list[Row]) -> list[Row]:
+    """All networks by strength, then each network and each kind at all strengths; all that were `told` the noise."""
     seen, found = [r for r in rows if not r["hidden"]], []
     for strength in (s for s in strengths if any(r["strength"] == s for r in seen)):
         found += rates([r for r in seen if r["strength"] == strength], strength, "all")
@@ -136,22 +140,26 @@ def table_of(rows: list[Row], strengths: list[float]) -> list[Row]:
             for chosen in (100, "all"):
                 some = [r for r in seen if r[column] == name and chosen in ("all", r["strength"])]
                 found += rates(some, chosen, name) if some else []
+    told = [r for r in told if not r["hidden"]]
+    for name in ("all", *dict.fromkeys(r["file"] for r in told)) if told else ():
+        found += rates([r for r in told if name in ("all", r["file"])], 100, f"{name}, told the noise")
     return found
 
 
-def injected(given: Options, settings: Row) -> list[Row]:
+def injected(given: Options, settings: Row, told_noise: bool) -> list[Row]:
     """Rows of all injections, a batch a file; a run that was broken off goes on from them."""
     rows, start = [], time.perf_counter()
     (given.out / "rows").mkdir(parents=True, exist_ok=True)
     batches = product(range(given.trials or settings["trials"]), settings["strengths"], settings["network"])
     for trial, strength, network in batches:
-        said = f"{network['site']}-{strength}-{trial}"
+        said = f"{network['site']}-{strength}-{trial}{'-told' * told_noise}"
         kept = given.out / "rows" / f"{said}.json"
         if not (DATA / network["file"]).exists():
             tell(f"{said}: left out, {network['file']} is not there")
             continue
         if not kept.is_file():
-            tasks = product([network], settings["kinds"], [float(strength)], [trial], [settings["seed"]])
+            seed = settings["seed"]
+            tasks = product([network], settings["kinds"], [float(strength)], [trial], [seed], [told_noise])
             kept.write_text(json.dumps(list(parallel(one, list(tasks), given.jobs))), encoding="utf-8")
         rows += (own := json.loads(kept.read_text(encoding="utf-8")))
         minutes = (time.perf_counter() - start) / 60
@@ -160,10 +168,13 @@ def injected(given: Options, settings: Row) -> list[Row]:
 
 
 def run(given: Options) -> Made:
-    settings, file = given.config, given.out / "rows.csv"
-    if "tables" not in given.words:
-        write_table(file, injected(given, settings))
-    table = table_of(pd.read_csv(file).convert_dtypes().to_dict("records"), sorted(settings["strengths"]))
+    settings, files = given.config, [given.out / "rows.csv", given.out / "told_noise.csv"]
+    if "told-noise" in given.words:
+        write_table(files[1], injected(given, settings | {"strengths": [100]}, told_noise=True))
+    elif "tables" not in given.words:
+        write_table(files[0], injected(given, settings, told_noise=False))
+    rows, told = (pd.read_csv(f).convert_dtypes().to_dict("records") if f.is_file() else [] for f in files)
+    table = table_of(rows, sorted(settings["strengths"]), told)
     write_table(given.out / "table.csv", table)
     ends = ("share", "low", "high", "share", "share")
     curves = [Swept(str(r["strength"]), r["measure"], "", *(100 * r[k] for k in ends))
