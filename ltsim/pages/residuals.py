@@ -17,14 +17,13 @@ from ltsim.errors import RecordError
 from ltsim.recording.files import read_text, shown
 from ltsim.recording.recording import OBSERVABLES
 from ltsim.results import Table
-from ltsim.scene.sightings import Sightings
 from ltsim.units import DEGREE, FACTOR
 
 Names = NDArray[np.str_]
 
 OBSERVABLE_UNIT = {"distance": "um", "azimuth": "arcsec", "elevation": "arcsec"}
-USUAL = ("azimuth", "elevation", "distance", "time")
-"""Covariates that every recording has."""
+USUAL = ("azimuth", "elevation", "distance", "time", "row")
+"""Covariates that every recording has: the time where it has a clock, the row where it has none."""
 COVARIATE_UNIT = {"azimuth": "°", "elevation": "°", "distance": "m", "time": "min", "incidence": "°", "row": ""}
 
 
@@ -60,6 +59,12 @@ class Residuals:
         """(n,) bool: which rows are of one observable."""
         return self.observable == OBSERVABLES.index(observable)
 
+    @property
+    def sigma(self) -> Floats:
+        """(n,): standard deviations of the readings that the normalised residuals rest on."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.asarray(np.abs(self.residual / self.w) / np.sqrt(self.redundancy))
+
     def at(self, stations: Sequence[str], targets: Sequence[str]) -> Bools:
         """(n,): which rows are at the named stations and targets; all where none is named."""
         inside = np.ones(len(self), dtype=np.bool_)
@@ -94,7 +99,7 @@ class Residuals:
     def from_adjustment(cls, adjustment: Adjustment) -> Residuals:
         """Residuals of an adjustment with the geometry of its pointings."""
         found = cls.from_table(residuals_table(adjustment))
-        return replace(found, covariates=_geometry(adjustment.sightings, found.row - 1))
+        return replace(found, covariates=_geometry(adjustment, found.row - 1))
 
     @classmethod
     def read(cls, file: Path) -> Residuals:
@@ -105,21 +110,28 @@ class Residuals:
         """The same residuals with the covariates that `other`, if there is one, knows for the same observations."""
         if other is None:
             return self
+        return replace(self, covariates={name: self._as_in(other, column) for name, column in other.covariates.items()})
+
+    def by_noise_of(self, other: Residuals) -> Residuals:
+        """The same residuals, normalised by the standard deviations that `other` rests on."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            w = self.residual / (self._as_in(other, other.sigma) * np.sqrt(self.redundancy))
+        return replace(self, w=w)
+
+    def _as_in(self, other: Residuals, column: Floats) -> Floats:
+        """What a column (k,) of `other` says of the same observations (n,); NaN where it lacks one."""
         place = {key: i for i, key in enumerate(zip(other.row.tolist(), other.observable.tolist(), strict=True))}
         at = [place.get(key) for key in zip(self.row.tolist(), self.observable.tolist(), strict=True)]
-        found = {
-            name: np.array([np.nan if i is None else column[i] for i in at])
-            for name, column in other.covariates.items()
-        }
-        return replace(self, covariates=found)
+        return np.array([np.nan if i is None else column[i] for i in at])
 
 
-def _geometry(sightings: Sightings, rows: Ints) -> dict[str, Floats]:
+def _geometry(adjustment: Adjustment, rows: Ints) -> dict[str, Floats]:
+    sightings, clock = adjustment.sightings, adjustment.recording.has_clock
     found = {
         "azimuth": sightings.azimuth[rows] / DEGREE,
         "elevation": sightings.elevation[rows] / DEGREE,
         "distance": sightings.range_[rows],
-        "time": sightings.time[rows] / 60.0,
+        **({"time": sightings.time[rows] / 60.0} if clock else {"row": rows + 1.0}),
     }
     incidence = sightings.incidence[rows] / DEGREE
     if np.isfinite(incidence).any():

@@ -169,6 +169,6 @@ def columns_for(labels: Sequence[str], most: int) -> int:
 
 
 def shorten(name: str, most: int = 34) -> str:
-    """A name that fits on an axis."""
-    flat = " ".join(name.split())
-    return flat if len(flat) <= most else flat[: most - 1] + "…"
+    """A name that fits on an axis: cut in the middle, since names of one place often differ in their ends."""
+    flat, end = " ".join(name.split()), most // 2
+    return flat if len(flat) <= most else f"{flat[: most - 1 - end]}…{flat[-end:]}"

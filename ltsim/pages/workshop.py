@@ -24,6 +24,8 @@ from ltsim.units import DEGREE, MILLIMETRE
 
 SECOND_OPENING = 110.0 * DEGREE
 """The other reading of the paper's shadow cone (section 2.3.2)."""
+HEAD = 3.0
+"""Height [m] of a tracker's head above the floor at most: a plan whose zero lies farther down tells no floor."""
 FACING, FLUSH = 0.25, 0.2
 """Least component of a nest's look across its wall, and how far [m] nests of one wall differ in depth at most."""
 
@@ -152,7 +154,8 @@ def with_surroundings(network: PlacedWorkshop, setup: Setup) -> PlacedWorkshop:
     turn, planned = plan.rotation, plan.known
     points, position = plan.place(network.points), plan.place(network.position)
     normal = _nest_normals(setup, network.targets)
-    height = 0.0 if planned and points[:, 2].min() > -0.05 else float(points[:, 2].min())
+    lowest = float(np.concatenate([points, position])[:, 2].min())
+    height = 0.0 if planned and -0.05 < lowest < HEAD else float(points[:, 2].min())
     planes = _wall_planes(points, normal) if planned else []
     floor = _floor_between(rectangle(np.concatenate([points, position])[:, :2]), planes)
     return replace(

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from ltsim.adjustment import adjust
 from ltsim.calibration.calibration import residuals_table
 from ltsim.errors import RecordError
 from ltsim.pages.residuals import Residuals
@@ -29,6 +31,21 @@ def test_file_and_adjustment_agree(tmp_path: Path) -> None:
 def test_residuals_of_the_calibrated_network_are_white() -> None:
     residuals = Residuals.from_adjustment(samples.after())
     assert np.std(residuals.w) == pytest.approx(1.0, abs=0.1)
+
+
+def test_other_noise_is_no_change_of_the_residuals() -> None:
+    stated = Residuals.from_adjustment(samples.after())
+    louder = replace(stated, w=0.5 * stated.w)  # as if the noise had been found twice as large
+    assert louder.by_noise_of(stated).w == pytest.approx(stated.w)
+    assert np.isnan(louder.by_noise_of(replace(stated, row=stated.row + 10_000)).w).all()
+
+
+def test_without_a_clock_the_row_stands_for_the_time() -> None:
+    made = samples.recording()
+    assert set(Residuals.from_adjustment(adjust(made)).covariates) & {"time", "row"} == {"time"}
+    timeless = Residuals.from_adjustment(adjust(made.replace(has_clock=False)))
+    assert set(timeless.covariates) & {"time", "row"} == {"row"}
+    assert timeless.covariates["row"] == pytest.approx(timeless.row)
 
 
 @pytest.mark.parametrize(

@@ -61,6 +61,18 @@ def test_corrections_are_the_change_by_calibration(scene: workshop.PlacedWorksho
     assert np.linalg.norm(scene.correction, axis=1) == pytest.approx(np.linalg.norm(change, axis=1))
 
 
+def test_a_plan_whose_zero_lies_far_below_tells_no_floor() -> None:
+    made = samples.recording()
+    stations = {
+        name: one.model_copy(update={"position_mm": (*one.position_mm[:2], one.position_mm[2] + 360e3)})
+        for name, one in made.setup.stations.items()
+    }
+    scene = workshop.from_recording(made.replace(setup=made.setup.model_copy(update={"stations": stations})))
+    assert scene.floor_height == pytest.approx(scene.points[:, 2].min())
+    assert scene.floor_height > 359.0
+    assert scene.shadow_radius(scene.openings[0]).max() < 10.0
+
+
 def test_without_a_plan_the_floor_is_at_the_lowest_target() -> None:
     made = samples.recording()
     bare = made.replace(setup=made.setup.model_copy(update={"stations": {}}))

@@ -91,7 +91,8 @@ def signature_figure(before: Residuals, after: Residuals, covariate: str, where:
                 _dots(ax, residuals, rows & ~here, covariate, color="#C3C8CC", label="elsewhere", ms=2.5)
             _dots(ax, residuals, here, covariate, color=style.AFTER, label="where the finding acts", ms=4.0)
             _running_mean(ax, residuals.covariates[covariate][here], residuals.residual[here], label="running mean")
-            size = float(np.sqrt(np.mean(residuals.w[here] ** 2))) if here.any() else 0.0
+            w = residuals.by_noise_of(before).w[here]
+            size = float(np.sqrt(np.mean(w[np.isfinite(w)] ** 2))) if np.isfinite(w).any() else 0.0
             ax.set_title(f"{word}: rms {size:.2f} of the stated noise", fontsize=8, fontweight="normal")
         line[0].set_ylabel(_reading(observable))
     for ax in grid[-1]:
@@ -107,7 +108,8 @@ def driver_curve(curve: Curve, carrier: str, residuals: Residuals | None = None)
     `residuals` without the finding are dots behind the curve of a reading, whose sign is then that of a residual.
     """
     at, value, sigma = (np.array(values) for values in (curve.at, curve.value, curve.sigma))
-    covariate, unit = curve.covariate, curve.unit
+    clock = residuals is None or "time" in residuals.covariates or "azimuth" not in residuals.covariates
+    covariate, unit = _shown(curve.covariate, clock=clock), curve.unit
     figure = style.new_figure(2.6)
     ax = figure.subplots()
     factor, label = _axis(covariate)
@@ -133,6 +135,11 @@ def axis_text(covariate: str) -> str:
     """Label of a covariate's axis."""
     unit = COVARIATE_UNIT.get(covariate, "")
     return f"{style.shorten(covariate)} [{unit}]" if unit else style.shorten(covariate)
+
+
+def _shown(covariate: str, *, clock: bool) -> str:
+    """The covariate that is drawn: without a clock the row stands for the time."""
+    return "row" if covariate == "time" and not clock else covariate
 
 
 def _axis(covariate: str) -> tuple[float, str]:

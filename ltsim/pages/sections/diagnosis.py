@@ -178,15 +178,17 @@ def _finding(
 def finding_drawing(finding: Finding, before: Residuals | None, after: Residuals | None) -> Callable[[], Figure] | None:
     """What a carrier does over its driver, where a finding has a curve; else the residuals without and with it.
 
-    None for what leaves no residual, such as gross errors and names that were exchanged.
+    None for mistakes, such as gross errors and names that were exchanged: both sides are without them.
     """
     curve = finding.curve
     if curve is not None and len(curve.at) >= MOST_STEPS:
         return lambda: figures.residuals.driver_curve(curve, finding.carrier, before)
-    if before is None or after is None or np.array_equal(before.residual, after.residual):
+    mended = finding.evidence.p_value is None
+    if before is None or after is None or mended or np.array_equal(before.residual, after.residual):
         return None
     where = finding.where
-    wanted = [*where.covariates, "time", "elevation", "row"]
+    order = "time" if "time" in before.covariates else "row"
+    wanted = [order if name == "time" else name for name in (*where.covariates, "time", "elevation")]
     known = [name for name in wanted if name in before.covariates and name in after.covariates]
     place = where.stations, where.targets
     if not known or not before.at(*place).any() or not after.at(*place).any():
@@ -235,8 +237,8 @@ def _fit(content: DiagnosisFile) -> list[Block]:
     pair = (("without the findings", content.fit.before), ("with the findings", content.fit.after))
     rows = [[word, number(f.chi2, 4), str(f.dof), _ratio(f), number(f.held_out_rms)] for word, f in pair]
     note = (
-        "Held-out error: error of readings that the fit did not see, over their stated noise. The findings were chosen "
-        "on all readings, so that its fall alone proves nothing."
+        "Held-out error: five parts of the pointings are left out in turn, and foretold by a fit and a search without "
+        "them; over the noise as stated, or as found where that is larger."
     )
     header = ["", "chi2", "degrees of freedom", "ratio", "held-out error"]
     return [Grid("Fit before and after", header, rows, note=note)]
