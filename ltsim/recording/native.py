@@ -13,6 +13,7 @@ import numpy as np
 from ltsim.arrays import Floats, Ints
 from ltsim.errors import RecordError
 from ltsim.recording.conventions import NO_HINTS, Hints
+from ltsim.recording.differences import check_differences
 from ltsim.recording.files import FilePlace, is_not_finite, is_number, read_lines, shown, write_texts
 from ltsim.recording.lengths import KnownLengths
 from ltsim.recording.pointings import indices
@@ -130,6 +131,7 @@ def parse(rows: list[list[str]], setup: Setup, folder: Path, *, growing: bool = 
     )
     if not growing:
         _check_gauge(recording, folder / SETUP)
+        check_differences(recording, folder / SETUP)
     _check_smrs(recording, folder)
     return recording.replace(notes=_idle_settings(recording))
 

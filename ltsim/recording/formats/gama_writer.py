@@ -9,7 +9,8 @@ import numpy as np
 from ltsim.errors import RecordError
 from ltsim.geometry.polar import from_polar, to_face
 from ltsim.recording.files import write_text
-from ltsim.recording.formats.gama import CC, FIXED_MM
+from ltsim.recording.formats.gama import CC
+from ltsim.recording.formats.gama_network import FIXED_MM
 from ltsim.recording.lengths import KnownLengths
 from ltsim.recording.recording import Recording
 from ltsim.recording.reflectors import excess_radii
