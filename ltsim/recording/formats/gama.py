@@ -235,7 +235,7 @@ def _read_chain(angles: list[Node], block: Node, variances: list[float], network
         value, second = _angle(child)
         turned += value * (name == "fs")
         stated = float(np.sqrt(variance)) * second
-        target, seen = child.name(name, "point"), network.angle_sign * turned
+        target, seen = child.name(name, "point"), network.angle_sign * (turned % (2 * np.pi))
         network.observed.append(Observed("azimuth", station, target, seen, stated, line=child.line))
 
 

@@ -59,10 +59,12 @@ def _sigma(child: Node, apriori: float) -> float:
 
 
 def _difference(child: Node, y_sign: float, spread: Floats) -> KnownDifference:
-    """One element with its covariance (1, 1) or (3, 3) [mm^2]; heights of instrument and target are taken out."""
+    """One element with its covariance (1, 1) or (3, 3) [mm^2]."""
     ends = {"from": child.name("from", "point"), "to": child.name("to", "point")}
     x, y, z = (0.0, 0.0, child.number("val")) if child.tag == "dh" else (child.number(f"d{a}") for a in "xyz")
-    z += child.number("from_dh", 0.0) - child.number("to_dh", 0.0)
+    if any(child.number(name, 0.0) for name in ("from_dh", "to_dh")):
+        message = f"<{child.tag}> with a height of instrument or target, which gama-local leaves out of it"
+        raise child.where.wrong(f"{message}; expected one between the marks, without from_dh and to_dh")
     stated: dict[str, object] = {"known_axes": "z", "known_sigma_mm": float(np.sqrt(max(spread[-1, -1], 0.0)))}
     if child.tag == "vec":
         sign = np.array([1.0, y_sign, 1.0])
