@@ -56,7 +56,8 @@ DATUM = {
 def known_finding(test: KnownTest, adjustment: Adjustment) -> Finding:
     """The finding of a known value that contradicts the rest: what carries the error is the value itself."""
     recording = adjustment.recording
-    ends = (test.name, *test.name.split("-")) if test.kind in ("length", "difference") else (test.name,)
+    joined = test.name.partition("#")[0].split("-") if test.kind in ("length", "difference") else []
+    ends = (test.name, *joined)
     unit, factor = UNITS.get(test.kind, ("mm", MILLIMETRE))
     rows = [
         Estimate(

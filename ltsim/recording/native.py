@@ -240,8 +240,9 @@ def _idle_settings(recording: Recording) -> tuple[str, ...]:
         for name in setup.stations
         if name not in recording.stations
     ]
+    joined = {name for one in setup.differences for name in (one.from_, one.to)}
     for name, target in setup.targets.items():
-        if target.known_mm and name not in recording.targets and name not in marks:
+        if target.known_mm and name not in recording.targets and name not in marks and name not in joined:
             notes.append(f"targets.{name} is known but was never measured{_near(name, recording.targets)}")
         elif target.datum and name not in recording.targets and name not in marks:
             notes.append(

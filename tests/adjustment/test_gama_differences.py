@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ltsim import calibrate
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.errors import NetworkError, RecordError
 from ltsim.recording import read, write
@@ -172,6 +173,7 @@ def test_it_is_written_and_read_again(tmp_path: Path, kind: str) -> None:
     write(recording, tmp_path / "native", "native")
     native = read(tmp_path / "native")
     assert native.setup.differences == recording.setup.differences
+    assert not native.notes
     assert adjust(native).chi2 == pytest.approx(NETWORKS[kind].pvv, rel=1e-5)
     if kind in ("levelled lines", "vectors from a point that nobody measured"):
         write(recording, tmp_path / "again.gkf", "gama-local")
@@ -223,6 +225,12 @@ def test_levels_alone_give_heights_and_what_none_reaches_has_none(tmp_path: Path
     tested = {t.name: t.redundancy[0] for t in found.known if t.kind == "difference"}
     assert [name for name, redundancy in tested.items() if redundancy > 1e-3] == ["A-B", "A-B#2"]
     assert set(tested) == {"BM-A", "A-B", "A-B#2", "B-C", "C-E"}
+
+
+def test_the_frame_names_what_holds_it(tmp_path: Path) -> None:
+    calibration = calibrate(NETWORKS["vectors from a point that nobody measured"].write(tmp_path / "network.gkf"))
+    assert calibration.frame == "the frame of the known differences S-A, S-B, C-S, A-C"
+    assert "4 known differences" in calibration.adjustment.recording.headline
 
 
 def test_differences_are_a_source_of_uncertainty(tmp_path: Path) -> None:
