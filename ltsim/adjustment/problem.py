@@ -230,6 +230,18 @@ class NetworkProblem:
         open_ = np.concatenate([structure.flat, heights])[self.differences.ends].any(axis=0)
         return np.asarray(gone | (open_ & self.differences.axes[:, 2]))
 
+    @property
+    def without_height(self) -> Ints:
+        """Targets under set-ups that read directions and flat distances alone, whose height nothing else tells."""
+        recording, over = self.model.recording, self.marks.target
+        level = ~(self.use[:, 2] | (self.use[:, 0] & ~recording.is_horizontal))
+        open_ = np.isin(np.arange(len(recording.targets)), over)
+        open_[self.control.target[self.control.axes[:, 2]]] = False
+        open_[self.differences.ends[self.differences.ends < len(open_)]] = False
+        open_[recording.target[~level & self.use.any(axis=1)]] = False
+        open_[over[recording.station[~level & (over[recording.station] >= 0)]]] = False
+        return np.flatnonzero(open_)
+
     def residuals(self, readings: Floats) -> Floats:
         """Observed minus predicted readings (n, 3), angles wrapped; NaN where not measured."""
         gap = self.model.recording.readings - readings

@@ -227,6 +227,15 @@ def test_levels_alone_give_heights_and_what_none_reaches_has_none(tmp_path: Path
     assert set(tested) == {"BM-A", "A-B", "A-B#2", "B-C", "C-E"}
 
 
+def test_heights_that_nothing_tells_are_named(tmp_path: Path) -> None:
+    inside = LEVELLED.inside.partition("<height-differences>")[0]
+    for part in [p for p in inside.split("<") if p.startswith(("z-angle", "s-distance"))]:
+        inside = inside.replace("<" + part, "")
+    found = adjust(read(Printed("en", inside, "", 0.0, 0).write(tmp_path / "network.gkf")))
+    with pytest.raises(NetworkError, match=r'nothing tells the height of .*adj="xy"'):
+        found.require_solution()
+
+
 def test_the_frame_names_what_holds_it(tmp_path: Path) -> None:
     calibration = calibrate(NETWORKS["vectors from a point that nobody measured"].write(tmp_path / "network.gkf"))
     assert calibration.frame == "the frame of the known differences S-A, S-B, C-S, A-C"
