@@ -30,6 +30,7 @@ from ltsim.effects.signature import Signature
 from ltsim.errors import NetworkError
 from ltsim.model.construction import Construction, ideal
 from ltsim.model.measurement import MeasurementModel, State
+from ltsim.notation import listing
 from ltsim.recording.recording import Recording
 from ltsim.results import Result
 from ltsim.scene.sightings import Sightings
@@ -183,8 +184,12 @@ class Adjustment(Result):
             where = ", ".join(recording.where(int(row) + 1) for row in rows[:MOST_NAMED])
             return f"{where}: at the zenith an azimuth means nothing, leave it out"
         held = problem.control.axes[:, :2].all(axis=1).sum() + len(problem.known_marks)
-        if held < 2 and not problem.use[:, 0].any() and not len(problem.gauge):
+        lengths = problem.use[:, 0].any() or len(problem.gauge) or problem.differences.axes[:, :2].any()
+        if held < 2 and not lengths:
             return "no distance, no known length and no two known points give the network its scale"
+        if len(low := problem.without_height):
+            names = listing([recording.targets[t] for t in low])
+            return f'nothing tells the height of {names}: state it (known_axes = "z"; adj="xy" in a file of gama-local)'
         seen = np.zeros((len(recording.stations), len(recording.targets)), dtype=bool)
         seen[recording.station, recording.target] = True
         seen[problem.levels.station] = False  # to an upright station a line is as good as any targets
@@ -363,7 +368,7 @@ class Adjustment(Result):
         """The adjustment with other further effects, beside the same readings and weights, in the factor's datum."""
         old, model = self.problem, replace(self.problem.model, effects=tuple(effects))
         new = NetworkProblem.of(model, sigma=old.sigma, use=old.use, prior=old.prior)
-        problem = replace(new, gauge=old.gauge, levels=old.levels, yaws=old.yaws)
+        problem = replace(new, gauge=old.gauge, differences=old.differences, levels=old.levels, yaws=old.yaws)
         solution = solve(problem, replace(start, extra=np.zeros(model.extra_size)))
         return replace(self, problem=problem, solution=solution, datum=None)
 

@@ -55,10 +55,10 @@ class Frame:
         """The frame of a recording."""
         marks = Marks.of(recording)
         setups = [recording.station_setup(name) for name in recording.stations]
-        alone = [name if marks.target[i] < 0 else "" for i, name in enumerate(marks.names)]
+        alone, told = [name if marks.target[i] < 0 else "" for i, name in enumerate(marks.names)], _told(recording)
         return cls(
-            _metres([_stated(recording, name) for name in recording.targets]),
-            _metres([_stated(recording, name) for name in alone]) + marks.offset,
+            _metres([told.get(name) or _stated(recording, name) for name in recording.targets]),
+            _metres([told.get(name) or _stated(recording, name) for name in alone]) + marks.offset,
             np.array([s.levelled for s in setups], dtype=bool),
             marks,
             _metres([s.position_mm or NOWHERE for s in setups]),
@@ -176,6 +176,22 @@ class Frame:
         axis = (rotation[chosen] @ VERTICAL).mean(axis=0)
         goal = self.marks.vertical[chosen].mean(axis=0)
         return smallest_turn(axis / np.linalg.norm(axis), goal / np.linalg.norm(goal))
+
+
+def _told(recording: Recording) -> dict[str, tuple[float, ...]]:
+    """Places [mm] of marks that are known, and of those that known differences tell from them one after another."""
+    targets = recording.setup.targets
+    found: dict[str, tuple[float, ...]] = {
+        name: target.known_mm
+        for name, target in targets.items()
+        if target.known_mm is not None and target.known_axes == "xyz"
+    }
+    whole = [one for one in recording.setup.differences if one.known_axes == "xyz"]
+    while ends := [(one, one.to in found) for one in whole if (one.from_ in found) != (one.to in found)]:
+        for one, back in ends:
+            there, here, sign = (one.to, one.from_, -1.0) if back else (one.from_, one.to, 1.0)
+            found[here] = tuple(a + sign * b for a, b in zip(found[there], one.known_mm, strict=True))
+    return found
 
 
 def _stated(recording: Recording, name: str, *, chosen: bool = True) -> tuple[float, ...]:

@@ -32,6 +32,7 @@ from ltsim.units import ARCSECOND, MILLIMETRE
 
 WORDS: dict[Kind, str] = {
     "point": "the known coordinates of",
+    "difference": "the known difference",
     "length": "the known length",
     "level": "the level of",
     "yaw": "the azimuth zero of",
@@ -41,7 +42,7 @@ WORDS: dict[Kind, str] = {
 }
 UNITS = {"level": ("arcsec", ARCSECOND), "yaw": ("arcsec", ARCSECOND), "scale": ("ppm", 1e-6)}
 """Of an error; millimetres where nothing is said."""
-KINDS: tuple[Kind, ...] = ("point", "length", "level", "yaw", "mark", "scale")
+KINDS: tuple[Kind, ...] = ("point", "difference", "length", "level", "yaw", "mark", "scale")
 SCALED: tuple[Kind, ...] = KINDS[:-1]
 """What is left out where lengths give the ranges their scale: that all of them contradict it is told."""
 SIGMAS = 5.0
@@ -148,7 +149,7 @@ def loosened(problem: NetworkProblem, state: State) -> NetworkProblem:
     sizes = problem.sigma * np.stack([np.ones_like(range_), range_, range_], axis=1)
     floor = FINEST * float(np.median(sizes[problem.use]))
     turn = floor / float(np.median(range_[problem.use.any(axis=1)]))
-    floors = {"control": floor, "known_marks": floor, "levels": turn, "yaws": turn}
+    floors = {"control": floor, "known_marks": floor, "differences": floor, "levels": turn, "yaws": turn}
     tested = {name: getattr(problem, name).no_finer(least) for name, least in floors.items()}
     exact = any(tested[name] is not getattr(problem, name) for name in floors)
     return replace(problem, **tested) if exact else problem

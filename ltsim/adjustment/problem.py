@@ -9,7 +9,16 @@ import numpy as np
 import scipy.sparse as sp
 
 from ltsim.adjustment.prior import ParameterPrior, prior_sigmas
-from ltsim.adjustment.rows import VERTICAL, ControlRows, GaugeRows, LevelRows, Marks, YawRows, free_motions
+from ltsim.adjustment.rows import (
+    VERTICAL,
+    ControlRows,
+    DifferenceRows,
+    GaugeRows,
+    LevelRows,
+    Marks,
+    YawRows,
+    free_motions,
+)
 from ltsim.adjustment.unknowns import Unknowns
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.geometry.polar import wrap
@@ -57,6 +66,7 @@ class Structure:
         level, alone = np.zeros(count, dtype=bool), (marks.first == np.arange(count)) & (marks.target < 0)
         level[levels.station] = True
         alone[problem.known_marks.target] = False
+        height = alone & azimuth & ~range_ & ~elevation & level
         seen = np.bincount(recording.target, use.any(axis=1), len(recording.targets)) > 0
         known = np.concatenate([problem.control.target, marks.target[marks.target >= 0]])
         seen[problem.control.target[problem.control.axes.all(axis=1)]] = True
@@ -66,15 +76,16 @@ class Structure:
         flat = np.bincount(recording.target, use[:, 1], len(recording.targets)) > 0
         flat[recording.target[use[:, [0, 2]].any(axis=1) | (use[:, 1] & ~upright[recording.station])]] = False
         flat[np.concatenate([known, problem.gauge.first, problem.gauge.second])] = False
+        told = problem.differences.told(np.concatenate([flat, height, [False]]))
         return cls(
             idle=int(problem.control.axes[~seen[problem.control.target]].sum()),
             unknowns=problem.unknowns,
             yaw=np.flatnonzero(~azimuth),
             tilt=np.flatnonzero(~azimuth & ~elevation & ~level),
-            height=np.flatnonzero(alone & azimuth & ~range_ & ~elevation & level),
+            height=np.flatnonzero(told[len(flat) : -1]),
             place=np.flatnonzero(alone & ~range_ & ~azimuth & ~elevation),
             unseen=~seen,
-            flat=flat,
+            flat=told[: len(flat)],
             turned=np.flatnonzero(azimuth),
         )
 
@@ -127,8 +138,8 @@ class NetworkProblem:
     """Unknown poses, targets, instrument parameters and further effects of a recording.
 
     Rows of the system, in order: the measured readings (row by row, range azimuth elevation), gauge lengths, control
-    points, known marks under stations, levels, yaws, what no reading determines (held where it is), priors of the
-    instrument parameters, weak priors of the further effects, datum.
+    points, known marks under stations, known differences, levels, yaws, what no reading determines (held where it is),
+    priors of the instrument parameters, weak priors of the further effects, datum.
     """
 
     model: MeasurementModel
@@ -148,6 +159,7 @@ class NetworkProblem:
     yaws: YawRows
     marks: Marks
     known_marks: ControlRows
+    differences: DifferenceRows
     unknowns: Unknowns
 
     @classmethod
@@ -169,6 +181,7 @@ class NetworkProblem:
         used = recording.measured if use is None else recording.measured & use
         gauge, control, levels = GaugeRows.of(recording), ControlRows.of(recording), LevelRows.of(recording, used)
         known_marks, yaws = ControlRows.of_stations(recording, marks), YawRows.of(recording, used)
+        differences = DifferenceRows.between(recording, marks)
         plausible = [held_to * size for effect in model.effects for size in effect.spread]
         plausible += [size for heads in model.heads for size in heads.spread]
         return cls(
@@ -176,7 +189,7 @@ class NetworkProblem:
             sigma=recording.sigma() if sigma is None else sigma,
             prior=prior or ParameterPrior.independent(prior_sigmas(recording, model.construction)),
             extra_sigma=np.array(plausible, dtype=np.float64),
-            free=free_motions(control, known_marks, levels, yaws),
+            free=free_motions(control, known_marks, differences, levels, yaws),
             use=used,
             gauge=gauge,
             control=control,
@@ -184,13 +197,15 @@ class NetworkProblem:
             yaws=yaws,
             marks=marks,
             known_marks=known_marks,
-            unknowns=Unknowns.of(model, gauge, marks),
+            differences=differences,
+            unknowns=Unknowns.of(model, gauge, marks, differences),
         )
 
     def on(self, model: MeasurementModel) -> NetworkProblem:
         """The problem of another model of the same pointings, with what that states and these weights."""
         found = NetworkProblem.of(model, sigma=self.sigma, use=self.use, prior=self.prior)
-        return replace(found, extra_sigma=self.extra_sigma)
+        apart = found.differences.some(np.isin(found.differences.names, self.differences.names))
+        return replace(found, extra_sigma=self.extra_sigma, differences=apart)
 
     def elsewhere(self, model: MeasurementModel) -> NetworkProblem:
         """The problem of the same set-up and pointings, in any order, with stations and targets in other places."""
@@ -206,6 +221,27 @@ class NetworkProblem:
         """What these readings and the set-up leave open."""
         return Structure.of(self)
 
+    def unplaced(self, lost: Bools) -> Bools:
+        """(k,) Differences to `lost` targets (T,) or idle set-ups, or to a height that nothing else tells."""
+        structure, stations = self.structure, len(self.unknowns.pose)
+        stands, heights = np.zeros((2, stations + 1), dtype=bool)
+        stands[structure.place], heights[structure.height] = True, True
+        gone = np.concatenate([lost, stands])[self.differences.ends].any(axis=0)
+        open_ = np.concatenate([structure.flat, heights])[self.differences.ends].any(axis=0)
+        return np.asarray(gone | (open_ & self.differences.axes[:, 2]))
+
+    @property
+    def without_height(self) -> Ints:
+        """Targets under set-ups that read directions and flat distances alone, whose height nothing else tells."""
+        recording, over = self.model.recording, self.marks.target
+        level = ~(self.use[:, 2] | (self.use[:, 0] & ~recording.is_horizontal))
+        open_ = np.isin(np.arange(len(recording.targets)), over)
+        open_[self.control.target[self.control.axes[:, 2]]] = False
+        open_[self.differences.ends[self.differences.ends < len(open_)]] = False
+        open_[recording.target[~level & self.use.any(axis=1)]] = False
+        open_[over[recording.station[~level & (over[recording.station] >= 0)]]] = False
+        return np.flatnonzero(open_)
+
     def residuals(self, readings: Floats) -> Floats:
         """Observed minus predicted readings (n, 3), angles wrapped; NaN where not measured."""
         gap = self.model.recording.readings - readings
@@ -219,22 +255,23 @@ class NetworkProblem:
     def _residual_rows(self, state: State, readings: Floats) -> Floats:
         pointings = (self.residuals(readings) / self.sigma)[self.use]
         gauge = self.gauge.whitened(self.length_residuals(state))
-        control = self.control.residual(state.points)
-        marks = self.known_marks.residual(state.position)
+        control = self.control.residual(state.points[self.control.target])
+        marks = self.known_marks.residual(state.position[self.known_marks.target])
+        apart = self.differences.residual(self.differences.apart(state.points, state.position))
         levels = -self.levels.predict(state.rotation) / self.levels.sigma[:, None]
         yaws = self.yaws.residual(state.rotation) / self.yaws.sigma
         held = np.zeros(self.structure.held)
         prior = self.prior.residual(state.instrument)
         extra = -(state.extra / self.extra_sigma)[np.isfinite(self.extra_sigma)]
         datum = np.zeros(self.free.shape[1])
-        return np.concatenate([pointings, gauge, control, marks, levels.ravel(), yaws, held, prior, extra, datum])
+        known = pointings, gauge, control, marks, apart, levels.ravel(), yaws
+        return np.concatenate([*known, held, prior, extra, datum])
 
     @property
     def knows_nothing(self) -> bool:
-        """Whether no known length, point, level or azimuth zero joins the readings."""
-        return not (
-            len(self.gauge) or self.control.count or self.known_marks.count or len(self.levels) or len(self.yaws)
-        )
+        """Whether no known length, point, difference, level or azimuth zero joins the readings."""
+        known = self.gauge, self.control, self.known_marks, self.differences, self.levels, self.yaws
+        return not any(len(rows) for rows in known)
 
     def length_residuals(self, state: State) -> Floats:
         """Known less adjusted lengths (g,) [m]."""
@@ -282,6 +319,7 @@ class NetworkProblem:
             np.concatenate(ends, axis=1),
             np.repeat(at.target[self.control.target], self.control.axes.sum(axis=1), axis=0),
             np.repeat(at.pose[self.known_marks.target, :3], self.known_marks.axes.sum(axis=1), axis=0),
+            np.repeat(at.places[self.differences.ends.T].reshape(-1, 6), self.differences.axes.sum(axis=1), axis=0),
             np.repeat(at.pose[self.levels.station, 3:], 2, axis=0),
             at.pose[self.yaws.station, 3:],
             self.structure.held_columns,
@@ -303,6 +341,7 @@ class NetworkProblem:
             gauge / self.gauge.sigma[:, None],
             self.control.weights(),
             self.known_marks.weights(),
+            self.differences.derivatives(),
             self.levels.derivative(state.rotation) / self.levels.sigma[:, None, None],
             self.yaws.derivative(state.rotation) / self.yaws.sigma[:, None],
             self.structure.held_directions(state) / DATUM_SIGMA[0],
@@ -338,6 +377,7 @@ class NetworkProblem:
     def level_rows(self) -> slice:
         """The rows of the system that are levels, two a station."""
         first = int(self.use.sum()) + len(self.gauge) + self.control.count + self.known_marks.count
+        first += self.differences.count
         return slice(first, first + 2 * len(self.levels))
 
     @property
@@ -347,14 +387,7 @@ class NetworkProblem:
         lengths = int(np.isfinite(self.gauge.sigma).sum())
         lengths -= lengths > 0 and not self.gauge.tell_scale
         heads = sum(len(heads.parameters) for heads in self.model.heads)
-        known = (
-            lengths
-            + self.control.count
-            + self.known_marks.count
-            + 2 * len(self.levels)
-            + len(self.yaws)
-            + priors
-            + heads
-        )
+        known = self.control.count + self.known_marks.count + self.differences.count
+        known += lengths + 2 * len(self.levels) + len(self.yaws) + priors + heads
         unknown = self.unknowns.size - self.free.shape[1] - self.structure.held + self.structure.idle
         return int(self.use.sum()) + known - unknown

@@ -1,7 +1,8 @@
-"""Rows of the adjustment that are not pointings: gauge lengths, priors, control points, levels, yaws, datum."""
+"""Rows of the adjustment that are not pointings: lengths, known points and differences, levels, yaws, datum."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -13,9 +14,10 @@ from ltsim.geometry.polar import wrap
 from ltsim.geometry.rigid import ON_A_LINE, rigid_motion
 from ltsim.geometry.rotations import cross_matrix, perpendicular
 from ltsim.model.measurement import verticals
+from ltsim.recording.differences import places_of
 from ltsim.recording.lengths import KnownLengths
 from ltsim.recording.recording import Recording
-from ltsim.recording.setup import Target, symmetric
+from ltsim.recording.setup import KnownDifference, Target, symmetric
 from ltsim.units import ARCSECOND, DEGREE, MILLIMETRE
 
 VERTICAL = np.array([0.0, 0.0, 1.0])
@@ -99,13 +101,7 @@ class ControlRows:
     def _known(cls, recording: Recording, places: list[tuple[int, str]]) -> ControlRows:
         known = [(i, recording.target_setup(name)) for i, name in places]
         rows = [(i, t) for i, t in known if t.known_mm is not None]
-        axes = np.array([[axis in t.known_axes for axis in "xyz"] for _, t in rows], dtype=bool).reshape(-1, 3)
-        return cls(
-            np.array([i for i, _ in rows], dtype=np.int64),
-            np.array([t.known_mm for _, t in rows], dtype=np.float64).reshape(-1, 3) * MILLIMETRE,
-            axes,
-            np.array([_root(t, known) for (_, t), known in zip(rows, axes, strict=True)]).reshape(-1, 3, 3),
-        )
+        return cls(np.array([i for i, _ in rows], dtype=np.int64), *_stated([t for _, t in rows]))
 
     def __len__(self) -> int:
         return len(self.target)
@@ -126,9 +122,9 @@ class ControlRows:
                 roots[i][at] = np.linalg.inv(np.linalg.cholesky(covariance + floor**2 * np.eye(len(covariance))))
         return self if np.array_equal(roots, self.root) else replace(self, root=roots)
 
-    def residual(self, points: Floats) -> Floats:
-        """Whitened residuals (count,) where the places are at `points` (T or S, 3)."""
-        gap = np.where(self.axes, self.points - points[self.target], 0.0)
+    def residual(self, here: Floats) -> Floats:
+        """Whitened residuals (count,) where the places are `here` (k, 3)."""
+        gap = np.where(self.axes, self.points - here, 0.0)
         return np.einsum("kij,kj->ki", self.root, gap)[self.axes]
 
     def weights(self) -> Floats:
@@ -136,14 +132,98 @@ class ControlRows:
         return self.root[self.axes]
 
 
-def _root(target: Target, axes: Bools) -> Floats:
-    """The root (3, 3) [1 / m] of a target's known coordinates."""
+def _stated(known: Sequence[Target | KnownDifference]) -> tuple[Floats, Bools, Floats]:
+    """Known coordinates (k, 3) [m], which of them are known, and their roots (k, 3, 3) [1 / m]."""
+    axes = np.array([[axis in one.known_axes for axis in "xyz"] for one in known], dtype=bool).reshape(-1, 3)
+    roots = np.array([_root(one, stated) for one, stated in zip(known, axes, strict=True)]).reshape(-1, 3, 3)
+    return np.array([one.known_mm for one in known], dtype=np.float64).reshape(-1, 3) * MILLIMETRE, axes, roots
+
+
+def _root(target: Target | KnownDifference, axes: Bools) -> Floats:
+    """The root (3, 3) [1 / m] of known coordinates."""
     if target.known_covariance_mm2 is None:
         return np.diag(axes / (target.known_sigma_mm * MILLIMETRE))
     at, root = np.ix_(axes, axes), np.zeros((3, 3))
     covariance = symmetric(target.known_covariance_mm2)[at] * MILLIMETRE**2
     root[at] = np.linalg.inv(np.linalg.cholesky(covariance))
     return root
+
+
+@dataclass(frozen=True)
+class DifferenceRows(ControlRows):
+    """Known differences of marks: `points` are those of the places `target` less those of the places `start`.
+
+    Places are T targets, then S instruments, then the origin in place of marks that nobody measured: what is known of
+    them is in `points`, as are the heights of the instruments.
+    """
+
+    start: Ints
+    """(k,)."""
+    last: int
+    """Number of the origin among the places."""
+    names: tuple[str, ...]
+
+    @classmethod
+    def between(cls, recording: Recording, marks: Marks) -> DifferenceRows:
+        """The differences of a recording whose ends it tells."""
+        places, count = places_of(recording), len(recording.targets)
+        last, known = count + len(recording.stations), recording.setup.differences
+        known = tuple(one for one in known if {one.from_, one.to} <= places.keys())
+        points, axes, roots = _stated(known)
+        ends = np.array([[places[one.from_], places[one.to]] for one in known], dtype=np.int64).reshape(-1, 2)
+        for k, one in enumerate(known):
+            for sign, name, place in zip((-1.0, 1.0), (one.from_, one.to), ends[k], strict=True):
+                if place == last:
+                    points[k] -= sign * np.array(recording.target_setup(name).known_mm) * MILLIMETRE
+                elif place >= count:
+                    points[k] += sign * marks.offset[place - count]
+        return cls(ends[:, 1], points, axes, roots, ends[:, 0], last, tuple(one.called for one in known))
+
+    @property
+    def ends(self) -> Ints:
+        """(2, k): places at either end."""
+        return np.stack([self.start, self.target])
+
+    def some(self, chosen: Bools) -> DifferenceRows:
+        """Those that are `chosen` (k,)."""
+        return DifferenceRows(
+            self.target[chosen],
+            self.points[chosen],
+            self.axes[chosen],
+            self.root[chosen],
+            self.start[chosen],
+            self.last,
+            tuple(name for name, kept in zip(self.names, chosen, strict=True) if kept),
+        )
+
+    def apart(self, points: Floats, position: Floats) -> Floats:
+        """Differences (k, 3) [m] where targets are at `points` (T, 3) and instruments at `position` (S, 3)."""
+        places = np.concatenate([points, position, np.zeros((1, 3))])
+        return places[self.target] - places[self.start]
+
+    def derivatives(self) -> Floats:
+        """Derivative (count, 6) of the whitened differences by the places of both ends; that of the origin is 0."""
+        signs = np.where(self.ends == self.last, 0.0, [[-1.0], [1.0]])[:, :, None, None]
+        return np.concatenate([*(signs * self.root)], axis=2)[self.axes]
+
+    def told(self, open_: Bools) -> Bools:
+        """Which heights (T + S + 1,) of open ones no difference tells either: it tells one end by the other."""
+        open_, ends = open_.copy(), self.ends[:, self.axes[:, 2]]
+        while (half := open_[ends[0]] != open_[ends[1]]).any():
+            open_[ends[:, half]] = False
+        return open_
+
+    def motion(self, centre: Floats, reach: float) -> Floats:
+        """What unit translations and rotations do to the known coordinates (count, 6), as `free_motions` counts.
+
+        A difference to the origin is a known place; of two places that move it feels the turn alone.
+        """
+        tied, size = (self.ends == self.last).any(axis=0), np.linalg.norm(self.points, axis=1, keepdims=True)
+        place = np.where(self.start == self.last, 1.0, -1.0)[:, None] * self.points
+        arm = self.points / np.where(size > 0.0, size, 1.0)
+        moved = rigid_motion(np.where(tied[:, None], (place - centre) / reach, arm)).reshape(-1, 3, 6)
+        moved[~tied, :, :3] = 0.0
+        return moved[self.axes]
 
 
 @dataclass(frozen=True)
@@ -225,8 +305,10 @@ PARALLEL = 1e-2
 """Plumb lines that differ by less do not tell the network's yaw (1e-2 rad are 64 km on the earth)."""
 
 
-def free_motions(control: ControlRows, marks: ControlRows, levels: LevelRows, yaws: YawRows) -> Floats:
-    """Rigid motions (6, f) that no control point, level or yaw fixes, as columns of (translation, rotation).
+def free_motions(
+    control: ControlRows, marks: ControlRows, differences: DifferenceRows, levels: LevelRows, yaws: YawRows
+) -> Floats:
+    """Rigid motions (6, f) that no known point, difference, level or yaw fixes, as columns of (translation, rotation).
 
     Their number is decided by structure: none with three control points off one line, the four that keep the
     vertical with levels alone, all six without either.
@@ -236,6 +318,8 @@ def free_motions(control: ControlRows, marks: ControlRows, levels: LevelRows, ya
     centre = points.mean(axis=0)
     reach = max(float(np.abs(points - centre).max()), 1e-9) if len(points) > 1 else 1.0
     rows = [rigid_motion((one.points - centre) / reach)[one.axes.ravel()] for one in known]
+    if len(differences):
+        rows.append(differences.motion(centre, reach))
     if len(levels):
         mean = levels.vertical.mean(axis=0)
         alike = float(np.linalg.norm(levels.vertical - mean, axis=1).max()) < PARALLEL

@@ -70,7 +70,7 @@ def _later(rows: np.ndarray) -> Bools:
 
 
 def without_loose(problem: NetworkProblem, state: State) -> NetworkProblem:
-    """The problem without the readings and known lengths of targets that they do not determine.
+    """The problem without the readings, known lengths and differences of targets that they do not determine.
 
     A length to such a target keeps its row, without weight.
     """
@@ -80,9 +80,10 @@ def without_loose(problem: NetworkProblem, state: State) -> NetworkProblem:
         reached = problem.structure.unseen | loose
         idle = (reached[gauge.first] | reached[gauge.second]) & np.isfinite(gauge.sigma)
         use = problem.use & ~loose[problem.model.recording.target][:, None]
-        if np.array_equal(use, problem.use) and not idle.any():
+        apart = problem.differences.some(~problem.unplaced(reached))
+        if np.array_equal(use, problem.use) and not idle.any() and len(apart) == len(problem.differences):
             return problem
-        problem = replace(problem, gauge=replace(gauge, idle=gauge.idle | idle), use=use)
+        problem = replace(problem, gauge=replace(gauge, idle=gauge.idle | idle), use=use, differences=apart)
 
 
 def loose_targets(problem: NetworkProblem, state: State) -> Bools:
@@ -102,6 +103,9 @@ def loose_targets(problem: NetworkProblem, state: State) -> Bools:
     for end in (gauge.first, gauge.second):
         np.add.at(normal, end, along[:, :, None] * along[:, None, :])
     np.add.at(normal, control.target, np.swapaxes(control.root, 1, 2) @ control.root)
+    for end in problem.differences.ends:
+        own = problem.differences.some(end < count)
+        np.add.at(normal, end[end < count], np.swapaxes(own.root, 1, 2) @ own.root)
     normal[problem.structure.flat, 2, 2] += np.trace(normal[problem.structure.flat], axis1=1, axis2=2)
     # In each axis' own unit: a coordinate that is known to a micrometre leaves one that is read to a metre known.
     scaled, _ = unit_diagonal(normal, np.diagonal(normal, axis1=1, axis2=2))

@@ -12,6 +12,7 @@ from ltsim.geometry.alignment import robust_align
 from ltsim.geometry.polar import from_polar, to_face
 from ltsim.geometry.rotations import about_z, smallest_turn
 from ltsim.model.measurement import lift_of
+from ltsim.notation import listing
 from ltsim.recording.recording import Recording
 
 BEGINNINGS = ("frame", "cloud", "ranges", "places")
@@ -93,7 +94,7 @@ class Growth:
     def run(self, beginning: str) -> None:
         """Join everything that can be joined from one of `BEGINNINGS`, then go to the stated frame."""
         getattr(self, f"_begin_with_{beginning}")()
-        steps = self._join_by_cloud, self._join_by_yaw, self._locate, self._join_by_fit, self._anchor
+        steps = self._join_by_cloud, self._join_by_yaw, self._locate, self._join_by_fit, self._anchor, self._look_back
         while not self.is_complete and any(step() for step in steps):
             pass
         self._settle()
@@ -226,6 +227,26 @@ class Growth:
                 return True
         return False
 
+    def _look_back(self) -> bool:
+        """Join a levelled station that is seen from where it looks back: its beams cross where it stands, in plan."""
+        recording, over = self._recording, self._frame.marks.target
+        known, ahead, turn = self._known(), self._rotation[:, :, 0], self._front[:, 1]
+        for row in np.flatnonzero(self._joined[recording.station] & ~self._have[recording.target]).tolist():
+            back = recording.station[row]
+            bearing = turn[row] + np.arctan2(ahead[back, 1], ahead[back, 0])
+            for station in np.flatnonzero((over == recording.target[row]) & self._frame.level & ~self._joined).tolist():
+                own = (recording.station == station) & np.isfinite(turn + known[recording.target, 0])
+                zero = turn[own & (recording.target == over[back])][:1]
+                if not self._upright or not len(zero) or not np.isfinite(bearing):
+                    continue
+                yaw = float(bearing + np.pi - zero[0])
+                rays = np.array([np.cos(turn[own] + yaw), np.sin(turn[own] + yaw), np.zeros(own.sum())]).T
+                place = meeting_point(known[recording.target[own]], rays)
+                if place is not None:
+                    self._place(station, place + self._frame.marks.offset[station], about_z(yaw))
+                    return True
+        return False
+
     # --- frame -----------------------------------------------------------------------------------------------------
 
     def _move(self, rotation: Floats, translation: Floats) -> None:
@@ -340,7 +361,7 @@ class Growth:
         """NetworkError with the names of the stations that have no place, or of the targets where none has one."""
         recording = self._recording
         if not self._joined.all():
-            lost = ", ".join(recording.stations[s] for s in np.flatnonzero(~self._joined))
+            lost = listing([recording.stations[s] for s in np.flatnonzero(~self._joined)])
             shared = self._shared()
             nearest = int(np.argmax(np.where(self._joined, -1, shared)))
             most, own = int(shared[nearest]), self._pairs.target[self._pairs.of_station(nearest)]
@@ -351,7 +372,7 @@ class Growth:
                 what = f"shares only {most} targets with the rest of the network; at least three"
             raise NetworkError(
                 f"station {lost}: {what} are needed "
-                "(two between levelled stations, more where ranges or angles are missing)"
+                "(two between levelled stations, more where ranges or angles are missing), or rough coordinates of all"
             )
         if not self._have.any():
             raise NetworkError(

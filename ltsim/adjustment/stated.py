@@ -1,18 +1,19 @@
 """What the set-up of a network states, in the rows of its adjustment: each known value, its gap, its error's effect."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
 
 from ltsim.adjustment.problem import NetworkProblem
+from ltsim.adjustment.rows import ControlRows
 from ltsim.arrays import Floats, Ints
 from ltsim.model.measurement import State
 from ltsim.recording.lengths import UNKNOWN_PPM
 from ltsim.recording.recording import Recording
 
-Kind = Literal["point", "length", "level", "yaw", "mark", "axes", "scale"]
+Kind = Literal["point", "difference", "length", "level", "yaw", "mark", "axes", "scale"]
 UNSAID: dict[str, dict[str, object]] = {
     "level": {"levelled": False, "yaw_sigma_arcsec": None},
     "yaw": {"yaw_sigma_arcsec": None},
@@ -23,13 +24,16 @@ UNSAID: dict[str, dict[str, object]] = {
 
 @dataclass(frozen=True)
 class KnownValue:
-    """A point, length or level, all lengths, or that a set-up stands on its mark; (q,) [m, rad or 1], a component."""
+    """A point, difference, length or level, all lengths, or that a set-up stands on its mark.
+
+    Arrays are (q,) [m, rad or 1], a component each.
+    """
 
     kind: Kind
     name: str
-    """Target, both ends of a length, or station."""
+    """Target, both ends of a length or difference, or station."""
     axes: str
-    """Coordinates that are known, of a point."""
+    """Coordinates that are known, of a point or a difference."""
     sigma: Floats
     """Stated standard deviation."""
     residual: Floats
@@ -58,17 +62,22 @@ def known_values(problem: NetworkProblem, state: State) -> Iterator[KnownInRows]
         column = shown[reached, i : i + 1]
         yield KnownInRows("length", name, "", gauge.sigma[i : i + 1], gap[i : i + 1], first + reached, column)
     first += len(gauge)
-    points = problem.control, recording.targets, ("",) * len(recording.targets), state.points
-    marks = problem.known_marks, problem.marks.names, recording.stations, state.position
-    for known, names, under, here in (points, marks):
+    points, marks, apart = problem.control, problem.known_marks, problem.differences
+    at, on, names = points.target, marks.target, problem.marks.names
+    by_name: tuple[tuple[Kind, ControlRows, list[str], Sequence[str], Floats], ...] = (
+        ("point", points, [recording.targets[t] for t in at], (), state.points[at]),
+        ("point", marks, [names[s] for s in on], recording.stations, state.position[on]),
+        ("difference", apart, [*apart.names], (), apart.apart(state.points, state.position)),
+    )
+    for kind, known, called, under, here in by_name:
         for i, place in enumerate(known.target.tolist()):
             axes = known.axes[i]
             root = known.root[i][np.ix_(axes, axes)]
             sigma = np.linalg.norm(np.linalg.inv(root), axis=1)
             said = "".join(axis for axis, stated in zip("xyz", axes, strict=True) if stated)
             rows = first + np.arange(len(root))
-            gap, over = (known.points[i] - here[place])[axes], under[place]
-            yield KnownInRows("point", names[place], said, sigma, gap, rows, root, under=over)
+            gap, over = (known.points[i] - here[i])[axes], under[place] if under else ""
+            yield KnownInRows(kind, called[i], said, sigma, gap, rows, root, under=over)
             first += len(root)
     tilts = -problem.levels.predict(state.rotation)
     for i, station in enumerate(problem.levels.station.tolist()):
@@ -114,6 +123,8 @@ def without(recording: Recording, test: KnownValue) -> Recording:
         left = tuple(d for d in recording.gauge.distance if f"{d.from_}-{d.to}" != name)
         unsaid: dict[str, object] = {"sigma_scale_ppm": UNKNOWN_PPM} if test.kind == "scale" else {"distance": left}
         change: dict[str, object] = {"gauge": recording.gauge.model_copy(update=unsaid)}
+    elif test.kind == "difference":
+        change = {"differences": tuple(one for one in setup.differences if one.called != name)}
     elif test.kind in UNSAID:
         unsaid = UNSAID[test.kind]
         change = {"stations": setup.stations | {name: setup.stations[name].model_copy(update=unsaid)}}

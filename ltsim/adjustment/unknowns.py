@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ltsim.adjustment.rows import GaugeRows, Marks
+from ltsim.adjustment.rows import DifferenceRows, GaugeRows, Marks
 from ltsim.arrays import Ints
 from ltsim.model.measurement import MeasurementModel
 
@@ -21,7 +21,8 @@ class Unknowns:
     pose: Ints
     """(S, 6): translation, then rotation."""
     target: Ints
-    """(T, 3): gauge targets and those under a set-up are kept, all others are eliminated block by block."""
+    """(T, 3): targets of known lengths and differences and those under a set-up are kept, all others are eliminated
+    block by block."""
     instrument: Ints
     """(I, p)."""
     extra: Ints
@@ -31,8 +32,13 @@ class Unknowns:
     size: int
     """Number of all columns."""
 
+    @property
+    def places(self) -> Ints:
+        """(T + S + 1, 3): columns of the places of targets and set-ups; any for the origin, which is no unknown."""
+        return np.concatenate([self.target, self.pose[:, :3], self.pose[:1, :3]])
+
     @classmethod
-    def of(cls, model: MeasurementModel, gauge: GaugeRows, marks: Marks) -> Unknowns:
+    def of(cls, model: MeasurementModel, gauge: GaugeRows, marks: Marks, differences: DifferenceRows) -> Unknowns:
         """The unknowns of a model."""
         recording, over = model.recording, marks.target >= 0
         stations, targets = len(recording.stations), len(recording.targets)
@@ -46,7 +52,8 @@ class Unknowns:
         own = np.ones((stations, 6), dtype=bool)
         own[:, :3] = (~over & (marks.first == np.arange(stations)))[:, None]
         keep = np.zeros(targets, dtype=bool)
-        keep[np.concatenate([gauge.first, gauge.second, marks.target[over]])] = True
+        apart = differences.ends[differences.ends < targets]
+        keep[np.concatenate([gauge.first, gauge.second, marks.target[over], apart])] = True
         pose, target = np.full((stations, 6), -1), np.empty((targets, 3), dtype=np.int64)
         pose[own] = fresh(int(own.sum()), 1)[:, 0]
         target[keep] = fresh(int(keep.sum()), 3)

@@ -207,18 +207,19 @@ def frame_of(adjustment: Adjustment) -> str:
     levelled = [recording.stations[i] for i in problem.levels.station]
     turned = [recording.stations[i] for i in problem.yaws.station]
     zeros = [f"the azimuth zero of {listing(turned)}"] if turned else []
-    points = f"control point{'s' if len(control) > 1 else ''} {listing(control)}"
+    zeros += [f"the known differences {listing(problem.differences.names)}"] if problem.differences.names else []
+    points = [f"the control point{'s' if len(control) > 1 else ''} {listing(control)}"] if control else []
     if free == 0:
-        return f"the frame of {' and '.join([f'the {points}', *zeros])}"
+        return f"the frame of {' and '.join([*points, *zeros])}"
     rest = f"is {_free_axes(adjustment, first)}"
     if adjustment.datum is not None:
         rest += f", standard deviations by inner constraints over {listing(adjustment.datum.names)}"
     if free == 6:
         return rest.removeprefix("is ")
-    if not control:
+    if not control and not problem.differences.names:
         return f"{', x '.join([f'z follows the levels of {listing(levelled)}', *zeros])}; the rest {rest}"
     levels = ["the levels"] if levelled else []
-    return f"{' and '.join([f'the {points}', *levels, *zeros])}; what these leave free {rest}"
+    return f"{' and '.join([*points, *levels, *zeros])}; what these leave free {rest}"
 
 
 def _free_axes(adjustment: Adjustment, first: str) -> str:

@@ -211,12 +211,12 @@ class OutlierRow(Entry):
 class KnownEntry(Entry):
     """A component of a known value, tested like a reading; what gives only axes has the kind `axes`."""
 
-    kind: Literal["point", "length", "level", "yaw", "mark", "axes", "scale"]
+    kind: Literal["point", "difference", "length", "level", "yaw", "mark", "axes", "scale"]
     """What is known."""
     name: str
-    """Target, both ends of a length, station, or what `scale` is of."""
+    """Target, both ends of a length or a difference, station, or what `scale` is of."""
     component: str = ""
-    """x, y or z of a point; the two tilts of a level are x and y."""
+    """x, y or z of a point or a difference; the two tilts of a level are x and y."""
     residual: Finite
     """Stated less adjusted."""
     error: Finite

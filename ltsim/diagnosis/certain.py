@@ -44,6 +44,7 @@ def _seen_last(gross: GrossFinding, recording: Recording) -> bool:
 DATUM = {
     "point": "known coordinates",
     "axes": "stated coordinates",
+    "difference": "known difference",
     "length": "known length",
     "level": "level",
     "yaw": "azimuth zero",
@@ -55,7 +56,8 @@ DATUM = {
 def known_finding(test: KnownTest, adjustment: Adjustment) -> Finding:
     """The finding of a known value that contradicts the rest: what carries the error is the value itself."""
     recording = adjustment.recording
-    ends = (test.name, *test.name.split("-")) if test.kind == "length" else (test.name,)
+    joined = test.name.partition("#")[0].split("-") if test.kind in ("length", "difference") else []
+    ends = (test.name, *joined)
     unit, factor = UNITS.get(test.kind, ("mm", MILLIMETRE))
     rows = [
         Estimate(
@@ -71,7 +73,7 @@ def known_finding(test: KnownTest, adjustment: Adjustment) -> Finding:
         where=place_of(
             stations=(test.name,) if test.name in recording.stations else (),
             targets=tuple(t for t in recording.targets if t in ends)
-            if test.kind in ("point", "axes", "length")
+            if test.kind in ("point", "axes", "length", "difference")
             else (),
         ),
         parameters=tuple(rows),

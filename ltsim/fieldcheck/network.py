@@ -27,7 +27,7 @@ from ltsim.units import ARCSECOND, MILLIMETRE
 
 NETWORK_TESTS = 2
 """Tests of all stations together: common targets, and levels."""
-TESTED: tuple[Kind, ...] = ("point", "length", "mark", "scale")
+TESTED: tuple[Kind, ...] = ("point", "difference", "length", "mark", "scale")
 """Known values that may be left out; levels are tested one by one."""
 CHECKED = 0.05
 """Redundancy below which no other station checks a level."""

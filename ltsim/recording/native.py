@@ -13,6 +13,7 @@ import numpy as np
 from ltsim.arrays import Floats, Ints
 from ltsim.errors import RecordError
 from ltsim.recording.conventions import NO_HINTS, Hints
+from ltsim.recording.differences import check_differences
 from ltsim.recording.files import FilePlace, is_not_finite, is_number, read_lines, shown, write_texts
 from ltsim.recording.lengths import KnownLengths
 from ltsim.recording.pointings import indices
@@ -130,6 +131,7 @@ def parse(rows: list[list[str]], setup: Setup, folder: Path, *, growing: bool = 
     )
     if not growing:
         _check_gauge(recording, folder / SETUP)
+        check_differences(recording, folder / SETUP)
     _check_smrs(recording, folder)
     return recording.replace(notes=_idle_settings(recording))
 
@@ -238,8 +240,9 @@ def _idle_settings(recording: Recording) -> tuple[str, ...]:
         for name in setup.stations
         if name not in recording.stations
     ]
+    joined = {name for one in setup.differences for name in (one.from_, one.to)}
     for name, target in setup.targets.items():
-        if target.known_mm and name not in recording.targets and name not in marks:
+        if target.known_mm and name not in recording.targets and name not in marks and name not in joined:
             notes.append(f"targets.{name} is known but was never measured{_near(name, recording.targets)}")
         elif target.datum and name not in recording.targets and name not in marks:
             notes.append(

@@ -85,9 +85,10 @@ class Recording(Result):
         faces = np.unique(self.face)
         in_faces = "two faces" if len(faces) == 2 else f"face {faces[0]} only" if len(faces) else "no face"
         title = f"{self.setup.title}: " if self.setup.title else ""
+        apart = f", {len(self.setup.differences)} known differences" if self.setup.differences else ""
         return (
             f"{title}{len(self)} pointings, {len(self.stations)} stations, {len(self.targets)} targets, "
-            f"{in_faces}, {len(self.gauge.distance)} known lengths"
+            f"{in_faces}, {len(self.gauge.distance)} known lengths{apart}"
         )
 
     def _lines(self) -> list[str]:

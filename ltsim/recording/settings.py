@@ -127,6 +127,13 @@ def _check_names(setup: Setup, file: object) -> None:
         if line.from_ == line.to:
             where = FilePlace(file, column=f"gauge.distance {i + 1}")
             raise where.wrong(f"a length from '{shown(line.to)}' to itself, expected two different targets")
+    called = [one.called for one in setup.differences]
+    for i, one in enumerate(setup.differences):
+        where = FilePlace(file, column=f"differences {i + 1}")
+        if one.from_ == one.to:
+            raise where.wrong(f"a difference from '{shown(one.to)}' to itself, expected two different marks")
+        if one.called in called[:i]:
+            raise where.wrong(f"'{shown(one.called)}' is there already, expected a name of its own (name)")
 
 
 def _close(name: str, known: Any) -> list[str]:
@@ -204,7 +211,7 @@ def setup_to_toml(setup: Setup) -> str:
     """
     tables = {"instrument", "instruments", "gauge", "stations", "targets", "reflectors"}
     table: dict[str, Any] = {"format": setup.format, "title": setup.title}
-    table |= setup.model_dump(exclude_defaults=True, exclude=tables)
+    table |= setup.model_dump(by_alias=True, exclude_defaults=True, exclude=tables)
     if not setup.instruments or setup.instrument != Instrument():
         table["instrument"] = setup.instrument.model_dump(by_alias=True, exclude_none=True)
     named = {n: i.model_dump(by_alias=True, exclude_none=True) for n, i in setup.instruments.items()}

@@ -276,6 +276,33 @@ class Target(TomlSection):
     """Height of the reflector above the mark that the name stands for."""
 
 
+class KnownDifference(TomlSection):
+    """How one mark lies from another, as by levelling (along z) or by satellites: a condition with weight.
+
+    Marks are targets, or those under set-ups; one that nobody measured has to be known, ten times better than this.
+    """
+
+    name: Line | None = None
+    """What it is called where several join the same marks; their names where it is not given, as `A-B`."""
+    from_: str = Field(alias="from")
+    """Mark at one end."""
+    to: str
+    """Mark at the other end."""
+    known_mm: Vector
+    """Coordinates of `to` less those of `from`."""
+    known_sigma_mm: Sigma = 0.01
+    """Standard deviation of each known coordinate."""
+    known_covariance_mm2: Covariance | None = None
+    """Covariance xx, xy, xz, yy, yz, zz of the known coordinates, in place of `known_sigma_mm`."""
+    known_axes: Axes = "xyz"
+    """Which of the coordinates are known."""
+
+    @property
+    def called(self) -> str:
+        """Its name."""
+        return self.name or f"{self.from_}-{self.to}"
+
+
 class Reflector(TomlSection):
     """One SMR, table `[reflectors.NAME]`: pointings name it in the column `reflector`, or its target does."""
 
@@ -328,6 +355,8 @@ class Setup(TomlSection):
     """What is known about set-ups, tables `[stations.NAME]`."""
     targets: dict[str, Target] = Field(default_factory=dict)
     """What is known about reflectors, tables `[targets.NAME]`."""
+    differences: tuple[KnownDifference, ...] = ()
+    """Known differences of marks, a table `[[differences]]` each."""
     reflectors: dict[str, Reflector] = Field(default_factory=dict)
     """SMRs with radii of their own, tables `[reflectors.NAME]`; the difference to the reference lies along the nest's
     normal. Without any, all SMRs are taken for one."""

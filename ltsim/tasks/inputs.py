@@ -120,6 +120,7 @@ def observed_sources(adjustment: Adjustment, reach: Floats) -> list[Source]:
     at += len(gauge)
     for name, count in (
         (CONTROL, problem.control.count + problem.known_marks.count),
+        ("known differences", problem.differences.count),
         ("levels", 2 * len(problem.levels)),
         ("orientations", len(problem.yaws)),
         ("", problem.structure.held),

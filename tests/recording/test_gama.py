@@ -96,7 +96,9 @@ def test_points_heights_and_lengths(tmp_path: Path) -> None:
     (length,) = recording.gauge.distance
     assert (length.from_, length.to, length.length_mm, length.sigma_mm) == ("B", "C", 7000, 1.5)
     notes = " ".join(recording.notes)
-    for said in ("left-handed system", "1 <dh> left out", "sigma-apr is 2"):
+    (apart,) = recording.setup.differences
+    assert (apart.called, apart.known_mm, apart.known_sigma_mm, apart.known_axes) == ("A-B", (0, 0, 1000), 1, "z")
+    for said in ("left-handed system", "sigma-apr is 2"):
         assert said in notes
 
 

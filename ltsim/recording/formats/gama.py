@@ -2,98 +2,48 @@
 
 Understood are directions, azimuths, zenith angles, slope and horizontal distances, angles, heights of instrument and
 target, points that are fixed, constrained, adjusted or observed with a covariance. Each set of directions becomes a
-set-up of its own over the same point, azimuths an oriented one; distances alone between two targets are known lengths.
-What has no place in a recording (height differences, vectors) is named in a note and left out.
+set-up of its own over the same point, azimuths an oriented one; distances alone between two targets are known lengths,
+height differences and vectors known differences of their marks. Without any pointing they are no recording.
 
 Gama's instruments are levelled exactly and its angles count clockwise unless said otherwise; a left-handed system of
 axes is made right-handed by turning y over, which a note says.
 """
 
 import re
-from collections import Counter
-from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
-from ltsim.arrays import Floats, Ints
 from ltsim.errors import RecordError
 from ltsim.notation import listing
 from ltsim.recording.conventions import NO_HINTS, Hints
+from ltsim.recording.differences import check_differences
 from ltsim.recording.files import FilePlace, as_title, shown
-from ltsim.recording.pointings import NAN, Observed, merged, numbered, recording_of, settled_heights
+from ltsim.recording.formats.gama_covariance import covariances, differences_of, shared_directions
+from ltsim.recording.formats.gama_network import GamaNetwork, GamaPoint, lengths_of, named, take_plan
+from ltsim.recording.pointings import NAN, Observed, merged, recording_of, settled_heights
 from ltsim.recording.recording import Recording
 from ltsim.recording.setup import (
     EXACT_LEVEL_ARCSEC,
     Gauge,
-    GaugeDistance,
     Instrument,
     Noise,
     Setup,
     Station,
     Target,
-    Vector,
 )
-from ltsim.recording.xml import Node, banded, parse
+from ltsim.recording.xml import Node, parse
 from ltsim.units import ARCSECOND, DEGREE, FACTOR, GON, MILLIMETRE
 
 LEFT_HANDED, RIGHT_HANDED = ("ne", "sw", "es", "wn"), ("en", "nw", "se", "ws")
-FIXED_MM = 1e-4
 CC = FACTOR["cc"]
 STATED = {"z-angle": "zenith-angle", "s-distance": "distance"} | {k: k for k in ("direction", "azimuth", "distance")}
 """Under which name the file states the standard deviation of an observation."""
 NAMES = ("id", "from", "to", "bs", "fs")
 """Attributes that name a point."""
 CORRELATIONS = "correlations of observations are left out: of a <cov-mat> the diagonal is used"
+BETWEEN = "correlations between height differences, or between vectors, are left out"
 _DMS = re.compile(r"([+-]?)(\d{1,3})-(\d{1,2})-(\d{1,2}(?:\.\d+)?)", re.ASCII)
-
-
-@dataclass
-class _Point:
-    """What the file says of a point: coordinates [m] by axis, and the axes that are fixed, of the datum, or used."""
-
-    values: dict[str, float] = field(default_factory=dict)
-    fixed: str = ""
-    datum: str = ""
-    active: str = ""
-    sigma: float = FIXED_MM
-    covariance: tuple[float, ...] | None = None
-    """xx, xy, xz, yy, yz, zz [mm^2]."""
-
-    @property
-    def place(self) -> Vector | None:
-        """Coordinates [mm], where all three are there."""
-        return self.known if len(self.values) == 3 else None
-
-    @property
-    def known(self) -> Vector:
-        """Coordinates [mm], 0 for what is not there."""
-        x, y, z = (round(self.values.get(axis, 0.0) / MILLIMETRE, 9) for axis in "xyz")
-        return x, y, z
-
-
-@dataclass
-class _Network:
-    file: Path
-    title: str = ""
-    y_sign: float = 1.0
-    angle_sign: float = -1.0
-    stdev: dict[str, str] = field(default_factory=dict)
-    points: dict[str, _Point] = field(default_factory=dict)
-    sets: Counter[str] = field(default_factory=Counter)
-    over: dict[str, str] = field(default_factory=dict)
-    north: float = 0.0  # [deg] counter-clockwise from x
-    oriented: set[str] = field(default_factory=set)  # set-ups of azimuths: their circles are zero in the north
-    observed: list[Observed] = field(default_factory=list)
-    left_out: Counter[str] = field(default_factory=Counter)
-    notes: list[str] = field(default_factory=list)
-
-    def station(self, point: str, *, with_directions: bool = False) -> str:
-        """Name of the set-up over a point; further sets of directions get further set-ups."""
-        self.sets[point] += with_directions
-        name = numbered(point, max(self.sets[point] - 1, 0))
-        self.over[name] = point
-        return name
 
 
 def recognises(path: Path, head: str) -> bool:
@@ -106,7 +56,7 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     root = parse(path)
     if root.tag not in ("gama-local", "gama-xml"):
         raise RecordError(f"the root is <{shown(root.tag)}>, expected <gama-local>", file=path)
-    network = _Network(path)
+    network = GamaNetwork(path)
     _without_slashes(root, network)
     for node in root.inside("network", "description", "parameters"):
         if node.tag == "network":
@@ -122,7 +72,7 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     return _finished(network)
 
 
-def _without_slashes(root: Node, network: _Network) -> None:
+def _without_slashes(root: Node, network: GamaNetwork) -> None:
     """Write names of points with `_` in place of `/`, which the name of a target may not hold; no `..` is a name."""
     named = [(element, key) for element in root.element.iter() for key in NAMES if key in element.attrib]
     given = dict.fromkeys(element.attrib[key] for element, key in named)
@@ -137,7 +87,7 @@ def _without_slashes(root: Node, network: _Network) -> None:
         network.notes.append(f"'/' in names of points is written '_': {listing([*names.values()], 3)}")
 
 
-def _read_axes(node: Node, network: _Network) -> None:
+def _read_axes(node: Node, network: GamaNetwork) -> None:
     axes, angles = node.get("axes-xy", "ne"), node.get("angles", "left-handed")
     if axes not in (*LEFT_HANDED, *RIGHT_HANDED) or angles not in ("left-handed", "right-handed"):
         message = f"axes-xy='{shown(axes)}', angles='{shown(angles)}' is no system that gama-local knows"
@@ -149,7 +99,8 @@ def _read_axes(node: Node, network: _Network) -> None:
         network.notes.append(f"axes-xy='{axes}' is a left-handed system: y is turned over to make it right-handed")
 
 
-def _read_parameters(node: Node, network: _Network) -> None:
+def _read_parameters(node: Node, network: GamaNetwork) -> None:
+    network.apriori = node.number("sigma-apr", network.apriori)
     if "sigma-apr" in node:
         apriori = shown(node.get("sigma-apr"))
         network.notes.append(f"sigma-apr is {apriori}: Gama's sigma0 is the one found here times that")
@@ -157,7 +108,7 @@ def _read_parameters(node: Node, network: _Network) -> None:
         network.notes.append("latitude and ellipsoid are not used: no reduction of observations to an ellipsoid")
 
 
-def _read_part(node: Node, network: _Network) -> None:
+def _read_part(node: Node, network: GamaNetwork) -> None:
     if node.tag == "point":
         _read_point(node, network)
     elif node.tag == "obs":
@@ -165,15 +116,17 @@ def _read_part(node: Node, network: _Network) -> None:
     elif node.tag == "coordinates":
         _read_coordinates(node, network)
     elif node.tag in ("height-differences", "vectors"):
-        network.left_out.update(inner.tag for inner in node if inner.tag != "cov-mat")
+        found, correlated = differences_of(node, network.y_sign, network.apriori)
+        network.differences += found
+        network.notes += [BETWEEN] * correlated
     else:
         network.left_out[node.tag] += 1
 
 
-def _read_point(node: Node, network: _Network) -> _Point:
+def _read_point(node: Node, network: GamaNetwork) -> GamaPoint:
     """Coordinates as known (fixed) along some axes and approximate along the others; capitals define the datum."""
     name = node.name("id", "point")
-    point = network.points.setdefault(name, _Point())
+    point = network.points.setdefault(name, GamaPoint())
     sign = {"x": 1.0, "y": network.y_sign, "z": 1.0}
     point.values.update({axis: sign[axis] * node.number(axis) for axis in "xyz" if axis in node})
     fixed, adjusted = node.get("fix"), node.get("adj")
@@ -192,9 +145,9 @@ def _axes(letters: str) -> str:
     return "".join(axis for axis in "xyz" if axis in letters.lower())
 
 
-def _read_coordinates(node: Node, network: _Network) -> None:
+def _read_coordinates(node: Node, network: GamaNetwork) -> None:
     """Observed coordinates: known with their covariance; what correlates different points is left out."""
-    row, column, numbers = _covariances(node)
+    row, column, numbers = covariances(node)
     sign, at = np.array([1.0, network.y_sign, 1.0]), 0
     for inner in [inner for inner in node if inner.tag == "point"]:
         point, axes = _read_point(inner, network), [i for i, axis in enumerate("xyz") if axis in inner]
@@ -214,19 +167,13 @@ def _read_coordinates(node: Node, network: _Network) -> None:
             point.covariance = tuple((own * np.outer(sign, sign))[np.triu_indices(3)].tolist())
 
 
-def _covariances(node: Node) -> tuple[Ints, Ints, Floats]:
-    """Row, column and value (k,) of the upper triangle of a matrix in Gama's band form, [mm^2] or [cc^2]."""
-    matrix = next((inner for inner in node if inner.tag == "cov-mat"), None)
-    if matrix is None:
-        return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros(0)
-    values = [matrix.where.number(word, "cov-mat") for word in matrix.text.split()]
-    return banded(matrix, matrix.number("dim"), matrix.number("band"), values)
-
-
-def _read_obs(block: Node, network: _Network) -> None:
+def _read_obs(block: Node, network: GamaNetwork) -> None:
     """One block of observations from a point, or with ``from`` at every observation."""
     inner = [child for child in block if child.tag != "cov-mat"]
-    row, column, numbers = _covariances(block)
+    row, column, numbers = covariances(block)
+    if shared := shared_directions(inner, row, column, numbers):
+        _read_chain(inner, block, shared, network)
+        return
     if np.any(numbers[row != column]):
         network.notes.append(CORRELATIONS)
     variances = numbers[row == column]
@@ -251,7 +198,7 @@ def _from(child: Node, block: Node) -> str:
     return (child if "from" in child else block).name("from", "point")
 
 
-def _observation(child: Node, block: Node, station: str, sigma: float, network: _Network) -> Observed:
+def _observation(child: Node, block: Node, station: str, sigma: float, network: GamaNetwork) -> Observed:
     target = child.name("to", "point")
     heights = child.number("from_dh", block.number("from_dh", 0.0)), child.number("to_dh", 0.0)
     if child.tag in ("s-distance", "distance"):
@@ -270,7 +217,7 @@ def _observation(child: Node, block: Node, station: str, sigma: float, network: 
     return Observed("elevation", station, target, np.pi / 2 - value, stated, *heights, line=child.line)
 
 
-def _read_angle(child: Node, block: Node, sigma: float, network: _Network) -> None:
+def _read_angle(child: Node, block: Node, sigma: float, network: GamaNetwork) -> None:
     """An angle is two directions with an orientation of their own, each with its sigma over the square root of 2."""
     station = network.station(_from(child, block), with_directions=True)
     value, second = _angle(child)
@@ -278,6 +225,18 @@ def _read_angle(child: Node, block: Node, sigma: float, network: _Network) -> No
     for name, turned in (("bs", 0.0), ("fs", network.angle_sign * value)):
         one = Observed("azimuth", station, child.name(name, "point"), turned, stated, line=child.line)
         network.observed.append(one)
+
+
+def _read_chain(angles: list[Node], block: Node, variances: list[float], network: GamaNetwork) -> None:
+    """Angles between directions that they share are one set of directions, with the variances [cc^2] of these."""
+    station, turned = network.station(_from(angles[0], block), with_directions=True), 0.0
+    ends = [(angles[0], "bs"), *((angle, "fs") for angle in angles)]
+    for (child, name), variance in zip(ends, variances, strict=True):
+        value, second = _angle(child)
+        turned += value * (name == "fs")
+        stated = float(np.sqrt(variance)) * second
+        target, seen = child.name(name, "point"), network.angle_sign * (turned % (2 * np.pi))
+        network.observed.append(Observed("azimuth", station, target, seen, stated, line=child.line))
 
 
 def _angle(child: Node) -> tuple[float, float]:
@@ -289,7 +248,7 @@ def _angle(child: Node) -> tuple[float, float]:
     return (-degrees if parts[1] == "-" else degrees) * DEGREE, ARCSECOND
 
 
-def _stdev(child: Node, network: _Network, distance: float = 0.0) -> float:
+def _stdev(child: Node, network: GamaNetwork, distance: float = 0.0) -> float:
     """Standard deviation as stated for the observation, or by default: ``a``, or ``a b c`` = a + b D^c, D in km."""
     kind = STATED.get(child.tag, child.tag)
     words = child.get("stdev", network.stdev.get(kind, "")).split()
@@ -304,33 +263,16 @@ def _stdev(child: Node, network: _Network, distance: float = 0.0) -> float:
     return sigma
 
 
-def _in_plan(network: _Network) -> None:
-    """Leave out what concerns heights that are neither fixed nor adjusted, and hold those heights, as Gama does."""
-    flat = {name for name, point in network.points.items() if point.active == "xy"}
-    if not flat:
-        return
-    kept = []
-    for o in network.observed:
-        in_plan = bool({network.over[o.station], o.target} & flat)
-        if not in_plan or o.kind == "azimuth" or o.horizontal:
-            kept.append(replace(o, instrument_height=0.0, target_height=0.0) if in_plan else o)
-    for name in flat:
-        network.points[name].values.setdefault("z", 0.0)
-        network.points[name].fixed += "z"
-    network.notes.append(
-        f'{len(flat)} points are adjusted in plan only (adj="xy"): they have no heights, and '
-        f"{len(network.observed) - len(kept)} observations that need heights are left out, as Gama does"
-    )
-    network.observed = kept
-
-
-def _finished(network: _Network) -> Recording:
-    _in_plan(network)
-    gauge, observed = _lengths(network)
+def _finished(network: GamaNetwork) -> Recording:
+    take_plan(network)
+    gauge, observed = lengths_of(network)
     pointings, instrument_heights, target_heights = settled_heights(merged(observed, network.file.name))
     no_place = "left out: a recording has no place for it"
     left = [f"{count} <{shown(what)}> {no_place}" for what, count in network.left_out.items()]
-    if left and not pointings:
+    if not pointings and network.differences:
+        message = "holds height differences or vectors and no pointing, expected readings of instruments beside them"
+        raise RecordError(f"{message}; gama-local adjusts such a network", file=network.file)
+    if not pointings and left:
         raise RecordError(f"holds no pointings, and {'; '.join(left)}", file=network.file)
     network.notes += left
     stations = {
@@ -338,7 +280,7 @@ def _finished(network: _Network) -> Recording:
             levelled=True,
             levelling_sigma_arcsec=EXACT_LEVEL_ARCSEC,
             over=network.over[name],
-            position_mm=network.points.get(network.over[name], _Point()).place,
+            position_mm=network.points.get(network.over[name], GamaPoint()).place,
             yaw_deg=network.north if name in network.oriented else None,
             yaw_sigma_arcsec=EXACT_LEVEL_ARCSEC if name in network.oriented else None,
             instrument_height_mm=instrument_heights.get(name, 0.0),
@@ -351,27 +293,15 @@ def _finished(network: _Network) -> Recording:
         instrument=Instrument(noise=_noise(network), corrected=True),
         gauge=Gauge(distance=tuple(gauge)) if gauge else None,
         stations=stations,
-        targets={n: _target(network.points.get(n, _Point()), target_heights.get(n, 0.0)) for n in names},
+        targets={n: _target(network.points.get(n, GamaPoint()), target_heights.get(n, 0.0)) for n in names},
+        differences=tuple(named(network.differences)),
     )
-    return recording_of(pointings, setup, notes=list(dict.fromkeys(network.notes)), file=network.file)
+    recording = recording_of(pointings, setup, notes=list(dict.fromkeys(network.notes)), file=network.file)
+    check_differences(recording, network.file)
+    return recording
 
 
-def _lengths(network: _Network) -> tuple[list[GaugeDistance], list[Observed]]:
-    """Slope distances from points where nothing else is measured, between marks that others see: known lengths."""
-    angles = {o.station for o in network.observed if o.kind != "distance" or o.horizontal}
-    seen = {o.target for o in network.observed if o.station in angles}
-    gauge, rest = [], []
-    for o in network.observed:
-        start = network.over[o.station]
-        if o.station in angles or start == o.target or not {start, o.target} <= seen or any(o.heights):
-            rest.append(o)
-        else:
-            length = {"length_mm": o.value / MILLIMETRE, "sigma_mm": o.sigma / MILLIMETRE}
-            gauge.append(GaugeDistance.model_validate({"from": start, "to": o.target, **length}))
-    return gauge, rest
-
-
-def _target(point: _Point, height: float) -> Target:
+def _target(point: GamaPoint, height: float) -> Target:
     known = {"known_axes": point.fixed, "known_sigma_mm": point.sigma, "known_covariance_mm2": point.covariance}
     return Target(
         known_mm=point.known if point.fixed else None,
@@ -384,7 +314,7 @@ def _target(point: _Point, height: float) -> Target:
     )
 
 
-def _noise(network: _Network) -> Noise:
+def _noise(network: GamaNetwork) -> Noise:
     """The file's default standard deviations; those of single observations stand in columns."""
 
     def default(kind: str, otherwise: float) -> float:

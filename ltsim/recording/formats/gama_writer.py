@@ -9,7 +9,8 @@ import numpy as np
 from ltsim.errors import RecordError
 from ltsim.geometry.polar import from_polar, to_face
 from ltsim.recording.files import write_text
-from ltsim.recording.formats.gama import CC, FIXED_MM
+from ltsim.recording.formats.gama import CC
+from ltsim.recording.formats.gama_network import FIXED_MM
 from ltsim.recording.lengths import KnownLengths
 from ltsim.recording.recording import Recording
 from ltsim.recording.reflectors import excess_radii
@@ -44,6 +45,7 @@ def write(recording: Recording, path: Path) -> None:
         *_point_lines(recording),
         *_observation_lines(recording),
         *_length_lines(recording),
+        *_difference_lines(recording, path),
         "</points-observations>",
         "</network>",
         "</gama-local>",
@@ -140,3 +142,22 @@ def _length_lines(recording: Recording) -> Iterator[str]:
         yield f"<obs from={first}>"
         yield f'<s-distance to={second} val="{length!r}" stdev="{sigma / MILLIMETRE!r}" />'
         yield "</obs>"
+
+
+def _difference_lines(recording: Recording, path: Path) -> Iterator[str]:
+    """Known differences: height differences, and vectors with their covariance."""
+    for one in recording.setup.differences:
+        ends = f"from={quoteattr(one.from_)} to={quoteattr(one.to)}"
+        matrix = np.eye(3) * one.known_sigma_mm**2
+        if one.known_covariance_mm2 is not None:
+            matrix = symmetric(one.known_covariance_mm2)
+        if one.known_axes == "z":
+            value, stdev = round(one.known_mm[2] * MILLIMETRE, 12), float(np.sqrt(matrix[2, 2]))
+            yield f'<height-differences><dh {ends} val="{value!r}" stdev="{stdev!r}" /></height-differences>'
+        elif one.known_axes == "xyz":
+            words = "".join(f" d{word}" for word in _words(one.known_mm).split())
+            numbers = " ".join(map(repr, matrix[np.triu_indices(3)].tolist()))
+            yield f'<vectors><vec {ends}{words} /><cov-mat dim="3" band="2">{numbers}</cov-mat></vectors>'
+        else:
+            message = f"the difference {one.called} is known along {one.known_axes}, which gama-local does not know"
+            raise RecordError(f"{message}; expected z or xyz", file=path)

@@ -1,0 +1,97 @@
+"""What GNU Gama states with a matrix: height differences, vectors, and angles that share directions."""
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+from pydantic import ValidationError
+
+from ltsim.arrays import Floats, Ints
+from ltsim.recording.files import shown
+from ltsim.recording.setup import KnownDifference
+from ltsim.recording.xml import Node, banded
+from ltsim.units import MILLIMETRE
+
+ALIKE = 1e-6
+"""Relative difference up to which a matrix is the one that shared directions give."""
+
+
+def covariances(node: Node) -> tuple[Ints, Ints, Floats]:
+    """Row, column and value (k,) of the upper triangle of a matrix in Gama's band form, [mm^2] or [cc^2]."""
+    matrix = next((inner for inner in node if inner.tag == "cov-mat"), None)
+    if matrix is None:
+        return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros(0)
+    values = [matrix.where.number(word, "cov-mat") for word in matrix.text.split()]
+    return banded(matrix, matrix.number("dim"), matrix.number("band"), values)
+
+
+def differences_of(section: Node, y_sign: float, apriori: float) -> tuple[list[KnownDifference], bool]:
+    """Height differences or vectors of a section, and whether it correlates several, which is not kept.
+
+    A height difference without a standard deviation has `apriori` mm times the root of its way in kilometres.
+    """
+    inner = [child for child in section if child.tag != "cov-mat"]
+    tag, size = ("dh", 1) if section.tag == "height-differences" else ("vec", 3)
+    row, column, numbers = covariances(section)
+    wrong = next((child for child in inner if child.tag != tag), None)
+    if wrong is not None:
+        raise wrong.where.wrong(f"<{shown(wrong.tag)}> stands in <{section.tag}>, expected <{tag}>")
+    if len(numbers) and row[-1] + 1 != size * len(inner):
+        raise section.where.wrong("a <cov-mat> that does not match its observations")
+    whole, found = np.zeros((size * len(inner),) * 2), []
+    whole[row, column] = whole[column, row] = numbers
+    for k, child in enumerate(inner):
+        own = slice(size * k, size * (k + 1))
+        spread = whole[own, own].copy() if len(numbers) else np.array([[_sigma(child, apriori) ** 2]])
+        found.append(_difference(child, y_sign, spread))
+        whole[own, own] = 0.0
+    return found, bool(whole.any())
+
+
+def _sigma(child: Node, apriori: float) -> float:
+    """Standard deviation [mm] as stated, or by the length of a levelled line."""
+    stated = [name for name in ("stdev", "dist") if name in child and child.tag == "dh"]
+    if not stated:
+        wanted = "stdev, dist or a <cov-mat>" if child.tag == "dh" else "a <cov-mat>"
+        raise child.where.wrong(f"no standard deviation is stated for <{child.tag}>, expected one ({wanted})")
+    value = max(child.number(stated[0]), 0.0)
+    return value if stated[0] == "stdev" else apriori * float(np.sqrt(value))
+
+
+def _difference(child: Node, y_sign: float, spread: Floats) -> KnownDifference:
+    """One element with its covariance (1, 1) or (3, 3) [mm^2]."""
+    ends = {"from": child.name("from", "point"), "to": child.name("to", "point")}
+    x, y, z = (0.0, 0.0, child.number("val")) if child.tag == "dh" else (child.number(f"d{a}") for a in "xyz")
+    if any(child.number(name, 0.0) for name in ("from_dh", "to_dh")):
+        message = f"<{child.tag}> with a height of instrument or target, which gama-local leaves out of it"
+        raise child.where.wrong(f"{message}; expected one between the marks, without from_dh and to_dh")
+    stated: dict[str, object] = {"known_axes": "z", "known_sigma_mm": float(np.sqrt(max(spread[-1, -1], 0.0)))}
+    if child.tag == "vec":
+        sign = np.array([1.0, y_sign, 1.0])
+        stated = {"known_covariance_mm2": tuple((spread * np.outer(sign, sign))[np.triu_indices(3)].tolist())}
+    known = tuple(round(value / MILLIMETRE, 9) for value in (x, y_sign * y, z))
+    if ends["from"] == ends["to"]:
+        raise child.where.wrong(f"<{child.tag}> goes from a point to itself, expected two points")
+    try:
+        return KnownDifference.model_validate({**ends, "known_mm": known, **stated})
+    except ValidationError:
+        wanted = "values below 1e8 m, and variances that are positive in every direction"
+        raise child.where.wrong(f"<{child.tag}> is too large, or its covariance is none, expected {wanted}") from None
+
+
+def shared_directions(angles: Sequence[Node], row: Ints, column: Ints, numbers: Floats) -> list[float]:
+    """Variances [cc^2] of the n + 1 directions whose differences n angles are; empty where they are not.
+
+    Each angle begins where the one before ended, and their covariance says that they share that direction.
+    """
+    chain = all(angle.tag == "angle" for angle in angles)
+    chain &= all(one.get("fs") == other.get("bs") for one, other in pairwise(angles))
+    if not chain or len(angles) < 2 or not np.any(numbers[row != column]):
+        return []
+    stated = np.zeros((len(angles),) * 2)
+    stated[row, column] = stated[column, row] = numbers
+    shared = -np.diag(stated, 1)
+    variances = np.array([stated[0, 0] - shared[0], *shared, stated[-1, -1] - shared[-1]])
+    made = np.diag(variances[:-1] + variances[1:]) - np.diag(shared, 1) - np.diag(shared, -1)
+    fits = np.abs(made - stated).max() <= ALIKE * np.abs(stated).max() and variances.min() > 0.0
+    return variances.tolist() if fits else []

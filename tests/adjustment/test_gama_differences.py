@@ -1,0 +1,316 @@
+"""Height differences, vectors and shared directions in gama-local's format, against what gama-local 2.24 prints."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ltsim import calibrate
+from ltsim.adjustment import Adjustment, adjust
+from ltsim.errors import NetworkError, RecordError
+from ltsim.recording import read, write
+from ltsim.tasks.inputs import observed_sources, reach_of
+
+PRINTED = 5.2e-6
+"""[m] Half of the last digit that gama-local prints, and what its linearisation leaves of it."""
+
+
+@dataclass(frozen=True)
+class Printed:
+    """A network, and what gama-local prints: coordinates [m] with standard deviations [mm], pvv, degrees of freedom."""
+
+    axes: str
+    inside: str
+    adjusted: str
+    pvv: float
+    dof: int
+
+    def write(self, path: Path, old: str = "", new: str = "") -> Path:
+        """The file, with `new` in place of `old`."""
+        assert old in self.inside
+        inside = self.inside.replace(old, new, 1) if old else self.inside
+        head = f'<network axes-xy="{self.axes}" angles="left-handed"><parameters sigma-apr="1"/><points-observations>'
+        path.write_text(f"<gama-local>{head}{inside}</points-observations></network></gama-local>")
+        return path
+
+    def beside(self, found: Adjustment) -> tuple[np.ndarray, np.ndarray]:
+        """Rows of our and their coordinate [m] and standard deviation by sigma0 [mm], as (k, 2) each."""
+        places, sigma = found.state.points, found.sigma0 * np.sqrt(found.target_covariance[:, range(3), range(3)])
+        ours, theirs = [], []
+        for point in self.adjusted.split("; "):
+            name, *words = point.split()
+            t = found.recording.targets.index(name)
+            for axis, value, deviation in zip(words[::3], words[1::3], words[2::3], strict=True):
+                k, sign = "xyz".index(axis), -1 if axis == "y" and self.axes == "ne" else 1
+                ours.append((sign * places[t, k], 1e3 * sigma[t, k]))
+                theirs.append((float(value), float(deviation)))
+        return np.array(ours), np.array(theirs)
+
+
+NETWORKS = {
+    "levelled lines": Printed(
+        "en",
+        """
+<point id="A" x="100" y="200" z="10" fix="xy" adj="z"/>
+<point id="B" x="221.3" y="214.8" z="14.2" fix="xy" adj="z"/> <point id="BM" z="8.5" fix="z"/>
+<point id="C" adj="xyz"/> <point id="E" adj="xyz"/>
+<obs from="A"> <direction to="B" val="153.5020" stdev="5"/> <distance to="B" val="122.1990" stdev="2"/>
+<direction to="C" val="104.6984" stdev="5"/> <distance to="C" val="143.5899" stdev="2"/>
+<direction to="E" val="101.6577" stdev="5"/> <distance to="E" val="77.8829" stdev="2"/> </obs>
+<obs from="B"> <direction to="A" val="278.5843" stdev="5"/> <distance to="A" val="122.1983" stdev="2"/>
+<direction to="C" val="366.7246" stdev="5"/> <distance to="C" val="101.3617" stdev="2"/>
+<direction to="E" val="322.4588" stdev="5"/> <distance to="E" val="89.0735" stdev="2"/> </obs>
+<obs from="E"> <direction to="A" val="347.7042" stdev="5"/> <z-angle to="A" val="107.2424" stdev="8"/>
+<s-distance to="A" val="78.3888" stdev="2"/> <direction to="B" val="243.4207" stdev="5"/>
+<z-angle to="B" val="103.3549" stdev="8"/> <s-distance to="B" val="89.1956" stdev="2"/>
+<direction to="C" val="154.3384" stdev="5"/> <z-angle to="C" val="114.0626" stdev="8"/>
+<s-distance to="C" val="67.5438" stdev="2"/> </obs>
+<height-differences> <dh from="BM" to="A" val="1.5001" dist="0.35"/>
+<dh from="A" to="B" val="4.1999" dist="0.2"/> <dh from="A" to="B" val="4.1989" dist="0.2"/>
+<dh from="B" to="C" val="-10.1002" stdev="0.4"/> <dh from="C" to="E" val="14.8000" stdev="0.4"/>
+<dh from="E" to="A" val="-8.9000" stdev="0.4"/> </height-differences>
+""",
+        "A z 10.00010 0.6; B z 14.19971 0.7; C x 190.60040 0.9 y 311.39988 0.9 z 4.09966 0.7; "
+        "E x 146.20003 0.7 y 262.69936 0.5 z 18.89961 0.7",
+        16.7179,
+        16,
+    ),
+    "vectors from a point that nobody measured": Printed(
+        "ne",
+        """
+<point id="S" x="-850" y="420" z="33" fix="xyz"/> <point id="A" adj="xyz"/> <point id="B" adj="xyz"/>
+<point id="C" adj="xyz"/> <point id="E" adj="xyz"/>
+<obs from="A"> <direction to="B" val="217.9374" stdev="5"/> <z-angle to="B" val="97.8120" stdev="8"/>
+<s-distance to="B" val="122.2701" stdev="2"/> <direction to="C" val="266.7411" stdev="5"/>
+<z-angle to="C" val="102.6137" stdev="8"/> <s-distance to="C" val="143.7119" stdev="2"/>
+<direction to="E" val="269.7817" stdev="5"/> <z-angle to="E" val="92.7560" stdev="8"/>
+<s-distance to="E" val="78.3894" stdev="2"/> </obs>
+<obs from="B"> <direction to="A" val="271.4672" stdev="5"/> <z-angle to="A" val="102.1862" stdev="8"/>
+<s-distance to="A" val="122.2719" stdev="2"/> <direction to="C" val="183.3281" stdev="5"/>
+<z-angle to="C" val="106.3214" stdev="8"/> <s-distance to="C" val="101.8647" stdev="2"/>
+<direction to="E" val="227.5931" stdev="5"/> <z-angle to="E" val="96.6435" stdev="8"/>
+<s-distance to="E" val="89.2033" stdev="2"/> </obs>
+<obs from="E"> <direction to="A" val="31.0829" stdev="5"/> <z-angle to="A" val="107.2436" stdev="8"/>
+<s-distance to="A" val="78.3908" stdev="2"/> <direction to="C" val="224.4487" stdev="5"/>
+<z-angle to="C" val="114.0642" stdev="8"/> <s-distance to="C" val="67.5431" stdev="2"/> </obs>
+<vectors> <vec from="S" to="A" dx="950.0027" dy="-219.9924" dz="-23.0034"/>
+<vec from="S" to="B" dx="1071.3008" dy="-205.2021" dz="-18.7997"/>
+<vec from="C" to="S" dx="-1040.6047" dy="108.5962" dz="28.8986"/>
+<vec from="A" to="C" dx="90.6036" dy="111.4063" dz="-5.9083"/>
+<cov-mat dim="12" band="2"> 16 3 -2 25 5 0 49 0 0 16 3 -2 25 5 0 49 0 0 16 3 -2 25 5 0 49 0 0 16 3 -2 25 5 49
+</cov-mat> </vectors>
+""",
+        "A x 100.00198 2.0 y 200.00442 2.6 z 9.99946 3.2; B x 221.30265 1.9 y 214.80108 2.5 z 14.19894 3.2; "
+        "C x 190.60357 2.2 y 311.40380 2.3 z 4.09990 3.2; E x 146.20298 1.9 y 262.70396 2.3 z 18.90006 3.2",
+        12.8825,
+        21,
+    ),
+    "angles that share directions, and vectors in plan": Printed(
+        "ne",
+        """
+<point id="A" x="100" y="200" fix="xy"/> <point id="B" x="221.3" y="214.8" fix="xy"/>
+<point id="C" x="190.5" y="311.5" adj="xy"/> <point id="E" x="146.3" y="262.6" adj="xy"/>
+<point id="F" x="302" y="271.4" adj="xy"/>
+<obs from="A"> <angle bs="B" fs="F" val="13.9389"/> <angle bs="F" fs="C" val="34.8636"/>
+<angle bs="C" fs="E" val="3.0413"/>
+<cov-mat dim="3" band="1">32 -16 32 -16 32</cov-mat> </obs>
+<obs from="B"> <angle bs="A" fs="E" val="356.1264"/> <angle bs="E" fs="C" val="355.7341"/>
+<angle bs="C" fs="F" val="319.4383"/>
+<cov-mat dim="3" band="1">32 -16 32 -16 32</cov-mat> </obs>
+<obs from="C"> <angle bs="E" fs="A" val="3.5941"/> <angle bs="A" fs="B" val="63.0579"/>
+<angle bs="B" fs="F" val="58.4961"/>
+<cov-mat dim="3" band="1">32 -16 32 -16 32</cov-mat> </obs>
+<obs from="F"> <distance to="B" val="98.5464" stdev="2"/> <distance to="C" val="118.2355" stdev="2"/> </obs>
+<obs from="A"> <distance to="C" val="143.5886" stdev="2"/> <distance to="E" val="77.8828" stdev="2"/> </obs>
+<vectors> <vec from="A" to="F" dx="201.8982" dy="71.5054" dz="2.4060"/>
+<vec from="B" to="E" dx="-75.1001" dy="47.9033" dz="4.6984"/>
+<cov-mat dim="6" band="2"> 16 3 -2 25 5 0 49 0 0 16 3 -2 25 5 49 </cov-mat> </vectors>
+<height-differences> <dh from="A" to="C" val="-5.8996" stdev="0.4"/> </height-differences>
+""",
+        "C x 190.59962 0.6 y 311.39909 0.6; E x 146.19952 0.5 y 262.69934 0.5; F x 301.89908 0.9 y 271.49952 0.7",
+        7.45469,
+        11,
+    ),
+    "a point that looks back": Printed(
+        "ne",
+        """
+<point id="A" x="100" y="200" fix="xy"/> <point id="B" x="221.3" y="214.8" adj="xy"/> <point id="C" adj="xy"/>
+<point id="Q" adj="xy"/>
+<obs from="A"> <azimuth to="B" val="7.7293" stdev="6"/> <azimuth to="Q" val="380.2270" stdev="6"/> </obs>
+<obs from="A"> <direction to="B" val="265.5652" stdev="5"/> <distance to="B" val="122.1962" stdev="2"/>
+<direction to="C" val="314.3670" stdev="5"/> <distance to="C" val="143.5902" stdev="2"/> </obs>
+<obs from="B"> <direction to="A" val="44.1613" stdev="5"/> <distance to="A" val="122.2040" stdev="2"/>
+<direction to="C" val="356.0210" stdev="5"/> <distance to="C" val="101.3597" stdev="2"/> </obs>
+<obs from="Q"> <direction to="A" val="319.0787" stdev="5"/> <direction to="B" val="273.6886" stdev="5"/> </obs>
+<obs from="C"> <direction to="A" val="364.2297" stdev="5"/> <direction to="B" val="27.2868" stdev="5"/> </obs>
+""",
+        "B x 221.30019 1.6 y 214.80004 1.7; C x 190.60168 2.4 y 311.39888 2.1; Q x 261.99965 3.0 y 148.00101 2.7",
+        8.29489,
+        4,
+    ),
+}
+LEVELLED, VECTORS, SHARED, BACK = NETWORKS.values()
+
+
+@pytest.mark.parametrize("kind", NETWORKS)
+def test_a_network_agrees_with_the_printed_digit(tmp_path: Path, kind: str) -> None:
+    network = NETWORKS[kind]
+    found = adjust(read(network.write(tmp_path / "network.gkf")))
+    ours, theirs = network.beside(found)
+    assert not found.wrong
+    assert found.dof == network.dof
+    assert found.chi2 == pytest.approx(network.pvv, rel=1e-5)
+    assert np.abs(ours - theirs)[:, 0].max() < PRINTED
+    assert np.abs(ours - theirs)[:, 1].max() < 0.051
+
+
+@pytest.mark.parametrize("kind", NETWORKS)
+def test_it_is_written_and_read_again(tmp_path: Path, kind: str) -> None:
+    recording = read(NETWORKS[kind].write(tmp_path / "network.gkf"))
+    write(recording, tmp_path / "native", "native")
+    native = read(tmp_path / "native")
+    assert native.setup.differences == recording.setup.differences
+    assert not native.notes
+    assert adjust(native).chi2 == pytest.approx(NETWORKS[kind].pvv, rel=1e-5)
+    if kind in ("levelled lines", "vectors from a point that nobody measured"):
+        write(recording, tmp_path / "again.gkf", "gama-local")
+        again = adjust(read(tmp_path / "again.gkf"))
+        assert again.dof == NETWORKS[kind].dof
+        assert again.chi2 == pytest.approx(NETWORKS[kind].pvv, rel=1e-5)
+    elif recording.setup.differences:
+        with pytest.raises(RecordError, match="known along xy, which gama-local does not know; expected z or xyz"):
+            write(recording, tmp_path / "again.gkf", "gama-local")
+
+
+@pytest.mark.parametrize("robust", [False, True])
+@pytest.mark.parametrize(
+    ("network", "old", "new", "name"),
+    [
+        (LEVELLED, 'val="4.1989"', 'val="4.2189"', "A-B#2 is off by 18.8"),
+        (LEVELLED, 'val="1.5001"', 'val="15.001"', ""),
+        (LEVELLED, 'val="14.8000"', 'val="18.4000"', "C-E is off by 3600"),
+        (VECTORS, 'dy="108.5962"', 'dy="108.6962"', "C-S is off by "),
+    ],
+)
+def test_a_wrong_difference_is_named_and_the_readings_stay(
+    tmp_path: Path, network: Printed, old: str, new: str, name: str, robust: bool
+) -> None:
+    """But for a line that nothing checks."""
+    found = adjust(read(network.write(tmp_path / "network.gkf", old, new)), robust=robust)
+    told = [test.sentence for test in found.wrong]
+    assert len(told) == bool(name)
+    assert all(name in sentence and "not its readings: left out" in sentence for sentence in told)
+    assert not found.rejected.any()
+    assert found.sigma0 == pytest.approx(1.0, abs=0.3)
+
+
+def test_levels_alone_give_heights_and_what_none_reaches_has_none(tmp_path: Path) -> None:
+    """Directions and horizontal distances tell plans; heights come along the lines, to targets and to stations."""
+    inside = LEVELLED.inside
+    for part in [p for p in inside.split("<") if p.startswith(("z-angle", "s-distance", 'dh from="E"'))]:
+        inside = inside.replace("<" + part, "")
+    for at, aim in (("A", 60), ("B", 350)):
+        aimed = f'<obs from="{at}"><direction to="D" val="{aim}" stdev="5"/>'
+        inside = inside.replace(f'<obs from="{at}">', aimed)
+    inside = inside.replace('<point id="E"', '<point id="D" adj="xyz"/><point id="E"')
+    found = adjust(read(Printed("en", inside, "", 0.0, 0).write(tmp_path / "network.gkf")))
+    names = found.recording.targets
+    lines = {"A": 10.0001, "B": 14.1995, "C": 4.0993, "E": 18.8993}
+    for name, height in lines.items():
+        assert found.state.points[names.index(name), 2] == pytest.approx(height, abs=1e-6)
+    assert [names[t] for t in np.flatnonzero(found.open_heights)] == ["D"]
+    tested = {t.name: t.redundancy[0] for t in found.known if t.kind == "difference"}
+    assert [name for name, redundancy in tested.items() if redundancy > 1e-3] == ["A-B", "A-B#2"]
+    assert set(tested) == {"BM-A", "A-B", "A-B#2", "B-C", "C-E"}
+
+
+def test_heights_that_nothing_tells_are_named(tmp_path: Path) -> None:
+    inside = LEVELLED.inside.partition("<height-differences>")[0]
+    for part in [p for p in inside.split("<") if p.startswith(("z-angle", "s-distance"))]:
+        inside = inside.replace("<" + part, "")
+    found = adjust(read(Printed("en", inside, "", 0.0, 0).write(tmp_path / "network.gkf")))
+    with pytest.raises(NetworkError, match=r'nothing tells the height of .*adj="xy"'):
+        found.require_solution()
+
+
+def test_the_frame_names_what_holds_it(tmp_path: Path) -> None:
+    calibration = calibrate(NETWORKS["vectors from a point that nobody measured"].write(tmp_path / "network.gkf"))
+    assert calibration.frame == "the frame of the known differences S-A, S-B, C-S, A-C"
+    assert "4 known differences" in calibration.adjustment.recording.headline
+
+
+def test_differences_are_a_source_of_uncertainty(tmp_path: Path) -> None:
+    found = adjust(read(LEVELLED.write(tmp_path / "network.gkf")))
+    at = np.arange(len(found.recording.targets))
+    sources = observed_sources(found, reach_of(found, at))
+    assert "known differences" in {source.name for source in sources}
+    spread = sum(source.covariance for source in sources)
+    np.testing.assert_allclose(np.diag(spread), found.target_covariance[:, range(3), range(3)].ravel(), rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ('<point id="BM" z="8.5" fix="z"/>', "", "difference BM-A: 'BM' was never measured, expected a mark that was"),
+        ('id="BM" z="8.5" fix="z"', 'id="BM" z="8.5" adj="z"', "difference BM-A: 'BM' was never measured"),
+        (
+            'val="1.5001" dist="0.35"',
+            'val="1.5001"',
+            "no standard deviation is stated for <dh>, expected one (stdev, dist",
+        ),
+        ('val="1.5001" dist="0.35"', 'val="1.5001" stdev="0"', "expected values below 1e8 m, and variances"),
+        ('val="1.5001"', 'from_dh="1.5" val="1.5001"', "expected one between the marks, without from_dh and to_dh"),
+        ('from="BM" to="A"', 'from="A" to="A"', "<dh> goes from a point to itself"),
+        (
+            "<height-differences>",
+            '<height-differences><vec from="A"/>',
+            "<vec> stands in <height-differences>, expected <dh>",
+        ),
+        ("</height-differences>", '<cov-mat dim="2" band="0">1 1</cov-mat></height-differences>', "does not match its"),
+        (
+            "<height-differences>",
+            '<vectors><vec from="A" to="B" dx="1" dy="1" dz="1"/></vectors><height-differences>',
+            "a <cov-mat>",
+        ),
+    ],
+)
+def test_what_cannot_be_read_is_refused_in_a_sentence(tmp_path: Path, old: str, new: str, says: str) -> None:
+    with pytest.raises(RecordError) as refused:
+        read(LEVELLED.write(tmp_path / "network.gkf", old, new))
+    assert says in str(refused.value)
+    assert "network.gkf" in str(refused.value)
+
+
+def test_a_set_up_states_differences_once_and_between_two_marks(tmp_path: Path) -> None:
+    write(read(LEVELLED.write(tmp_path / "network.gkf")), tmp_path / "native", "native")
+    file = tmp_path / "native" / "setup.toml"
+    text = file.read_text()
+    for old, new, says in (
+        ('name = "A-B#2"\n', "", "'A-B' is there already, expected a name of its own"),
+        ('from = "C"\n', 'from = "E"\n', "a difference from 'E' to itself"),
+        ('from = "BM"\n', 'from = "BN"\n', "'BN' was never measured"),
+    ):
+        assert old in text
+        file.write_text(text.replace(old, new))
+        with pytest.raises(RecordError, match=says):
+            read(tmp_path / "native")
+
+
+def test_triangles_between_known_points_want_rough_coordinates(tmp_path: Path) -> None:
+    """No set-up sees two known points; gama-local puts such chains together by their shapes."""
+    angles = "A C E, Z E C, C E A, C Z E, E A C, E C Z"
+    places = {"A": (0, 0), "C": (100, 20), "E": (-10, 95), "Z": (150, 130)}
+    inside, head = "", '<point id="A" x="0" y="0" fix="xy"/><point id="Z" x="150" y="130" fix="xy"/>'
+    for at, back, on in (angle.split() for angle in angles.split(", ")):
+        ways = [np.subtract(places[end], places[at]) for end in (back, on)]
+        turned = np.subtract(*(np.arctan2(way[1], way[0]) for way in reversed(ways))) * 200 / np.pi % 400
+        inside += f'<obs from="{at}"><angle bs="{back}" fs="{on}" val="{turned:.4f}" stdev="5"/></obs>'
+    rough = '<point id="C" x="98" y="21" adj="xy"/><point id="E" x="-9" y="97" adj="xy"/>'
+    unknown = '<point id="C" adj="xy"/><point id="E" adj="xy"/>'
+    found = adjust(read(Printed("ne", head + rough + inside, "", 0.0, 0).write(tmp_path / "rough.gkf")))
+    assert found.solution.converged and found.dof == 2
+    with pytest.raises(NetworkError, match="or rough coordinates of all"):
+        adjust(read(Printed("ne", head + unknown + inside, "", 0.0, 0).write(tmp_path / "network.gkf")))
