@@ -10,6 +10,7 @@ import subprocess
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,7 @@ from ltsim.campaigns.design import Factor, label
 from ltsim.campaigns.rows import ShardTask, rows_of, run_task, task_of
 from ltsim.campaigns.schema import CellEntry, ManifestFile
 from ltsim.campaigns.spec import JUDGE, Campaign, Cell, beside, cad_files, cells_of, load_campaign, read_cad
+from ltsim.campaigns.statistics import Statistics
 from ltsim.campaigns.stopping import Shard, rounds
 from ltsim.campaigns.store import SOURCE, Store
 from ltsim.errors import SetupError, WorkerError
@@ -99,7 +101,7 @@ def run_campaign(
             store.begin(manifest, sources)
         store.sweep()
         done, kept = 0, 0
-        for wanted in rounds(campaign, len(cells), store.rows):
+        for wanted in rounds(campaign, len(cells), partial(_half_known, folder)):
             waiting, damaged = _waiting(store, campaign, cells, wanted, progress)
             notes += damaged
             done, kept = done + len(waiting), kept + len(wanted) - len(waiting)
@@ -260,6 +262,11 @@ def _waiting(
             notes.append(f"{store.shard_path(cell, shard)} is damaged: moved to {aside.name} and done again")
         waiting.append(task)
     return waiting, notes
+
+
+def _half_known(folder: Path, statistic: str, shards: int) -> dict[tuple[int, str], float]:
+    """Half of the interval of a statistic's mean by so many first shards, by cell and method."""
+    return {(s.cell, s.method): 0.5 * (s.high - s.low) for s in Statistics(folder, shards).spread(statistic)}
 
 
 def _results(tasks: list[ShardTask], workers: Workers, store: Store) -> Iterator[tuple[ShardTask, bytes]]:
