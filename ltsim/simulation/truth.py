@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from ltsim.arrays import Floats
 from ltsim.effects.effect import Effect
-from ltsim.effects.verbs import effect_from, shape_of
-from ltsim.errors import ModelError, RecordError
+from ltsim.effects.verbs import shape_of
+from ltsim.errors import ModelError, RecordError, SetupError
 from ltsim.evaluation.verification import NOMINAL
 from ltsim.geometry.rotations import quaternion
 from ltsim.recording.files import write_text
@@ -22,6 +22,7 @@ from ltsim.recording.settings import sentence
 from ltsim.recording.setup import Finite, TomlSection, Vector
 from ltsim.results import Columns, Result
 from ltsim.saved import Valued
+from ltsim.simulation.sections import PlacedEffect
 from ltsim.units import FACTOR, MILLIMETRE
 
 Format = Literal["ltsim-truth/1"]
@@ -173,17 +174,11 @@ class _InstrumentNumber(_Number):
         return f"{self.name}@{self.instrument}" if self.instrument else self.name
 
 
-class _Effect(TomlSection):
+class _Effect(PlacedEffect):
     """An effect of the catalogue."""
 
-    effect: str
+    name: str = Field(alias="effect")
     """Id of the catalogue."""
-    stations: tuple[str, ...] = ()
-    """Where it acts; empty for all."""
-    targets: tuple[str, ...] = ()
-    """Where it acts; empty for all."""
-    shape: dict[str, Finite | str | tuple[Finite, ...]] = Field(default_factory=dict)
-    """Constants by name."""
     parameters: tuple[_Number, ...] = ()
     """True values."""
 
@@ -257,9 +252,9 @@ def _effect_to_json(applied: AppliedEffect) -> dict[str, Any]:
 
 def _effect_from_json(entry: _Effect, file: object) -> AppliedEffect:
     try:
-        effect = effect_from(entry.effect, {"stations": entry.stations, "targets": entry.targets}, entry.shape)
-    except (ModelError, ValueError, TypeError) as problem:
-        raise RecordError(str(problem), file=file, column="effects") from None
+        effect = entry.effect("effects")
+    except SetupError as problem:
+        raise RecordError(str(problem), file=file) from None
     stated = {p.name: p.value for p in entry.parameters}
     return AppliedEffect(effect, np.array([stated.get(p.name, 0.0) * p.factor for p in effect.parameters]))
 
