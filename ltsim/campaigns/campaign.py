@@ -74,16 +74,17 @@ def run_campaign(
     resume: bool = False,
     force: bool = False,
     changes: Mapping[str, Any] | None = None,
+    tables: Mapping[str, Any] | None = None,
     progress: Progress = lambda trials: None,
 ) -> Outcome:
     """Run, continue or extend the campaign of a file: as `ltsim.campaign`, by any workers.
 
-    `progress` is told the number of trials that were done.
+    `tables` stand for a file that is not there. `progress` is told the number of trials that were done.
     """
-    campaign, scenarios = load_campaign(file, changes)
+    campaign, scenarios = load_campaign(file, changes, tables)
     factors, cells = cells_of(campaign, scenarios, file)
     notes, store = _check(campaign, factors, cells, file), Store(folder)
-    sources = _sources(campaign, cells, file, changes)
+    sources = _sources(campaign, cells, file, as_it_is=not changes and tables is None)
     taken = [] if store.begun or force else store.taken(sources)
     if taken:
         raise SetupError(
@@ -118,9 +119,7 @@ def run_campaign(
     return Outcome(folder, done, kept, tuple(notes))
 
 
-def _sources(
-    campaign: Campaign, cells: Sequence[Cell], file: Path, changes: Mapping[str, Any] | None
-) -> dict[str, bytes]:
+def _sources(campaign: Campaign, cells: Sequence[Cell], file: Path, *, as_it_is: bool) -> dict[str, bytes]:
     """The files that the campaign was given, to be kept with its rows: scenarios, points, CAD, the file itself."""
     named = [path for name in (campaign.scenario, campaign.judge_in) if name and (path := beside(name, file))]
     kept, root = {path.name: path.read_bytes() for path in named}, (named[0] if named else file).resolve().parent
@@ -128,8 +127,8 @@ def _sources(
         whole = path.resolve()
         name = whole.relative_to(root).as_posix() if whole.is_relative_to(root) else path.name
         kept[name] = read_cad(path)
-    said = campaign.model_dump(mode="json", by_alias=True, exclude_none=True) if changes else {}
-    return kept | {SOURCE: to_toml(said).encode() if changes else file.read_bytes()}
+    said = campaign.model_dump(mode="json", by_alias=True, exclude_none=True)
+    return kept | {SOURCE: file.read_bytes() if as_it_is else to_toml(said).encode()}
 
 
 def _check(campaign: Campaign, factors: Sequence[Factor], cells: Sequence[Cell], file: Path) -> list[str]:
