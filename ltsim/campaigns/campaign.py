@@ -26,7 +26,7 @@ from ltsim.campaigns.spec import JUDGE, Campaign, Cell, beside, cad_files, cells
 from ltsim.campaigns.statistics import Statistics
 from ltsim.campaigns.stopping import Shard, rounds
 from ltsim.campaigns.store import SOURCE, Store
-from ltsim.errors import SetupError, WorkerError
+from ltsim.errors import SetupError, WorkerError, as_setup_error
 from ltsim.recording.settings import to_toml
 from ltsim.simulation.fieldwork import fieldwork
 from ltsim.simulation.simulator import idle_effects
@@ -139,12 +139,10 @@ def _check(campaign: Campaign, factors: Sequence[Factor], cells: Sequence[Cell],
         fitted_effects(method)
     for number, cell in enumerate(cells, start=1):
         where = f"cell {number} ({label(factors, cell.levels)})"
-        try:
+        with as_setup_error(f"{file}: {where}"):
             idle += [f"{where}: {note}" for note in idle_effects(fieldwork(cell.scenario, campaign.seed))]
             if cell.judge is not None:
                 fieldwork(cell.judge, campaign.seed, JUDGE)
-        except SetupError as problem:
-            raise SetupError(f"{file}: {where}: {problem}") from None
     return idle
 
 

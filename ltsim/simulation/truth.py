@@ -4,10 +4,10 @@ import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal, Self, get_args
+from typing import Any, Literal, Self
 
 import numpy as np
-from pydantic import Field, ValidationError
+from pydantic import Field
 from scipy.spatial.transform import Rotation
 
 from ltsim.arrays import Floats
@@ -18,14 +18,12 @@ from ltsim.evaluation.verification import NOMINAL
 from ltsim.geometry.rotations import quaternion
 from ltsim.recording.files import write_text
 from ltsim.recording.result_file import read_json
-from ltsim.recording.settings import sentence
+from ltsim.recording.settings import checked
 from ltsim.recording.setup import Finite, TomlSection, Vector
 from ltsim.results import Columns, Result
 from ltsim.saved import Valued
 from ltsim.simulation.sections import PlacedEffect
 from ltsim.units import FACTOR, MILLIMETRE
-
-Format = Literal["ltsim-truth/1"]
 
 
 @dataclass(frozen=True)
@@ -100,7 +98,7 @@ class Truth(Result):
         """The contents of a truth file."""
         trackers = {"instruments": [tracker.model_dump(mode="json") for tracker in self.trackers]}
         content: dict[str, Any] = {
-            "format": get_args(Format)[0],
+            "format": TruthFile.model_fields["format"].default,
             "title": self.title,
             "seed": self.seed,
             "trial": self.trial,
@@ -121,10 +119,7 @@ class Truth(Result):
     @classmethod
     def from_json(cls, content: Mapping[str, Any], file: object = "truth") -> Self:
         """The truth of a truth file's contents; raises RecordError."""
-        try:
-            table = TruthFile.model_validate_json(json.dumps(content), strict=True)
-        except ValidationError as problem:
-            raise RecordError(sentence(problem.errors()[0], TruthFile), file=file) from None
+        table = checked(content, TruthFile, "truth file", file)
         unknown = {p.unit for p in table.parameters} - set(FACTOR)
         if unknown:
             raise RecordError(f"'{unknown.pop()}' is no unit, expected one of {', '.join(FACTOR)}", file=file)
@@ -202,7 +197,7 @@ class _Pose(_TruePoint):
 class TruthFile(TomlSection):
     """`truth.json`: from `simulate --truth`."""
 
-    format: Format
+    format: Literal["ltsim-truth/1"] = "ltsim-truth/1"
     """Which format and version this file is in."""
     title: str = ""
     """Free text."""
