@@ -36,7 +36,7 @@ from ltsim.simulation.draws import Normal
 from ltsim.simulation.physics import construction_of, effects_of
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.simulator import place_key
-from ltsim.simulation.workshop import Layout, planned
+from ltsim.simulation.workshop import planned
 
 JUDGED = {"criteria", "errors"}
 """Statistics that take corrected readings."""
@@ -108,10 +108,6 @@ class Prepared:
             labels += labels_of(fitted_construction(method), names, fitted_effects(method))
         return {label.name: label.parameter.unit for label in labels}
 
-    @cached_property
-    def _plan(self) -> Layout:
-        return planned(self.scenario)
-
     def blocks(self, first: int, last: int) -> Iterator[tuple[Judge, Sequence[Calibrator], Block]]:
         """Blocks that hold the trials ``first`` to ``last - 1``, with their geometry's judge and calibrators.
 
@@ -129,11 +125,11 @@ class Prepared:
 
     def _geometries(self, trials: range) -> dict[int, CellTruth]:
         """The geometry of each trial that has a possible one; they share the set-up with the common one."""
-        found, seed = {}, self.campaign.seed
+        found, seed, plan = {}, self.campaign.seed, planned(self.scenario)
         for trial in trials:
             with suppress(SetupError):
                 key, like = place_key(trial, self.campaign.geometry), self.shared[0].truth
-                found[trial] = truth_of(self.scenario, seed, *key, like=like, plan=self._plan)
+                found[trial] = truth_of(self.scenario, seed, *key, like=like, plan=plan)
         return found
 
 

@@ -67,7 +67,8 @@ def measure(
 
 def error_free(work: Fieldwork) -> Recording:
     """The recording of an ideal tracker and of exact certificates, with all that is stated."""
-    s = work.sightings
+    s, scenario = work.sightings, work.scenario
+    told = scenario.reflectors or any(station.reflector for station in scenario.stations.values())
     bare = Recording(
         setup=_setup(work),
         stations=s.station_names,
@@ -79,7 +80,7 @@ def error_free(work: Fieldwork) -> Recording:
         time=s.time,
         readings=s.raw,
         covariates=s.covariates,
-        labels=_smrs(work),
+        labels={REFLECTOR_COLUMN: smrs_of(scenario, s)} if told else {},
     )
     blank = exact_lengths(bare, work)
     return blank.replace(notes=(*work.notes, *_idle(work, KnownLengths.of(blank))))
@@ -137,13 +138,6 @@ def exact_readings(work: Fieldwork, instrument: Floats, values: tuple[Floats, ..
 def mistakes(effects: Sequence[Effect], values: Sequence[Floats]) -> list[Mistake]:
     """Blunders that were made: their one parameter is not 0."""
     return [e for e, made in zip(effects, values, strict=True) if isinstance(e, Mistake) and np.any(made[0])]
-
-
-def _smrs(work: Fieldwork) -> dict[str, tuple[str, ...]]:
-    scenario = work.scenario
-    if not scenario.reflectors and not any(station.reflector for station in scenario.stations.values()):
-        return {}
-    return {REFLECTOR_COLUMN: smrs_of(scenario, work.sightings)}
 
 
 def idle_effects(work: Fieldwork) -> Iterator[str]:
@@ -280,8 +274,7 @@ def _lines(scenario: Scenario) -> Iterator[tuple[GaugeDistance, float | None]]:
             yield GaugeDistance.model_validate({"from": a, "to": b, **blank}), scenario.gauge.sigma_um
     for length in scenario.lengths:
         use = length.model_dump(include=set(LengthUse.model_fields))
-        ends = {"from": length.from_, "to": length.to}
-        yield GaugeDistance.model_validate(ends | use | blank), length.sigma_um
+        yield GaugeDistance.model_validate(use | blank), length.sigma_um
 
 
 def certified_by(recording: Recording, length: Floats, sigma: Sequence[float] | None = None) -> Recording:
