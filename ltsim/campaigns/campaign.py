@@ -20,7 +20,7 @@ from joblib import Parallel, delayed, parallel_config
 
 from ltsim.campaigns.calibrators import fitted_construction, fitted_effects
 from ltsim.campaigns.design import Factor, label
-from ltsim.campaigns.rows import ShardTask, rows_of, run_task, task_of
+from ltsim.campaigns.rows import ShardTask, rows_of, run_task
 from ltsim.campaigns.schema import CellEntry, ManifestFile
 from ltsim.campaigns.spec import JUDGE, Campaign, Cell, beside, cad_files, cells_of, load_campaign, read_cad
 from ltsim.campaigns.statistics import Statistics
@@ -246,10 +246,8 @@ def _waiting(
 ) -> tuple[list[ShardTask], list[str]]:
     """Shards to be done of those that are wanted; those that are damaged are set aside and done again."""
     waiting, notes, known = [], [], store.digests()
-    numbers = {cell for cell, _ in wanted}
-    first = {k: task_of(campaign, cells[k].scenario, cells[k].mark, k, 0, cells[k].judge) for k in numbers}
     for cell, shard in wanted:
-        task = replace(first[cell], shard=shard)
+        task = ShardTask(campaign, cells[cell].scenario, cells[cell].mark, cell, shard, cells[cell].judge)
         state = store.state_of(cell, shard, task.key, rows_of(campaign, shard), known)
         if state == "whole":
             progress(rows_of(campaign, shard))
