@@ -159,17 +159,8 @@ class Material(TomlSection):
     """Standard deviation of the coefficient; none where it is not given."""
 
 
-class Between(TomlSection):
-    """Two targets."""
-
-    from_: str = Field(alias="from")
-    """Target at one end."""
-    to: str
-    """Target at the other end."""
-
-
-class LengthUse(Between):
-    """A length between two targets: what it is made of, and how warm it was when it was used."""
+class LengthUse(TomlSection):
+    """What a known length is made of, and how warm it was when it was used."""
 
     measured_at_c: Finite | Line | None = None
     """Temperature of this length: a number, or a column of the recording, whose mean over the pointings at both ends
@@ -186,6 +177,10 @@ class LengthUse(Between):
 class GaugeDistance(LengthUse):
     """A known length between two targets, at `calibrated_at_c`."""
 
+    from_: str = Field(alias="from")
+    """Target at one end."""
+    to: str
+    """Target at the other end."""
     length_mm: Positive
     """Length at `calibrated_at_c`, or as it was measured in place."""
     sigma_mm: Positive

@@ -10,7 +10,6 @@ from ltsim.effects.smr_incidence import PAPER_TABLE, TABLE_ANGLES
 from ltsim.effects.verbs import Sized, effect_from, shape_of
 from ltsim.errors import ModelError, SetupError
 from ltsim.recording.setup import (
-    Between,
     Finite,
     LengthUse,
     Limits,
@@ -256,9 +255,13 @@ class Work(TomlSection):
     """Time to carry the instrument to the next station."""
 
 
-class GaugeLength(Between):
+class GaugeLength(TomlSection):
     """A length of the gauge as it is, at the temperature of its calibration."""
 
+    from_: str = Field(alias="from")
+    """Target at one end."""
+    to: str
+    """Target at the other end."""
     length_mm: Positive
     """The length."""
 
@@ -303,6 +306,10 @@ class ScenarioGauge(TomlSection):
 class Length(LengthUse):
     """A known length between two reflectors of the mesh: a scale bar, or one that an interferometer measured."""
 
+    from_: str = Field(alias="from")
+    """Reflector at one end."""
+    to: str
+    """Reflector at the other end."""
     sigma_um: Positive
     """Standard deviation of the stated length."""
 

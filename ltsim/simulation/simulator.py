@@ -274,7 +274,8 @@ def _lines(scenario: Scenario) -> Iterator[tuple[GaugeDistance, float | None]]:
             yield GaugeDistance.model_validate({"from": a, "to": b, **blank}), scenario.gauge.sigma_um
     for length in scenario.lengths:
         use = length.model_dump(include=set(LengthUse.model_fields))
-        yield GaugeDistance.model_validate(use | blank), length.sigma_um
+        ends = {"from": length.from_, "to": length.to}
+        yield GaugeDistance.model_validate(ends | use | blank), length.sigma_um
 
 
 def certified_by(recording: Recording, length: Floats, sigma: Sequence[float] | None = None) -> Recording:
