@@ -37,7 +37,7 @@ from ltsim.arrays import Floats
 from ltsim.campaigns.distance import BatchDistance
 from ltsim.campaigns.engine import Engine, recording_of
 from ltsim.campaigns.judge import Judge
-from ltsim.campaigns.rows import run_task, shard_rows, task_of
+from ltsim.campaigns.rows import ShardTask, run_task, shard_rows
 from ltsim.campaigns.spec import Campaign
 from ltsim.campaigns.store import Store
 from ltsim.campaigns.truth import BLOCK, Block
@@ -181,9 +181,9 @@ def other_paths() -> None:
     programmed = seconds(lambda: absolute.calibrate(block, some), 3) / len(some)
     alone = seconds(lambda: absolute.single.calibrate(block, np.array([0])), 3)
     campaign = Campaign(format="ltsim-campaign/1", trials=256, geometry="per-trial", verify=0)
-    task = task_of(campaign, load_scenario("paper-workshop"), "", 0, 0)
+    task = ShardTask(campaign, load_scenario("paper-workshop"), "", 0, 0)
     own = seconds(lambda: shard_rows(task), 3) / campaign.trials
-    shared = task_of(Campaign(format="ltsim-campaign/1", trials=4096), load_scenario("paper-workshop"), "", 0, 0)
+    shared = ShardTask(Campaign(format="ltsim-campaign/1", trials=4096), load_scenario("paper-workshop"), "", 0, 0)
     written = seconds(lambda: run_task(shared), 4) / 4096
     print("\nOther paths, one core\n")
     rows = [
@@ -226,7 +226,7 @@ def trials_against_time(short: bool) -> None:
     with tempfile.TemporaryDirectory() as place, parallel_config(backend="loky", inner_max_num_threads=1):
         for shards in (2, 4, 16) if short else (2, 4, 16, 64):  # the first time the processes start and compile
             campaign = Campaign(format="ltsim-campaign/1", trials=4096 * shards)
-            tasks = [task_of(campaign, scenario, "", 0, shard) for shard in range(shards)]
+            tasks = [ShardTask(campaign, scenario, "", 0, shard) for shard in range(shards)]
             store, start = Store(Path(place) / str(shards)), time.perf_counter()
             done = Parallel(n_jobs=2, return_as="generator")(delayed(run_task)(task) for task in tasks)
             for task, content in done:

@@ -52,12 +52,15 @@ class SetupError(LtsimError):
 
 
 @contextmanager
-def as_setup_error() -> Iterator[None]:
-    """A malformed file is told as a set-up that cannot be: the same sentence of a file that a person wrote."""
+def as_setup_error(where: str = "") -> Iterator[None]:
+    """What is wrong is told as a set-up that cannot be: the same sentence of a file that a person wrote, or of a place.
+
+    `where` stands before it.
+    """
     try:
         yield
-    except RecordError as problem:
-        raise SetupError(str(problem)) from None
+    except (RecordError, SetupError, ModelError) as problem:
+        raise SetupError(f"{where}: {problem}" if where else str(problem)) from None
 
 
 class ModelError(LtsimError):

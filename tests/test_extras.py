@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import subprocess
 import sys
 from pathlib import Path
 
@@ -46,3 +47,8 @@ def test_obstacles_hide_without_embree_what_they_hide_with_it(plain_install):
     assert 5 < blocked.sum() < 150
     inside = obstacles.holds(np.array([[0.4, 0.9, 2.9], [0.6, 0.0, 1.0], [3.4, 0.0, 1.0], [3.6, 0.0, 1.0]]))
     assert inside.tolist() == [True, False, True, False]
+
+
+def test_pictures_do_without_the_packages_of_campaigns() -> None:
+    without = "import sys; sys.modules.update(dict.fromkeys(('duckdb', 'numba', 'pyarrow'))); import ltsim.pages.plots"
+    subprocess.run([sys.executable, "-c", without], check=True)

@@ -29,7 +29,7 @@ def can_tell(history: History) -> bool:
     return len(history) > LEAST_STEPS
 
 
-def events(history: History, level: float = LEVEL) -> tuple[EventEntry, ...]:
+def events(history: History) -> tuple[EventEntry, ...]:
     """The steps that stand out, in the order of time; none where there are too few to tell.
 
     Each by the chance of as large a one over all steps and parameters (Bonferroni).
@@ -40,7 +40,7 @@ def events(history: History, level: float = LEVEL) -> tuple[EventEntry, ...]:
     difference, sigma = (np.array([[getattr(p, key) for p in own] for own in steps]) for key in ("difference", "sigma"))
     known = np.flatnonzero((sigma > 0).all(axis=0)).tolist()
     growth, looks = _growth(history), len(steps) * max(len(known), 1)
-    each = {k: _steps(difference[:, k], sigma[:, k], growth, level / looks) for k in known}
+    each = {k: _steps(difference[:, k], sigma[:, k], growth, LEVEL / looks) for k in known}
     found = sorted((i, k, usual, p) for k, own in each.items() for i, usual, p in own)
     return tuple(
         EventEntry(

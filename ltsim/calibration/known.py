@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ltsim.adjustment.prior import ParameterPrior, prior_sigmas
-from ltsim.arrays import Bools, Floats
+from ltsim.arrays import Floats
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.files import history_file, read_calibration
 from ltsim.calibration.history import History
@@ -156,15 +156,10 @@ class Choice:
             values.flat[at] = float(value) * construction.parameters[at[0] % construction.size].factor
         if held.all():
             raise ModelError("no parameter is left to estimate")
-        return _holding(stated, held, values)
-
-
-def _holding(prior: ParameterPrior, held: Bools, values: Floats) -> ParameterPrior:
-    """The prior with parameters held at values (I, p): they tell nothing about the others."""
-    covariance = prior.covariance.copy()
-    own = np.eye(held.shape[1], dtype=bool)
-    covariance[(held[:, :, None] | held[:, None, :]) & ~own] = 0.0
-    return ParameterPrior(np.where(held, values, prior.mean), covariance, held)
+        # Parameters that are held tell nothing about the others.
+        covariance, own = stated.covariance.copy(), np.eye(construction.size, dtype=bool)
+        covariance[(held[:, :, None] | held[:, None, :]) & ~own] = 0.0
+        return ParameterPrior(np.where(held, values, stated.mean), covariance, held)
 
 
 def places_of(wanted: str, parameters: Sequence[str], instruments: Sequence[str]) -> list[int]:

@@ -7,7 +7,7 @@ import numpy as np
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.datum import about
 from ltsim.adjustment.frame import Frame
-from ltsim.adjustment.known import UNITS, KnownTest
+from ltsim.adjustment.known import UNITS
 from ltsim.adjustment.verdict import Verdict, verdict
 from ltsim.arrays import Bools, Floats
 from ltsim.calibration.calibration import SHOWN_UNITS
@@ -131,25 +131,25 @@ def noise_of(adjustment: Adjustment) -> tuple[NoiseRow, ...]:
 
 def known_of(adjustment: Adjustment) -> tuple[KnownEntry, ...]:
     """Known coordinates, lengths and levels, each tested by the rest: an entry a component."""
-    return tuple(_known_entry(test, k) for test in adjustment.known for k in range(len(test.error)))
-
-
-def _known_entry(test: KnownTest, k: int) -> KnownEntry:
-    unit, factor = UNITS.get(test.kind, ("mm", MILLIMETRE))
-    one, sure = len(test.error) == 1 and not test.axes, bool(np.isfinite(test.sigma_error[k]))
-    return KnownEntry(
-        kind=test.kind,
-        name=test.name,
-        component="" if one else (test.axes or "xy")[k],
-        residual=float(test.residual[k]) / factor,
-        error=float(test.error[k]) / factor,
-        sigma_error=float(test.sigma_error[k]) / factor if sure else None,
-        minimal_detectable=float(test.minimal_detectable[k]) / factor if sure else None,
-        unit=unit,
-        redundancy=float(test.redundancy[k]),
-        w=test.w,
-        left_out=test.left_out,
-    )
+    found = []
+    for test, k in [(one, k) for one in adjustment.known for k in range(len(one.error))]:
+        unit, factor = UNITS.get(test.kind, ("mm", MILLIMETRE))
+        one, sure = len(test.error) == 1 and not test.axes, bool(np.isfinite(test.sigma_error[k]))
+        entry = KnownEntry(
+            kind=test.kind,
+            name=test.name,
+            component="" if one else (test.axes or "xy")[k],
+            residual=float(test.residual[k]) / factor,
+            error=float(test.error[k]) / factor,
+            sigma_error=float(test.sigma_error[k]) / factor if sure else None,
+            minimal_detectable=float(test.minimal_detectable[k]) / factor if sure else None,
+            unit=unit,
+            redundancy=float(test.redundancy[k]),
+            w=test.w,
+            left_out=test.left_out,
+        )
+        found.append(entry)
+    return tuple(found)
 
 
 def axes_of(adjustment: Adjustment) -> AxesEntry | None:

@@ -10,6 +10,7 @@ import subprocess
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -19,12 +20,13 @@ from joblib import Parallel, delayed, parallel_config
 
 from ltsim.campaigns.calibrators import fitted_construction, fitted_effects
 from ltsim.campaigns.design import Factor, label
-from ltsim.campaigns.rows import ShardTask, rows_of, run_task, task_of
+from ltsim.campaigns.rows import ShardTask, rows_of, run_task
 from ltsim.campaigns.schema import CellEntry, ManifestFile
 from ltsim.campaigns.spec import JUDGE, Campaign, Cell, beside, cad_files, cells_of, load_campaign, read_cad
+from ltsim.campaigns.statistics import Statistics
 from ltsim.campaigns.stopping import Shard, rounds
 from ltsim.campaigns.store import SOURCE, Store
-from ltsim.errors import SetupError, WorkerError
+from ltsim.errors import SetupError, WorkerError, as_setup_error
 from ltsim.recording.settings import to_toml
 from ltsim.simulation.fieldwork import fieldwork
 from ltsim.simulation.simulator import idle_effects
@@ -72,16 +74,17 @@ def run_campaign(
     resume: bool = False,
     force: bool = False,
     changes: Mapping[str, Any] | None = None,
+    tables: Mapping[str, Any] | None = None,
     progress: Progress = lambda trials: None,
 ) -> Outcome:
     """Run, continue or extend the campaign of a file: as `ltsim.campaign`, by any workers.
 
-    `progress` is told the number of trials that were done.
+    `tables` stand for a file that is not there. `progress` is told the number of trials that were done.
     """
-    campaign, scenarios = load_campaign(file, changes)
+    campaign, scenarios = load_campaign(file, changes, tables)
     factors, cells = cells_of(campaign, scenarios, file)
     notes, store = _check(campaign, factors, cells, file), Store(folder)
-    sources = _sources(campaign, cells, file, changes)
+    sources = _sources(campaign, cells, file, as_it_is=not changes and tables is None)
     taken = [] if store.begun or force else store.taken(sources)
     if taken:
         raise SetupError(
@@ -99,7 +102,7 @@ def run_campaign(
             store.begin(manifest, sources)
         store.sweep()
         done, kept = 0, 0
-        for wanted in rounds(campaign, len(cells), store.rows):
+        for wanted in rounds(campaign, len(cells), partial(_half_known, folder)):
             waiting, damaged = _waiting(store, campaign, cells, wanted, progress)
             notes += damaged
             done, kept = done + len(waiting), kept + len(wanted) - len(waiting)
@@ -116,9 +119,7 @@ def run_campaign(
     return Outcome(folder, done, kept, tuple(notes))
 
 
-def _sources(
-    campaign: Campaign, cells: Sequence[Cell], file: Path, changes: Mapping[str, Any] | None
-) -> dict[str, bytes]:
+def _sources(campaign: Campaign, cells: Sequence[Cell], file: Path, *, as_it_is: bool) -> dict[str, bytes]:
     """The files that the campaign was given, to be kept with its rows: scenarios, points, CAD, the file itself."""
     named = [path for name in (campaign.scenario, campaign.judge_in) if name and (path := beside(name, file))]
     kept, root = {path.name: path.read_bytes() for path in named}, (named[0] if named else file).resolve().parent
@@ -126,8 +127,8 @@ def _sources(
         whole = path.resolve()
         name = whole.relative_to(root).as_posix() if whole.is_relative_to(root) else path.name
         kept[name] = read_cad(path)
-    said = campaign.model_dump(mode="json", by_alias=True, exclude_none=True) if changes else {}
-    return kept | {SOURCE: to_toml(said).encode() if changes else file.read_bytes()}
+    said = campaign.model_dump(mode="json", by_alias=True, exclude_none=True)
+    return kept | {SOURCE: file.read_bytes() if as_it_is else to_toml(said).encode()}
 
 
 def _check(campaign: Campaign, factors: Sequence[Factor], cells: Sequence[Cell], file: Path) -> list[str]:
@@ -138,12 +139,10 @@ def _check(campaign: Campaign, factors: Sequence[Factor], cells: Sequence[Cell],
         fitted_effects(method)
     for number, cell in enumerate(cells, start=1):
         where = f"cell {number} ({label(factors, cell.levels)})"
-        try:
+        with as_setup_error(f"{file}: {where}"):
             idle += [f"{where}: {note}" for note in idle_effects(fieldwork(cell.scenario, campaign.seed))]
             if cell.judge is not None:
                 fieldwork(cell.judge, campaign.seed, JUDGE)
-        except SetupError as problem:
-            raise SetupError(f"{file}: {where}: {problem}") from None
     return idle
 
 
@@ -247,10 +246,8 @@ def _waiting(
 ) -> tuple[list[ShardTask], list[str]]:
     """Shards to be done of those that are wanted; those that are damaged are set aside and done again."""
     waiting, notes, known = [], [], store.digests()
-    numbers = {cell for cell, _ in wanted}
-    first = {k: task_of(campaign, cells[k].scenario, cells[k].mark, k, 0, cells[k].judge) for k in numbers}
     for cell, shard in wanted:
-        task = replace(first[cell], shard=shard)
+        task = ShardTask(campaign, cells[cell].scenario, cells[cell].mark, cell, shard, cells[cell].judge)
         state = store.state_of(cell, shard, task.key, rows_of(campaign, shard), known)
         if state == "whole":
             progress(rows_of(campaign, shard))
@@ -260,6 +257,11 @@ def _waiting(
             notes.append(f"{store.shard_path(cell, shard)} is damaged: moved to {aside.name} and done again")
         waiting.append(task)
     return waiting, notes
+
+
+def _half_known(folder: Path, statistic: str, shards: int) -> dict[tuple[int, str], float]:
+    """Half of the interval of a statistic's mean by so many first shards, by cell and method."""
+    return {(s.cell, s.method): 0.5 * (s.high - s.low) for s in Statistics(folder, shards).spread(statistic)}
 
 
 def _results(tasks: list[ShardTask], workers: Workers, store: Store) -> Iterator[tuple[ShardTask, bytes]]:

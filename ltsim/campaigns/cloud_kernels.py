@@ -207,13 +207,15 @@ def coordinate_criterion(placed: Floats, seen: Bools, mean: Floats, largest: Flo
 
 
 @compiled
-def _spread_force(first: Floats, second: Floats, towards: Floats, size: Floats, length: Floats) -> None:
-    """Add to the forces on two points, `towards` (2, 3, B), a size (B,) along the line between them."""
+def _spread_force(
+    first: Floats, second: Floats, on_first: Floats, on_second: Floats, size: Floats, length: Floats
+) -> None:
+    """Add to the forces (3, B) on two points a size (B,) along the line between them."""
     for c in range(3):
         for t in range(len(size)):
             part = size[t] / length[t] * (first[c, t] - second[c, t])
-            towards[0, c, t] += part
-            towards[1, c, t] -= part
+            on_first[c, t] += part
+            on_second[c, t] -= part
 
 
 @compiled
@@ -221,13 +223,6 @@ def _between(first: Floats, second: Floats, out: Floats) -> None:
     for t in range(len(out)):
         x, y, z = first[0, t] - second[0, t], first[1, t] - second[1, t], first[2, t] - second[2, t]
         out[t] = np.sqrt(x * x + y * y + z * z)
-
-
-@compiled
-def _add(source: Floats, goal: Floats) -> None:
-    for c in range(3):
-        for t in range(goal.shape[1]):
-            goal[c, t] += source[c, t]
 
 
 @compiled
@@ -248,7 +243,7 @@ def distance_forces(clouds: Floats, seen: Bools, gauge: Ints, length: Floats, fo
     """
     sets, targets, _, trials = clouds.shape
     own, middle = np.empty((sets, trials)), np.empty(trials)
-    size, pair = np.empty(trials), np.empty((2, 3, trials))
+    size = np.empty(trials)
     for i in range(targets):
         for j in range(i + 1, targets):
             count = 0
@@ -272,7 +267,4 @@ def distance_forces(clouds: Floats, seen: Bools, gauge: Ints, length: Floats, fo
                         gap = own[s, t] - length[known, t]
                         size[t] += gap
                         cost[t] += gap * gap
-                pair[:] = 0.0
-                _spread_force(clouds[s, i], clouds[s, j], pair, size, own[s])
-                _add(pair[0], forces[s, i])
-                _add(pair[1], forces[s, j])
+                _spread_force(clouds[s, i], clouds[s, j], forces[s, i], forces[s, j], size, own[s])

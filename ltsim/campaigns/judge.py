@@ -123,14 +123,11 @@ class Judge:
             if fixed:
                 trials = np.flatnonzero(np.all(known == pattern[:, None], axis=0))
                 truth = np.ascontiguousarray(self._truth(len(error))[:, :, trials])
-                error[trials] = self._target_error(truth, points[:, :, trials], pattern)
+                moved, total = np.empty_like(truth), np.zeros(len(trials))
+                rigid_fit(truth + points[:, :, trials], truth, pattern, moved)
+                count = add_square_error(moved, truth, pattern, total)
+                error[trials] = MICRO * np.sqrt(total / count)
         return error
-
-    def _target_error(self, truth: Floats, points: Floats, use: Bools) -> Floats:
-        moved, total = np.empty_like(truth), np.zeros(points.shape[2])
-        rigid_fit(truth + points, truth, use, moved)
-        count = add_square_error(moved, truth, use, total)
-        return MICRO * np.sqrt(total / count)
 
     def before(self, block: Block) -> Columns:
         """Columns that all methods share: criteria and error before, error with the true parameters."""

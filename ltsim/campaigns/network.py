@@ -217,13 +217,6 @@ class BatchNetwork:
         """Standard deviation (n, 3) of the readings; infinite where nothing is measured."""
         return np.where(self.problem.use, self.problem.sigma, np.inf)
 
-    @cached_property
-    def _reading_design(self) -> Floats:
-        """Whitened design (3 n, K) of the readings, with zero rows where nothing is measured."""
-        full = np.zeros((3 * len(self.recording), self.sizes[-1]))
-        full[self.problem.use.ravel()] = self._system[0][: int(self.problem.use.sum()), self.order]
-        return full
-
     def split(self, x: Floats) -> tuple[Floats, Floats, Floats, Floats]:
         """Views of unknowns (K, B): poses (S, 6, B), targets (T, 3, B), parameters (I, p, B), effects (q, B)."""
         pose, targets, values, _ = self.sizes
@@ -254,9 +247,10 @@ class BatchNetwork:
     @cached_property
     def _start_matrices(self) -> tuple[Floats, Floats, Floats]:
         """From deviations (3 n,) and other rows (r,) to the first step (K,); from that to predicted readings (3 n,)."""
-        design = self._reading_design
+        use, design = self.problem.use, np.zeros((3 * len(self.recording), self.sizes[-1]))
+        design[use.ravel()] = self._system[0][: int(use.sum()), self.order]  # whitened; zero where nothing is measured
         # A reading that is not measured has no row; its prediction starts at the nominal reading.
-        predicting = np.where(self.problem.use, self.problem.sigma, 0.0).reshape(-1, 1) * design
+        predicting = np.where(use, self.problem.sigma, 0.0).reshape(-1, 1) * design
         if self.effects:
             predicting[:, self.sizes[2] :] -= self._extra_design.reshape(len(design), -1)
         by_reading = self.covariance @ (design / self.sigma.reshape(-1, 1)).T

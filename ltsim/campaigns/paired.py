@@ -5,14 +5,17 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ltsim.arrays import Floats
-from ltsim.campaigns.statistics import Statistics, terms_of
+from ltsim.campaigns.schema import terms_of
 from ltsim.errors import ModelError, unknown_name
 from ltsim.results import Columns, Result, by_row
+
+if TYPE_CHECKING:
+    from ltsim.campaigns.statistics import Statistics  # needs packages that few install
 
 Place = tuple[int, str]
 """Cell and method."""

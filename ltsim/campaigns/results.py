@@ -2,19 +2,28 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ltsim.campaigns.cube import cube
+import numpy as np
+
 from ltsim.campaigns.paired import Paired, paired
-from ltsim.campaigns.schema import CHECKED
+from ltsim.campaigns.schema import CHECKED, column_of
 from ltsim.campaigns.statistics import Statistics
 from ltsim.drawing import pictures
+from ltsim.errors import missing_extra
 from ltsim.results import Result
 
 if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.figure import Figure
+
+CALIBRATOR = "calibrator"
+"""Axis of the methods: `method` is an argument of `sel` already."""
+ARGUMENTS = frozenset({CALIBRATOR, "indexers", "method", "tolerance", "drop"})
+"""Names that an axis of a factor cannot have; it has an underscore behind then."""
 
 
 class Results(Statistics, Result):
@@ -83,4 +92,44 @@ class Results(Statistics, Result):
         ModelError, SetupError
             When there is no such statistic; without xarray.
         """
-        return cube(self, statistics or [c for c in self.columns if ":" not in c and c != CHECKED])
+        try:
+            from xarray import Dataset
+        except ImportError:
+            raise missing_extra("datasets with axes", "xarray") from None
+        axes, places, along = self._axes()
+        methods = list(self.manifest.methods)
+        shape = (len(methods), *(len(axes[name][1]) for name in axes))
+        variables: dict[str, Any] = {}
+        for name in statistics or [c for c in self.columns if ":" not in c and c != CHECKED]:
+            bounds = np.full((3, *shape), np.nan)
+            for s in self.spread(name):
+                for bound, value in zip(bounds, (s.mean, s.low, s.high), strict=True):
+                    bound[(methods.index(s.method), *places[s.cell])] = value
+            meaning, unit = (known.meaning if (known := column_of(name)) else ""), self.units.get(name, "")
+            for own, ending, words in zip(bounds, ("", "_low", "_high"), ("mean", "lower", "upper"), strict=True):
+                said = f"{words} of the trials" if not ending else f"{words} 95 % bound of the mean"
+                about = {"units": unit, "long_name": f"{said}: {meaning}"}
+                variables[name + ending] = ((CALIBRATOR, *axes), own, about)
+        title = {"title": self.manifest.title, "trials": self.manifest.trials}
+        return Dataset(variables, {CALIBRATOR: methods} | axes | along, title)
+
+    def _axes(self) -> tuple[dict[str, Any], list[tuple[int, ...]], dict[str, Any]]:
+        """Axes with their values, where each cell is on them, and what else is known along them.
+
+        Factors of a full grid are axes; other cells are one axis, the factors' values along it.
+        """
+        levels, named = self.levels, [(f"{f.name}_" if f.name in ARGUMENTS else f.name, f) for f in self.factors]
+        own = {name: [level[f.name] for level in levels] for name, f in named}
+        steps = {name: _in_order(dict.fromkeys(values)) for name, values in own.items()}
+        unit = {name: {"units": f.unit, "keys": " ".join(f.keys)} for name, f in named}
+        places = [tuple(steps[name].index(own[name][k]) for name in steps) for k in range(len(levels))]
+        if math.prod(map(len, steps.values())) == len(levels) == len(set(places)):
+            return {name: (name, values, unit[name]) for name, values in steps.items()}, places, {}
+        along = {name: ("cell", values, unit[name]) for name, values in own.items()}
+        return {"cell": ("cell", list(range(len(levels))))}, [(k,) for k in range(len(levels))], along
+
+
+def _in_order(values: Iterable[Any]) -> list[Any]:
+    """Numbers rising, so that an axis can be sliced however the sweep has grown; words as the file has them."""
+    listed = list(values)
+    return sorted(listed) if all(isinstance(value, int | float) for value in listed) else listed

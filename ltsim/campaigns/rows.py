@@ -1,9 +1,8 @@
 """The rows of a shard: trials drawn, calibrated by every method on the same draws, judged."""
 
-import json
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from typing import Any
 
@@ -36,7 +35,7 @@ from ltsim.simulation.draws import Normal
 from ltsim.simulation.physics import construction_of, effects_of
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.simulator import place_key
-from ltsim.simulation.workshop import Layout, planned
+from ltsim.simulation.workshop import planned
 
 JUDGED = {"criteria", "errors"}
 """Statistics that take corrected readings."""
@@ -46,18 +45,17 @@ TOGETHER = 64
 
 @dataclass(frozen=True)
 class ShardTask:
-    """One shard of one cell, as plain data that any worker can take."""
+    """One shard of one cell, as any worker can take it."""
 
-    campaign: str
-    scenario: str
-    """As JSON."""
+    campaign: Campaign
+    scenario: Scenario
     mark: str
     """Of the cell."""
     cell: int
     shard: int
-    judge: str = ""
-    """The scenario of `judge_in`, as JSON; empty for none."""
-    effects: tuple[type[Effect], ...] = ()
+    judge: Scenario | None = None
+    """That of `judge_in`."""
+    effects: tuple[type[Effect], ...] = field(default_factory=lambda: CATALOGUE.of_session)
     """Classes of the session, which a worker does not know."""
     held: pa.Table | None = None
     """Rows of the shard that stay, where it lacks trials, or statistics."""
@@ -65,7 +63,7 @@ class ShardTask:
     @property
     def key(self) -> dict[str, str]:
         """What the shard's file says of itself."""
-        held = " ".join(json.loads(self.campaign)["statistics"])
+        held = " ".join(self.campaign.statistics)
         return {"campaign": self.mark, "cell": str(self.cell), "shard": str(self.shard), "statistics": held}
 
 
@@ -108,10 +106,6 @@ class Prepared:
             labels += labels_of(fitted_construction(method), names, fitted_effects(method))
         return {label.name: label.parameter.unit for label in labels}
 
-    @cached_property
-    def _plan(self) -> Layout:
-        return planned(self.scenario)
-
     def blocks(self, first: int, last: int) -> Iterator[tuple[Judge, Sequence[Calibrator], Block]]:
         """Blocks that hold the trials ``first`` to ``last - 1``, with their geometry's judge and calibrators.
 
@@ -129,17 +123,17 @@ class Prepared:
 
     def _geometries(self, trials: range) -> dict[int, CellTruth]:
         """The geometry of each trial that has a possible one; they share the set-up with the common one."""
-        found, seed = {}, self.campaign.seed
+        found, seed, plan = {}, self.campaign.seed, planned(self.scenario)
         for trial in trials:
             with suppress(SetupError):
                 key, like = place_key(trial, self.campaign.geometry), self.shared[0].truth
-                found[trial] = truth_of(self.scenario, seed, *key, like=like, plan=self._plan)
+                found[trial] = truth_of(self.scenario, seed, *key, like=like, plan=plan)
         return found
 
 
 @lru_cache(maxsize=4)
 def prepared(campaign: str, scenario: str, judge: str) -> Prepared:
-    """The prepared cell of a task; kept, since a worker sees many shards of the same cell."""
+    """The prepared cell of a task, all as JSON; kept, since a worker sees many shards of the same cell."""
     there = Scenario.model_validate_json(judge) if judge else None
     return Prepared(Campaign.model_validate_json(campaign), Scenario.model_validate_json(scenario), there)
 
@@ -156,7 +150,7 @@ def shard_rows(task: ShardTask) -> pa.Table:
     """The rows of a shard, by method, then by trial; beside those that stay only what is missing is computed."""
     if task.held is None:
         return _computed(task, 0)
-    campaign, held = Campaign.model_validate_json(task.campaign), task.held
+    campaign, held = task.campaign, task.held
     more = tuple(name for name in campaign.statistics if name not in statistics_of(held))
     if not more:
         order = pa.array([method.title for method in campaign.methods])
@@ -166,16 +160,16 @@ def shard_rows(task: ShardTask) -> pa.Table:
     if len(held) < rows_of(campaign, task.shard):
         return _computed(task, 0)
     only = campaign.model_copy(update={"statistics": more, "verify": 0, "stop": None})
-    beside = _computed(replace(task, campaign=only.model_dump_json(by_alias=True)), 0, drawn=more == ("truth",))
-    for field in beside.schema:
-        held = held if field.name in held.column_names else held.append_column(field, beside[field.name])
+    beside = _computed(replace(task, campaign=only), 0, drawn=more == ("truth",))
+    for own in beside.schema:
+        held = held if own.name in held.column_names else held.append_column(own, beside[own.name])
     return held
 
 
 def _computed(task: ShardTask, done: int, *, drawn: bool = False) -> pa.Table:
     """The rows of a shard behind so many of its trials; without a calibration where only what was `drawn` is asked."""
-    cell = prepared(task.campaign, task.scenario, task.judge)
-    campaign = cell.campaign
+    campaign, given = task.campaign, (task.campaign, task.scenario, task.judge)
+    cell = prepared(*("" if one is None else one.model_dump_json(by_alias=True) for one in given))
     start = task.shard * campaign.shard
     first, last = start + done, min(start + campaign.shard, campaign.trials)
     parts: list[list[Columns]] = [[] for _ in campaign.methods]
@@ -273,21 +267,6 @@ class TrialBlock:
         nowhere = np.full((*there.truth.state.points.shape, len(found.chi2)), np.nan)  # no target is adjusted there
         after = there.after(block, replace(found, points=nowhere), calibrator.construction, calibrator.effects)
         return {f"new_point_{name}": own for name, own in (before | after).items() if name.startswith("error_")}
-
-
-def task_of(
-    campaign: Campaign, scenario: Scenario, mark: str, cell: int, shard: int, judge: Scenario | None = None
-) -> ShardTask:
-    """A task as plain data."""
-    return ShardTask(
-        campaign.model_dump_json(by_alias=True),
-        json.dumps(scenario.model_dump(mode="json", by_alias=True)),
-        mark,
-        cell,
-        shard,
-        "" if judge is None else json.dumps(judge.model_dump(mode="json", by_alias=True)),
-        CATALOGUE.of_session,
-    )
 
 
 def rows_of(campaign: Campaign, shard: int) -> int:

@@ -101,6 +101,20 @@ def column_of(name: str) -> RowColumn | None:
     return next((c for c in COLUMNS if name == c.name or (c.name.endswith(":") and name.startswith(c.name))), None)
 
 
+def errors_of(share: str) -> tuple[str, str, str]:
+    """The columns that a share is made of: raw, calibrated, with the true parameters."""
+    prefix = share.removesuffix("share_removed")
+    return f"{prefix}error_raw_um", f"{prefix}error_calibrated_um", f"{prefix}error_true_parameters_um"
+
+
+def terms_of(statistic: str) -> tuple[str, ...]:
+    """SQL of what is averaged: a column; of a share the mean square that was removed, and that which could be."""
+    if statistic not in SHARES:
+        return (f'"{statistic}"',)
+    raw, calibrated, perfect = (f'"{name}"::DOUBLE ^ 2' for name in errors_of(statistic))
+    return f"({raw} - {calibrated})", f"({raw} - {perfect})"
+
+
 ROWS = Table(
     "rows/cell-*/shard-*.parquet",
     "one row a trial and method; settings of the cell stand behind its number",

@@ -14,7 +14,7 @@ from ltsim.campaigns.design import Design, Factor, short_names
 from ltsim.campaigns.schema import Statistic, column_of
 from ltsim.errors import SetupError, as_setup_error
 from ltsim.evaluation.verification import read_nominal
-from ltsim.recording.settings import checked, load_settings
+from ltsim.recording.settings import checked, read_toml
 from ltsim.recording.setup import Positive, TomlSection
 from ltsim.simulation.keys import kind_of, quantity, unit_of
 from ltsim.simulation.scenario import NONE, Scenario, changed, load_scenario, scenario_to_toml
@@ -203,12 +203,16 @@ class Campaign(TomlSection):
         return {key: value for name, value in said.items() for key in self.link.get(name, (name,))}
 
 
-def load_campaign(path: Path, changes: Mapping[str, Any] | None = None) -> tuple[Campaign, tuple[Scenario, ...]]:
-    """A campaign file, and the scenario of each of its cells, of a file beside it; raises SetupError.
+def load_campaign(
+    path: Path, changes: Mapping[str, Any] | None = None, tables: Mapping[str, Any] | None = None
+) -> tuple[Campaign, tuple[Scenario, ...]]:
+    """A campaign file, or its `tables`, and the scenario of each of its cells, of a file beside it; raises SetupError.
 
     `changes` are new values of keys of the file (`trials`) or dotted keys of the scenario, which then do not vary.
     """
-    campaign = load_settings(path, Campaign, "campaign")
+    with as_setup_error():
+        given = read_toml(path, "campaign") if tables is None else {"format": FORMAT, **tables}
+        campaign = checked(given, Campaign, "campaign", path)
     if changes:
         campaign = overridden(campaign, changes, path)
     base = load_scenario(beside(campaign.scenario, path) or campaign.scenario)

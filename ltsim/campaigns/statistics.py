@@ -14,7 +14,17 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from ltsim.arrays import Floats
-from ltsim.campaigns.schema import CHECKED, FAILED, FULL, LEVELS, SHARES, column_of, summary_table
+from ltsim.campaigns.schema import (
+    CHECKED,
+    FAILED,
+    FULL,
+    LEVELS,
+    SHARES,
+    column_of,
+    errors_of,
+    summary_table,
+    terms_of,
+)
 from ltsim.campaigns.stopping import level_of, quantile
 from ltsim.campaigns.store import Store, literal
 from ltsim.errors import ModelError, SetupError, unknown_name
@@ -80,6 +90,8 @@ class Statistics:
     Parameters
     ----------
     folder : Path
+    below : int, optional
+        Only shards of smaller numbers.
 
     Raises
     ------
@@ -105,19 +117,19 @@ class Statistics:
     ``distance_improvement_percent`` and ``coordinate_improvement_percent``. Table `cells` says what each cell is.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, below: int | None = None) -> None:
         store = Store(folder)
         self.manifest = store.manifest()
         self.factors = self.manifest.factors
         self.levels = [cell.levels for cell in self.manifest.cells]
-        shards = store.shards()
+        shards = store.shards(below)
         if not shards:
             raise SetupError(f"{folder}: no shard of this campaign is finished yet")
         # One thread: sums keep their order, and tables their last digit.
         self._base = duckdb.connect(config={"memory_limit": MEMORY, "threads": 1})
         source = f"read_parquet([{', '.join(map(literal, shards))}], union_by_name = true)"
         try:
-            store.verify({cell.cell: cell.mark for cell in self.manifest.cells})
+            store.verify(shards, {cell.cell: cell.mark for cell in self.manifest.cells})
             names = [row[0] for row in self._base.execute(f"DESCRIBE SELECT * FROM {source}").fetchall()]
             self._base.execute(f"CREATE VIEW rows AS SELECT *{_improvements(names)} FROM {source}")
             self._hold_cells()
@@ -211,7 +223,7 @@ class Statistics:
         kind = "quantile_cont" if size <= MOST_EXACT else "approx_quantile"
         what = f"count({name}), avg({name}), stddev_samp({name}), min({name}), max({name}), {kind}({name}, {[*LEVELS]})"
         found = []
-        for cell, method, count, mean, deviation, low, high, quantiles in self._each(what, f"{name} IS NOT NULL"):
+        for cell, method, count, mean, deviation, low, high, quantiles in self._each(what, f"isfinite({name})"):
             half, own = self.half(count, _number(deviation)), (_number(deviation), low, high, tuple(quantiles))
             found.append(Spread(cell, method, column, count, mean, mean - half, mean + half, *own))
         return found
@@ -285,20 +297,6 @@ class Statistics:
             ],
             "z_scores": [_without_nan(asdict(entry)) for entry in self.z_scores()],
         }
-
-
-def errors_of(share: str) -> tuple[str, str, str]:
-    """The columns that a share is made of: raw, calibrated, with the true parameters."""
-    prefix = share.removesuffix("share_removed")
-    return f"{prefix}error_raw_um", f"{prefix}error_calibrated_um", f"{prefix}error_true_parameters_um"
-
-
-def terms_of(statistic: str) -> tuple[str, ...]:
-    """SQL of what is averaged: a column; of a share the mean square that was removed, and that which could be."""
-    if statistic not in SHARES:
-        return (f'"{statistic}"',)
-    raw, calibrated, perfect = (f'"{name}"::DOUBLE ^ 2' for name in errors_of(statistic))
-    return f"({raw} - {calibrated})", f"({raw} - {perfect})"
 
 
 def _without_nan(value: Any) -> Any:

@@ -10,16 +10,11 @@ variance is known and a mean of skewed values is near normal.
 """
 
 import math
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
 
-import numpy as np
-import pyarrow as pa
 from scipy import special
 
-from ltsim.arrays import Floats
 from ltsim.campaigns.spec import Campaign
-from ltsim.errors import unknown_name
 
 GROWTH = 1.5
 """Trials after a round over those before it."""
@@ -27,40 +22,8 @@ LEAST = 64
 """Trials before the first look."""
 LEVEL = 0.05
 """Two-sided, of every interval."""
-IMPROVEMENT = "_improvement_percent"
 Shard = tuple[int, int]
 """Cell and number."""
-
-
-@dataclass
-class Mean:
-    """Running mean of a sample, by sums of it and of its squares about the first value."""
-
-    count: int = 0
-    shift: float = 0.0
-    total: float = 0.0
-    squares: float = 0.0
-
-    def add(self, values: Floats) -> None:
-        """Take in further values (n,); NaN is no value."""
-        kept = values[np.isfinite(values)]
-        if not self.count and len(kept):
-            self.shift = float(kept[0])
-        self.count += len(kept)
-        self.total += float(np.sum(kept - self.shift))
-        self.squares += float(np.sum((kept - self.shift) ** 2))
-
-    @property
-    def mean(self) -> float:
-        """Of all values so far."""
-        return self.shift + self.total / self.count
-
-    def half(self, level: float) -> float:
-        """Half of the mean's two-sided interval at an error rate; infinite for fewer than two values."""
-        if self.count < 2:
-            return math.inf
-        variance = max(self.squares - self.total**2 / self.count, 0.0) / (self.count - 1)
-        return quantile(self.count, level) * math.sqrt(variance / self.count)
 
 
 def quantile(count: int, level: float) -> float:
@@ -82,40 +45,21 @@ def schedule(trials: int, shard: int) -> list[int]:
     return done
 
 
-def statistic_of(rows: pa.Table, name: str) -> Floats:
-    """A column (n,) of rows, or an improvement [%]; NaN where there is none. Raises ModelError for another name."""
-
-    def column(which: str) -> Floats:
-        if which not in rows.column_names:
-            known = [n for n in rows.column_names if pa.types.is_floating(rows[n].type)]
-            raise unknown_name("statistic of these rows", name, known)
-        return np.asarray(rows[which].to_numpy(), dtype=np.float64)
-
-    if not name.endswith(IMPROVEMENT):
-        return column(name)
-    kind = name.removesuffix(IMPROVEMENT)
-    return 100.0 * (1.0 - column(f"{kind}_after_mean_um") / column(f"{kind}_before_mean_um"))
-
-
-def rounds(campaign: Campaign, cells: int, read: Callable[[int, int], pa.Table]) -> Iterator[list[Shard]]:
+def rounds(
+    campaign: Campaign, cells: int, known: Callable[[str, int], Mapping[tuple[int, str], float]]
+) -> Iterator[list[Shard]]:
     """Shards to be done, round by round; a round is asked for when all of the one before are finished.
 
-    `read` gives the rows of a finished shard, named by its cell and number.
+    `known` gives half of the interval of a statistic's mean by so many first shards, by cell and method.
     """
     if (stop := campaign.stop) is None:
         yield [(cell, shard) for cell in range(cells) for shard in range(campaign.shards)]
         return
-    means = [{method.title: Mean() for method in campaign.methods} for _ in range(cells)]
-    level, open_, done = level_of(campaign.trials, campaign.shard, stops=True), list(range(cells)), 0
+    open_, done = list(range(cells)), 0
     for goal in schedule(campaign.trials, campaign.shard):
-        now = [(cell, shard) for cell in open_ for shard in range(done, goal)]
-        yield now
-        for cell, shard in now:
-            rows = read(cell, shard)
-            values, methods = statistic_of(rows, stop.statistic), np.array(rows["method"].to_pylist())
-            for title, mean in means[cell].items():
-                mean.add(values[methods == title])
-        done = goal
-        open_ = [cell for cell in open_ if any(mean.half(level) > stop.within for mean in means[cell].values())]
+        yield [(cell, shard) for cell in open_ for shard in range(done, goal)]
+        half, done = known(stop.statistic, goal), goal
+        sure = {place for place, own in half.items() if own <= stop.within}
+        open_ = [cell for cell in open_ if not {(cell, method.title) for method in campaign.methods} <= sure]
         if not open_:
             return

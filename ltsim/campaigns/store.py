@@ -18,7 +18,7 @@ import hashlib
 import json
 import os
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -67,9 +67,10 @@ class Store:
         """Where a shard lies."""
         return self.folder / ROWS / f"cell-{cell:04d}" / f"shard-{shard:06d}.parquet"
 
-    def shards(self) -> list[Path]:
-        """Where the finished shards lie, in their order."""
-        return sorted(self.folder.glob(f"{ROWS}/cell-*/shard-*.parquet"))
+    def shards(self, below: int | None = None) -> list[Path]:
+        """Where the finished shards lie, in their order; only those `below` a number."""
+        found = sorted(self.folder.glob(f"{ROWS}/cell-*/shard-*.parquet"))
+        return [path for path in found if below is None or path.name < self.shard_path(0, below).name]
 
     def rows(self, cell: int, shard: int) -> pa.Table:
         """The rows of a finished shard; raises SetupError when it is damaged."""
@@ -79,10 +80,10 @@ class Store:
         except (pa.ArrowException, OSError) as problem:
             raise SetupError(f"{path}: cannot be read ({problem}); go on with --resume to repair it") from None
 
-    def verify(self, marks: Mapping[int, str]) -> None:
+    def verify(self, shards: Iterable[Path], marks: Mapping[int, str]) -> None:
         """Raise OSError, ValueError or pyarrow.ArrowException where a shard is not as it was written for its cell."""
         known = self.digests()
-        for path in self.shards():
+        for path in shards:
             name = path.relative_to(self.folder).as_posix()
             if name in known:
                 if _digest(path) != known[name]:

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 from ltsim.campaigns import require_packages
 from ltsim.errors import SetupError
-from ltsim.recording.settings import to_toml
 
 if TYPE_CHECKING:
     from ltsim.campaigns.results import Results
@@ -68,33 +66,18 @@ def campaign(
         method  trials  failed
     0  network      64       0
     """
-    if isinstance(source, Mapping):
-        if out is None:
-            raise SetupError("a campaign that is no file needs a folder for its rows: out=...")
-        with TemporaryDirectory() as place:
-            file = Path(place) / "campaign.toml"
-            file.write_text(to_toml(_with_resolved_paths(source)), encoding="utf-8")
-            try:
-                return campaign(file, out=out, jobs=jobs, resume=resume, force=force, changes=changes)
-            except SetupError as problem:
-                raise SetupError(str(problem).replace(str(file), "the campaign")) from None
     require_packages()
     from ltsim.campaigns.campaign import Workers, run_campaign
     from ltsim.campaigns.results import Results
 
-    path = Path(source)
-    if path.is_dir():
+    tables = source if isinstance(source, Mapping) else None
+    if tables is not None and out is None:
+        raise SetupError("a campaign that is no file needs a folder for its rows: out=...")
+    path = Path("the campaign") if isinstance(source, Mapping) else Path(source)
+    if tables is None and path.is_dir():
         if out is not None or resume or force or changes:
             raise SetupError(f"{path}: rows of a campaign are only opened: to run it, give {path / 'campaign.toml'}")
         return Results(path)
     folder = path.with_suffix("") if out is None else Path(out)
-    run_campaign(path, folder, workers=Workers(jobs), resume=resume, force=force, changes=changes)
+    run_campaign(path, folder, workers=Workers(jobs), resume=resume, force=force, changes=changes, tables=tables)
     return Results(folder)
-
-
-def _with_resolved_paths(tables: Mapping[str, Any]) -> dict[str, Any]:
-    """The tables with their format, and files named from the root, since a file of them lies elsewhere."""
-    from ltsim.campaigns.spec import FORMAT
-
-    named = {key: Path(str(tables[key])) for key in ("scenario", "judge_in") if tables.get(key)}
-    return {"format": FORMAT, **tables, **{key: str(path.resolve()) for key, path in named.items() if path.is_file()}}

@@ -37,7 +37,6 @@ from ltsim.effects.signature import (
     along_axes as along_axes,
     by_displacement as by_displacement,
     on_readings as on_readings,
-    parameter_names as parameter_names,
 )
 from ltsim.scene.sightings import Sightings
 

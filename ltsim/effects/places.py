@@ -11,6 +11,7 @@ from ltsim.scene.sightings import Sightings
 
 MOST_CHANGES = 140
 """Change points tried over all stations of a network together."""
+REACH = 6
 
 
 def change_times(times: Floats, *, least: int, most: int) -> list[float]:
@@ -50,12 +51,12 @@ def visit_change_times(sightings: Sightings, target: int, *, most: int) -> list[
     return [float(t) for t in np.unique(middles)]
 
 
-def gaps_near(times: Floats, time: float, *, reach: int = 6) -> list[float]:
-    """Middles [s] of the `reach` gaps between pointings at `times` on either side of `time`."""
+def gaps_near(times: Floats, time: float) -> list[float]:
+    """Middles [s] of the `REACH` gaps between pointings at `times` on either side of `time`."""
     ordered = np.unique(times)
     middle = 0.5 * (ordered[1:] + ordered[:-1])
     at = int(np.searchsorted(middle, time))
-    return [float(t) for t in middle[max(at - reach, 0) : at + reach + 1]]
+    return [float(t) for t in middle[max(at - REACH, 0) : at + REACH + 1]]
 
 
 def visited_pairs(sightings: Sightings) -> list[tuple[str, str]]:

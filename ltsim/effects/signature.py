@@ -8,7 +8,7 @@ Sign: a parameter is a correction, truth - reading; the change of a reading is t
 """
 
 from abc import abstractmethod
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal, Protocol, Self
 
@@ -159,11 +159,6 @@ def _among(values: Ints, known: Mapping[str, Sequence[int]], names: Sequence[str
     """(n,): whether each value is that of one of a few names; one is the common case, and much faster alone."""
     ids = [i for name in names for i in known.get(name, ())]
     return values == ids[0] if len(ids) == 1 else np.isin(values, ids)
-
-
-def parameter_names(signatures: Iterable[Signature]) -> list[str]:
-    """Names of all parameters in order, with the place where a law is confined to one."""
-    return [p.name + (f"@{s.place}" if s.place else "") for s in signatures for p in s.parameters]
 
 
 class Tunable(Signature, Protocol):

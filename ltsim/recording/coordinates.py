@@ -13,7 +13,6 @@ matrix [mm^2], its header and first column the coordinates as ``TARGET.x``), or 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
@@ -42,7 +41,6 @@ EXPECTED = (
     "expected a header that names the point and its coordinates, such as target,x_mm,y_mm,z_mm or "
     "Name;X [m];Y [m];Z [m], or lines of a name, x, y and z"
 )
-Unit = Literal["mm", "m"]
 
 
 @dataclass(frozen=True)
@@ -72,15 +70,12 @@ class Points:
         return {name: p for name, p, is_whole in zip(self.names, self.points, whole.tolist(), strict=True) if is_whole}
 
 
-def read_points(path: str | Path, unit: Unit | None = None, *, strict: bool = True) -> Points:
-    """Read a list of points.
+def read_points(path: str | Path, *, strict: bool = True) -> Points:
+    """Read a list of points: where the header states no unit, in metres if none reaches 500, as a note says.
 
     Parameters
     ----------
     path : str or Path
-    unit : "mm" or "m", optional
-        Of coordinates whose header states none; without it metres where none reaches 500, otherwise millimetres, which
-        a note says.
     strict : bool
         Refuse a point that is listed twice with other coordinates; otherwise the first are taken, and a note says so.
 
@@ -93,7 +88,7 @@ def read_points(path: str | Path, unit: Unit | None = None, *, strict: bool = Tr
     for sheet in sheets_of(path):
         found = _header_of(sheet.rows) or _without_header(sheet)
         if found is not None:
-            return _List(sheet, *found).points(unit, strict=strict)
+            return _List(sheet, *found).points(strict=strict)
     raise RecordError(f"is no list of coordinates, {EXPECTED}", file=path)
 
 
@@ -156,7 +151,7 @@ class _List:
         self.numbers = {c.role: c for c in self.columns if c.role in PLACE or c.role.startswith(sigmas)}
         self.name = next(c for c in columns if c.role == "target")
 
-    def points(self, unit: Unit | None, *, strict: bool) -> Points:
+    def points(self, *, strict: bool) -> Points:
         """The points that it holds."""
         self.sheet.check_whole(self.width)
         kept: dict[str, tuple[Row, list[float]]] = {}
@@ -174,7 +169,7 @@ class _List:
         if not kept:
             raise RecordError("holds no points", file=self.sheet.file)
         table = np.array([values for _, values in kept.values()])
-        scale, said = self._scales(table, unit)
+        scale, said = self._scales(table)
         numbers = dict(zip(self.numbers, (table * scale).T, strict=True))
         nothing = np.full(len(kept), np.nan)
         points = np.stack([numbers.get(axis, nothing) for axis in PLACE], axis=1)
@@ -197,14 +192,14 @@ class _List:
             values.append(np.nan if found is None else float(found))
         return where.name(row.cell(self.name.place), "point"), values
 
-    def _scales(self, table: Floats, unit: Unit | None) -> tuple[Floats, list[str]]:
+    def _scales(self, table: Floats) -> tuple[Floats, list[str]]:
         """What brings each number to metres, and what was decided."""
         axes = [c for c in self.numbers.values() if c.role in PLACE]
         largest = np.nanmax(np.abs(table[:, [role in PLACE for role in self.numbers]]), initial=0.0)
         stated = next((c.unit for c in axes if c.unit in FACTOR and c.unit), "")
         surveyed = largest >= GRID or any(words_of(c.title)[0] in GEODETIC for c in axes)
-        chosen = stated or unit or ("m" if surveyed or largest < LARGEST_M else "mm")
-        notes = [] if stated or unit else [f"coordinates taken as {chosen}: the largest is {largest:.6g}"]
+        chosen = stated or ("m" if surveyed or largest < LARGEST_M else "mm")
+        notes = [] if stated else [f"coordinates taken as {chosen}: the largest is {largest:.6g}"]
         scales = [FACTOR[c.unit if c.unit in FACTOR and c.unit else chosen] for c in self.numbers.values()]
         return np.array(scales) ** [1 + role.startswith("covariance") for role in self.numbers], notes
 

@@ -46,11 +46,11 @@ class KnownLengths:
         """
         index = {name: i for i, name in enumerate(recording.targets)}
         rows = [(i, d) for i, d in enumerate(recording.gauge.distance) if d.from_ in index and d.to in index]
-        grown = [_Grown.of(recording, d, {"file": file, "column": f"gauge.distance {i + 1}"}) for i, d in rows]
+        grown = [_grown(recording, d, {"file": file, "column": f"gauge.distance {i + 1}"}) for i, d in rows]
         certified = np.array([d.length_mm * MILLIMETRE for _, d in rows])
-        factor = np.array([g.expansion.factor for g in grown])
+        factor = np.array([own for own, _ in grown])
         common = {SCALE: recording.gauge.sigma_scale_ppm * PPM} if recording.gauge.sigma_scale_ppm else {}
-        changes = [g.changes | common for g in grown]
+        changes = [change | common for _, change in grown]
         shared = {
             name: certified * np.array([change.get(name, 0.0) for change in changes])
             for name in dict.fromkeys(name for change in changes for name in change)
@@ -75,40 +75,24 @@ class KnownLengths:
         return np.sqrt(self.certificate**2 + sum(change**2 for change in self.shared.values()))
 
 
-@dataclass(frozen=True)
-class _Grown:
-    """One length: its growth, and whose coefficient and thermometer it takes."""
-
-    expansion: Expansion
-    material: str
-    thermometer: str
-
-    @classmethod
-    def of(cls, recording: Recording, line: GaugeDistance, where: dict[str, Any]) -> _Grown:
-        if line.measured_in_place:
-            return cls(Expansion(), "", "")
-        gauge = recording.gauge
-        materials = gauge.materials or {}
-        if line.material is not None and line.material not in materials:
-            known = f"one of {', '.join(materials)}" if materials else f"a table [gauge.materials.{line.material}]"
-            raise RecordError(f"the material '{shown(line.material)}' is not stated, expected {known}", **where)
-        stated = gauge if line.material is None else materials[line.material]
-        given = gauge.measured_at_c if line.measured_at_c is None else line.measured_at_c
-        measured = _mean_of(recording, given, line, where) if isinstance(given, str) else given
-        sigma = gauge.sigma_temperature_k if line.sigma_temperature_k is None else line.sigma_temperature_k
-        kelvin = measured - gauge.calibrated_at_c
-        own = "" if line.measured_at_c is None else f"{line.from_}-{line.to}"
-        return cls(
-            Expansion.of(stated.expansion_per_k, kelvin, stated.sigma_expansion_per_k, sigma),
-            f"{COEFFICIENT}{line.material or 'the gauge'}",
-            f"temperature of {given if isinstance(given, str) else own or 'the gauge'}",
-        )
-
-    @property
-    def changes(self) -> dict[str, float]:
-        """Change of the factor by one standard deviation of each error that is stated."""
-        both = {self.material: self.expansion.by_coefficient, self.thermometer: self.expansion.by_temperature}
-        return {name: change for name, change in both.items() if change}
+def _grown(recording: Recording, line: GaugeDistance, where: dict[str, Any]) -> tuple[float, dict[str, float]]:
+    """Growth of one length, and what one standard deviation of its coefficient and its thermometer changes it by."""
+    if line.measured_in_place:
+        return 1.0, {}
+    gauge = recording.gauge
+    materials = gauge.materials or {}
+    if line.material is not None and line.material not in materials:
+        known = f"one of {', '.join(materials)}" if materials else f"a table [gauge.materials.{line.material}]"
+        raise RecordError(f"the material '{shown(line.material)}' is not stated, expected {known}", **where)
+    stated = gauge if line.material is None else materials[line.material]
+    given = gauge.measured_at_c if line.measured_at_c is None else line.measured_at_c
+    measured = _mean_of(recording, given, line, where) if isinstance(given, str) else given
+    sigma = gauge.sigma_temperature_k if line.sigma_temperature_k is None else line.sigma_temperature_k
+    own = "" if line.measured_at_c is None else f"{line.from_}-{line.to}"
+    thermometer = f"temperature of {given if isinstance(given, str) else own or 'the gauge'}"
+    grown = Expansion.of(stated.expansion_per_k, measured - gauge.calibrated_at_c, stated.sigma_expansion_per_k, sigma)
+    both = {f"{COEFFICIENT}{line.material or 'the gauge'}": grown.by_coefficient, thermometer: grown.by_temperature}
+    return grown.factor, {name: change for name, change in both.items() if change}
 
 
 def _mean_of(recording: Recording, name: str, line: GaugeDistance, where: dict[str, Any]) -> float:

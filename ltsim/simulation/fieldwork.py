@@ -91,7 +91,7 @@ def placed(scenario: Scenario, seed: int, *key: str | int, plan: Layout | None =
         turn = from_rotation_vector(placing.yaw_deg * DEGREE * draw[3:])
         centre = points[body].mean(axis=0)
         points[body] = (points[body] - centre) @ turn.T + centre + placing.gauge_mm * MILLIMETRE * draw[:3]
-    return plan.at(position, rotation, points)
+    return replace(plan, position=position, rotation=rotation, points=points)
 
 
 def _notes(layout: Layout, table: Visibility) -> tuple[str, ...]:

@@ -6,7 +6,7 @@ from ltsim.arrays import Floats
 from ltsim.effects import BASELINE
 from ltsim.effects.effect import Effect
 from ltsim.effects.smr_incidence import SmrIncidence
-from ltsim.errors import ModelError, SetupError
+from ltsim.errors import SetupError, as_setup_error
 from ltsim.model.construction import Construction, built_as, misalignment
 from ltsim.recording.recording import noise_sigma
 from ltsim.scene.sightings import Sightings
@@ -46,10 +46,8 @@ def instrument_law(scenario: Scenario, construction: Construction) -> tuple[Floa
 def _law(instrument: ScenarioInstrument, construction: Construction, name: str) -> tuple[Floats, Floats]:
     stated = {error: float(value) for error, value in instrument.errors.items() if error != "draw"}
     for error in stated:
-        try:
+        with as_setup_error(f"{table_name(name)}.errors.{error}"):
             construction.index(error)
-        except ModelError as problem:
-            raise SetupError(f"{table_name(name)}.errors.{error}: {problem}") from None
     parameters = construction.parameters
     mean = np.array([stated.get(p.name, 0.0) * p.factor for p in parameters])
     free = [instrument.draws and p.name not in stated for p in parameters]

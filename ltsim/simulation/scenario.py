@@ -11,7 +11,7 @@ from pydantic import Field
 from ltsim.arrays import Floats
 from ltsim.effects.effect import Effect
 from ltsim.effects.verbs import Sized, effect_from
-from ltsim.errors import ModelError, SetupError, as_setup_error
+from ltsim.errors import SetupError, as_setup_error
 from ltsim.recording.files import FilePlace, shown
 from ltsim.recording.settings import above, checked, read_toml, to_toml, with_instruments
 from ltsim.recording.setup import Material, NonNegative, Reflector, TomlSection
@@ -201,10 +201,9 @@ def _with_preset(instrument: Any, file: Path) -> Any:
     name = instrument.get("preset")
     if name not in sheet_names():
         return above(instrument, PRESETS.get(str(name), {}))
-    try:
-        return above(instrument, stated_by(name, instrument, PointingLimits.model_fields))
-    except ModelError as problem:
-        raise SetupError(f"{file}: instrument.preset: {problem}") from None
+    with as_setup_error(f"{file}: instrument.preset"):
+        below = stated_by(name, instrument, PointingLimits.model_fields)
+    return above(instrument, below)
 
 
 def _in_use(scenario: Scenario, file: Path) -> Scenario:

@@ -67,7 +67,8 @@ def measure(
 
 def error_free(work: Fieldwork) -> Recording:
     """The recording of an ideal tracker and of exact certificates, with all that is stated."""
-    s = work.sightings
+    s, scenario = work.sightings, work.scenario
+    told = scenario.reflectors or any(station.reflector for station in scenario.stations.values())
     bare = Recording(
         setup=_setup(work),
         stations=s.station_names,
@@ -79,7 +80,7 @@ def error_free(work: Fieldwork) -> Recording:
         time=s.time,
         readings=s.raw,
         covariates=s.covariates,
-        labels=_smrs(work),
+        labels={REFLECTOR_COLUMN: smrs_of(scenario, s)} if told else {},
     )
     blank = exact_lengths(bare, work)
     return blank.replace(notes=(*work.notes, *_idle(work, KnownLengths.of(blank))))
@@ -137,13 +138,6 @@ def exact_readings(work: Fieldwork, instrument: Floats, values: tuple[Floats, ..
 def mistakes(effects: Sequence[Effect], values: Sequence[Floats]) -> list[Mistake]:
     """Blunders that were made: their one parameter is not 0."""
     return [e for e, made in zip(effects, values, strict=True) if isinstance(e, Mistake) and np.any(made[0])]
-
-
-def _smrs(work: Fieldwork) -> dict[str, tuple[str, ...]]:
-    scenario = work.scenario
-    if not scenario.reflectors and not any(station.reflector for station in scenario.stations.values()):
-        return {}
-    return {REFLECTOR_COLUMN: smrs_of(scenario, work.sightings)}
 
 
 def idle_effects(work: Fieldwork) -> Iterator[str]:
@@ -249,14 +243,42 @@ def _truth(work: Fieldwork, instrument: Floats, values: tuple[Floats, ...], seed
 
 
 def exact_lengths(recording: Recording, work: Fieldwork) -> Recording:
-    """The recording with certificates that are free of error: the lengths between the reflectors where they stand."""
-    blank = with_stated(recording, work.scenario)
-    known, points = KnownLengths.of(blank), work.sightings.points
-    certified = np.linalg.norm(points[known.first] - points[known.second], axis=1) / known.factor
-    return certified_by(blank, certified, _sigmas(blank, work.scenario, certified))
+    """The recording with what is stated of its known lengths, and certificates that are free of error.
+
+    These are the lengths between the reflectors where they stand.
+    """
+    scenario, points = work.scenario, work.sightings.points
+    gauge, warm = scenario.gauge, scenario.workshop.temperature_c
+    if gauge is None and not scenario.lengths:
+        return recording
+    known = [(line, um) for line, um in _lines(scenario) if {line.from_, line.to} <= set(recording.targets)]
+    own: dict[str, Any] = {}
+    if gauge is not None:
+        warm = warm if gauge.measured_at_c is None else gauge.measured_at_c
+        own = gauge.model_dump(include=set(Gauge.model_fields) - {"distance", "measured_at_c"})
+    lines = tuple(line for line, _ in known)
+    stated = Gauge(measured_at_c=warm, materials=scenario.materials or None, distance=lines, **own)
+    blank = recording.replace(setup=recording.setup.model_copy(update={"gauge": stated}))
+    there = KnownLengths.of(blank)
+    certified = np.linalg.norm(points[there.first] - points[there.second], axis=1) / there.factor
+    by_machine = length_sigma(scenario.cmm, certified).tolist()
+    sigma = [own if um is None else um * MICROMETRE for (_, um), own in zip(known, by_machine, strict=True)]
+    return certified_by(blank, certified, sigma)
 
 
-def certified_by(recording: Recording, length: Floats, sigma: Floats | None = None) -> Recording:
+def _lines(scenario: Scenario) -> Iterator[tuple[GaugeDistance, float | None]]:
+    """The pairs of the gauge, then the scale bars, all 1 mm long, with the sigma [um] that is stated, if any."""
+    blank = {"length_mm": 1.0, "sigma_mm": 1.0}
+    if scenario.gauge:
+        for a, b in combinations(scenario.gauge.targets, 2):
+            yield GaugeDistance.model_validate({"from": a, "to": b, **blank}), scenario.gauge.sigma_um
+    for length in scenario.lengths:
+        use = length.model_dump(include=set(LengthUse.model_fields))
+        ends = {"from": length.from_, "to": length.to}
+        yield GaugeDistance.model_validate(ends | use | blank), length.sigma_um
+
+
+def certified_by(recording: Recording, length: Floats, sigma: Sequence[float] | None = None) -> Recording:
     """The recording with other certificates: lengths (g,) [m] at calibration, and their sigmas [m] if they change."""
     if recording.setup.gauge is None:
         return recording
@@ -264,42 +286,7 @@ def certified_by(recording: Recording, length: Floats, sigma: Floats | None = No
     for i, (line, value) in enumerate(zip(recording.gauge.distance, length.tolist(), strict=True)):
         stated = {"length_mm": round(value / MILLIMETRE, 12)}
         if sigma is not None:
-            stated["sigma_mm"] = max(round(float(sigma[i]) / MILLIMETRE, 6), 1e-6)
+            stated["sigma_mm"] = max(round(sigma[i] / MILLIMETRE, 6), 1e-6)
         lines.append(line.model_copy(update=stated))
     gauge = recording.gauge.model_copy(update={"distance": tuple(lines)})
     return recording.replace(setup=recording.setup.model_copy(update={"gauge": gauge}))
-
-
-def with_stated(recording: Recording, scenario: Scenario) -> Recording:
-    """The recording with what is stated of its known lengths besides the lengths themselves, which are 1 mm."""
-    gauge, warm = scenario.gauge, scenario.workshop.temperature_c
-    if gauge is None and not scenario.lengths:
-        return recording
-    lines = tuple(line for line in _lines(scenario) if {line.from_, line.to} <= set(recording.targets))
-    own: dict[str, Any] = {}
-    if gauge is not None:
-        warm = warm if gauge.measured_at_c is None else gauge.measured_at_c
-        own = gauge.model_dump(include=set(Gauge.model_fields) - {"distance", "measured_at_c"})
-    stated = Gauge(measured_at_c=warm, materials=scenario.materials or None, distance=lines, **own)
-    return recording.replace(setup=recording.setup.model_copy(update={"gauge": stated}))
-
-
-def _lines(scenario: Scenario) -> Iterator[GaugeDistance]:
-    """One line a length, its length and sigma 1 mm: the pairs of the gauge, then the scale bars."""
-    blank = {"length_mm": 1.0, "sigma_mm": 1.0}
-    for a, b in combinations(scenario.gauge.targets if scenario.gauge else (), 2):
-        yield GaugeDistance.model_validate({"from": a, "to": b, **blank})
-    for length in scenario.lengths:
-        use = length.model_dump(include=set(LengthUse.model_fields))
-        yield GaugeDistance.model_validate({"from": length.from_, "to": length.to, **use, **blank})
-
-
-def _sigmas(recording: Recording, scenario: Scenario, certified: Floats) -> Floats:
-    """Standard deviations (g,) [m] of the certificates."""
-    bars = {frozenset((bar.from_, bar.to)): bar.sigma_um for bar in scenario.lengths}
-    gauge = scenario.gauge.sigma_um if scenario.gauge else None
-    stated = [bars.get(frozenset((line.from_, line.to)), gauge) for line in recording.gauge.distance]
-    by_machine = length_sigma(scenario.cmm, certified)
-    return np.array(
-        [own if um is None else um * MICROMETRE for um, own in zip(stated, by_machine.tolist(), strict=True)]
-    )

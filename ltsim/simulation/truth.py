@@ -4,27 +4,26 @@ import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal, Self, get_args
+from typing import Any, Literal, Self
 
 import numpy as np
-from pydantic import Field, ValidationError
+from pydantic import Field
 from scipy.spatial.transform import Rotation
 
 from ltsim.arrays import Floats
 from ltsim.effects.effect import Effect
-from ltsim.effects.verbs import effect_from, shape_of
-from ltsim.errors import ModelError, RecordError
+from ltsim.effects.verbs import shape_of
+from ltsim.errors import ModelError, RecordError, SetupError
 from ltsim.evaluation.verification import NOMINAL
 from ltsim.geometry.rotations import quaternion
 from ltsim.recording.files import write_text
 from ltsim.recording.result_file import read_json
-from ltsim.recording.settings import sentence
+from ltsim.recording.settings import checked
 from ltsim.recording.setup import Finite, TomlSection, Vector
 from ltsim.results import Columns, Result
 from ltsim.saved import Valued
+from ltsim.simulation.sections import PlacedEffect
 from ltsim.units import FACTOR, MILLIMETRE
-
-Format = Literal["ltsim-truth/1"]
 
 
 @dataclass(frozen=True)
@@ -99,7 +98,7 @@ class Truth(Result):
         """The contents of a truth file."""
         trackers = {"instruments": [tracker.model_dump(mode="json") for tracker in self.trackers]}
         content: dict[str, Any] = {
-            "format": get_args(Format)[0],
+            "format": TruthFile.model_fields["format"].default,
             "title": self.title,
             "seed": self.seed,
             "trial": self.trial,
@@ -120,10 +119,7 @@ class Truth(Result):
     @classmethod
     def from_json(cls, content: Mapping[str, Any], file: object = "truth") -> Self:
         """The truth of a truth file's contents; raises RecordError."""
-        try:
-            table = TruthFile.model_validate_json(json.dumps(content), strict=True)
-        except ValidationError as problem:
-            raise RecordError(sentence(problem.errors()[0], TruthFile), file=file) from None
+        table = checked(content, TruthFile, "truth file", file)
         unknown = {p.unit for p in table.parameters} - set(FACTOR)
         if unknown:
             raise RecordError(f"'{unknown.pop()}' is no unit, expected one of {', '.join(FACTOR)}", file=file)
@@ -173,17 +169,11 @@ class _InstrumentNumber(_Number):
         return f"{self.name}@{self.instrument}" if self.instrument else self.name
 
 
-class _Effect(TomlSection):
+class _Effect(PlacedEffect):
     """An effect of the catalogue."""
 
-    effect: str
+    name: str = Field(alias="effect")
     """Id of the catalogue."""
-    stations: tuple[str, ...] = ()
-    """Where it acts; empty for all."""
-    targets: tuple[str, ...] = ()
-    """Where it acts; empty for all."""
-    shape: dict[str, Finite | str | tuple[Finite, ...]] = Field(default_factory=dict)
-    """Constants by name."""
     parameters: tuple[_Number, ...] = ()
     """True values."""
 
@@ -207,7 +197,7 @@ class _Pose(_TruePoint):
 class TruthFile(TomlSection):
     """`truth.json`: from `simulate --truth`."""
 
-    format: Format
+    format: Literal["ltsim-truth/1"] = "ltsim-truth/1"
     """Which format and version this file is in."""
     title: str = ""
     """Free text."""
@@ -257,9 +247,9 @@ def _effect_to_json(applied: AppliedEffect) -> dict[str, Any]:
 
 def _effect_from_json(entry: _Effect, file: object) -> AppliedEffect:
     try:
-        effect = effect_from(entry.effect, {"stations": entry.stations, "targets": entry.targets}, entry.shape)
-    except (ModelError, ValueError, TypeError) as problem:
-        raise RecordError(str(problem), file=file, column="effects") from None
+        effect = entry.effect("effects")
+    except SetupError as problem:
+        raise RecordError(str(problem), file=file) from None
     stated = {p.name: p.value for p in entry.parameters}
     return AppliedEffect(effect, np.array([stated.get(p.name, 0.0) * p.factor for p in effect.parameters]))
 

@@ -1,8 +1,7 @@
 """The workshop as planned: poses, points, nests, obstacles, and who sees whom."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Self
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -34,10 +33,6 @@ class Layout:
     """(T, 3): unit vectors, NaN where unknown."""
     reaimed: Bools
     """(T,)."""
-
-    def at(self, position: Floats, rotation: Floats, points: Floats) -> Self:
-        """The same layout with everything where it truly stands."""
-        return replace(self, position=position, rotation=rotation, points=points)
 
 
 def planned(scenario: Scenario) -> Layout:

@@ -19,7 +19,7 @@ import pytest
 from ltsim.campaigns import engine, statistics, store
 from ltsim.campaigns.campaign import Workers, run_campaign
 from ltsim.campaigns.results import Results
-from ltsim.campaigns.rows import shard_rows, task_of
+from ltsim.campaigns.rows import ShardTask, shard_rows
 from ltsim.campaigns.schema import CHECKED
 from ltsim.campaigns.spec import load_campaign
 from ltsim.campaigns.statistics import LEVELS
@@ -71,7 +71,7 @@ def test_estimates_and_truth_carry_the_units_of_their_parameters(file: Path) -> 
     text = FILE.replace("trials = 600", 'trials = 2\nstatistics = ["estimates", "truth", "z-scores"]')
     file.write_text(text + '[settings]\neffects = [{name = "range-cyclic", draw = true}]\n')
     campaign, scenarios = load_campaign(file)
-    rows = shard_rows(task_of(campaign, scenarios[0], "", 0, 0))
+    rows = shard_rows(ShardTask(campaign, scenarios[0], "", 0, 0))
     units = {field.name: (field.metadata or {})[b"unit"].decode() for field in rows.schema}
     assert units["estimate:beam-tilt"] == units["sigma:beam-tilt"] == units["true:beam-tilt"] == "urad"
     assert units["z:beam-tilt"] == units["chi2"] == ""
@@ -253,8 +253,8 @@ def test_a_trial_depends_on_its_number_alone(file: Path) -> None:
     """Other shards, more trials, another method beside: the same rows."""
     campaign, scenarios = load_campaign(file)
     long = campaign.model_copy(update={"trials": 900, "shard": 700})
-    table = shard_rows(task_of(campaign, scenarios[0], "", 0, 1))
-    other = shard_rows(task_of(long, scenarios[0], "", 0, 0))
+    table = shard_rows(ShardTask(campaign, scenarios[0], "", 0, 1))
+    other = shard_rows(ShardTask(long, scenarios[0], "", 0, 0))
     same = other.slice(256, 256)
     for name in ("trial", "chi2", "z:range-scale", "distance_after_mean_um", "error_calibrated_um"):
         assert table[name].to_pylist() == same[name].to_pylist()
@@ -267,7 +267,7 @@ def test_methods_see_the_same_draws(file: Path) -> None:
         )
     )
     campaign, scenarios = load_campaign(file)
-    rows = shard_rows(task_of(campaign, scenarios[0], "", 0, 0))
+    rows = shard_rows(ShardTask(campaign, scenarios[0], "", 0, 0))
     batch, alone = rows.slice(0, 12), rows.slice(12, 12)
     assert set(alone["method"].to_pylist()) == {"one by one"}
     assert batch["error_raw_um"].to_pylist() == alone["error_raw_um"].to_pylist()
@@ -281,7 +281,7 @@ def test_geometry_may_vary_per_trial(file: Path) -> None:
         FILE.replace("trials = 600", 'trials = 6\ngeometry = "per-trial"\nstatistics = ["errors", "truth"]')
     )
     campaign, scenarios = load_campaign(file)
-    rows = shard_rows(task_of(campaign, scenarios[0], "", 0, 0))
+    rows = shard_rows(ShardTask(campaign, scenarios[0], "", 0, 0))
     assert rows["trial"].to_pylist() == list(range(6))
     assert set(rows["status"].to_pylist()) == {"converged"}
     assert max(rows[CHECKED].drop_null().to_pylist()) < 1e-3
@@ -303,7 +303,7 @@ def test_failed_trials_are_rows(file: Path, monkeypatch: pytest.MonkeyPatch) -> 
         return real(*args, **settings)
 
     monkeypatch.setattr(engine, "adjust", sometimes)
-    rows = shard_rows(task_of(campaign, scenarios[0], "", 0, 0))
+    rows = shard_rows(ShardTask(campaign, scenarios[0], "", 0, 0))
     assert rows["status"].to_pylist() == ["converged", "failed", "converged", "converged"]
     for name in ("chi2", "z:beam-tilt", "distance_after_mean_um", "error_calibrated_um", "target_error_um"):
         assert rows[name].null_count == 1 and rows[name][1].as_py() is None

@@ -10,7 +10,7 @@ import pytest
 from scipy.stats import kstest
 
 import ltsim as lt
-from ltsim.campaigns.rows import shard_rows, task_of
+from ltsim.campaigns.rows import ShardTask, shard_rows
 from ltsim.campaigns.spec import Campaign
 from ltsim.campaigns.truth import truth_of
 from ltsim.effects import CATALOGUE, find_effect
@@ -102,7 +102,7 @@ def test_a_trial_written_and_calibrated_is_its_row(method: str, geometry: Any, t
             "methods": [{"method": method}],
         }
     )
-    row = shard_rows(task_of(campaign, given, "", 0, 0)).slice(TRIAL, 1).to_pylist()[0]
+    row = shard_rows(ShardTask(campaign, given, "", 0, 0)).slice(TRIAL, 1).to_pylist()[0]
     lt.write(lt.simulate(given, seed=SEED, trial=TRIAL, geometry=geometry).recording, tmp_path / "rec")
     found = lt.calibrate(tmp_path / "rec", method=method)
     assert row["trial"] == TRIAL

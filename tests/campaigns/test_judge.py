@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ltsim.campaigns.judge import MICRO, Judge
-from ltsim.campaigns.rows import shard_rows, task_of
+from ltsim.campaigns.rows import ShardTask, shard_rows
 from ltsim.campaigns.spec import Campaign
 from ltsim.campaigns.truth import truth_of
 from ltsim.evaluation.clouds import on_points
@@ -30,7 +30,7 @@ def with_far_station(*, levelled: bool) -> Scenario:
 
 def rows(scenario: Scenario) -> dict[str, list[object]]:
     campaign = Campaign(format="ltsim-campaign/1", trials=len(SEEN_BY_LAST), geometry="per-trial", verify=0)
-    return dict(shard_rows(task_of(campaign, scenario, "", 0, 0)).to_pydict())
+    return dict(shard_rows(ShardTask(campaign, scenario, "", 0, 0)).to_pydict())
 
 
 def test_station_that_sees_two_targets_is_left_out_of_the_error() -> None:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import ltsim as lt
-from ltsim.campaigns.rows import shard_rows, task_of
+from ltsim.campaigns.rows import ShardTask, shard_rows
 from ltsim.campaigns.schema import COLUMNS, column_of
 from ltsim.campaigns.spec import Campaign, judge_of
 from ltsim.effects import CATALOGUE
@@ -55,7 +55,7 @@ def campaign(**more: Any) -> Campaign:
 
 def rows(made: Campaign, scenario: Scenario = PAPER) -> dict[str, list[Any]]:
     judge = judge_of(made.judge_in, scenario, Path("campaign.toml")) if made.judge_in else None
-    return dict(shard_rows(task_of(made, scenario, "", 0, 0, judge)).to_pydict())
+    return dict(shard_rows(ShardTask(made, scenario, "", 0, 0, judge)).to_pydict())
 
 
 def test_the_same_instruments_are_judged_where_nothing_was_calibrated(tmp_path: Path) -> None:
@@ -161,7 +161,7 @@ def test_every_column_of_rows_is_defined_once() -> None:
         trials=4, statistics=["criteria", "errors", "z-scores", "estimates", "truth"], judge_in="paper-workshop"
     )
     judge = judge_of(made.judge_in, PAPER, Path("campaign.toml"))
-    schema = shard_rows(task_of(made, PAPER, "", 0, 0, judge)).schema
+    schema = shard_rows(ShardTask(made, PAPER, "", 0, 0, judge)).schema
     results = [field for field in schema if field.name not in ("cell", "method", "trial", "status")]
     assert all(field.metadata[b"meaning"].decode() == column_of(field.name).meaning for field in results)
     assert len({column.name for column in COLUMNS}) == len(COLUMNS)

@@ -5,14 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
 import pytest
 from scipy import stats
 
 from ltsim.campaigns.campaign import Workers, run_campaign
 from ltsim.campaigns.results import Results
 from ltsim.campaigns.spec import Campaign, Stop
-from ltsim.campaigns.stopping import Mean, level_of, quantile, rounds, schedule
+from ltsim.campaigns.stopping import level_of, quantile, rounds, schedule
 from ltsim.errors import ModelError
 from ltsim.randomness import stream
 
@@ -82,24 +81,28 @@ def test_stopping_is_the_same_with_two_workers_and_after_any_interruption(
     assert outcome.kept >= 2 and "were not needed" in outcome.notes[-1]
 
 
-def sampled(means: list[float], seed: int, shards: int) -> dict[tuple[int, int], pa.Table]:
-    """Rows of cells with the same draws, as cells of a campaign have them, and some of their own."""
-    made = {}
-    for shard in range(shards):
-        common = stream(seed, "common", shard).standard_normal(SHARD)
-        for cell, mean in enumerate(means):
-            own = stream(seed, "own", cell, shard).standard_normal(SHARD)
-            values = (mean + common + 0.1 * own).astype(np.float32)
-            made[cell, shard] = pa.table({"method": [METHOD] * SHARD, "x": pa.array(values, pa.float32())})
-    return made
+def halves(means: list[float], shards: int, *, looks: int, seed: int) -> dict[tuple[int, str], float]:
+    """Half of the intervals by the first shards of cells with the same draws and some of their own."""
+    found = {}
+    for cell, mean in enumerate(means):
+        parts = [
+            mean
+            + stream(seed, "common", shard).standard_normal(SHARD)
+            + 0.1 * stream(seed, "own", cell, shard).standard_normal(SHARD)
+            for shard in range(shards)
+        ]
+        values = np.concatenate(parts)
+        level = level_of(looks * SHARD, SHARD, stops=True)
+        found[cell, METHOD] = quantile(len(values), level) * values.std(ddof=1) / np.sqrt(len(values))
+    return found
 
 
 def spent(means: list[float], *, within: float, seed: int = 1) -> list[int]:
     """Shards that each cell gets."""
     stop = Stop(statistic="x", within=within)
     campaign = Campaign(format="ltsim-campaign/1", trials=40 * SHARD, shard=SHARD, stop=stop)
-    rows = sampled(means, seed, 40)
-    done = [shard for now in rounds(campaign, len(means), lambda *which: rows[which]) for shard in now]
+    asked = rounds(campaign, len(means), lambda _, shards: halves(means, shards, looks=40, seed=seed))
+    done = [shard for now in asked for shard in now]
     assert len(done) == len(set(done))
     return [sum(cell == k for cell, _ in done) for k in range(len(means))]
 
@@ -127,38 +130,19 @@ def test_an_interval_at_which_a_cell_stops_keeps_its_coverage(shard: int, skewed
     assert stats.binomtest(int(held.sum()), runs, 0.95, alternative="less").pvalue > 0.01
 
 
-def test_the_rule_of_rounds_is_that_of_the_coverage() -> None:
-    """Rounds end where `quantile` at `level_of` says, on the shards of `schedule`."""
+def test_rounds_end_at_the_first_look_that_knows_enough() -> None:
     for seed in range(5):
         count = spent([0.0], within=0.1, seed=seed)[0]
-        looks, mean, halves = schedule(40 * SHARD, SHARD), Mean(), []
-        level = level_of(40 * SHARD, SHARD, stops=True)
-        rows = sampled([0.0], seed, 40)
-        for shard in range(count):
-            mean.add(np.asarray(rows[0, shard]["x"].to_numpy(), dtype=np.float64))
-            if shard + 1 in looks:
-                halves.append(mean.half(level))
-        assert count in looks and halves[-1] <= 0.1 and all(half > 0.1 for half in halves[:-1])
-
-
-def test_running_mean_is_the_mean() -> None:
-    values = 1e4 + stream(1, "mean").standard_normal(1000)
-    mean = Mean()
-    for part in np.split(np.r_[values, np.nan, np.nan], 6):
-        mean.add(part)
-    assert (mean.count, mean.mean) == (1000, pytest.approx(values.mean(), rel=1e-12))
-    half = stats.t.isf(0.025, 999) * values.std(ddof=1) / np.sqrt(1000)
-    assert mean.half(0.05) == pytest.approx(half, rel=1e-9)
-    assert Mean().half(0.05) == np.inf
+        looks = [shards for shards in schedule(40 * SHARD, SHARD) if shards <= count]
+        known = [halves([0.0], shards, looks=40, seed=seed)[0, METHOD] for shards in looks]
+        assert count == looks[-1] and known[-1] <= 0.1 and all(half > 0.1 for half in known[:-1])
 
 
 def test_looks_are_half_as_many_trials_again() -> None:
     assert schedule(16, 1) == [16] and schedule(1000, 100) == [1, 2, 3, 5, 8, 10] and schedule(100, 16) == [4, 6, 7]
 
 
-def test_a_statistic_that_rows_do_not_hold_is_named() -> None:
-    stop = Stop(statistic="y", within=1.0)
-    campaign = Campaign(format="ltsim-campaign/1", trials=SHARD, shard=SHARD, stop=stop)
-    rows = sampled([0.0], 1, 1)
-    with pytest.raises(ModelError, match="x"):
-        list(rounds(campaign, 1, lambda *which: rows[which]))
+def test_a_statistic_that_rows_do_not_hold_is_named(tmp_path: Path) -> None:
+    (tmp_path / "c.toml").write_text(FILE.replace("[grid]", STOP + 'statistic = "y"\n\n[grid]').replace("2048", "64"))
+    with pytest.raises(ModelError, match="target_error_um"):
+        run_campaign(tmp_path / "c.toml", tmp_path / "c")

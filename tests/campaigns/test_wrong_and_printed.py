@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ltsim.campaigns.rows import shard_rows, task_of
+from ltsim.campaigns.rows import ShardTask, shard_rows
 from ltsim.campaigns.spec import Campaign, judge_of
 from ltsim.errors import RecordError
 from ltsim.recording.settings import checked
@@ -25,7 +25,7 @@ def rows(key: str, value: Any, trials: int, *methods: dict[str, Any], **more: An
     tables = {"format": "ltsim-campaign/1", "seed": 4, "trials": trials, "methods": methods, "statistics": ["errors"]}
     made = Campaign.model_validate({**tables, "judge_in": "paper-laboratory", "verify": 2, **more})
     scenario = changed(PAPER, {key: value}, FILE)
-    table = shard_rows(task_of(made, scenario, "", 0, 0, judge_of(made.judge_in, scenario, FILE)))
+    table = shard_rows(ShardTask(made, scenario, "", 0, 0, judge_of(made.judge_in, scenario, FILE)))
     return {name: np.array(column) for name, column in table.to_pydict().items()}
 
 

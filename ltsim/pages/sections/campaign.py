@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 from ltsim.campaigns.design import Factor
 from ltsim.campaigns.results import Results
-from ltsim.campaigns.schema import SHARES, ManifestFile, column_of
-from ltsim.campaigns.statistics import Checked, Scores, Spread, errors_of
+from ltsim.campaigns.schema import SHARES, ManifestFile, column_of, errors_of
+from ltsim.campaigns.statistics import Checked, Scores, Spread
 from ltsim.notation import number
 from ltsim.pages.document import Block, Fact, Grid, Listing, Picture, Section, mood, table_block
 from ltsim.pages.figures.campaign import (

@@ -45,11 +45,6 @@ def grouping_of(rows: Iterable[Sequence[str]], file: object) -> str:
     return next(iter(shown), "")
 
 
-def ungrouped(text: str, grouping: str) -> str:
-    """A number without the marks of its thousands, where the sheet groups them."""
-    return text.replace(grouping, "") if grouping and _GROUPED[grouping].fullmatch(text) else text
-
-
 def is_value(text: str) -> bool:
     """Whether a cell is a number or an angle in degrees, minutes and seconds."""
     return is_number(plain(text)) or _SEXAGESIMAL.fullmatch(text.strip()) is not None
@@ -60,10 +55,11 @@ def value(text: str, grouping: str = "") -> Decimal | None:
 
     `grouping` is that of its sheet, by `grouping_of`.
     """
-    number = plain(ungrouped(text.strip(), grouping))
+    text = text.strip()
+    number = plain(text.replace(grouping, "") if grouping and _GROUPED[grouping].fullmatch(text) else text)
     if is_number(number):
         return Decimal(number)
-    found = _SEXAGESIMAL.fullmatch(text.strip())
+    found = _SEXAGESIMAL.fullmatch(text)
     if found is None or int(found.group(3)) > 59:
         return None
     sign, degrees, minutes, seconds = found.groups()

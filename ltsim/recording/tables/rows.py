@@ -172,7 +172,7 @@ class _SheetReader:
 
     def _read(self, rows: Sequence[Row], *, every: bool = False) -> PointingTable:
         for i, row in enumerate(rows):
-            measured = (every and not row.comment) or self._has_values(row)
+            measured = (every and not row.comment) or any(cells.is_value(row.cell(place)) for place in self.wanted)
             again = header_of(row, self.hints, self.sheet.file) if not measured else None
             if again is not None:
                 self._head(again, row.line)
@@ -182,10 +182,6 @@ class _SheetReader:
                 self._pointing(row, last=i == len(rows) - 1)
         self.table.notes += _doubled(self.columns)
         return self.table
-
-    def _has_values(self, row: Row) -> bool:
-        """Whether a cell of the readings, or what stands in its place, is a number."""
-        return any(cells.is_value(row.cell(i)) for i in self.wanted)
 
     def _other(self, row: Row) -> None:
         """A line that is no pointing: it names the station of a block, or is left out."""
