@@ -11,7 +11,7 @@ import pytest
 from ltsim.cli.main import run
 from ltsim.scene.meshes import Obstacles, box, cylinder, placed
 
-HEAVY = ("pyvista", "vtkmodules", "trame_vtk", "embreex", "cascadio", "duckdb", "numba", "pyarrow")
+HEAVY = ("pyvista", "vtkmodules", "trame_vtk", "trimesh", "embreex", "cascadio", "duckdb", "numba", "pyarrow")
 
 
 @pytest.fixture
@@ -35,6 +35,14 @@ def test_the_main_verbs_need_no_extra(plain_install, tmp_path: Path, monkeypatch
     for line, extra in (("view rec --html v.html", "view"), ("campaign x.toml", "campaigns")):
         assert run(line.split()) == 2
         assert f"need the extra '{extra}': pip install \"ltsim[{extra}]\"" in capsys.readouterr().err
+
+
+def test_a_cad_file_says_what_reads_it(plain_install, tmp_path: Path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    Path("machine.stl").write_text("solid machine\nendsolid machine\n")
+    Path("hall.toml").write_text('base = "paper-workshop"\n[[workshop.obstacles]]\nname = "m"\nfile = "machine.stl"\n')
+    assert run(["simulate", "hall.toml", "--out", "rec"]) == 2
+    assert "CAD files need the extra 'cad': pip install \"ltsim[cad]\"" in capsys.readouterr().err
 
 
 def test_obstacles_hide_without_embree_what_they_hide_with_it(plain_install):
