@@ -13,7 +13,7 @@ from ltsim.cli.options import FramedReading, ReadingOptions, Source
 from ltsim.cli.terminal import ResultTerminal, Terminal
 
 if TYPE_CHECKING:
-    from ltsim.calibration import Calibration
+    from ltsim.calibration.calibration import Calibration
     from ltsim.recording import Recording
 
 
