@@ -9,17 +9,22 @@ hold the mean with 95 %, and so does the one at which a cell stops. The first lo
 variance is known and a mean of skewed values is near normal.
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pyarrow as pa
 from scipy import special
 
 from ltsim.arrays import Floats
-from ltsim.campaigns.spec import Campaign
 from ltsim.errors import unknown_name
+
+if TYPE_CHECKING:
+    from ltsim.campaigns.spec import Campaign
 
 GROWTH = 1.5
 """Trials after a round over those before it."""
