@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 import sys
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -35,6 +37,15 @@ def test_the_main_verbs_need_no_extra(plain_install, tmp_path: Path, monkeypatch
     for line, extra in (("view rec --html v.html", "view"), ("campaign x.toml", "campaigns")):
         assert run(line.split()) == 2
         assert f"need the extra '{extra}': pip install \"ltsim[{extra}]\"" in capsys.readouterr().err
+
+
+def test_a_plain_install_asks_for_none_of_them_and_every_extra_is_explained():
+    root = Path(__file__).parents[1]
+    project = tomllib.loads((root / "pyproject.toml").read_text())["project"]
+    asked = {re.split(r"[<>=\[]", text)[0].replace("-", "_") for text in project["dependencies"]}
+    assert not asked & {*HEAVY, "openpyxl", "pandas", "xarray", "dask"}
+    explained = re.findall(r"^\| `(\w+)` \|", (root / "docs" / "install.md").read_text(), re.MULTILINE)
+    assert sorted(explained) == sorted(project["optional-dependencies"])
 
 
 def test_a_cad_file_says_what_reads_it(plain_install, tmp_path: Path, monkeypatch, capsys):
