@@ -89,7 +89,7 @@ def history(
 
     Example: ltsim history january.json may.json september-recording --out my-history
     """
-    from ltsim.calibration.files import history_file
+    from ltsim.calibration.history_file import history_file
     from ltsim.calibration.history_schema import HistoryFile
     from ltsim.pages.sections import section_of
 

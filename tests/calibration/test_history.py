@@ -10,8 +10,9 @@ from scipy import stats
 
 from ltsim.calibration.calibration import Calibration, Fit
 from ltsim.calibration.events import can_tell, events
-from ltsim.calibration.files import history_file, write_calibration
+from ltsim.calibration.files import write_calibration
 from ltsim.calibration.history import History
+from ltsim.calibration.history_file import history_file
 from ltsim.calibration.network import calibrate_network
 from ltsim.cli.main import run
 from ltsim.errors import RecordError

@@ -10,7 +10,6 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ltsim.arrays import Floats
-from ltsim.calibration.history_schema import CourseEntry
 from ltsim.calibration.schema import ParameterEntry
 from ltsim.notation import number, with_sigma
 from ltsim.pages import style
@@ -18,6 +17,7 @@ from ltsim.pages.words import distinct_labels, is_determined, typeset
 from ltsim.results import Table
 
 if TYPE_CHECKING:
+    from ltsim.calibration.history_schema import CourseEntry
     from ltsim.planning.schema import PlannedParameterEntry
 
 
