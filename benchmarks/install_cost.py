@@ -24,7 +24,7 @@ SAVES = {
     "scipy": "factorisations, sparse matrices, rotations, distributions, root finding",
     "pyvista": "the 3D view and the pictures of the workshop (vtk)",
     "trame-vtk": "the page with the 3D view that opens offline",
-    "trimesh": "CAD files and lines of sight round them",
+    "trimesh": "CAD files in all their formats",
     "embreex": "rays against CAD files and boxes that stand in the way",
     "joblib": "processes: campaigns, recovery, plans",
     "matplotlib": "figures of reports",

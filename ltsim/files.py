@@ -76,7 +76,7 @@ def _result_file(place: Path) -> Path | None:
 
 def _read_result(file: Path) -> Any:
     """What a command wrote: a calibration or a truth whole, of others what their file says."""
-    from ltsim.calibration import read_calibration
+    from ltsim.calibration.files import read_calibration
     from ltsim.calibration.schema import CalibrationFile
     from ltsim.pages.schemas import RESULTS
     from ltsim.simulation.truth import read_truth
@@ -133,8 +133,9 @@ def write(
 
 def _write_result(result: Truth | Calibration | Diagnosis | Plan, path: Path, recording: Recording | None) -> None:
     """What is no recording; its room is loaded already, since the result came from it."""
-    from ltsim.calibration import Calibration, write_calibration
-    from ltsim.diagnosis import Diagnosis
+    from ltsim.calibration.calibration import Calibration
+    from ltsim.calibration.files import write_calibration
+    from ltsim.diagnosis.diagnosis import Diagnosis
     from ltsim.diagnosis.files import write_diagnosis
     from ltsim.planning.files import write_plan
     from ltsim.planning.planner import Plan

@@ -13,7 +13,7 @@ from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.arrays import Floats
 from ltsim.calibration.beside import Wanted
 from ltsim.calibration.verbs import wanted
-from ltsim.diagnosis import Diagnosis
+from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.diagnosis.verbs import diagnose
 from ltsim.effects import find_effect
 from ltsim.effects.effect import Effect, Mistake, NoiseEffect

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +14,7 @@ import pytest
 from ltsim.cli.main import run
 from ltsim.scene.meshes import Obstacles, box, cylinder, placed
 
-HEAVY = ("pyvista", "vtkmodules", "trame_vtk", "embreex", "cascadio", "duckdb", "numba", "pyarrow")
+HEAVY = ("pyvista", "vtkmodules", "trame_vtk", "trimesh", "embreex", "cascadio", "duckdb", "numba", "pyarrow")
 
 
 @pytest.fixture
@@ -36,6 +38,23 @@ def test_the_main_verbs_need_no_extra(plain_install, tmp_path: Path, monkeypatch
     for line, extra in (("view rec --html v.html", "view"), ("campaign x.toml", "campaigns")):
         assert run(line.split()) == 2
         assert f"need the extra '{extra}': pip install \"ltsim[{extra}]\"" in capsys.readouterr().err
+
+
+def test_a_plain_install_asks_for_none_of_them_and_every_extra_is_explained():
+    root = Path(__file__).parents[1]
+    project = tomllib.loads((root / "pyproject.toml").read_text())["project"]
+    asked = {re.split(r"[<>=\[]", text)[0].replace("-", "_") for text in project["dependencies"]}
+    assert not asked & {*HEAVY, "openpyxl", "pandas", "xarray", "dask"}
+    explained = re.findall(r"^\| `(\w+)` \|", (root / "docs" / "install.md").read_text(), re.MULTILINE)
+    assert sorted(explained) == sorted(project["optional-dependencies"])
+
+
+def test_a_cad_file_says_what_reads_it(plain_install, tmp_path: Path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    Path("machine.stl").write_text("solid machine\nendsolid machine\n")
+    Path("hall.toml").write_text('base = "paper-workshop"\n[[workshop.obstacles]]\nname = "m"\nfile = "machine.stl"\n')
+    assert run(["simulate", "hall.toml", "--out", "rec"]) == 2
+    assert "CAD files need the extra 'cad': pip install \"ltsim[cad]\"" in capsys.readouterr().err
 
 
 def test_obstacles_hide_without_embree_what_they_hide_with_it(plain_install):

@@ -16,8 +16,8 @@ from scipy.optimize import least_squares
 from experiments.common import Made, Options, run_steps, show_table
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.calibration import calibrate_network
 from ltsim.calibration.known import Choice
+from ltsim.calibration.network import calibrate_network
 from ltsim.effects import BASELINE
 from ltsim.geometry.polar import from_polar
 from ltsim.geometry.rotations import from_rotation_vector

@@ -15,10 +15,10 @@ import pandas as pd
 from experiments.common import Made, Options, run_steps, show_table, write_figure
 from ltsim.adjustment import adjust
 from ltsim.arrays import Floats
-from ltsim.calibration import calibrate_network
-from ltsim.calibration.files import history_file
 from ltsim.calibration.history import History
-from ltsim.diagnosis import diagnose
+from ltsim.calibration.history_file import history_file
+from ltsim.calibration.network import calibrate_network
+from ltsim.diagnosis.diagnose import diagnose
 from ltsim.effects import BASELINE
 from ltsim.evaluation.two_face import two_face
 from ltsim.geometry.polar import from_polar

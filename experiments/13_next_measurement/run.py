@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 
 from experiments.common import Made, Options, Row, show_table
-from ltsim.diagnosis import Diagnosis, diagnose
+from ltsim.diagnosis.diagnose import diagnose
+from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.diagnosis.separate import open_question
 from ltsim.geometry.rotations import about_z
 from ltsim.model.construction import misalignment

@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 
 from experiments.common import ROOT, Made, Options
-from ltsim.diagnosis import diagnose
+from ltsim.diagnosis.diagnose import diagnose
 from ltsim.diagnosis.files import targets_csv
 from ltsim.recording import read
 from ltsim.recording.files import write_text, write_texts

@@ -10,7 +10,7 @@ is the mean over `SHARES`, each weighted by how likely it makes the other steps.
 """
 
 import numpy as np
-from scipy import optimize, special
+from scipy import special
 
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.calibration.history import LEVEL, History
@@ -97,6 +97,7 @@ def _judged(difference: Floats, sigma: Floats, growth: Floats, step: int, others
 
 def _scale(difference: Floats, sigma: Floats, shape: Floats) -> float:
     """The variance (0 at least) that, times `shape`, makes chi-square the number of steps beside the estimates'."""
+    from scipy.optimize import brentq  # a tenth of a second that few need
 
     def excess(variance: float) -> float:
         return float(np.sum(difference**2 / (sigma**2 + variance * shape))) - len(difference)
@@ -108,7 +109,7 @@ def _scale(difference: Floats, sigma: Floats, shape: Floats) -> float:
         if highest > MOST * float(np.sum(difference**2)):
             return highest
         highest *= 10.0
-    return float(optimize.brentq(excess, 0.0, highest, rtol=1e-6))
+    return float(brentq(excess, 0.0, highest, rtol=1e-6))
 
 
 MOST = 1e6

@@ -11,8 +11,9 @@ import numpy as np
 from ltsim.adjustment.prior import ParameterPrior, prior_sigmas
 from ltsim.arrays import Floats
 from ltsim.calibration.calibration import Calibration
-from ltsim.calibration.files import history_file, read_calibration
+from ltsim.calibration.files import read_calibration
 from ltsim.calibration.history import History
+from ltsim.calibration.history_file import history_file
 from ltsim.calibration.history_schema import HistoryFile
 from ltsim.calibration.schema import CalibrationFile
 from ltsim.errors import ModelError, RecordError, SetupError, unknown_name

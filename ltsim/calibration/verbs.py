@@ -6,17 +6,13 @@ from pathlib import Path
 from typing import Any
 
 from ltsim.adjustment.snooping import screened
-from ltsim.calibration import (
-    Calibration,
-    calibrate_distance,
-    calibrate_network,
-    read_calibration,
-)
 from ltsim.calibration.beside import Wanted
-from ltsim.calibration.distance import METHODS
-from ltsim.calibration.files import CalibrationSource, calibration_of
+from ltsim.calibration.calibration import Calibration
+from ltsim.calibration.distance import METHODS, calibrate_distance
+from ltsim.calibration.files import CalibrationSource, calibration_of, read_calibration
 from ltsim.calibration.history import History
 from ltsim.calibration.known import Choice, Known
+from ltsim.calibration.network import calibrate_network
 from ltsim.effects.effect import Effect
 from ltsim.effects.verbs import Sized, each_of, effect_from, names
 from ltsim.errors import LtsimError, ModelError, RecordError, option, unknown_name

@@ -14,7 +14,8 @@ import numpy as np
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.adjustment.datum import InnerDatum
 from ltsim.arrays import Bools, Floats, Ints
-from ltsim.calibration import calibrate_distance, calibrate_network
+from ltsim.calibration.distance import calibrate_distance
+from ltsim.calibration.network import calibrate_network
 from ltsim.campaigns.network import BatchNetwork
 from ltsim.campaigns.schema import CONVERGED, FAILED, FULL, STATUSES
 from ltsim.campaigns.truth import Block, CellTruth

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from ltsim.arrays import Floats
-from ltsim.calibration import Calibration, correct
+from ltsim.calibration.calibration import Calibration
+from ltsim.calibration.correct import correct
 from ltsim.campaigns.spec import JUDGE, judge_of
 from ltsim.errors import SetupError
 from ltsim.evaluation.clouds import measured_points

@@ -25,8 +25,10 @@ import numpy as np
 from scipy import stats
 
 from ltsim.arrays import Floats
-from ltsim.calibration import Calibration, calibrate_distance, calibrate_network
 from ltsim.calibration.beside import Wanted
+from ltsim.calibration.calibration import Calibration
+from ltsim.calibration.distance import calibrate_distance
+from ltsim.calibration.network import calibrate_network
 from ltsim.calibration.verbs import wanted
 from ltsim.campaigns.recovery_checks import (
     COVERED,

@@ -27,7 +27,7 @@ from pydantic import Field, TypeAdapter, ValidationError
 from scipy.spatial.transform import Rotation
 
 from ltsim.arrays import Floats
-from ltsim.calibration import Calibration
+from ltsim.calibration.calibration import Calibration
 from ltsim.campaigns.schema import Errors
 from ltsim.errors import RecordError, SetupError
 from ltsim.recording import Recording, write as write_recording

@@ -139,6 +139,7 @@ class Statistics:
         except (duckdb.Error, pa.ArrowException, OSError, ValueError) as problem:
             raise _damaged(folder, problem) from None
         self.folder = folder
+        self._told: dict[str, list[tuple[Any, ...]]] = {}
 
     def _cells(self) -> dict[str, list[Any]]:
         cells = self.manifest.cells
@@ -229,9 +230,10 @@ class Statistics:
         return found
 
     def _each(self, what: str, where: str = "true", rows: str = "rows") -> list[tuple[Any, ...]]:
-        return self.query(
-            f"SELECT cell, method, {what} FROM {rows} WHERE {where} GROUP BY cell, method ORDER BY cell, method"
-        )
+        sql = f"SELECT cell, method, {what} FROM {rows} WHERE {where} GROUP BY cell, method ORDER BY cell, method"
+        if sql not in self._told:  # a page asks the same for its figures and for each of its tables
+            self._told[sql] = self.query(sql)
+        return self._told[sql]
 
     def _shares(self, column: str) -> list[Spread]:
         """Ratios of means with the interval of their linear form (delta method)."""

@@ -9,12 +9,16 @@ hold the mean with 95 %, and so does the one at which a cell stops. The first lo
 variance is known and a mean of skewed values is near normal.
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Callable, Iterator, Mapping
+from typing import TYPE_CHECKING
 
 from scipy import special
 
-from ltsim.campaigns.spec import Campaign
+if TYPE_CHECKING:
+    from ltsim.campaigns.spec import Campaign
 
 GROWTH = 1.5
 """Trials after a round over those before it."""

@@ -16,7 +16,7 @@ from ltsim.units import ARCSECOND, MICROMETRE
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from ltsim.calibration import Calibration
+    from ltsim.calibration.calibration import Calibration
     from ltsim.evaluation import Criteria
     from ltsim.recording import Recording
 
@@ -183,7 +183,7 @@ def _judged(terminal: ResultTerminal, criteria: Criteria, recording: Recording) 
 
 def calibration_of(terminal: Terminal, path: Path) -> Calibration:
     """A calibration that was written before, with what it lacks said; raises RecordError."""
-    from ltsim.calibration import read_calibration
+    from ltsim.calibration.files import read_calibration
 
     found = read_calibration(path)
     terminal.notes(found.notes)

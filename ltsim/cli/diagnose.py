@@ -13,7 +13,7 @@ from ltsim.cli.options import FramedReading, ReadingOptions, Source
 from ltsim.cli.terminal import ResultTerminal, Terminal
 
 if TYPE_CHECKING:
-    from ltsim.calibration import Calibration
+    from ltsim.calibration.calibration import Calibration
     from ltsim.recording import Recording
 
 
@@ -89,7 +89,7 @@ def history(
 
     Example: ltsim history january.json may.json september-recording --out my-history
     """
-    from ltsim.calibration.files import history_file
+    from ltsim.calibration.history_file import history_file
     from ltsim.calibration.history_schema import HistoryFile
     from ltsim.pages.sections import section_of
 

@@ -1,6 +1,7 @@
 """The command `ltsim`: which verbs there are, and what an error looks like."""
 
 import errno
+import gc
 import os
 import sys
 import traceback
@@ -171,4 +172,5 @@ def _refuse(message: str) -> int:
 
 def main() -> None:
     """Entry point of the installed command."""
+    gc.set_threshold(50_000, 10, 10)  # what is loaded and drawn stays: a tenth of a page's time looked for rings in it
     sys.exit(run(sys.argv[1:]))

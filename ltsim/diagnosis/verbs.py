@@ -2,10 +2,11 @@
 
 from pathlib import Path
 
-from ltsim.calibration import Calibration
+from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.history import History
 from ltsim.calibration.known import Known
-from ltsim.diagnosis import Diagnosis, diagnose as diagnosis_of
+from ltsim.diagnosis.diagnose import diagnose as diagnosis_of
+from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.recording.exchange import RecordingSource, recording_of
 
 

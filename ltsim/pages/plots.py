@@ -9,8 +9,8 @@ from matplotlib.figure import Figure
 from ltsim.acceptance.files import AcceptanceFile
 from ltsim.adjustment import Adjustment
 from ltsim.calibration.calibration import Calibration
-from ltsim.calibration.files import history_file
 from ltsim.calibration.history import History
+from ltsim.calibration.history_file import history_file
 from ltsim.campaigns.judging import Judged
 from ltsim.campaigns.paired import Paired
 from ltsim.campaigns.recovery import Recovery

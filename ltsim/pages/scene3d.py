@@ -89,16 +89,16 @@ def picture(workshop: PlacedWorkshop, *, window_size: tuple[int, int] = (1400, 1
     """The scene as a PNG, with the legend written on it."""
     plotter, legend = build(workshop, window_size=window_size)
     write_legend(plotter, workshop.title, legend)
-    return taken(plotter)
+    stream = io.BytesIO()
+    taken(plotter).save(stream, format="PNG")
+    return stream.getvalue()
 
 
-def taken(plotter: pv.Plotter) -> bytes:
-    """What a plotter shows as a PNG; the plotter is closed."""
+def taken(plotter: pv.Plotter) -> Image.Image:
+    """What a plotter shows; the plotter is closed."""
     image = plotter.screenshot(return_img=True)
     plotter.close()
-    stream = io.BytesIO()
-    Image.fromarray(np.asarray(image)).save(stream, format="PNG")
-    return stream.getvalue()
+    return Image.fromarray(np.asarray(image))
 
 
 def show(workshop: PlacedWorkshop) -> None:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pyvista as pv
 from matplotlib.colors import to_hex
+from PIL import Image
 from trame_vtk.modules.vtk import serializers
 from trame_vtk.tools.vtksz2html import write_html
 
@@ -50,8 +51,8 @@ def scene_page(workshop: PlacedWorkshop, camera: scene3d.Camera | None = None) -
     return html
 
 
-def picture_and_page(workshop: PlacedWorkshop) -> tuple[bytes, scene3d.Legend, str]:
-    """A PNG, what its colours mean, and the page to turn, from one scene."""
+def picture_and_page(workshop: PlacedWorkshop) -> tuple[Image.Image, scene3d.Legend, str]:
+    """A picture, what its colours mean, and the page to turn, from one scene."""
     plotter, legend = scene3d.build(workshop, window_size=(1200, 860))
     html = _page(plotter, workshop, legend)
     scene3d.write_legend(plotter, "", scene3d.Legend((), legend.bar))

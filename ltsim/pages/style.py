@@ -18,7 +18,7 @@ from cycler import cycler
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
-from PIL import Image
+from PIL import Image, WebPImagePlugin  # noqa: F401  # named, else `save` loads all forty formats to find it
 
 from ltsim.arrays import Floats
 from ltsim.pages.words import typeset
@@ -119,10 +119,10 @@ def svg_uri(text: str) -> str:
     return "data:image/svg+xml," + quote(text, safe=" !$'()*+,/:;<=>?@[]{|}")
 
 
-def webp_uri(png: bytes) -> str:
-    """A PNG of a scene as a `data:` address of a fifth of its size."""
+def webp_uri(picture: Image.Image) -> str:
+    """A picture of a scene as a `data:` address of a fifth of its size as a PNG."""
     small = io.BytesIO()
-    Image.open(io.BytesIO(png)).convert("RGB").save(small, format="WEBP", quality=82)
+    picture.convert("RGB").save(small, format="WEBP", quality=82)
     return "data:image/webp;base64," + base64.b64encode(small.getvalue()).decode()
 
 

@@ -15,7 +15,6 @@ from ltsim.recording.setup import About
 from ltsim.results import Result
 from ltsim.simulation.builtin import builtin_names
 from ltsim.simulation.scenario import Scenario
-from ltsim.simulation.verbs import scenario
 
 
 @dataclass(frozen=True, repr=False)
@@ -94,6 +93,8 @@ def view(
 
 def _workshop_of(source: Recording | Scenario | str | Path) -> PlacedWorkshop:
     """The workshop of a scenario or a recording; a name that is no file is taken for a scenario's."""
+    from ltsim.simulation.verbs import scenario  # loads the simulator, which no page needs
+
     if isinstance(source, Recording):
         return from_recording(source)
     if isinstance(source, Scenario) or str(source) in builtin_names():

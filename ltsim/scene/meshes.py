@@ -11,7 +11,6 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-import trimesh
 
 from ltsim.arrays import Bools, Floats
 from ltsim.geometry.rotations import about_z, perpendicular
@@ -36,6 +35,12 @@ STEEPEST = -0.5
 DENSE = 12.0
 """Places that are drawn for every square of the wanted distance, before the near ones are dropped."""
 MOST_DRAWN = 20_000
+SAME = 8
+"""Decimals [m] in which corners agree that are one."""
+BOX = np.array(list(product((-0.5, 0.5), repeat=3)))[
+    [1, 3, 0, 4, 1, 0, 0, 3, 2, 2, 4, 0, 1, 7, 3, 5, 1, 4, 5, 7, 1, 3, 7, 2, 6, 4, 2, 2, 7, 6, 6, 5, 4, 7, 5, 6]
+].reshape(12, 3, 3)
+"""Triangles (12, 3, 3) of a cube of edge 1 about the origin, normals outward; nests are drawn in their order."""
 
 
 @dataclass(frozen=True)
@@ -54,6 +59,7 @@ class Obstacles:
             return None
         try:
             import embreex  # noqa: F401  # what the next line needs and does not ask for
+            import trimesh  # a fifth of a second that few need
             from trimesh.ray.ray_pyembree import RayMeshIntersector
         except ImportError:
             return None
@@ -127,12 +133,19 @@ class Obstacles:
         A third of its height over an edge times the angle there: the depth at the middle of regular triangles on a
         sphere, and more than that of strips on a cylinder.
         """
-        mesh = trimesh.Trimesh(self.triangles.reshape(-1, 3), np.arange(3 * len(self.triangles)).reshape(-1, 3))
-        pairs, angle = mesh.face_adjacency, mesh.face_adjacency_angles
-        edge = np.linalg.norm(np.diff(mesh.vertices[mesh.face_adjacency_edges], axis=1)[:, 0], axis=1)
-        depth = np.zeros(len(self.triangles))
-        for side in pairs[angle < SMOOTH].T:
-            np.maximum.at(depth, side, (2.0 * mesh.area_faces[side] * (angle / edge)[angle < SMOOTH]) / 3.0)
+        points, place = np.unique(np.round(self.triangles.reshape(-1, 3), SAME), axis=0, return_inverse=True)
+        faces = place.reshape(-1, 3)
+        sides = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
+        _, kind, often = np.unique(sides, axis=0, return_inverse=True, return_counts=True)
+        order = np.argsort(kind.ravel(), kind="stable")
+        shared = order[often[kind.ravel()[order]] == 2].reshape(-1, 2)
+        normal, area = _normals(points[faces])
+        angle = np.arccos(np.clip(_dot(*normal[shared // 3].transpose(1, 0, 2)), -1.0, 1.0))
+        shared, angle = shared[angle < SMOOTH], angle[angle < SMOOTH]
+        edge = np.linalg.norm(np.diff(points[sides[shared[:, 0]]], axis=1)[:, 0], axis=1)
+        depth = np.zeros(len(faces))
+        for side in (shared // 3).T:
+            np.maximum.at(depth, side, 2.0 * area[side] * (angle / edge) / 3.0)
         return depth
 
     @cached_property
@@ -145,9 +158,8 @@ class Obstacles:
         if (key := points.tobytes()) not in self._put:
             found = points.copy()
             for i in np.flatnonzero(self.holds(points)):
-                everywhere = np.repeat(points[[i]], len(self.triangles), axis=0)
-                nearest: Floats = trimesh.triangles.closest_point(self.triangles, everywhere)  # type: ignore[no-untyped-call]
-                gap = np.linalg.norm(nearest - everywhere, axis=1)
+                nearest = nearest_points(self.triangles, points[i])
+                gap = np.linalg.norm(nearest - points[i], axis=1)
                 best = int(gap.argmin())
                 if END < gap[best] < self._open[best] + GRAZE:
                     found[i] = nearest[best] + GRAZE * (nearest[best] - points[i]) / gap[best]
@@ -194,6 +206,25 @@ def _meets(triangles: Floats, origins: Floats, beam: Floats, length: Floats | fl
     return np.asarray(~flat & inside & (way > END) & (way < length - END))
 
 
+def _normals(triangles: Floats) -> tuple[Floats, Floats]:
+    """Unit normals (m, 3) of triangles, none of one without an area, and areas (m,)."""
+    cross = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    size = np.linalg.norm(cross, axis=1)
+    return cross / np.where(size > 0.0, size, 1.0)[:, None], 0.5 * size
+
+
+def nearest_points(triangles: Floats, point: Floats) -> Floats:
+    """The point (m, 3) of each triangle that is nearest to a point (3,): straight under it, or on an edge."""
+    edge, gap = np.roll(triangles, -1, axis=1) - triangles, point - triangles
+    along = np.clip(_dot(gap, edge) / np.maximum(_dot(edge, edge), 1e-300), 0.0, 1.0)
+    on_edge = triangles + along[..., None] * edge
+    best = np.linalg.norm(on_edge - point, axis=2).argmin(axis=1)
+    normal, area = _normals(triangles)
+    over = (_dot(np.cross(edge, gap), normal[:, None]) >= 0.0).all(axis=1) & (area > 0.0)
+    under = point - _dot(gap[:, 0], normal)[:, None] * normal
+    return np.where(over[:, None], under, on_edge[np.arange(len(best)), best])
+
+
 def _from_sky(points: Floats) -> Floats:
     """Where points (..., 3) are seen (..., 2) along `SKY`."""
     return points[..., :2] - points[..., 2:] * SKY[:2] / SKY[2]
@@ -210,24 +241,23 @@ def placed(triangles: Floats, position: Floats, yaw: float) -> Floats:
 
 def box(size: Floats) -> Floats:
     """Triangles (12, 3, 3) of a box of edges (3,) [m] that stands on z = 0, centred over the origin."""
-    return _standing(trimesh.creation.box(extents=size), float(size[2]))
+    return BOX * size + [0.0, 0.0, 0.5 * size[2]]
 
 
 def cylinder(diameter: float, height: float) -> Floats:
     """Triangles (m, 3, 3) of an upright cylinder [m] that stands on z = 0 over the origin; its flat sides touch it."""
-    radius = 0.5 * diameter / np.cos(np.pi / SIDES)
-    return _standing(trimesh.creation.cylinder(radius=radius, height=height, sections=SIDES), height)
-
-
-def _standing(mesh: trimesh.Trimesh, height: float) -> Floats:
-    return np.array(mesh.triangles, dtype=np.float64) + [0.0, 0.0, 0.5 * height]
+    radius, turn = 0.5 * diameter / np.cos(np.pi / SIDES), np.linspace(0.0, 2.0 * np.pi, SIDES + 1)[:-1]
+    low = np.column_stack([radius * np.cos(turn), radius * np.sin(turn), np.zeros(SIDES)])
+    up, foot = np.array([0.0, 0.0, height]), np.zeros_like(low)
+    then = np.roll(low, -1, axis=0)
+    sides = [low, foot, then, low, then, low + up, low + up, then, then + up, low + up, then + up, foot + up]
+    return np.stack(sides, axis=1).reshape(-1, 3, 3)
 
 
 def walls(size: Floats) -> Floats:
     """Triangles (8, 3, 3) of the walls of a room of `size` (3,) [m] with a corner at the origin; normals inward."""
-    mesh = trimesh.creation.box(extents=size)
-    upright = np.abs(mesh.face_normals[:, 2]) < 0.5
-    return np.array(mesh.triangles, dtype=np.float64)[upright][:, ::-1] + 0.5 * size
+    body = (BOX + 0.5) * size
+    return body[np.ptp(body[..., 2], axis=1) > 0.0][:, ::-1]
 
 
 def together(parts: Iterable[Floats], floor: float = 0.0) -> Obstacles:
@@ -259,15 +289,13 @@ def nest_places(
 
 def _drawn(body: Floats, apart: float) -> tuple[Floats, Floats]:
     """Points spread evenly by chance over triangles, and their normals (n, 3)."""
-    cross = np.cross(body[:, 1] - body[:, 0], body[:, 2] - body[:, 0])
-    size = np.linalg.norm(cross, axis=1)
-    area = 0.5 * float(size.sum())
+    normal, area = _normals(body)
     rng = stream(0, "nests")
-    count = int(np.clip(DENSE * area / apart**2, 200, MOST_DRAWN))
-    face = rng.choice(len(body), size=count, p=size / size.sum())
+    count = int(np.clip(DENSE * area.sum() / apart**2, 200, MOST_DRAWN))
+    face = rng.choice(len(body), size=count, p=area / area.sum())
     root, share = np.sqrt(rng.random(count))[:, None], rng.random(count)[:, None]
     a, b, c = np.moveaxis(body[face], 1, 0)
-    return (1 - root) * a + root * (1 - share) * b + root * share * c, cross[face] / size[face, None]
+    return (1 - root) * a + root * (1 - share) * b + root * share * c, normal[face]
 
 
 def _flat(own: Obstacles, places: Floats, normal: Floats, reach: float) -> Bools:

@@ -8,17 +8,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ltsim.arrays import Bools, Floats, Ints, as_floats
 from ltsim.errors import ModelError
+from ltsim.scene.meshes import Obstacles
 from ltsim.units import DEGREE
-
-if TYPE_CHECKING:
-    from ltsim.scene.meshes import Obstacles  # loads trimesh
 
 DOWN = np.array([0.0, 0.0, -1.0])
 TOUCH = 1e-9

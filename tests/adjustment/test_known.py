@@ -11,8 +11,8 @@ import ltsim as lt
 from ltsim.adjustment import adjust
 from ltsim.adjustment.axes import in_axes_of_points, with_control
 from ltsim.adjustment.doubt import doubts
-from ltsim.calibration import calibrate_network
 from ltsim.calibration.files import calibration_file
+from ltsim.calibration.network import calibrate_network
 from ltsim.errors import RecordError
 from ltsim.geometry.alignment import align
 from ltsim.geometry.polar import wrap

@@ -151,7 +151,7 @@ def test_the_command_line_has_the_same_choices(recording: Recording, tmp_path: P
 
 
 def test_a_history_is_a_prior_and_takes_only_calibrations_without_one(recording: Recording, tmp_path: Path) -> None:
-    from ltsim.calibration.files import history_file
+    from ltsim.calibration.history_file import history_file
 
     own = [lt.calibrate(network(faces=2, seed=s, values=VALUES)[0], without=["transit-offset"], advise=False)
            for s in (5, 6, 7)]  # fmt: skip

@@ -9,8 +9,9 @@ import pytest
 from scipy.stats import kstest
 
 from ltsim.adjustment.prior import prior_sigmas
-from ltsim.calibration import calibrate_distance, calibrate_network
+from ltsim.calibration.distance import calibrate_distance
 from ltsim.calibration.distance_solver import mean_rows, pair_rows, solve_distances
+from ltsim.calibration.network import calibrate_network
 from ltsim.calibration.objective import DistanceProblem
 from ltsim.errors import NetworkError
 from ltsim.model.construction import misalignment

@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 
 import ltsim as lt
-from ltsim.calibration import calibrate_network, correct, read_calibration, write_calibration
+from ltsim.calibration.correct import correct
 from ltsim.calibration.evidence import amplitude_and_phase
+from ltsim.calibration.files import read_calibration, write_calibration
+from ltsim.calibration.network import calibrate_network
 from ltsim.errors import NetworkError, RecordError
 from ltsim.geometry.polar import from_polar
 from ltsim.model.construction import misalignment

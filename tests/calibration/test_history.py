@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from ltsim.calibration import Calibration, calibrate_network, write_calibration
-from ltsim.calibration.calibration import Fit
+from ltsim.calibration.calibration import Calibration, Fit
 from ltsim.calibration.events import can_tell, events
-from ltsim.calibration.files import history_file
+from ltsim.calibration.files import write_calibration
 from ltsim.calibration.history import History
+from ltsim.calibration.history_file import history_file
+from ltsim.calibration.network import calibrate_network
 from ltsim.cli.main import run
 from ltsim.errors import RecordError
 from ltsim.evaluation.two_face import two_face

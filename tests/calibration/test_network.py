@@ -10,8 +10,8 @@ from scipy import stats
 
 import ltsim as lt
 from ltsim.adjustment import adjust
-from ltsim.calibration import calibrate_network
 from ltsim.calibration.conflict import log_odds
+from ltsim.calibration.network import calibrate_network
 from ltsim.chances import CONSTANT, SIZES
 from ltsim.errors import ModelError
 from ltsim.geometry.polar import from_polar, to_polar

@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ltsim.calibration import calibrate_network, correct
+from ltsim.calibration.correct import correct
+from ltsim.calibration.network import calibrate_network
 from ltsim.evaluation.two_face import two_face
 from ltsim.geometry.polar import from_polar
 from ltsim.recording import Hints, Recording, read

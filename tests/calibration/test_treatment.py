@@ -11,8 +11,10 @@ import pytest
 import ltsim as lt
 from ltsim.adjustment import adjust
 from ltsim.adjustment.snooping import screened
-from ltsim.calibration import calibrate_distance, calibrate_network, correct, write_calibration
-from ltsim.calibration.files import calibration_file
+from ltsim.calibration.correct import correct
+from ltsim.calibration.distance import calibrate_distance
+from ltsim.calibration.files import calibration_file, write_calibration
+from ltsim.calibration.network import calibrate_network
 from ltsim.errors import ModelError, NetworkError
 from ltsim.recording import Hints, read
 from ltsim.recording.recording import OBSERVABLES

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ltsim.diagnosis import diagnose
+from ltsim.diagnosis.diagnose import diagnose
 from ltsim.diagnosis.files import write_diagnosis
 from ltsim.recording.recording import Recording
 from tests.networks import network

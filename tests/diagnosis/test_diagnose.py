@@ -9,7 +9,7 @@ import pytest
 
 from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.diagnosis import diagnose
+from ltsim.diagnosis.diagnose import diagnose
 from ltsim.diagnosis.files import write_diagnosis
 from ltsim.effects import find_effect
 from ltsim.effects.effect import by_displacement, on_readings

@@ -9,9 +9,9 @@ import pytest
 
 from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.diagnosis import diagnose
 from ltsim.diagnosis.case import Case
 from ltsim.diagnosis.detect import detect
+from ltsim.diagnosis.diagnose import diagnose
 from ltsim.diagnosis.findings import Explained
 from ltsim.diagnosis.hypotheses import Hypothesis
 from ltsim.diagnosis.noise import NoiseHypothesis

@@ -14,10 +14,12 @@ import pytest
 import ltsim as lt
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.arrays import Floats
-from ltsim.calibration import Calibration, calibrate_network, write_calibration
-from ltsim.calibration.files import history_file
+from ltsim.calibration.calibration import Calibration
+from ltsim.calibration.files import write_calibration
 from ltsim.calibration.history import History as Course
+from ltsim.calibration.history_file import history_file
 from ltsim.calibration.known import Known
+from ltsim.calibration.network import calibrate_network
 from ltsim.cli.main import run
 from ltsim.diagnosis.diagnose import LEAST_GAIN
 from ltsim.diagnosis.history import HistoryExpectation

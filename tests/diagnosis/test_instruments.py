@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ltsim.adjustment import adjust
-from ltsim.diagnosis import diagnose
+from ltsim.diagnosis.diagnose import diagnose
 from ltsim.diagnosis.instruments import contradictions, instrument_entries
 from ltsim.diagnosis.words import clear_constants
 from ltsim.model.construction import misalignment

@@ -6,7 +6,7 @@ import tracemalloc
 
 import numpy as np
 
-from ltsim.diagnosis import diagnose
+from ltsim.diagnosis.diagnose import diagnose
 from ltsim.geometry.polar import to_face
 from ltsim.randomness import stream
 from ltsim.recording.recording import Recording

@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks.adjust_size import network as ring_of
 from ltsim.adjustment import adjust
-from ltsim.diagnosis import diagnose
+from ltsim.diagnosis.diagnose import diagnose
 from ltsim.effects import find_effect
 from ltsim.geometry.rotations import about_z
 from ltsim.model.construction import misalignment

@@ -9,7 +9,7 @@ import pytest
 
 import ltsim as lt
 from ltsim.adjustment.doubt import doubts
-from ltsim.calibration import calibrate_network
+from ltsim.calibration.network import calibrate_network
 from ltsim.errors import LtsimError
 from ltsim.fieldcheck import check
 from ltsim.fieldcheck.check import LEVEL

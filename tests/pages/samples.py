@@ -13,10 +13,11 @@ import pyarrow as pa
 from pyarrow import parquet as pq
 
 from ltsim.adjustment import Adjustment, adjust
-from ltsim.calibration import Calibration, calibrate_network, write_calibration
-from ltsim.calibration.calibration import residuals_table
-from ltsim.calibration.files import history_file
+from ltsim.calibration.calibration import Calibration, residuals_table
+from ltsim.calibration.files import write_calibration
 from ltsim.calibration.history import History
+from ltsim.calibration.history_file import history_file
+from ltsim.calibration.network import calibrate_network
 from ltsim.model.construction import misalignment
 from ltsim.planning.files import next_file
 from ltsim.randomness import stream

@@ -13,7 +13,8 @@ from xml.etree.ElementTree import fromstring
 
 import pytest
 
-from ltsim.calibration import calibrate_network, write_calibration
+from ltsim.calibration.files import write_calibration
+from ltsim.calibration.network import calibrate_network
 from ltsim.cli.main import run
 from ltsim.errors import LtsimError, RecordError
 from ltsim.fieldcheck import write_check

@@ -5,7 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ltsim.calibration import calibrate_network, correct, read_calibration, write_calibration
+from ltsim.calibration.correct import correct
+from ltsim.calibration.files import read_calibration, write_calibration
+from ltsim.calibration.network import calibrate_network
 from ltsim.evaluation.two_face import two_face
 from ltsim.recording import Hints, read
 

@@ -10,7 +10,7 @@ import pytest
 from scipy import stats
 
 import ltsim as lt
-from ltsim.calibration import calibrate_network
+from ltsim.calibration.network import calibrate_network
 from ltsim.campaigns.recovery import How, Recovery, from_prior, run_trials
 from ltsim.campaigns.recovery_checks import FALSE_ALARM, mean_check, parameter_checks
 from ltsim.campaigns.scoring import NetworkScore, Trial

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from ltsim.adjustment import adjust
-from ltsim.calibration import calibrate_network
+from ltsim.calibration.network import calibrate_network
 from ltsim.model.construction import misalignment
 from ltsim.remedies.network import Network
 from ltsim.remedies.remedy import ADVICE, further_pointings, known_length, near_reflectors, other_ways, returns

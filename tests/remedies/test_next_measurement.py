@@ -10,7 +10,7 @@ import pytest
 
 from ltsim.adjustment import adjust
 from ltsim.cli.main import run
-from ltsim.diagnosis import diagnose
+from ltsim.diagnosis.diagnose import diagnose
 from ltsim.diagnosis.separate import open_question
 from ltsim.errors import ModelError
 from ltsim.model.construction import ideal, misalignment

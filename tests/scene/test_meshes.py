@@ -8,7 +8,7 @@ import trimesh
 
 from ltsim.errors import SetupError
 from ltsim.scene.cad import read_mesh
-from ltsim.scene.meshes import SKY, Obstacles, box, native_hits, placed, together
+from ltsim.scene.meshes import SIDES, SKY, Obstacles, box, cylinder, native_hits, nearest_points, placed, together
 
 CUBE = together([placed(box(np.ones(3)), np.array([2.0, 0.0, 0.0]), 0.0)])
 
@@ -52,6 +52,17 @@ def test_embree_and_double_precision_agree_on_a_curved_body() -> None:
     slowly = native_hits(body.triangles, places, up, np.full(len(places), np.inf)) % 2 == 1
     assert 100 < slowly.sum() < 2900
     np.testing.assert_array_equal(body.holds(places), slowly)
+
+
+def test_bodies_and_their_nearest_points_are_those_of_trimesh() -> None:
+    """In the same order, too: places of nests are drawn by it."""
+    size, radius = np.array([1.0, 2.0, 3.0]), 0.5 / np.cos(np.pi / SIDES)
+    peer = trimesh.creation.cylinder(radius=radius, height=2.0, sections=SIDES)
+    for own, theirs in ((box(size), trimesh.creation.box(extents=size)), (cylinder(1.0, 2.0), peer)):
+        np.testing.assert_allclose(own, theirs.triangles - [0.0, 0.0, theirs.bounds[0, 2]], atol=1e-12)
+        for point in np.random.default_rng(4).uniform(-3, 3, (50, 3)):
+            expected = trimesh.triangles.closest_point(own, np.tile(point, (len(own), 1)))
+            np.testing.assert_allclose(nearest_points(own, point), expected, atol=1e-9)
 
 
 def test_a_point_of_a_hollow_cylinder_is_on_its_triangles_that_lie_off_it() -> None:

@@ -1,19 +1,24 @@
 """What is estimated: parameters, their correlation and course, criteria, and where an uncertainty comes from."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from textwrap import wrap
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from ltsim.arrays import Floats
-from ltsim.calibration.history_schema import CourseEntry
 from ltsim.calibration.schema import ParameterEntry
 from ltsim.notation import number, with_sigma
 from ltsim.pages import style
 from ltsim.pages.words import distinct_labels, is_determined, typeset
-from ltsim.planning.schema import PlannedParameterEntry
 from ltsim.results import Table
+
+if TYPE_CHECKING:
+    from ltsim.calibration.history_schema import CourseEntry
+    from ltsim.planning.schema import PlannedParameterEntry
 
 
 def names_of(rows: Sequence[ParameterEntry]) -> list[str]:

@@ -106,11 +106,11 @@ def scene(workshop: PlacedWorkshop) -> Scene | Note:
     from ltsim.pages.style import webp_uri
 
     coloured = workshop.coloured("incidence")
-    png, legend, page = picture_and_page(coloured)
+    picture, legend, page = picture_and_page(coloured)
     lines = "; ".join(line.rstrip(".") for line in legend.lines)
     by = f" Lines of sight are coloured by {coloured.sights.label}." if coloured.sights else ""
     caption = f"{lines[:1].upper()}{lines[1:]}.{by}"
-    return Scene("The workshop in 3D", webp_uri(png), caption, page)
+    return Scene("The workshop in 3D", webp_uri(picture), caption, page)
 
 
 def undetermined(title: str, entries: Sequence[Combination], *, decimals: int, note: str = "") -> list[Grid]:
