@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -42,8 +41,6 @@ class Case:
     """Constants are tried against their prior too."""
     sigma: Floats = field(init=False)
     noise: list[NoiseHypothesis] = field(default_factory=list)
-    freed: float = 0.0
-    """Log evidence of the constants that were let free."""
     space: ResidualSpace = field(init=False)
     bank: NoiseBank = field(init=False)
     _searcher: Searcher | None = None
@@ -74,25 +71,6 @@ class Case:
         """What was measured, mended."""
         return self.baseline.recording
 
-    def copied(self) -> Case:
-        """The same to go on with on its own."""
-        own = copy(self)
-        own.noise = list(self.noise)
-        return own
-
-    def worth(self, found: Found) -> float:
-        """Log evidence of a set and of the changes of the noise beside it, against the recording as stated.
-
-        The determinants of the normal equations change with the noise as their logarithm's derivatives, the leverages,
-        say: the mean of those at both ends.
-        """
-        before, after = ResidualSpace.of(self.baseline), self.space
-        factor = (self.sigma / self.recording.sigma())[after.use] ** 2
-        share = 0.5 * (before.redundancy + after.redundancy)[: len(factor)]
-        fit = before.adjustment.chi2 - after.adjustment.chi2
-        sizes = sum(one.evidence - 0.5 * one.drop for one in self.noise)
-        return found.score + 0.5 * (fit - float(share @ np.log(factor))) + sizes + self.freed
-
     def refit(self, effects: Sequence[Tunable], sigma: Floats) -> Refit:
         """The exact refit with some effects; without any the ordinary adjustment.
 
@@ -109,7 +87,6 @@ class Case:
     def free(self, constants: Sequence[Contradiction]) -> None:
         """Let constants that contradict what is known of them be whatever the readings say."""
         old = self.baseline
-        self.freed += sum(one.evidence for one in constants)
         freed = np.zeros(old.state.instrument.shape, dtype=bool)
         for one in constants:
             owners = [self.recording.instruments.index(name) for name in one.instruments]

@@ -6,7 +6,6 @@ from functools import reduce
 from math import ceil
 
 import numpy as np
-from scipy.special import chdtrc
 
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.adjustment.gross import GrossFinding, explain_gross, mend_faces, mend_stations
@@ -105,7 +104,7 @@ def diagnose(
     sight, detection = sight_of(case.space, case.searcher.cards), detect(case.searcher, case.bank)
     mismatch = detection.p_value < level
     threshold = max(detection.threshold(NEXT_LEVEL), LEAST_GAIN)
-    case, found = _explain(case, threshold, compared) if mismatch else (case, case.empty)
+    found = _explain(case, threshold, compared) if mismatch else case.empty
     found, fitted = _refitted(case, found)
     settled = fitted.adjustment if fitted.adjustment.solution.converged else baseline
     mistaken = [gross_finding(slip, baseline) for slip in gross]
@@ -163,29 +162,14 @@ def _apart(case: Case, found: Found, settled: Adjustment, compared: Compared) ->
     return [c for c in beside if abs(c.difference) > LEFT_OF * size.get((c.instruments, c.parameter.name), np.inf)]
 
 
-def _explain(case: Case, threshold: float, compared: Compared) -> tuple[Case, Found]:
+def _explain(case: Case, threshold: float, compared: Compared) -> Found:
     """Constants that are not as stated, shifts of the readings and changes of the noise, until nothing gains.
 
     Whichever explains more alone comes first: a law that is sought while the stated noise is wrong explains noise, and
-    noise that is fitted before a law hides it; so with constants. Where shifts come first and there is noise
-    beside them, found or not, noise comes first as well, and the explanation that is worth more stays.
+    noise that is fitted before a law hides it; so with constants.
     """
     noise = case.noises(case.empty)[0][0]
-    most = case.searcher.first_look(threshold, noise).score
-    both = threshold < noise < most
-    own = case.copied() if both else case
-    found = _in_order(own, threshold, compared, noise_first=noise >= max(threshold, most))
-    left, dof = float(found.residual @ found.residual), own.space.adjustment.dof - found.extension.shape[1]
-    if both and (own.noise or chdtrc(dof, left) < NEXT_LEVEL):
-        instead = _in_order(case, threshold, compared, noise_first=True)
-        if case.worth(instead) > own.worth(found):
-            return case, instead
-    return own, found
-
-
-def _in_order(case: Case, threshold: float, compared: Compared, *, noise_first: bool) -> Found:
-    """What explains a case, noise or shifts first."""
-    if noise_first:
+    if noise >= max(threshold, case.searcher.first_look(threshold, noise).score):
         _noise_alone(case, threshold)
         found = _beside_noise(case, threshold)
     else:

@@ -127,7 +127,7 @@ class Residuals:
 
 def _geometry(adjustment: Adjustment, rows: Ints) -> dict[str, Floats]:
     sightings, clock = adjustment.sightings, adjustment.recording.has_clock
-    found = {
+    found: dict[str, Floats] = {
         "azimuth": sightings.azimuth[rows] / DEGREE,
         "elevation": sightings.elevation[rows] / DEGREE,
         "distance": sightings.range_[rows],

@@ -10,15 +10,12 @@ from scipy.special import logsumexp
 
 from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.diagnosis.case import Case
-from ltsim.diagnosis.noise import FACTORS, NoiseBank, NoiseHypothesis, noise_hypotheses, repeat_means
+from ltsim.diagnosis.noise import FACTORS, NoiseBank, noise_hypotheses, repeat_means
 from ltsim.diagnosis.prior import PRIOR
-from ltsim.effects.noise_level import NoiseLevel
 from ltsim.effects.turbulence import Turbulence
 from ltsim.laws.scatter import BOTH_FACES, NoisePattern
 from ltsim.model.construction import misalignment
 from ltsim.randomness import stream
-from ltsim.solve.design import as_dense
 from tests.networks import network
 
 
@@ -195,20 +192,3 @@ def test_ranges_that_err_alike_in_both_faces_are_no_noise():
     found = NoisePattern(("distance",), repeating=BOTH_FACES)
     assert (found.carrier, found.driver) == ("distance", "station and target")
     assert "in both faces" in found.law
-
-
-def test_worth_of_a_change_of_the_noise_is_the_restricted_likelihood() -> None:
-    """Against determinants of the covariance of the readings and of the normal equations."""
-    baseline = adjust(network(seed=9)[0], misalignment())
-    case = Case(baseline, baseline.problem.use, 0)
-    stated = restricted_likelihood(case)
-    case.add_noise(NoiseHypothesis("noise-level", NoiseLevel(), (1.5, -0.3, 0.6)))
-    case.weigh(case.refit((), case.sigma).adjustment)
-    assert case.worth(case.empty) == pytest.approx(restricted_likelihood(case) - stated, rel=0.01)
-
-
-def restricted_likelihood(case):
-    """Its logarithm, less what the noise does not change."""
-    system, sigma = case.space.adjustment.solution.system, case.sigma[case.space.use]
-    normal = np.linalg.slogdet(as_dense(system.design).T @ as_dense(system.design))[1]
-    return -0.5 * (case.space.adjustment.chi2 + normal) - np.log(sigma).sum()
