@@ -10,8 +10,14 @@ from ltsim.arrays import Floats
 from ltsim.campaigns.rows import Prepared, TrialBlock
 from ltsim.campaigns.spec import Campaign, Cell
 from ltsim.evaluation.clouds import in_first_frame, on_points
-from ltsim.evaluation.criteria import Differences, coordinate_differences, distance_differences, pair_distances
-from ltsim.evaluation.verification import coordinate_errors, distance_errors
+from ltsim.evaluation.criteria import (
+    Differences,
+    coordinate_differences,
+    coordinate_errors,
+    distance_differences,
+    distance_errors,
+    pair_distances,
+)
 from ltsim.pages.figures.campaign import PAPER, TrialDistribution, distributions
 from ltsim.simulation.gauge import nominal_points
 from ltsim.units import MICROMETRE

@@ -52,7 +52,7 @@ def check(
     Example: ltsim check my-recording --mpe 20,6 --out my-check
     """
     from ltsim.fieldcheck import check_file, write_check
-    from ltsim.fieldcheck.files import TWO_FACE, CheckFile
+    from ltsim.fieldcheck.items import TWO_FACE, CheckFile
 
     terminal.claim(CheckFile, TWO_FACE.file, "check.svg")
     limit = mpe_of(mpe)

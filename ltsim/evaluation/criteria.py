@@ -1,24 +1,31 @@
-"""The paper's two criteria without nominal data: how far stations disagree about distances and coordinates.
+"""How far stations disagree about distances and coordinates, and how far from nominal points: the paper's criteria.
 
-Sensors 2021, 21, 7479, sections 2.3.4 and 3.2.1. Equation 11 lacks an absolute value and refers to station 1,
-while section 3.2.1 takes deviations from the mean over stations; both are here, named apart: `distance` is
+Without nominal data (Sensors 2021, 21, 7479, sections 2.3.4 and 3.2.1): equation 11 lacks an absolute value and takes
+station 1, while section 3.2.1 takes deviations from the mean over stations; both are here, named apart: `distance` is
 the mean-based one behind the paper's Table 3, `distance_to_first` the other.
+
+The laboratory verification, a calibrated tracker against nominal points from a CMM, has equations 13 and 14 as they are
+meant: eq. 13 compares distances between targets i and j as the tracker measured them from one station with the same
+distance of the CMM; eq. 14 compares coordinates in the CMM's frame after a rigid fit of each station. Before: an ideal
+tracker; after: with the parameters of a calibration.
 """
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, ClassVar, Literal
 
 import numpy as np
 
 from ltsim.arrays import Bools, Floats, Ints
-from ltsim.errors import NetworkError
-from ltsim.evaluation.clouds import in_first_frame, measured_points, station_means
+from ltsim.errors import NetworkError, RecordError
+from ltsim.evaluation.clouds import in_first_frame, measured_points, on_points, station_means
 from ltsim.model.construction import Construction
+from ltsim.recording.coordinates import read_points
 from ltsim.recording.recording import Recording
 from ltsim.recording.reflectors import require_one_radius
 from ltsim.recording.result_file import Entry, Known, ResultFile
-from ltsim.results import Column, Result, Table
+from ltsim.results import Column, Result, Table, numbers, texts
 from ltsim.saved import Valued
 from ltsim.units import MICROMETRE
 
@@ -262,3 +269,69 @@ def _to_first(before: Floats, after: Floats | None) -> Improvement | None:
     if not len(found.values):
         return None
     return Improvement(found, None if after is None else distance_differences_to_first(after))
+
+
+NOMINAL = Table(
+    "nominal.csv",
+    "points of a measuring machine, which `verify` compares with",
+    (*texts(target="name"), *numbers(".4f", x_mm="coordinate", y_mm="coordinate", z_mm="coordinate")),
+)
+
+
+def read_nominal(path: Path) -> dict[str, Floats]:
+    """Nominal points (3,) [m] by target, from a list such as ``target,x_mm,y_mm,z_mm``; raises RecordError."""
+    found = read_points(path)
+    for line, place in zip(found.lines, found.points, strict=True):
+        if not np.isfinite(place).all():
+            raise RecordError("a coordinate is missing, expected a number in mm", file=path, row=line)
+    return found.by_name
+
+
+def distance_errors(clouds: Floats, nominal: Floats) -> Differences:
+    """Per pair of targets, the mean over stations of |distance - nominal distance| (eq. 13, as meant)."""
+    return _over_stations(np.abs(pair_distances(clouds) - pair_distances(nominal)))
+
+
+def coordinate_errors(clouds: Floats, nominal: Floats) -> Differences:
+    """Per target, the mean over stations of the distance to its nominal point after a rigid fit (eq. 14)."""
+    placed = np.stack([on_points(cloud, nominal) for cloud in clouds])
+    return _over_stations(np.linalg.norm(placed - nominal, axis=2))
+
+
+def _over_stations(gap: Floats) -> Differences:
+    have = np.isfinite(gap)
+    count = have.sum(axis=0)
+    return Differences(np.where(have, gap, 0.0).sum(axis=0)[count > 0] / count[count > 0])
+
+
+def verify(
+    recording: Recording,
+    nominal: dict[str, Floats],
+    construction: Construction | None = None,
+    values: Floats | None = None,
+) -> Criteria:
+    """Errors of a laboratory's recording against nominal points (3,) [m], before and after calibration.
+
+    "After" applies parameters (p,) or (n, p) [SI]. Raises NetworkError when a station saw fewer than three nominal
+    targets.
+    """
+    missing = np.full(3, np.nan)
+    goal = np.stack([nominal.get(name, missing) for name in recording.targets])
+    known = np.isfinite(goal[:, 0])
+    if int(known.sum()) < 3:
+        raise NetworkError(
+            f"only {int(known.sum())} targets of the recording have nominal points; at least three are needed"
+        )
+
+    def of(points: Floats) -> tuple[Differences, Differences]:
+        clouds = station_means(recording, points)[:, known]
+        try:
+            return distance_errors(clouds, goal[known]), coordinate_errors(clouds, goal[known])
+        except NetworkError as problem:
+            raise NetworkError(f"a station cannot be fitted to the nominal points: {problem}") from None
+
+    distance, coordinate = of(measured_points(recording))
+    if construction is None or values is None:
+        return Criteria(Improvement(distance), Improvement(coordinate))
+    after = of(measured_points(recording, construction, values))
+    return Criteria(Improvement(distance, after[0]), Improvement(coordinate, after[1]))

@@ -10,7 +10,7 @@ import numpy as np
 from ltsim.arrays import Floats
 from ltsim.effects import CATALOGUE
 from ltsim.errors import SetupError
-from ltsim.planning.improvement import ExpectedErrors
+from ltsim.planning.information import ExpectedErrors
 from ltsim.planning.loading import load_plan
 from ltsim.planning.planner import Evaluated, Option, Plan
 from ltsim.planning.reasons import fewest, reasons

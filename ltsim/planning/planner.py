@@ -7,11 +7,10 @@ import numpy as np
 
 from ltsim.errors import NetworkError
 from ltsim.model.construction import Construction
-from ltsim.planning.changes import Changes, reflector_changes
 from ltsim.planning.fast import Reducer
-from ltsim.planning.improvement import ExpectedErrors, Predictor
-from ltsim.planning.information import LayoutInformation
+from ltsim.planning.information import ExpectedErrors, LayoutInformation, Predictor
 from ltsim.planning.objective import Objective
+from ltsim.planning.reflectors import Changes, reflector_changes
 from ltsim.planning.site import Site
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import Survey

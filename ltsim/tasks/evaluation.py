@@ -15,8 +15,7 @@ from ltsim.solve.threads import in_one_thread
 from ltsim.tasks.files import BudgetPart, Conformity, Distribution, TaskResult, UncertaintyFile, conformity
 from ltsim.tasks.inputs import Inputs
 from ltsim.tasks.measurands import Measurand, Output
-from ltsim.tasks.montecarlo import Drawn, draw
-from ltsim.tasks.propagation import CURVED, Propagated, curvature, expansion_of, propagate
+from ltsim.tasks.propagation import CURVED, Drawn, Propagated, curvature, draw, expansion_of, propagate
 from ltsim.tasks.spec import Task, Tasks
 
 MOST_TOLD = 8

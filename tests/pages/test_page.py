@@ -16,9 +16,8 @@ import pytest
 from ltsim.calibration import calibrate_network, write_calibration
 from ltsim.cli.main import run
 from ltsim.errors import LtsimError, RecordError
-from ltsim.fieldcheck import write_check
+from ltsim.fieldcheck import check_file, write_check
 from ltsim.fieldcheck.check import check
-from ltsim.fieldcheck.files import check_file
 from ltsim.pages.document import Document
 from ltsim.pages.page import document, render
 from ltsim.pages.verbs import report

@@ -9,7 +9,7 @@ from ltsim.acceptance.files import AcceptanceFile, passes_words
 from ltsim.calibration.events import ENOUGH_STEPS, LEAST_STEPS
 from ltsim.calibration.history_schema import HistoryFile
 from ltsim.chances import p_is, p_text
-from ltsim.fieldcheck.files import CheckFile
+from ltsim.fieldcheck.items import CheckFile
 from ltsim.notation import number, with_sigma
 from ltsim.pages import figures
 from ltsim.pages.document import Beside, Block, Fact, Grid, Note, Notes, Picture, Section, mood, table_block, table_of
