@@ -104,8 +104,7 @@ def floor_plan(
     """
     low, high = _limits(workshop)
     tall = (high[1] - low[1]) / (high[0] - low[0])
-    figure = style.new_figure(float(np.clip(WIDE * tall + 1.2, *HEIGHTS)), layout="compressed")
-    ax = figure.subplots()
+    figure, ax = style.panel(float(np.clip(WIDE * tall + 1.2, *HEIGHTS)), layout="compressed")
     ax.set_aspect("equal")
     style.quiet_axis(ax, grid="both")
     ax.add_patch(

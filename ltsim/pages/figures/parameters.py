@@ -28,8 +28,7 @@ def parameter_figure(rows: Sequence[ParameterEntry], true: Sequence[float | None
     Where a parameter has no prior, its own sigma scales it. Hollow marks are hardly determined by the recording; `true`
     are the values of a simulation, each where it is known.
     """
-    figure = style.new_figure(0.75 + 0.2 * max(len(rows), 3))
-    ax = figure.subplots()
+    figure, ax = style.panel(0.75 + 0.2 * max(len(rows), 3))
     places = style.category_rows(ax, names_of(rows), size=7.0)
     scales = np.array([row.prior_sigma or row.sigma or 1.0 for row in rows])
     values, sigma = (np.array([getattr(row, name) or 0.0 for row in rows]) / scales for name in ("value", "sigma"))
@@ -58,8 +57,7 @@ def sigma_figure(rows: Sequence[PlannedParameterEntry], reference: Mapping[str, 
 
     `reference` has the sigmas of another layout by name.
     """
-    figure = style.new_figure(0.55 + 0.21 * max(len(rows), 3))
-    ax = figure.subplots()
+    figure, ax = style.panel(0.55 + 0.21 * max(len(rows), 3))
     places = style.category_rows(ax, [row.name for row in rows])
     share = np.array([row.sigma / row.prior_sigma for row in rows])
     other = np.array([reference.get(row.name, np.nan) / row.prior_sigma for row in rows])
@@ -76,7 +74,7 @@ def sigma_figure(rows: Sequence[PlannedParameterEntry], reference: Mapping[str, 
     ax.minorticks_off()
     style.at_right(ax, places, [f"{number(r.sigma, 2)} {style.unit_text(r.unit)}" for r in rows])
     ax.set_xlabel("sigma after measuring / sigma of the prior")
-    figure.legend(*ax.get_legend_handles_labels(), loc="outside upper left", ncols=3)
+    style.legend_of(figure, [ax])
     return figure
 
 
@@ -96,8 +94,7 @@ def correlation_figure(rows: Sequence[ParameterEntry], covariance: Floats) -> Fi
     apart = np.abs(np.where(np.eye(len(names), dtype=bool), 0.0, matrix)).max(axis=1, initial=0.0)
     shown = np.sort(np.argsort(-apart, kind="stable")[:MOST])
     count, matrix = len(shown), matrix[np.ix_(shown, shown)]
-    figure = style.new_figure(2.2 + 0.15 * count)
-    ax = figure.subplots()
+    figure, ax = style.panel(2.2 + 0.15 * count)
     if count < len(names):
         ax.set_title(f"the {count} of {len(names)} parameters that correlate most", fontsize=7.5, fontweight="normal")
     ax.set_facecolor("#DDE1E4")
@@ -156,8 +153,7 @@ def criteria_figure(criteria: Table) -> Figure:
         change = "" if row["improvement_percent"] is None else f" ({row['improvement_percent']:+.1f} % better)"
         lines.append((f"{row['criterion']}, mean{change}", row["mean_um"], row["mean_after_um"]))
         lines.append((f"{row['criterion']}, largest", row["max_um"], row["max_after_um"]))
-    figure = style.new_figure(0.9 + 0.3 * len(lines))
-    ax = figure.subplots()
+    figure, ax = style.panel(0.9 + 0.3 * len(lines))
     places = style.category_rows(ax, [name for name, _, _ in lines])
     for place, (_, before, after) in zip(places, lines, strict=True):
         ax.annotate(
@@ -191,8 +187,7 @@ def budget_figure(names: Sequence[str], shares: Mapping[str, Sequence[float]]) -
     rows = {name: np.asarray(shares[name], dtype=np.float64) for name in told}
     if rest:
         rows["all others"] = np.sum([shares[name] for name in rest], axis=0)
-    figure = style.new_figure(0.75 + 0.21 * max(len(names), 3))
-    ax = figure.subplots()
+    figure, ax = style.panel(0.75 + 0.21 * max(len(names), 3))
     places = style.category_rows(ax, list(names))
     left = np.zeros(len(names))
     for i, (name, share) in enumerate(rows.items()):
@@ -202,7 +197,7 @@ def budget_figure(names: Sequence[str], shares: Mapping[str, Sequence[float]]) -
     ax.set_xlim(0, 100)
     ax.set_xlabel("share of the variance [%]")
     ax.grid(visible=False, axis="y")
-    figure.legend(*ax.get_legend_handles_labels(), loc="outside upper left", ncols=2)
+    style.legend_of(figure, [ax], ncols=2)
     return figure
 
 
@@ -216,8 +211,7 @@ def values_figure(
 ) -> Figure:
     """A row a name: its value, its interval where it has one; dashed lines are the `marks` to compare with."""
     lines = ["\n".join(wrap(name, 34)) for name in rows]
-    figure = style.new_figure(0.9 + 0.15 * sum(1.4 + name.count("\n") for name in lines))
-    ax = figure.subplots()
+    figure, ax = style.panel(0.9 + 0.15 * sum(1.4 + name.count("\n") for name in lines))
     places = style.category_rows(ax, lines)
     ax.set_yticks(places, lines)
     value, low, high = np.array(list(rows.values())).T
@@ -234,8 +228,7 @@ def values_figure(
 @style.styled
 def lines_figure(at: Sequence[float], lines: Mapping[str, Sequence[Interval]], axis: str, label: str) -> Figure:
     """Lines over a quantity `at` (n,), each a value with its interval at every place."""
-    figure = style.new_figure(2.7)
-    ax = figure.subplots()
+    figure, ax = style.panel(2.7)
     for name, rows, colour, marker in zip(lines, lines.values(), style.CYCLE, style.MARKERS, strict=False):
         value, low, high = np.array(rows).T
         half = np.maximum([value - low, high - value], 0.0)

@@ -33,8 +33,7 @@ def trade_off(plan: PlanResult, name: str) -> Figure:
     for kind, layout in (("reference", plan.reference), ("chosen", plan)):
         if layout is not None and layout.quality.get(name) is not None:
             kinds[kind].append((layout.hours, layout.quality[name] or np.nan, ""))
-    figure = style.new_figure(3.2)
-    ax = figure.subplots()
+    figure, ax = style.panel(3.2)
     every = np.array([factor * quality for some in kinds.values() for _, quality, _ in some])
     for kind, some in kinds.items():
         if some:

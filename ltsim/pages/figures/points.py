@@ -62,8 +62,7 @@ SPREAD = 0.32
 def shares_of_limits(content: AcceptanceFile) -> Figure:
     """Error over limit of every test, a row a group; bars are expanded uncertainties, failed errors are crosses."""
     groups = [g.name for g in content.groups]
-    figure = style.new_figure(0.9 + 0.42 * max(len(groups), 3))
-    ax = figure.subplots()
+    figure, ax = style.panel(0.9 + 0.42 * max(len(groups), 3))
     rows = style.category_rows(ax, groups)
     ax.axvspan(-1, 1, color=style.BLUE, alpha=0.08, lw=0)
     for edge in (-1, 1):
