@@ -55,7 +55,11 @@ def asme(height: float, ranges: Sequence[float]) -> list[Test]:
     tests.append(_bar("horizontal", 0.0, NEAREST, 0))
     for group, tilt in (("horizontal", 0.0), ("vertical", 90.0), ("right diagonal", 45.0), ("left diagonal", 135.0)):
         tests += [_bar(group, tilt, away, turn) for away in (3.0, 6.0) for turn in quarters]
-    return tests + _ranging(ranges)
+    near, *others = ranges
+    return tests + [
+        Test(f"line of sight {near:g} to {far:g} m", "line of sight", "length", (near, 0.0, 0.0), (far, 0.0, 0.0))
+        for far in others
+    ]
 
 
 def iso_two_face(height: float) -> list[Test]:
@@ -82,14 +86,6 @@ def _bar(group: str, tilt: float, away: float, turn: int) -> Test:
     middle = np.array([away, 0.0, 0.0])
     ends = _turned(middle - half, turn), _turned(middle + half, turn)
     return Test(f"{group} {away:g} m {turn} deg", group, "length", *ends)
-
-
-def _ranging(ranges: Sequence[float]) -> list[Test]:
-    near, *others = ranges
-    return [
-        Test(f"line of sight {near:g} to {far:g} m", "line of sight", "length", (near, 0.0, 0.0), (far, 0.0, 0.0))
-        for far in others
-    ]
 
 
 def _turned(point: Floats, turn: float) -> tuple[float, float, float]:

@@ -27,6 +27,7 @@ Against = Annotated[
     Path | None,
     typer.Option("--against", metavar="FILE", help="Results of another recording or instrument: E_n of each result."),
 ]
+NONE_ALIKE = "no result of the other file has the same task, name and unit"
 
 
 def compare(
@@ -108,7 +109,9 @@ def uncertainty(
     terminal.answer(answer)
     terminal.say("\n" + section_of(content).text())
     if other is not None:
-        _show_against(terminal, other)
+        head, rows = ["result", "E_n", ""], [[n, f"{v:.2f}", "" if abs(v) <= 1 else "differs"] for n, v in other]
+        told = f"Against the other results (|E_n| up to 1 agrees):\n{table(head, rows)}" if other else NONE_ALIKE
+        terminal.say(f"\n{told}")
     terminal.written(terminal.out)
     return int(any(r.conformity is not None and r.conformity.judgement == "rejected" for r in content.results))
 
@@ -125,11 +128,3 @@ def _recording(terminal: Terminal, tasks: Tasks, file: Path, seed: int, *, besid
     if not place.exists():
         raise SetupError(f"{file}: source names {place}, which is neither a recording nor a scenario")
     return ReadingOptions().open(place, terminal)
-
-
-def _show_against(terminal: Terminal, other: list[tuple[str, float]]) -> None:
-    if not other:
-        terminal.say("\nno result of the other file has the same task, name and unit")
-        return
-    terminal.say("\nAgainst the other results (|E_n| up to 1 agrees):")
-    terminal.say(table(["result", "E_n", ""], [[n, f"{v:.2f}", "" if abs(v) <= 1 else "differs"] for n, v in other]))

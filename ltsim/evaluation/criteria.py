@@ -54,10 +54,6 @@ class Differences(Valued):
         """Mean and maximum in um."""
         return self.mean / MICROMETRE, self.maximum / MICROMETRE
 
-    def as_json(self) -> dict[str, float]:
-        """Mean and maximum in um."""
-        return dict(zip(("mean_um", "max_um"), self.sizes, strict=True))
-
 
 @dataclass(frozen=True)
 class Improvement(Valued):
@@ -84,10 +80,9 @@ class Improvement(Valued):
 
     def as_json(self) -> dict[str, Any]:
         """As in `calibration.json`."""
-        entry: dict[str, Any] = {"before": self.before.as_json()}
-        if self.after is not None:
-            entry |= {"after": self.after.as_json(), "improvement_percent": self.improvement_percent}
-        return entry
+        sides = {"before": self.before, "after": self.after}
+        sizes = {key: {"mean_um": s.sizes[0], "max_um": s.sizes[1]} for key, s in sides.items() if s is not None}
+        return sizes | ({} if self.after is None else {"improvement_percent": self.improvement_percent})
 
 
 CRITERIA = Table(
@@ -128,10 +123,8 @@ class Criteria(Result):
 
     def as_json(self) -> dict[str, Any]:
         """As in `calibration.json`."""
-        entry = {"distance": self.distance.as_json(), "coordinate": self.coordinate.as_json()}
-        if self.distance_to_first is not None:
-            entry["distance_to_first"] = self.distance_to_first.as_json()
-        return entry
+        named = {"distance": self.distance, "coordinate": self.coordinate, "distance_to_first": self.distance_to_first}
+        return {name: found.as_json() for name, found in named.items() if found is not None}
 
 
 class SpreadEntry(Entry):

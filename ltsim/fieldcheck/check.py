@@ -38,7 +38,7 @@ from ltsim.model.construction import Construction, stated_construction
 from ltsim.recording.exchange import RecordingSource, recording_of
 from ltsim.recording.recording import Recording
 from ltsim.recording.result_file import SourceEntry, write_result
-from ltsim.results import Columns, Result, by_row
+from ltsim.results import Columns, Result
 from ltsim.saved import Valued
 from ltsim.units import ARCSECOND, MICROMETRE
 
@@ -86,12 +86,8 @@ class Check(Result):
         return {"items": self._items}
 
     def _items(self) -> Columns:
-        return by_row(
-            [
-                {"station": i.station, "kind": i.kind, "passed": i.passed, "p_value": i.p_value, "sentence": i.sentence}
-                for i in self.items
-            ]
-        )
+        names = ("station", "kind", "passed", "p_value", "sentence")
+        return {name: [getattr(item, name) for item in self.items] for name in names}
 
     @property
     def items(self) -> tuple[Item, ...]:

@@ -276,8 +276,6 @@ def most_sights(site: Site, step: float, heights: int) -> tuple[int, str]:
     A lower bound by the greedy placement, which is the truth where some place on the floor sees everything.
     """
     placement, names = site.placement(step, heights), site.survey.target_names
-    if not len(placement.position):
-        return 0, names[0]
     limiting = names[int(np.argmin(placement.seen.mean(axis=0)))]
     count = len(site.survey.position) - len(site.fixed)
     enough = (k for k in range(site.least, 0, -1) if not placement.missing(placement.stations(count, k), k).any())
@@ -324,8 +322,6 @@ def with_reachable_sights(file: PlanFile, site: Site) -> PlanFile:
 def check_in_sight(site: Site, file: PlanFile) -> Placement:
     """Where stations may stand; SetupError, with their names, where points are in sight from nowhere."""
     placement = site.placement(grid_step(site.areas, file.search.grid_mm), file.search.heights)
-    if not len(placement.position):
-        raise SetupError("no place on the floor sees three points; widen the floor, or move obstacles")
     if not placement.seen.any(axis=0).all():
         raise SetupError(site.out_of_sight(np.flatnonzero(~placement.seen.any(axis=0))))
     return placement

@@ -170,8 +170,10 @@ def evaluated(site: Site, survey: Survey, objective: Objective, built: Construct
 
 
 def sight_table(site: Site, survey: Survey) -> Visibility:
-    """Who sees whom, with fixed nests aimed at the layout's stations."""
-    normal, aimed = aimed_normals(survey.position, survey.points)[0], site.of_layout(survey).aimed
+    """Who sees whom, with fixed nests aimed at the layout's stations; reflectors of its own choice are in such too."""
+    normal = aimed_normals(survey.position, survey.points)[0]
+    aimed = np.full(len(survey.points), bool(site.aimed.any()))
+    aimed[: len(site.aimed)] = site.aimed[: len(survey.points)]
     return visibility(
         survey.position, survey.points, site.limits, nest_normal=normal, reaimed=~aimed, obstacles=site.obstacles
     )

@@ -16,11 +16,11 @@ from ltsim.errors import SetupError
 from ltsim.model.construction import Construction
 from ltsim.planning.fast import Reduced, Reducer
 from ltsim.planning.objective import LEAST_IMPROVEMENT, TARGETS, Objective
-from ltsim.planning.schema import PlanChange, rounded
+from ltsim.planning.schema import PlanChange, in_millimetres
 from ltsim.planning.site import Site
 from ltsim.planning.survey import Survey
 from ltsim.scene.visibility import aimed_normals
-from ltsim.units import MICROMETRE, MILLIMETRE
+from ltsim.units import MICROMETRE
 
 SWEEPS = 8
 """Rounds of exchanges at most."""
@@ -351,7 +351,7 @@ class _Trial:
             do=what,
             reflector="" if taken is None else names[taken],
             place="" if place is None else names[place],
-            position_mm=None if place is None else rounded(places[place] / MILLIMETRE, 1),
+            position_mm=None if place is None else in_millimetres(places[place]),
             gain_um=float(before - after) / MICROMETRE,
             quality=value,
             serves=serves,

@@ -185,7 +185,9 @@ def draw(
     kept: list[Floats] = []
     figures: list[Floats] = []
     most = max(settings.most_trials // BATCH, 1)
-    tolerance = tolerance_of(linear.sigma, settings.digits)
+    known = linear.sigma > 0  # half a unit of the last digit of each standard uncertainty (clause 7.9.2)
+    power = np.floor(np.log10(np.where(known, linear.sigma, 1.0))) - (settings.digits - 1)
+    tolerance = np.where(known, 0.5 * 10.0**power, 0.0)
     error = np.full((4, len(linear.values)), np.inf)
     while len(kept) < most and not np.all(FINE * error <= tolerance):
         shift, grown = _errors(inputs, stretch, settings.seed, len(kept))
@@ -287,10 +289,3 @@ def shortest_intervals(values: Floats, coverage: float) -> Floats:
     best = np.argmin(ordered[inside:] - ordered[: count - inside], axis=0)
     columns = np.arange(values.shape[1])
     return np.stack([ordered[best, columns], ordered[best + inside, columns]], axis=1)
-
-
-def tolerance_of(sigma: Floats, digits: int) -> Floats:
-    """Half a unit of the last of so many digits of each standard uncertainty (JCGM 101, 7.9.2)."""
-    safe = np.where(sigma > 0, sigma, 1.0)
-    power = np.floor(np.log10(safe)) - (digits - 1)
-    return np.where(sigma > 0, 0.5 * 10.0**power, 0.0)

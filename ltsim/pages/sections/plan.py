@@ -155,7 +155,7 @@ def _curve(content: PlanResult) -> list[Block]:
         for name, own in content.quality.items()
         if own is not None and sum(option.quality.get(name) is not None for option in content.tradeoff) > 1
     ]
-    factor, unit = content.value_unit
+    factor, unit = (1e6, "um") if set(content.quality) == {"targets"} else (1.0, "")
     rows = [
         [count(o.stations, "station"), str(o.faces), str(o.repeats), str(o.pointings), f"{o.hours:.2f}",
          number(None if o.value is None else factor * o.value), "yes" if o.efficient else ""]
