@@ -16,7 +16,6 @@ from ltsim.evaluation.criteria import (
     coordinate_errors,
     distance_differences,
     distance_errors,
-    pair_distances,
 )
 from ltsim.pages.figures.campaign import PAPER, TrialDistribution, distributions
 from ltsim.simulation.gauge import nominal_points
@@ -40,6 +39,12 @@ def named(distance: Differences, coordinate: Differences, length: float, place: 
     sizes = {f"{kind}_{{}}_{which}": size for kind, found, single in ends
              for which, size in (("mean", found.mean), ("max", found.maximum), ("single", single))}  # fmt: skip
     return {name: float(size) / MICROMETRE for name, size in sizes.items()}
+
+
+def pair_distances(cloud: Floats) -> Floats:
+    """Distances (..., P) between all pairs k < l of points (..., T, 3)."""
+    first, second = np.triu_indices(cloud.shape[-2], k=1)
+    return np.linalg.norm(cloud[..., first, :] - cloud[..., second, :], axis=-1)
 
 
 def workshop_figures(clouds: Floats, names: tuple[str, ...]) -> dict[str, float]:

@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from ltsim.acceptance.files import AcceptanceFile, TestEntry, group_entries
-from ltsim.acceptance.spec import Acceptance
-from ltsim.acceptance.tests import Test, number_of, rows_of
+from ltsim.acceptance.spec import Acceptance, Test, number_of, rows_of
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.arrays import Floats, Ints
 from ltsim.errors import NetworkError, SetupError, unknown_name

@@ -8,8 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from ltsim.acceptance.files import AcceptanceFile, SensitivityEntry, TestEntry, WorstEntry, group_entries
-from ltsim.acceptance.spec import Acceptance
-from ltsim.acceptance.tests import Test, envelope
+from ltsim.acceptance.spec import Acceptance, Test, envelope
 from ltsim.arrays import Bools, Floats
 from ltsim.geometry.polar import across_beam, from_polar, to_polar, unit_vectors
 from ltsim.geometry.rigid import less_rigid

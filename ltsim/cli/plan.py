@@ -101,7 +101,6 @@ def plan(
 
 
 def _show_places(terminal: Terminal, found: Sequence[Alternative]) -> None:
-    """What a layout is worth without a station, and with it elsewhere."""
     terminal.answer([{"what": one.words, "verdict": one.verdict} for one in found])
     for one in found:
         terminal.say(f"- {one.words}: {one.verdict}.")
@@ -146,7 +145,7 @@ def _write(terminal: Terminal, made: Plan, folder: Path | None) -> None:
 
 def _drawn(made: Plan) -> dict[str, bytes]:
     """The page for the shop floor, the plan from above, and cost against quality."""
-    from ltsim.pages.figures.plan import trade_off
+    from ltsim.pages.figures.parameters import trade_off
     from ltsim.pages.style import png
     from ltsim.pages.work_order import work_order_page
     from ltsim.planning.files import plan_file

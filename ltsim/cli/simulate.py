@@ -149,7 +149,6 @@ def inject(
 def _curve(
     terminal: Terminal, recording: Recording, causes: list[str], file: Path | None, options: dict[str, Any]
 ) -> None:
-    """The share found, placed and named over strengths."""
     with terminal.busy("injecting and diagnosing"):
         found = lt.injection_curve(recording, causes[0], **options)
     table = found.table()

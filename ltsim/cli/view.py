@@ -90,7 +90,6 @@ def view(
 
 
 def _by_hand(terminal: Terminal, plan: str, out: Path, port: int, *, force: bool) -> None:
-    """Serve the page of a plan until somebody presses Ctrl-C."""
     from ltsim.planning.files import PLAN, SCENARIO
     from ltsim.viewer.board import Board
     from ltsim.viewer.server import BoardAccess, serve

@@ -161,12 +161,6 @@ class CriteriaFile(ResultFile):
     """Deviations of distances from the first station's (eq. 11)."""
 
 
-def pair_distances(cloud: Floats) -> Floats:
-    """Distances (..., P) between all pairs k < l of points (..., T, 3), in the order of `np.triu_indices`."""
-    first, second = np.triu_indices(cloud.shape[-2], k=1)
-    return np.linalg.norm(cloud[..., first, :] - cloud[..., second, :], axis=-1)
-
-
 def lengths_of_pairs(clouds: Floats, least: int = 1) -> Iterator[tuple[Ints, Floats]]:
     """For each point the k observers that see it, and its distances (k, m) [m] to later points as they see them.
 
@@ -282,19 +276,13 @@ def read_nominal(path: Path) -> dict[str, Floats]:
 
 def distance_errors(clouds: Floats, nominal: Floats) -> Differences:
     """Per pair of targets, the mean over stations of |distance - nominal distance| (eq. 13, as meant)."""
-    return _over_stations(np.abs(pair_distances(clouds) - pair_distances(nominal)))
+    return distance_differences_to_first(np.concatenate([nominal[None], clouds]))
 
 
 def coordinate_errors(clouds: Floats, nominal: Floats) -> Differences:
     """Per target, the mean over stations of the distance to its nominal point after a rigid fit (eq. 14)."""
-    placed = np.stack([on_points(cloud, nominal) for cloud in clouds])
-    return _over_stations(np.linalg.norm(placed - nominal, axis=2))
-
-
-def _over_stations(gap: Floats) -> Differences:
-    have = np.isfinite(gap)
-    count = have.sum(axis=0)
-    return Differences(np.where(have, gap, 0.0).sum(axis=0)[count > 0] / count[count > 0])
+    gap = np.linalg.norm([on_points(cloud, nominal) - nominal for cloud in clouds], axis=2)
+    return Differences(np.nanmean(gap[:, np.isfinite(gap).any(axis=0)], axis=0))
 
 
 def verify(

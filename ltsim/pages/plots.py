@@ -149,7 +149,6 @@ def _(result: Recovery) -> Figure:
 
 @figure_of.register
 def _(result: NextMeasurement) -> Figure:
-    """What each of the first proposals does for the instrument's parameters."""
     shares = {p.remedy.words: (100 * (1 - p.sharper),) * 3 for p in result.proposals[:MOST_PROPOSALS]}
     return values_figure(shares, "sigmas of the instrument's parameters fall by [%]")
 
@@ -164,7 +163,6 @@ def _(result: Judged) -> Figure:
 
 @figure_of.register
 def _(result: Paired) -> Figure:
-    """Differences with their 95 % intervals."""
     rows = {
         ", ".join([e.statistic, *(f"{name} {value}" for name, value in e.settings.items())]): (
             e.difference,

@@ -123,9 +123,9 @@ class Plan(Result):
         }
 
 
-def judge(file: PlanFile, scenario: Scenario, survey: Survey, construction: Construction | None = None) -> Plan:
+def judge(file: PlanFile, scenario: Scenario, survey: Survey) -> Plan:
     """The plan of a layout as it is, without a search."""
-    built, demands = construction or planned_construction(scenario), Demands.of(file)
+    built, demands = planned_construction(scenario), Demands.of(file)
     site = site_of(file, scenario, stations=len(survey.position), faces=len(survey.faces), repeats=survey.repeats)
     objective = objective_of(file, survey)
     return Plan(

@@ -208,7 +208,6 @@ def _determined(kind: str, good: Bools | np.bool_, reason: str) -> None:
 
 
 def _unit(vectors: Floats) -> Floats:
-    """Vectors (..., 3) of length one."""
     return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
 
 

@@ -7,7 +7,7 @@ import pytest
 
 import ltsim as lt
 from ltsim.acceptance.prediction import AcceptancePlan
-from ltsim.acceptance.tests import asme, envelope, iso_two_face
+from ltsim.acceptance.spec import asme, envelope, iso_two_face
 from ltsim.arrays import Floats
 from ltsim.model.construction import misalignment, steering_mirror
 from ltsim.recording.specification import sheet

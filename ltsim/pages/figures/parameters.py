@@ -1,7 +1,8 @@
-"""What is estimated: parameters, their correlation and course, criteria, and where an uncertainty comes from."""
+"""Numbers estimated or planned: parameters and their course, criteria, budgets, what a plan costs and is worth."""
 
 from collections.abc import Mapping, Sequence
 from textwrap import wrap
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -11,8 +12,8 @@ from ltsim.calibration.history_schema import CourseEntry
 from ltsim.calibration.schema import ParameterEntry
 from ltsim.notation import number, with_sigma
 from ltsim.pages import style
-from ltsim.pages.words import distinct_labels, is_determined, typeset
-from ltsim.planning.schema import PlannedParameterEntry
+from ltsim.pages.words import QUALITY, distinct_labels, is_determined, typeset
+from ltsim.planning.schema import PlannedParameterEntry, PlanResult
 from ltsim.results import Table
 
 
@@ -237,4 +238,44 @@ def lines_figure(at: Sequence[float], lines: Mapping[str, Sequence[Interval]], a
     ax.set_ylabel(typeset(label))
     style.quiet_axis(ax, grid="both")
     style.legend_of(figure, [ax])
+    return figure
+
+
+MOST_NAMED = 14
+"""Layouts that can be named in one picture."""
+COLOUR = {"tried": style.GREY, "best": style.BLUE, "chosen": style.RED, "reference": style.GREEN}
+MARKER = {"tried": ".", "best": "o", "chosen": "*", "reference": "D"}
+SIZE = {"tried": 34, "best": 30, "chosen": 150, "reference": 46}
+WORD = {"tried": "tried", "best": "best at its cost", "chosen": "the plan", "reference": "reference"}
+
+
+@style.styled
+def trade_off(plan: PlanResult, name: str) -> Figure:
+    """Time against one quality of a plan's goal; the line joins the layouts that are best at their cost."""
+    label, factor = QUALITY.get(name, (name, 1.0))
+    kinds: dict[str, list[tuple[float, float, str]]] = {"tried": [], "best": [], "reference": [], "chosen": []}
+    for option in plan.tradeoff:
+        way = f"{option.stations}s {option.faces}f {option.repeats}r"
+        kinds["best" if option.efficient else "tried"].append((option.hours, option.quality.get(name) or np.nan, way))
+    for kind, layout in (("reference", plan.reference), ("chosen", plan)):
+        if layout is not None and layout.quality.get(name) is not None:
+            kinds[kind].append((layout.hours, layout.quality[name] or np.nan, ""))
+    figure, ax = style.panel(3.2)
+    every = np.array([factor * quality for some in kinds.values() for _, quality, _ in some])
+    for kind, some in kinds.items():
+        if some:
+            hours, quality = zip(*((h, factor * q) for h, q, _ in sorted(some)), strict=True)
+            look: dict[str, Any] = {"marker": MARKER[kind], "s": SIZE[kind], "color": COLOUR[kind], "label": WORD[kind]}
+            ax.scatter(hours, quality, zorder=4 if kind != "tried" else 2, linewidths=0, **look)
+            if kind == "best":
+                ax.plot(hours, quality, color=style.BLUE, linewidth=1.0, zorder=3)
+    for hour, size, way in kinds["best"][:MOST_NAMED]:
+        ax.annotate(way, (hour, factor * size), xytext=(6, 5), textcoords="offset points", fontsize=7.5)
+    if (every > 0).all() and every.max() > 20 * every.min():
+        ax.set_yscale("log")
+    ax.margins(x=0.1, y=0.12)
+    ax.set_xlabel("time on the floor [h]; s: stations, f: faces, r: rounds")
+    ax.set_ylabel(f"{typeset(label)}\n(lower is better)")
+    style.quiet_axis(ax, grid="both")
+    style.legend_of(figure, [ax], ncols=2)
     return figure
