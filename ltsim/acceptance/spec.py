@@ -111,6 +111,7 @@ def builtin(standard: Standard, height: float, ranges: Sequence[float]) -> list[
     return asme(height, ranges) if standard == "asme-b89.4.19-2006" else iso_two_face(height)
 
 
+@as_setup_error()
 def read_tests(file: Path) -> list[Test]:
     """A plan of one's own: a table with the columns `COLUMNS`; a two-face test leaves its second point empty.
 
@@ -123,19 +124,12 @@ def read_tests(file: Path) -> list[Test]:
 
 
 def rows_of(file: Path, needed: Sequence[str], further: Sequence[str] = ()) -> list[tuple[int, dict[str, str]]]:
-    """Lines and rows of a table that a person wrote, with the columns that are `needed`; raises SetupError."""
-    with as_setup_error():
-        header, rows = table_rows(file)
+    """Lines and rows of a table that a person wrote, with the columns that are `needed`; RecordError, SetupError."""
+    header, rows = table_rows(file)
     missing = [name for name in needed if name not in header]
     if missing:
         raise SetupError(f"{file}: there is no column {missing[0]}; expected {','.join([*needed, *further])}")
     return rows
-
-
-def number_of(row: Mapping[str, str], column: str, line: int, file: Path) -> float:
-    """The number in a cell, with a decimal point or comma; raises SetupError."""
-    with as_setup_error():
-        return comma_number(row[column], file=file, row=line, column=column)
 
 
 def _test(row: dict[str, str], line: int, file: Path) -> Test:
@@ -151,7 +145,8 @@ def _test(row: dict[str, str], line: int, file: Path) -> Test:
 
 
 def _point(row: dict[str, str], end: str, line: int, file: Path) -> tuple[float, float, float]:
-    values = [number_of(row, f"{axis}{end}_mm", line, file) / 1000 for axis in "xyz"]
+    columns = (f"{axis}{end}_mm" for axis in "xyz")
+    values = [comma_number(row[name], file=file, row=line, column=name) / 1000 for name in columns]
     if not np.isfinite(values).all() or np.hypot(values[0], values[1]) < 1e-3:
         raise SetupError(f"{file}: row {line}: point {end} is on the instrument's own axis, which has no azimuth")
     return values[0], values[1], values[2]
@@ -246,13 +241,13 @@ class Acceptance(TomlSection):
         return (*builtin(self.standard, self.height_mm / 1000, self.ranges_m), *further)
 
 
+@as_setup_error()
 def load_acceptance(path: Path) -> Acceptance:
     """The contents of an acceptance file; raises SetupError."""
-    with as_setup_error():
-        data = read_toml(path, "acceptance file")
-    return acceptance_from(data, path)
+    return acceptance_from(read_toml(path, "acceptance file"), path)
 
 
+@as_setup_error()
 def acceptance_from(data: Mapping[str, Any], file: object) -> Acceptance:
     """Check the tables of an acceptance file; `file` is named in errors (raises SetupError)."""
     name, stated = data.get("instrument"), data.get("specification", {})
@@ -261,5 +256,4 @@ def acceptance_from(data: Mapping[str, Any], file: object) -> Acceptance:
             data = {**data, "specification": completed(name, stated)}
         except ModelError as problem:
             raise SetupError(f"{file}: {problem}") from None
-    with as_setup_error():
-        return checked(data, Acceptance, "acceptance file", file)
+    return checked(data, Acceptance, "acceptance file", file)

@@ -163,7 +163,7 @@ def _fitted(
     names = (TARGETS.file, RESIDUALS.file)
     terminal.claim(CalibrationFile, *names, own=lambda found: (found.method == "adjustment") == alone)
     recording = reading.open(source, terminal)
-    with terminal.busy("adjusting" if alone else "calibrating"):
+    with terminal.progress("adjusting" if alone else "calibrating"):
         found = verb(recording, **options)
     content = write_calibration(found, terminal.out) if terminal.out else calibration_file(found)
     terminal.result(content, notes=found.notes)
@@ -222,7 +222,7 @@ def diagnose(
 
     terminal.claim(DiagnosisFile, *COMPANIONS)
     recording = reading.open(source, terminal)
-    with terminal.busy("diagnosing"):
+    with terminal.progress("diagnosing"):
         found = lt.diagnose(recording, held_out=held_out, **options)
     content = write_diagnosis(found, terminal.out, recording) if terminal.out else found.file(recording)
     terminal.result(content)
@@ -270,7 +270,7 @@ def history(
     opened: dict[str, Calibration | Recording] = {}
     for source in sources:
         opened |= _opened(terminal, source, reading, each_set_up=each_set_up)
-    with terminal.busy("calibrating"):
+    with terminal.progress("calibrating"):
         found = lt.history(opened, **options)
     content = history_file(found)
 

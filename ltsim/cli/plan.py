@@ -93,7 +93,7 @@ def plan(
     folder = out if out is not None or nowhere else Path(f"plan-{Path(source).stem}")
     claim(folder, PlanResult, (*(table.file for table in TABLES), "scenario.toml", FLOOR, TRADE_OFF, PAGE), force=force)
     if changes:
-        with terminal.busy("judging the layout"):
+        with terminal.progress("judging the layout"):
             made = lt.plan(source, move=changes)
     else:
         made = _searched(terminal, source, folder, {"jobs": jobs, **options})
@@ -135,7 +135,7 @@ def _searched(terminal: Terminal, source: str, folder: Path | None, how: dict[st
 def _write(terminal: Terminal, made: Plan, folder: Path | None) -> None:
     from ltsim.planning.files import write_plan
 
-    with terminal.busy("writing tables, pictures and the work order"):
+    with terminal.progress("writing tables, pictures and the work order"):
         content = write_plan(made, folder, {} if folder is None else _drawn(made))
     terminal.result(content)
     if folder is not None:
@@ -186,7 +186,7 @@ def _after(terminal: Terminal, recording: Recording, between: tuple[str, ...], o
     summary = ""
     beside: tuple[Signature, ...] = ()
     if not between:
-        with terminal.busy("diagnosing"):
+        with terminal.progress("diagnosing"):
             found = lt.diagnose(recording)
         summary = found.summary
         terminal.say(summary)

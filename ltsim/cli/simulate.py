@@ -149,7 +149,7 @@ def inject(
 def _curve(
     terminal: Terminal, recording: Recording, causes: list[str], file: Path | None, options: dict[str, Any]
 ) -> None:
-    with terminal.busy("injecting and diagnosing"):
+    with terminal.progress("injecting and diagnosing"):
         found = lt.injection_curve(recording, causes[0], **options)
     table = found.table()
     terminal.answer({"background": list(found.background), "curve": table.json()})
@@ -204,7 +204,7 @@ def demo(
         terminal.note("compiling the solver on the way, which takes half a minute: the first demo does")
     for number, (title, step) in enumerate(STEPS.items(), start=1):
         began = time.perf_counter()
-        with terminal.busy(title):
+        with terminal.progress(title):
             outcome = step(out, options["seed"])
         spent = time.perf_counter() - began
         terminal.say(f"{number}. {title} ({spent:.1f} s)\n   {outcome}")

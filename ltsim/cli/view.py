@@ -75,7 +75,7 @@ def view(
         raise RecordError("there is no screen for a window; write a picture with --png FILE or a page with --html FILE")
     for file in (png, html):
         claim_file(file, force=force)
-    with terminal.busy("looking at the workshop"):
+    with terminal.progress("looking at the workshop"):
         source = place if reading == FramedReading() else reading.of(Path(place))
         shown = lt.view(source, **options)
         if png is not None:
@@ -96,7 +96,7 @@ def _by_hand(terminal: Terminal, plan: str, out: Path, port: int, *, force: bool
 
     for name in (SCENARIO, PLAN):
         claim_file(out / name, force=force)
-    with terminal.busy("reading the plan"):
+    with terminal.progress("reading the plan"):
         door = BoardAccess(Board.of(plan), out)
 
     def tell(address: str) -> None:
@@ -137,7 +137,7 @@ def report(
     terminal = Terminal(quiet)
     about = _about(instrument=instrument, date=date, operator=operator, customer=customer)
     claim_file(folder / NAME, force=force)
-    with terminal.busy("drawing the report"):
+    with terminal.progress("drawing the report"):
         page = lt.report(folder, about=about, tell=terminal.note, **options)
     terminal.say(f"written to {page}")
 

@@ -23,7 +23,7 @@ from ltsim.effects.motions import StationMotion
 from ltsim.effects.range_drift import RangeDrift
 from ltsim.effects.station_bump import StationBump
 from ltsim.errors import NetworkError
-from ltsim.fieldcheck.items import TWO_FACE, CheckFile, Family, Item, Kind, two_sided
+from ltsim.fieldcheck.items import CAUSES, TWO_FACE, CheckFile, Family, Item, Kind, two_sided
 from ltsim.fieldcheck.network import NETWORK_TESTS, items_of_network, plain_network, with_own_noise
 from ltsim.fieldcheck.occupation import ColumnsFit, Faces, StationOccupation
 from ltsim.fieldcheck.words import (
@@ -104,7 +104,9 @@ class Check(Result):
     @property
     def sentence(self) -> str:
         """Go or no-go and why."""
-        failed = sorted((item for item in self.items if not item.passed), key=lambda item: not item.is_cause)
+        failed = [item for item in self.items if not item.passed]
+        # What others follow from first: targets that scatter by themselves make gross pointings.
+        failed.sort(key=lambda item: not (item.kind in CAUSES or (item.kind == "closure" and item.targets)))
         if failed:
             more = f" (and {len(failed) - 1} more)" if len(failed) > 1 else ""
             return f"no-go: {failed[0].sentence}{more}"

@@ -40,11 +40,6 @@ class Item(Entry):
         """What a test says, with its chance and what it marks."""
         return cls(station=at, kind=kind, passed=passed, sentence=sentence, p_value=p, **marked)
 
-    @property
-    def is_cause(self) -> bool:
-        """Whether other items follow from it: targets that scatter by themselves make gross pointings."""
-        return self.kind in CAUSES or (self.kind == "closure" and bool(self.targets))
-
 
 class CheckFile(ResultFile):
     """`check.json`: from `check`."""

@@ -235,8 +235,6 @@ class Faces:
     """Without what a motion of the station, or a drift of the instrument, adds between the faces."""
     noise: Floats
     """(m, 3) [m, rad, rad]: standard deviation of each half difference by the stated noise."""
-    guarantee: Floats
-    """(m, 3) [m, rad, rad]: standard deviation of what the guaranteed errors of the instrument add."""
     over: Bools
     """(m, 3): what is `still` beyond the limit."""
     limit: Floats
@@ -273,4 +271,4 @@ class Faces:
             metres = pairs.place[:, 0]
             allowed = 0.5 * MICROMETRE * (mpe[0] + mpe[1] * metres)
             limit = np.stack([allowed, allowed / metres, allowed / metres], axis=1)
-        return cls(pairs, unmoved, noise, guarantee, np.abs(unmoved.half) > limit, limit)
+        return cls(pairs, unmoved, noise, np.abs(unmoved.half) > limit, limit)

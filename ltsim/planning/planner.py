@@ -76,7 +76,6 @@ class Plan(Result):
     scenario: Scenario
     site: Site
     """Of the chosen way of working."""
-    objective: Objective
     reference: Evaluated | None
     """The scenario's own layout, worked in the chosen way; None where it determines nothing."""
     chosen: Evaluated
@@ -132,7 +131,6 @@ def judge(file: PlanFile, scenario: Scenario, survey: Survey) -> Plan:
         file=file,
         scenario=scenario,
         site=site,
-        objective=objective,
         reference=_reference(file, scenario, site, built, survey),
         chosen=evaluated(site, survey, objective, built),
         demands=demands,

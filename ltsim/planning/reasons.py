@@ -145,7 +145,7 @@ def _parameters(reference: Evaluated, chosen: Evaluated) -> list[str]:
 def _what_each_station_does(plan: Plan) -> list[str]:
     """What is lost without a station, and which parameter it serves most."""
     survey, now, qualities = plan.chosen.survey, plan.chosen.information, plan.chosen.qualities
-    objective, found = Objective({INSTRUMENT: 1.0}, plan.objective.criterion), []
+    objective, found = Objective({INSTRUMENT: 1.0}, plan.file.goal.criterion), []
     for s, name in enumerate(survey.station_names):
         left = survey.without(s)
         try:

@@ -88,11 +88,6 @@ class Seen:
     columns: tuple[Floats, ...]
     """(m, r): orthonormal, spanning what is left; empty for noise, and where a diagnosis keeps none."""
 
-    @property
-    def found_anywhere(self) -> bool:
-        """Some parameter leaves a trace at some place."""
-        return any(bool(np.isfinite(size).any()) for size in self.sizes)
-
     def table(self) -> list[MinimalSize]:
         """One row a parameter."""
         rows = []
@@ -258,7 +253,7 @@ def detectability(adjustment: Adjustment, catalogue: Sequence[type[Effect] | Eff
             found.append(examine_baseline(adjustment, kind()))
             continue
         seen = examine(space, kind.candidates(adjustment.sightings))
-        if seen is None or not seen.found_anywhere:
+        if seen is None or not any(np.isfinite(size).any() for size in seen.sizes):
             silent.append(kind.name)
         if seen is not None:
             found.append(seen)
