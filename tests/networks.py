@@ -8,8 +8,7 @@ import numpy as np
 
 from ltsim.arrays import Floats
 from ltsim.effects.effect import Effect
-from ltsim.evaluation.clouds import measured_points, on_points
-from ltsim.evaluation.share_removed import ShareRemoved, cloud_error
+from ltsim.evaluation.clouds import ShareRemoved, cloud_error, measured_points, on_points
 from ltsim.geometry.rotations import about_z
 from ltsim.model.construction import Construction, misalignment
 from ltsim.model.measurement import MeasurementModel, State

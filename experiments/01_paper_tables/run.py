@@ -10,8 +10,13 @@ from ltsim.arrays import Floats
 from ltsim.campaigns.rows import Prepared, TrialBlock
 from ltsim.campaigns.spec import Campaign, Cell
 from ltsim.evaluation.clouds import in_first_frame, on_points
-from ltsim.evaluation.criteria import Differences, coordinate_differences, distance_differences, pair_distances
-from ltsim.evaluation.verification import coordinate_errors, distance_errors
+from ltsim.evaluation.criteria import (
+    Differences,
+    coordinate_differences,
+    coordinate_errors,
+    distance_differences,
+    distance_errors,
+)
 from ltsim.pages.figures.campaign import PAPER, TrialDistribution, distributions
 from ltsim.simulation.gauge import nominal_points
 from ltsim.units import MICROMETRE
@@ -34,6 +39,12 @@ def named(distance: Differences, coordinate: Differences, length: float, place: 
     sizes = {f"{kind}_{{}}_{which}": size for kind, found, single in ends
              for which, size in (("mean", found.mean), ("max", found.maximum), ("single", single))}  # fmt: skip
     return {name: float(size) / MICROMETRE for name, size in sizes.items()}
+
+
+def pair_distances(cloud: Floats) -> Floats:
+    """Distances (..., P) between all pairs k < l of points (..., T, 3)."""
+    first, second = np.triu_indices(cloud.shape[-2], k=1)
+    return np.linalg.norm(cloud[..., first, :] - cloud[..., second, :], axis=-1)
 
 
 def workshop_figures(clouds: Floats, names: tuple[str, ...]) -> dict[str, float]:

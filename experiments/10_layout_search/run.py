@@ -11,8 +11,7 @@ from ltsim.arrays import Floats
 from ltsim.pages.figures.floor_plan import floor_plan
 from ltsim.pages.workshop import from_scenario
 from ltsim.planning.files import plan_file, with_layout
-from ltsim.planning.improvement import Predictor
-from ltsim.planning.information import LayoutInformation
+from ltsim.planning.information import LayoutInformation, Predictor
 from ltsim.planning.loading import load_plan
 from ltsim.planning.making import make_plan
 from ltsim.planning.objective import a_criterion, d_criterion, e_criterion

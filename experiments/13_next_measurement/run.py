@@ -28,9 +28,10 @@ def measured(remedy: Remedy, before: Recording, truth: Truth, seed: int) -> Reco
     """The recording with the proposed pointings made: true places, true instrument, true effect, new noise."""
     recording, construction = remedy.network.recording, misalignment()
     position, rotation = truth.position, truth.rotation
-    if remedy.place is not None and remedy.yaw is not None:
-        position = np.vstack([position, remedy.place])
-        rotation = np.concatenate([rotation, about_z(remedy.yaw)[None]])
+    if remedy.set_up is not None:
+        place, yaw = remedy.set_up
+        position = np.vstack([position, place])
+        rotation = np.concatenate([rotation, about_z(yaw)[None]])
     order = [truth.targets.index(name) for name in recording.targets]
     values = np.array([[truth.instrument[name] for name in construction.names]])
     state = State(position, rotation, truth.points[order], values)

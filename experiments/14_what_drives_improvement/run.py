@@ -15,8 +15,7 @@ from experiments.common import Made, Options, Row, show_table, write_table
 from ltsim.arrays import Floats
 from ltsim.effects import find_effect
 from ltsim.effects.effect import Effect
-from ltsim.planning.improvement import Predictor
-from ltsim.planning.information import LayoutInformation
+from ltsim.planning.information import LayoutInformation, Predictor
 from ltsim.planning.workshop import survey_of
 from ltsim.randomness import stream
 from ltsim.simulation.scenario import load_scenario

@@ -8,7 +8,7 @@ from ltsim.campaigns.calibrators import calibrator_of
 from ltsim.campaigns.cloud_kernels import rigid_fit
 from ltsim.campaigns.spec import Method
 from ltsim.campaigns.truth import truth_of
-from ltsim.pages.figures.plan import reflector_changes
+from ltsim.pages.figures.floor_plan import reflector_changes
 from ltsim.pages.workshop import from_scenario
 from ltsim.planning.files import plan_file, planned_scenario
 from ltsim.planning.loading import load_plan

@@ -8,7 +8,7 @@ import pandas as pd
 
 from experiments.common import Made, Options, Row, show_table, write_figure
 from ltsim.acceptance.prediction import AcceptancePlan, harm_of
-from ltsim.acceptance.tests import builtin, envelope
+from ltsim.acceptance.spec import builtin, envelope
 from ltsim.geometry.polar import to_polar
 from ltsim.model.construction import misalignment
 from ltsim.pages.figures.campaign import Swept, by_factor

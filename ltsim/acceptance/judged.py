@@ -7,14 +7,13 @@ from pathlib import Path
 import numpy as np
 
 from ltsim.acceptance.files import AcceptanceFile, TestEntry, group_entries
-from ltsim.acceptance.spec import Acceptance
-from ltsim.acceptance.tests import Test, number_of, rows_of
+from ltsim.acceptance.spec import Acceptance, Test, rows_of
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.arrays import Floats, Ints
-from ltsim.errors import NetworkError, SetupError, unknown_name
+from ltsim.errors import NetworkError, SetupError, as_setup_error, unknown_name
 from ltsim.geometry.polar import across_beam, from_polar
 from ltsim.model.construction import stated_construction
-from ltsim.recording.files import shown
+from ltsim.recording.files import comma_number, shown
 from ltsim.recording.recording import Recording
 from ltsim.recording.result_file import SourceEntry
 from ltsim.recording.specification import Specification
@@ -30,6 +29,7 @@ def entry(name: str, group: str, error: float, limit: float, expanded: float = f
     return TestEntry(name=name, group=group, passes=float(abs(error) <= limit), **sizes)
 
 
+@as_setup_error()
 def read_measured(file: Path, tests: Sequence[Test], limits: Floats) -> list[TestEntry]:
     """Errors of a CSV with the columns ``test``, ``error_um`` and, where it is known, ``U_um``.
 
@@ -44,7 +44,8 @@ def read_measured(file: Path, tests: Sequence[Test], limits: Floats) -> list[Tes
         if name in found:
             raise SetupError(f"{file}: row {line}: test '{shown(name)}' stands there twice; give its largest error")
         numbers = [
-            number_of(row, column, line, file) if row.get(column) else float("nan") for column in ("error_um", "U_um")
+            comma_number(row[name], file=file, row=line, column=name) if row.get(name) else float("nan")
+            for name in ("error_um", "U_um")
         ]
         if not np.isfinite(numbers[0]):
             raise SetupError(f"{file}: row {line}: error_um is empty, expected micrometres")

@@ -8,8 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from ltsim.acceptance.files import AcceptanceFile, SensitivityEntry, TestEntry, WorstEntry, group_entries
-from ltsim.acceptance.spec import Acceptance
-from ltsim.acceptance.tests import Test, envelope
+from ltsim.acceptance.spec import Acceptance, Test, envelope
 from ltsim.arrays import Bools, Floats
 from ltsim.geometry.polar import across_beam, from_polar, to_polar, unit_vectors
 from ltsim.geometry.rigid import less_rigid
@@ -142,25 +141,23 @@ class AcceptancePlan:
         size = np.where(most * usual > UNSEEN, 1.0 / np.maximum(most, np.finfo(float).tiny), np.inf)
         return size, [self.tests[i] for i in at]
 
-    def worst_passing(self, prior: Floats, points: Floats) -> Worst:
-        """The constants that harm points (n, 3) [m] around the instrument most, and still keep every limit.
+    def worst_passing(self, prior: Floats, points: Floats) -> tuple[Floats, float, float]:
+        """The constants (p,) [SI] that harm points (n, 3) [m] around the instrument most, and still keep every limit.
 
-        Looked for along the directions in which harm over what the tests see is largest, each as long as the limits
-        and `PLAUSIBLE` prior standard deviations (p,) allow.
+        Beside them the error of these points, root mean square and largest [m]. The constants are looked for along the
+        directions in which harm over what the tests see is largest, each as long as the limits and `PLAUSIBLE` prior
+        standard deviations (p,) allow.
         """
         harm = harm_of(self.construction, points, prior)
         seen = (self.sensitivities * prior / self.limits[:, None, None]).reshape(-1, len(prior))
         bound = seen.T @ seen + np.eye(len(prior)) / PLAUSIBLE**2
         root = np.linalg.inv(np.linalg.cholesky(bound))
         _, vectors = np.linalg.eigh(root @ harm.T @ harm @ root.T)
-        best: tuple[float, Floats] = (-1.0, np.zeros(len(prior)))
-        for direction in (root.T @ vectors).T:
-            values = self._stretched(direction / np.linalg.norm(direction), prior)
-            size = float(np.sqrt(np.mean((harm @ (values / prior)) ** 2) * 3))
-            best = max(best, (size, values), key=lambda found: found[0])
-        values = best[1]
-        gaps = np.linalg.norm((harm @ (values / prior)).reshape(-1, 3), axis=1)
-        return Worst(values, best[0], float(gaps.max()))
+        tried = np.array([self._stretched(way / np.linalg.norm(way), prior) for way in (root.T @ vectors).T])
+        gaps = np.linalg.norm((tried / prior @ harm.T).reshape(len(tried), -1, 3), axis=2)
+        rms = np.sqrt(np.mean(gaps**2, axis=1))
+        best = int(rms.argmax())
+        return tried[best], float(rms[best]), float(gaps[best].max())
 
     def _stretched(self, direction: Floats, prior: Floats) -> Floats:
         """The longest (p,) [SI] along a direction in units of the prior that keeps every limit, to 0.1 %."""
@@ -187,15 +184,6 @@ class AcceptancePrediction:
     """Chance that all of a group are."""
 
 
-@dataclass(frozen=True)
-class Worst:
-    """An instrument that keeps every limit: its constants (p,) [SI], and the error of points, rms and largest [m]."""
-
-    values: Floats
-    rms: float
-    largest: float
-
-
 def harm_of(construction: Construction, points: Floats, scale: Floats) -> Floats:
     """(3 n, p) [m]: displacement of front-face points (n, 3) [m] by each constant at `scale`, after a best fit.
 
@@ -220,7 +208,7 @@ def predicted(
     plan: AcceptancePlan, found: AcceptancePrediction, prior: Floats, acceptance: Acceptance, *, of: str
 ) -> AcceptanceFile:
     """What tests will find, for the instrument that `of` names; `prior` (p,) [SI] is what its constants usually are."""
-    worst = plan.worst_passing(prior, envelope())
+    values, rms, largest = plan.worst_passing(prior, envelope())
     size = np.hypot(found.errors[:, 0], found.errors[:, 1])
     signed = np.where(plan.is_length, found.errors[:, 0], size)
     expanded = 2 * np.sqrt(np.sum(found.sigma**2, axis=1))
@@ -262,8 +250,8 @@ def predicted(
         tests=tests,
         sensitivities=sensitivities,
         worst_passing=WorstEntry(
-            constants={p.name: float(v / p.factor) for p, v in zip(parameters, worst.values, strict=True)},
-            rms_um=worst.rms / MICROMETRE,
-            largest_um=worst.largest / MICROMETRE,
+            constants={p.name: float(v / p.factor) for p, v in zip(parameters, values, strict=True)},
+            rms_um=rms / MICROMETRE,
+            largest_um=largest / MICROMETRE,
         ),
     )

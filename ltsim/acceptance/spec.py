@@ -1,16 +1,164 @@
-"""An acceptance file (ltsim-acceptance/1): which tests, what the maker permits, what is known of the instrument."""
+"""An acceptance file (ltsim-acceptance/1): which tests, what the maker permits, what is known of the instrument.
 
-from collections.abc import Mapping
+Tests are lengths and two-face targets in the instrument's frame (z up, its head at 0).
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
+import numpy as np
 from pydantic import Field, model_validator
 
-from ltsim.acceptance.tests import LENGTHS_OPEN, Standard, Test, builtin, read_tests
+from ltsim.arrays import Floats
 from ltsim.errors import ModelError, SetupError, as_setup_error
+from ltsim.geometry.polar import from_polar
+from ltsim.recording.files import comma_number, shown
 from ltsim.recording.settings import checked, read_toml
 from ltsim.recording.setup import Positive, TomlSection
 from ltsim.recording.specification import Specification, completed, sheet
+from ltsim.recording.tables.sheets import table_rows
+
+Kind = Literal["length", "two-face"]
+COLUMNS = ("test", "group", "kind", "x1_mm", "y1_mm", "z1_mm", "x2_mm", "y2_mm", "z2_mm")
+LENGTH = 2.3
+"""[m] Shortest reference length of ASME B89.4.19-2006."""
+NEAREST = 1.2
+"""[m] From the instrument to the reference length where it stands as close as can be."""
+Standard = Literal["asme-b89.4.19-2006", "iso-10360-10", "iso-10360-10-two-face"]
+LENGTHS_OPEN: Standard = "iso-10360-10"
+"""The standard whose two-face tests alone are known from open texts; its lengths are read from a table."""
+
+
+@dataclass(frozen=True)
+class Test:
+    """One test: a length between two points, or one target in both faces (its second point is the first) [m]."""
+
+    __test__ = False  # a test of a tracker, not one of pytest's
+
+    name: str
+    group: str
+    kind: Kind
+    first: tuple[float, float, float]
+    second: tuple[float, float, float]
+
+
+def asme(height: float, ranges: Sequence[float]) -> list[Test]:
+    """The tests of ASME B89.4.19-2006 for an instrument whose head is `height` [m] above the floor.
+
+    36 two-face tests (1, 3 and 6 m; on the floor, at the head's height, at twice that; every quarter turn), 33 lengths
+    (horizontal, vertical and both diagonals at 3 and 6 m, every quarter turn, and one horizontal as close as can be)
+    and lengths along the line of sight from the first to each of the other `ranges` [m]. Two further lengths are the
+    person's own choice and not here.
+
+    References
+    ----------
+    As the standard is described by Muralikrishnan, Sawyer, Blackburn, Phillips, Borchardt, Estler, J. Res. NIST 114
+    (2009) 21-35; the standard's own text prevails, and a plan of one's own can be read from a table.
+    """
+    quarters = (0, 90, 180, 270)
+    tests = list(_two_faces((1.0, 3.0, 6.0), height, quarters))
+    tests.append(_bar("horizontal", 0.0, NEAREST, 0))
+    for group, tilt in (("horizontal", 0.0), ("vertical", 90.0), ("right diagonal", 45.0), ("left diagonal", 135.0)):
+        tests += [_bar(group, tilt, away, turn) for away in (3.0, 6.0) for turn in quarters]
+    near, *others = ranges
+    return tests + [
+        Test(f"line of sight {near:g} to {far:g} m", "line of sight", "length", (near, 0.0, 0.0), (far, 0.0, 0.0))
+        for far in others
+    ]
+
+
+def iso_two_face(height: float) -> list[Test]:
+    """The 18 two-face tests of ISO 10360-10: 1.5 and 6 m, three heights, every third of a turn.
+
+    Distances and number as makers state them (Leica AT500 user manual, 2.8.3: positions 1 to 9 at 1.5 m, 10 to 18
+    at 6 m); the lengths of that standard are read from a table.
+    """
+    return list(_two_faces((1.5, 6.0), height, (0, 120, 240)))
+
+
+def _two_faces(distances: Sequence[float], height: float, turns: Sequence[int]) -> Iterator[Test]:
+    """Targets at horizontal distances, on the floor, level with the head and at twice its height."""
+    for away in distances:
+        for z, where in ((-height, "floor"), (0.0, "level"), (height, "high")):
+            for turn in turns:
+                point = _turned(np.array([away, 0.0, z]), turn)
+                yield Test(f"two-face {away:g} m {where} {turn} deg", "two-face", "two-face", point, point)
+
+
+def _bar(group: str, tilt: float, away: float, turn: int) -> Test:
+    """A reference length, its middle level with the head and straight before it, tilted about the line of sight."""
+    half = LENGTH / 2 * np.array([0.0, np.cos(np.radians(tilt)), np.sin(np.radians(tilt))])
+    middle = np.array([away, 0.0, 0.0])
+    ends = _turned(middle - half, turn), _turned(middle + half, turn)
+    return Test(f"{group} {away:g} m {turn} deg", group, "length", *ends)
+
+
+def _turned(point: Floats, turn: float) -> tuple[float, float, float]:
+    """A point turned about the vertical by an angle [deg]."""
+    angle = np.radians(turn)
+    x, y, z = point
+    return (
+        float(x * np.cos(angle) - y * np.sin(angle)),
+        float(x * np.sin(angle) + y * np.cos(angle)),
+        float(z),
+    )
+
+
+def builtin(standard: Standard, height: float, ranges: Sequence[float]) -> list[Test]:
+    """The tests of a standard, as far as open texts say where they stand."""
+    return asme(height, ranges) if standard == "asme-b89.4.19-2006" else iso_two_face(height)
+
+
+@as_setup_error()
+def read_tests(file: Path) -> list[Test]:
+    """A plan of one's own: a table with the columns `COLUMNS`; a two-face test leaves its second point empty.
+
+    Raises SetupError: one sentence: row, column, what was found, what would be right.
+    """
+    tests = [_test(row, line, file) for line, row in rows_of(file, COLUMNS)]
+    if not tests:
+        raise SetupError(f"{file}: holds no test, expected a row for each")
+    return tests
+
+
+def rows_of(file: Path, needed: Sequence[str], further: Sequence[str] = ()) -> list[tuple[int, dict[str, str]]]:
+    """Lines and rows of a table that a person wrote, with the columns that are `needed`; RecordError, SetupError."""
+    header, rows = table_rows(file)
+    missing = [name for name in needed if name not in header]
+    if missing:
+        raise SetupError(f"{file}: there is no column {missing[0]}; expected {','.join([*needed, *further])}")
+    return rows
+
+
+def _test(row: dict[str, str], line: int, file: Path) -> Test:
+    kind = row["kind"]
+    if kind not in ("length", "two-face"):
+        raise SetupError(f"{file}: row {line}: kind is '{shown(kind)}', expected length or two-face")
+    first = _point(row, "1", line, file)
+    second = _point(row, "2", line, file) if kind == "length" else first
+    if kind == "length" and first == second:
+        raise SetupError(f"{file}: row {line}: both ends of the length are the same point")
+    name = row["test"] or f"{kind} in line {line}"
+    return Test(name, row["group"] or kind, kind, first, second)  # type: ignore[arg-type]
+
+
+def _point(row: dict[str, str], end: str, line: int, file: Path) -> tuple[float, float, float]:
+    columns = (f"{axis}{end}_mm" for axis in "xyz")
+    values = [comma_number(row[name], file=file, row=line, column=name) / 1000 for name in columns]
+    if not np.isfinite(values).all() or np.hypot(values[0], values[1]) < 1e-3:
+        raise SetupError(f"{file}: row {line}: point {end} is on the instrument's own axis, which has no azimuth")
+    return values[0], values[1], values[2]
+
+
+def envelope() -> Floats:
+    """Points (180, 3) [m] all around an instrument: 1.5 to 9 m, 50 degrees down to 50 up, every 30 degrees."""
+    azimuth, elevation, range_ = np.meshgrid(
+        np.radians(np.arange(0, 360, 30)), np.radians((-50, -25, 0, 25, 50)), (1.5, 4.0, 9.0), indexing="ij"
+    )
+    return from_polar(np.stack([range_.ravel(), azimuth.ravel(), elevation.ravel()], axis=1))
+
 
 MOST = 10_000_000
 
@@ -93,13 +241,13 @@ class Acceptance(TomlSection):
         return (*builtin(self.standard, self.height_mm / 1000, self.ranges_m), *further)
 
 
+@as_setup_error()
 def load_acceptance(path: Path) -> Acceptance:
     """The contents of an acceptance file; raises SetupError."""
-    with as_setup_error():
-        data = read_toml(path, "acceptance file")
-    return acceptance_from(data, path)
+    return acceptance_from(read_toml(path, "acceptance file"), path)
 
 
+@as_setup_error()
 def acceptance_from(data: Mapping[str, Any], file: object) -> Acceptance:
     """Check the tables of an acceptance file; `file` is named in errors (raises SetupError)."""
     name, stated = data.get("instrument"), data.get("specification", {})
@@ -108,5 +256,4 @@ def acceptance_from(data: Mapping[str, Any], file: object) -> Acceptance:
             data = {**data, "specification": completed(name, stated)}
         except ModelError as problem:
             raise SetupError(f"{file}: {problem}") from None
-    with as_setup_error():
-        return checked(data, Acceptance, "acceptance file", file)
+    return checked(data, Acceptance, "acceptance file", file)

@@ -12,8 +12,7 @@ from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.correct import correct
 from ltsim.campaigns.spec import JUDGE, judge_of
 from ltsim.errors import SetupError
-from ltsim.evaluation.clouds import measured_points
-from ltsim.evaluation.share_removed import ShareRemoved, cloud_error
+from ltsim.evaluation.clouds import ShareRemoved, cloud_error, measured_points
 from ltsim.results import Result, Table, numbers, texts
 from ltsim.simulation.fieldwork import fieldwork
 from ltsim.simulation.scenario import Scenario

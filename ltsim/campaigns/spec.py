@@ -13,7 +13,7 @@ from pydantic import Field, model_validator
 from ltsim.campaigns.design import Design, Factor, short_names
 from ltsim.campaigns.schema import Statistic, column_of
 from ltsim.errors import SetupError, as_setup_error
-from ltsim.evaluation.verification import read_nominal
+from ltsim.evaluation.criteria import read_nominal
 from ltsim.recording.settings import checked, read_toml
 from ltsim.recording.setup import Positive, TomlSection
 from ltsim.simulation.keys import kind_of, quantity, unit_of

@@ -25,7 +25,6 @@ from ltsim.workers import MOST
 if TYPE_CHECKING:
     from ltsim.campaigns.recovery import Recovery
     from ltsim.campaigns.results import Results
-    from ltsim.campaigns.schema import RecoveryFile
 
 
 AGREED = 1e-3
@@ -174,7 +173,16 @@ def recover(
     with terminal.progress("trials", options["trials"]) as step:
         result = lt.recover(scenario, progress=step, jobs=workers, **options)
     beside = {TRIALS.file: result.table("trials").csv()}
-    content = terminal.kept(recovery_file(result, options["seed"]), lambda: beside)
+    checks = result.checks()
+    content = RecoveryFile(
+        passed=all(check.passed for check in checks),
+        errors=result.errors,
+        trials=len(result.trials),
+        converged=len(result.converged),
+        seed=options["seed"],
+        checks=tuple(checks),
+    )
+    content = terminal.kept(content, lambda: beside)
     if junit is not None:
         write_text(junit, junit_xml(result, str(scenario)))
     terminal.answer(content.content())
@@ -187,21 +195,6 @@ def recover(
     rate = "" if result.tolerance else f" (a correct model fails this check in {100 * FALSE_ALARM:.0f} % of runs)"
     done = f"{len(result.trials)} trials, errors {MODES[result.errors]}"
     terminal.say(f"{done}: everything is recovered within {result.what}{rate}")
-
-
-def recovery_file(result: Recovery, seed: int) -> RecoveryFile:
-    """The outcome for a program."""
-    from ltsim.campaigns.schema import RecoveryFile
-
-    checks = result.checks()
-    return RecoveryFile(
-        passed=all(check.passed for check in checks),
-        errors=result.errors,
-        trials=len(result.trials),
-        converged=len(result.converged),
-        seed=seed,
-        checks=tuple(checks),
-    )
 
 
 def junit_xml(result: Recovery, suite: str) -> str:

@@ -82,21 +82,15 @@ def hints_of(pairs: list[str] | None, columns: str | None = None, *, growing: bo
     """Hints from `KEY=VALUE` texts; raises RecordError when a key or a value is not known."""
     from ltsim.recording import Hints
 
-    choices: dict[str, tuple[str, ...]] = {
-        "angle": ("deg", "gon", "rad"),
-        "vertical": ("zenith", "elevation"),
-        "azimuth": ("clockwise", "counter-clockwise"),
-        "length": ("mm", "m"),
-        "date": ("dmy", "mdy"),
-    }
     given: dict[str, Any] = {}
-    keys = [f.name for f in fields(Hints) if f.name not in ("columns", "growing")]
+    kinds = {name: kind for name, kind in get_type_hints(Hints).items() if name not in ("columns", "growing")}
     for pair in pairs or []:
         key, _, value = pair.partition("=")
-        if key not in keys or not value:
-            raise RecordError(f"--hint {pair}: expected KEY=VALUE with a key among {', '.join(keys)}")
-        if key in choices and value not in choices[key]:
-            raise RecordError(f"--hint {pair}: {key} can be {' or '.join(choices[key])}")
+        if key not in kinds or not value:
+            raise RecordError(f"--hint {pair}: expected KEY=VALUE with a key among {', '.join(kinds)}")
+        choices = get_args(get_args(kinds[key])[0])  # of `Literal[...] | None`
+        if choices and value not in choices:
+            raise RecordError(f"--hint {pair}: {key} can be {' or '.join(choices)}")
         given[key] = Path(value) if key in ("points", "setup") else value
     return Hints(**given, columns=columns, growing=growing)
 

@@ -93,7 +93,7 @@ def plan(
     folder = out if out is not None or nowhere else Path(f"plan-{Path(source).stem}")
     claim(folder, PlanResult, (*(table.file for table in TABLES), "scenario.toml", FLOOR, TRADE_OFF, PAGE), force=force)
     if changes:
-        with terminal.busy("judging the layout"):
+        with terminal.progress("judging the layout"):
             made = lt.plan(source, move=changes)
     else:
         made = _searched(terminal, source, folder, {"jobs": jobs, **options})
@@ -101,7 +101,6 @@ def plan(
 
 
 def _show_places(terminal: Terminal, found: Sequence[Alternative]) -> None:
-    """What a layout is worth without a station, and with it elsewhere."""
     terminal.answer([{"what": one.words, "verdict": one.verdict} for one in found])
     for one in found:
         terminal.say(f"- {one.words}: {one.verdict}.")
@@ -136,7 +135,7 @@ def _searched(terminal: Terminal, source: str, folder: Path | None, how: dict[st
 def _write(terminal: Terminal, made: Plan, folder: Path | None) -> None:
     from ltsim.planning.files import write_plan
 
-    with terminal.busy("writing tables, pictures and the work order"):
+    with terminal.progress("writing tables, pictures and the work order"):
         content = write_plan(made, folder, {} if folder is None else _drawn(made))
     terminal.result(content)
     if folder is not None:
@@ -146,7 +145,7 @@ def _write(terminal: Terminal, made: Plan, folder: Path | None) -> None:
 
 def _drawn(made: Plan) -> dict[str, bytes]:
     """The page for the shop floor, the plan from above, and cost against quality."""
-    from ltsim.pages.figures.plan import trade_off
+    from ltsim.pages.figures.parameters import trade_off
     from ltsim.pages.style import png
     from ltsim.pages.work_order import work_order_page
     from ltsim.planning.files import plan_file
@@ -187,7 +186,7 @@ def _after(terminal: Terminal, recording: Recording, between: tuple[str, ...], o
     summary = ""
     beside: tuple[Signature, ...] = ()
     if not between:
-        with terminal.busy("diagnosing"):
+        with terminal.progress("diagnosing"):
             found = lt.diagnose(recording)
         summary = found.summary
         terminal.say(summary)

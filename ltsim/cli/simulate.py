@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -150,8 +149,7 @@ def inject(
 def _curve(
     terminal: Terminal, recording: Recording, causes: list[str], file: Path | None, options: dict[str, Any]
 ) -> None:
-    """The share found, placed and named over strengths."""
-    with terminal.busy("injecting and diagnosing"):
+    with terminal.progress("injecting and diagnosing"):
         found = lt.injection_curve(recording, causes[0], **options)
     table = found.table()
     terminal.answer({"background": list(found.background), "curve": table.json()})
@@ -186,14 +184,6 @@ method = "distance"
 """
 
 
-@dataclass(frozen=True)
-class Step:
-    """A part of the demonstration: what is done, and the function that does it and says what came out."""
-
-    title: str
-    run: Callable[[Path, int], str]
-
-
 def demo(
     out: Folder = Path("ltsim-demo"),
     force: Force = False,
@@ -212,13 +202,13 @@ def demo(
     said = []
     if not compiled_before():
         terminal.note("compiling the solver on the way, which takes half a minute: the first demo does")
-    for number, step in enumerate(STEPS, start=1):
+    for number, (title, step) in enumerate(STEPS.items(), start=1):
         began = time.perf_counter()
-        with terminal.busy(step.title):
-            outcome = step.run(out, options["seed"])
+        with terminal.progress(title):
+            outcome = step(out, options["seed"])
         spent = time.perf_counter() - began
-        terminal.say(f"{number}. {step.title} ({spent:.1f} s)\n   {outcome}")
-        said.append({"step": step.title, "outcome": outcome, "seconds": round(spent, 2)})
+        terminal.say(f"{number}. {title} ({spent:.1f} s)\n   {outcome}")
+        said.append({"step": title, "outcome": outcome, "seconds": round(spent, 2)})
     terminal.answer({"folder": str(out), "steps": said})
 
 
@@ -274,11 +264,11 @@ def reported(out: Path, seed: int) -> str:
     return f"open {lt.report(out, title=TITLE, about={'instrument': 'simulated'})}"
 
 
-STEPS: tuple[Step, ...] = (
-    Step("simulate the paper's workshop", simulated),
-    Step("calibrate it", calibrated),
-    Step("repeat that on 500 drawn instruments, two methods side by side", repeated),
-    Step("hide an effect in another recording, and diagnose it", diagnosed),
-    Step("write one page about it", reported),
-)
-"""What the demonstration does, in order; a step is one function and one line here."""
+STEPS: dict[str, Callable[[Path, int], str]] = {
+    "simulate the paper's workshop": simulated,
+    "calibrate it": calibrated,
+    "repeat that on 500 drawn instruments, two methods side by side": repeated,
+    "hide an effect in another recording, and diagnose it": diagnosed,
+    "write one page about it": reported,
+}
+"""What the demonstration does, in order; a step is one line here, and one function, which says what came out."""

@@ -7,7 +7,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
@@ -18,7 +18,6 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from ltsim.cli.places import Force, claim
 from ltsim.errors import printable
-from ltsim.notation import aligned
 
 if TYPE_CHECKING:
     from ltsim.recording.result_file import ResultFile
@@ -26,7 +25,6 @@ if TYPE_CHECKING:
 File = TypeVar("File", bound="ResultFile")
 SILENCE = 10.0
 """[s] after which a pipe is told that the work goes on."""
-table = aligned
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
 
 
@@ -97,10 +95,6 @@ class Terminal:
         with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
             task = bar.add_task(what, total=total)
             yield lambda steps: bar.advance(task, steps)
-
-    def busy(self, what: str) -> AbstractContextManager[Any]:
-        """A sign of life while something takes its time."""
-        return self.progress(what)
 
     @contextmanager
     def _sign_of_life(self, words: Callable[[], str]) -> Iterator[None]:

@@ -75,7 +75,7 @@ def view(
         raise RecordError("there is no screen for a window; write a picture with --png FILE or a page with --html FILE")
     for file in (png, html):
         claim_file(file, force=force)
-    with terminal.busy("looking at the workshop"):
+    with terminal.progress("looking at the workshop"):
         source = place if reading == FramedReading() else reading.of(Path(place))
         shown = lt.view(source, **options)
         if png is not None:
@@ -90,14 +90,13 @@ def view(
 
 
 def _by_hand(terminal: Terminal, plan: str, out: Path, port: int, *, force: bool) -> None:
-    """Serve the page of a plan until somebody presses Ctrl-C."""
     from ltsim.planning.files import PLAN, SCENARIO
     from ltsim.viewer.board import Board
     from ltsim.viewer.server import BoardAccess, serve
 
     for name in (SCENARIO, PLAN):
         claim_file(out / name, force=force)
-    with terminal.busy("reading the plan"):
+    with terminal.progress("reading the plan"):
         door = BoardAccess(Board.of(plan), out)
 
     def tell(address: str) -> None:
@@ -138,7 +137,7 @@ def report(
     terminal = Terminal(quiet)
     about = _about(instrument=instrument, date=date, operator=operator, customer=customer)
     claim_file(folder / NAME, force=force)
-    with terminal.busy("drawing the report"):
+    with terminal.progress("drawing the report"):
         page = lt.report(folder, about=about, tell=terminal.note, **options)
     terminal.say(f"written to {page}")
 

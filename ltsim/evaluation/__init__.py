@@ -1,4 +1,8 @@
 """How good a recording is, before and after calibration: the paper's criteria and verification."""
 
-from ltsim.evaluation.criteria import Criteria as Criteria, evaluate as evaluate
-from ltsim.evaluation.verification import read_nominal as read_nominal, verify as verify
+from ltsim.evaluation.criteria import (
+    Criteria as Criteria,
+    evaluate as evaluate,
+    read_nominal as read_nominal,
+    verify as verify,
+)

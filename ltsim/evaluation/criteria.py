@@ -1,24 +1,31 @@
-"""The paper's two criteria without nominal data: how far stations disagree about distances and coordinates.
+"""How far stations disagree about distances and coordinates, and how far from nominal points: the paper's criteria.
 
-Sensors 2021, 21, 7479, sections 2.3.4 and 3.2.1. Equation 11 lacks an absolute value and refers to station 1,
-while section 3.2.1 takes deviations from the mean over stations; both are here, named apart: `distance` is
+Without nominal data (Sensors 2021, 21, 7479, sections 2.3.4 and 3.2.1): equation 11 lacks an absolute value and takes
+station 1, while section 3.2.1 takes deviations from the mean over stations; both are here, named apart: `distance` is
 the mean-based one behind the paper's Table 3, `distance_to_first` the other.
+
+The laboratory verification, a calibrated tracker against nominal points from a CMM, has equations 13 and 14 as they are
+meant: eq. 13 compares distances between targets i and j as the tracker measured them from one station with the same
+distance of the CMM; eq. 14 compares coordinates in the CMM's frame after a rigid fit of each station. Before: an ideal
+tracker; after: with the parameters of a calibration.
 """
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, ClassVar, Literal
 
 import numpy as np
 
 from ltsim.arrays import Bools, Floats, Ints
-from ltsim.errors import NetworkError
-from ltsim.evaluation.clouds import in_first_frame, measured_points, station_means
+from ltsim.errors import NetworkError, RecordError
+from ltsim.evaluation.clouds import in_first_frame, measured_points, on_points, station_means
 from ltsim.model.construction import Construction
+from ltsim.recording.coordinates import read_points
 from ltsim.recording.recording import Recording
 from ltsim.recording.reflectors import require_one_radius
 from ltsim.recording.result_file import Entry, Known, ResultFile
-from ltsim.results import Column, Result, Table
+from ltsim.results import Column, Result, Table, numbers, texts
 from ltsim.saved import Valued
 from ltsim.units import MICROMETRE
 
@@ -47,10 +54,6 @@ class Differences(Valued):
         """Mean and maximum in um."""
         return self.mean / MICROMETRE, self.maximum / MICROMETRE
 
-    def as_json(self) -> dict[str, float]:
-        """Mean and maximum in um."""
-        return dict(zip(("mean_um", "max_um"), self.sizes, strict=True))
-
 
 @dataclass(frozen=True)
 class Improvement(Valued):
@@ -77,10 +80,9 @@ class Improvement(Valued):
 
     def as_json(self) -> dict[str, Any]:
         """As in `calibration.json`."""
-        entry: dict[str, Any] = {"before": self.before.as_json()}
-        if self.after is not None:
-            entry |= {"after": self.after.as_json(), "improvement_percent": self.improvement_percent}
-        return entry
+        sides = {"before": self.before, "after": self.after}
+        sizes = {key: {"mean_um": s.sizes[0], "max_um": s.sizes[1]} for key, s in sides.items() if s is not None}
+        return sizes | ({} if self.after is None else {"improvement_percent": self.improvement_percent})
 
 
 CRITERIA = Table(
@@ -121,10 +123,8 @@ class Criteria(Result):
 
     def as_json(self) -> dict[str, Any]:
         """As in `calibration.json`."""
-        entry = {"distance": self.distance.as_json(), "coordinate": self.coordinate.as_json()}
-        if self.distance_to_first is not None:
-            entry["distance_to_first"] = self.distance_to_first.as_json()
-        return entry
+        named = {"distance": self.distance, "coordinate": self.coordinate, "distance_to_first": self.distance_to_first}
+        return {name: found.as_json() for name, found in named.items() if found is not None}
 
 
 class SpreadEntry(Entry):
@@ -159,12 +159,6 @@ class CriteriaFile(ResultFile):
     """Deviations of coordinates after a rigid fit (eq. 12)."""
     distance_to_first: CriterionEntry | None = None
     """Deviations of distances from the first station's (eq. 11)."""
-
-
-def pair_distances(cloud: Floats) -> Floats:
-    """Distances (..., P) between all pairs k < l of points (..., T, 3), in the order of `np.triu_indices`."""
-    first, second = np.triu_indices(cloud.shape[-2], k=1)
-    return np.linalg.norm(cloud[..., first, :] - cloud[..., second, :], axis=-1)
 
 
 def lengths_of_pairs(clouds: Floats, least: int = 1) -> Iterator[tuple[Ints, Floats]]:
@@ -262,3 +256,63 @@ def _to_first(before: Floats, after: Floats | None) -> Improvement | None:
     if not len(found.values):
         return None
     return Improvement(found, None if after is None else distance_differences_to_first(after))
+
+
+NOMINAL = Table(
+    "nominal.csv",
+    "points of a measuring machine, which `verify` compares with",
+    (*texts(target="name"), *numbers(".4f", x_mm="coordinate", y_mm="coordinate", z_mm="coordinate")),
+)
+
+
+def read_nominal(path: Path) -> dict[str, Floats]:
+    """Nominal points (3,) [m] by target, from a list such as ``target,x_mm,y_mm,z_mm``; raises RecordError."""
+    found = read_points(path)
+    for line, place in zip(found.lines, found.points, strict=True):
+        if not np.isfinite(place).all():
+            raise RecordError("a coordinate is missing, expected a number in mm", file=path, row=line)
+    return found.by_name
+
+
+def distance_errors(clouds: Floats, nominal: Floats) -> Differences:
+    """Per pair of targets, the mean over stations of |distance - nominal distance| (eq. 13, as meant)."""
+    return distance_differences_to_first(np.concatenate([nominal[None], clouds]))
+
+
+def coordinate_errors(clouds: Floats, nominal: Floats) -> Differences:
+    """Per target, the mean over stations of the distance to its nominal point after a rigid fit (eq. 14)."""
+    gap = np.linalg.norm([on_points(cloud, nominal) - nominal for cloud in clouds], axis=2)
+    return Differences(np.nanmean(gap[:, np.isfinite(gap).any(axis=0)], axis=0))
+
+
+def verify(
+    recording: Recording,
+    nominal: dict[str, Floats],
+    construction: Construction | None = None,
+    values: Floats | None = None,
+) -> Criteria:
+    """Errors of a laboratory's recording against nominal points (3,) [m], before and after calibration.
+
+    "After" applies parameters (p,) or (n, p) [SI]. Raises NetworkError when a station saw fewer than three nominal
+    targets.
+    """
+    missing = np.full(3, np.nan)
+    goal = np.stack([nominal.get(name, missing) for name in recording.targets])
+    known = np.isfinite(goal[:, 0])
+    if int(known.sum()) < 3:
+        raise NetworkError(
+            f"only {int(known.sum())} targets of the recording have nominal points; at least three are needed"
+        )
+
+    def of(points: Floats) -> tuple[Differences, Differences]:
+        clouds = station_means(recording, points)[:, known]
+        try:
+            return distance_errors(clouds, goal[known]), coordinate_errors(clouds, goal[known])
+        except NetworkError as problem:
+            raise NetworkError(f"a station cannot be fitted to the nominal points: {problem}") from None
+
+    distance, coordinate = of(measured_points(recording))
+    if construction is None or values is None:
+        return Criteria(Improvement(distance), Improvement(coordinate))
+    after = of(measured_points(recording, construction, values))
+    return Criteria(Improvement(distance, after[0]), Improvement(coordinate, after[1]))

@@ -8,6 +8,7 @@ that was looked at.
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import reduce
+from pathlib import Path
 
 import numpy as np
 from scipy import special
@@ -22,10 +23,9 @@ from ltsim.effects.motions import StationMotion
 from ltsim.effects.range_drift import RangeDrift
 from ltsim.effects.station_bump import StationBump
 from ltsim.errors import NetworkError
-from ltsim.fieldcheck.faces import Faces
-from ltsim.fieldcheck.items import Family, Item, Kind, two_sided
+from ltsim.fieldcheck.items import CAUSES, TWO_FACE, CheckFile, Family, Item, Kind, two_sided
 from ltsim.fieldcheck.network import NETWORK_TESTS, items_of_network, plain_network, with_own_noise
-from ltsim.fieldcheck.occupation import ColumnsFit, StationOccupation
+from ltsim.fieldcheck.occupation import ColumnsFit, Faces, StationOccupation
 from ltsim.fieldcheck.words import (
     bump_sentence,
     drift_sentence,
@@ -37,8 +37,10 @@ from ltsim.fieldcheck.words import (
 from ltsim.model.construction import Construction, stated_construction
 from ltsim.recording.exchange import RecordingSource, recording_of
 from ltsim.recording.recording import Recording
-from ltsim.results import Columns, Result, by_row
+from ltsim.recording.result_file import SourceEntry, write_result
+from ltsim.results import Columns, Result
 from ltsim.saved import Valued
+from ltsim.units import ARCSECOND, MICROMETRE
 
 LEVEL = 0.01
 MOST_GROSS = 0.1
@@ -84,12 +86,8 @@ class Check(Result):
         return {"items": self._items}
 
     def _items(self) -> Columns:
-        return by_row(
-            [
-                {"station": i.station, "kind": i.kind, "passed": i.passed, "p_value": i.p_value, "sentence": i.sentence}
-                for i in self.items
-            ]
-        )
+        names = ("station", "kind", "passed", "p_value", "sentence")
+        return {name: [getattr(item, name) for item in self.items] for name in names}
 
     @property
     def items(self) -> tuple[Item, ...]:
@@ -106,7 +104,9 @@ class Check(Result):
     @property
     def sentence(self) -> str:
         """Go or no-go and why."""
-        failed = sorted((item for item in self.items if not item.passed), key=lambda item: not item.is_cause)
+        failed = [item for item in self.items if not item.passed]
+        # What others follow from first: targets that scatter by themselves make gross pointings.
+        failed.sort(key=lambda item: not (item.kind in CAUSES or (item.kind == "closure" and item.targets)))
         if failed:
             more = f" (and {len(failed) - 1} more)" if len(failed) > 1 else ""
             return f"no-go: {failed[0].sentence}{more}"
@@ -158,6 +158,41 @@ def check(recording: RecordingSource, *, level: float = LEVEL, mpe: tuple[float,
         message = "no station measured a target twice, so nothing can be checked yet; "
         raise NetworkError(message + "measure some targets on both faces, or the first ones again at the end")
     return found
+
+
+def check_file(check: Check) -> CheckFile:
+    """The contents of `check.json`."""
+    return CheckFile(
+        recording=SourceEntry.of(check.recording),
+        passed=check.passed,
+        sentence=check.sentence,
+        level=check.level,
+        items=check.items,
+    )
+
+
+def two_face_csv(check: Check) -> str:
+    """Half two-face differences with their limits, one row a pair."""
+    rows = []
+    for setup in check.setups:
+        if (faces := setup.faces) is None:
+            continue
+        sizes = np.concatenate([faces.pairs.half, faces.limit], axis=1) / (2 * [MICROMETRE, ARCSECOND, ARCSECOND])
+        for at, size, over in zip(setup.rows[faces.pairs.rows], sizes.tolist(), faces.over, strict=True):
+            target = check.recording.targets[check.recording.target[at[0] - 1]]
+            rows.append([setup.station, target, *at.tolist(), *size, "no" if over.any() else "yes"])
+    return TWO_FACE.filled(rows).csv()
+
+
+def write_check(check: Check, folder: Path, further: Mapping[str, str]) -> CheckFile:
+    """Write `check.json`, `two_face.csv` and `further` texts (a picture) into a folder; give what was written.
+
+    Raises
+    ------
+    RecordError
+        When the folder cannot be written.
+    """
+    return write_result(folder, check_file(check), {TWO_FACE.file: two_face_csv(check), **further})
 
 
 def _set_up(whole: Recording, station: int, family: Family, mpe: tuple[float, float] | None) -> SetUp:

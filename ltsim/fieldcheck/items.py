@@ -1,13 +1,14 @@
-"""What a check says of one thing that it looked at, and how the price of many looks is paid."""
+"""What a check says of one thing that it looked at, check.json, and how the price of many looks is paid."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 from scipy import special
 
-from ltsim.recording.result_file import Entry, Finite, Known
+from ltsim.recording.result_file import Entry, Finite, Known, ResultFile
+from ltsim.results import Table, numbers, texts
 
 Kind = Literal["two-face", "gross", "bump", "drift", "instrument-drift", "closure", "network", "level", "mistake"]
 CAUSES = ("mistake", "bump", "drift")
@@ -39,10 +40,35 @@ class Item(Entry):
         """What a test says, with its chance and what it marks."""
         return cls(station=at, kind=kind, passed=passed, sentence=sentence, p_value=p, **marked)
 
-    @property
-    def is_cause(self) -> bool:
-        """Whether other items follow from it: targets that scatter by themselves make gross pointings."""
-        return self.kind in CAUSES or (self.kind == "closure" and bool(self.targets))
+
+class CheckFile(ResultFile):
+    """`check.json`: from `check`."""
+
+    FILE: ClassVar[str] = "check.json"
+    format: Literal["ltsim-check/1"] = "ltsim-check/1"
+    """Which format and version this file is in."""
+    passed: bool
+    """Go."""
+    sentence: str
+    """Go or no-go, and why."""
+    level: Finite
+    """Chance of one false alarm in the whole recording."""
+    items: tuple[Item, ...]
+    """Every test, set-up by set-up."""
+
+
+TWO_FACE = Table(
+    "two_face.csv",
+    "half two-face differences with their limits, a row a pair",
+    (
+        *texts(station="name", target="name"),
+        *numbers(row_1="of the first face, from 1", row_2="of the second face"),
+        *numbers(".4f", half_range_um="half difference", half_across_arcsec="as half_range_um"),
+        *numbers(".4f", half_elevation_arcsec="as half_range_um", limit_range_um="limit of half_range_um"),
+        *numbers(".4f", limit_across_arcsec="as limit_range_um", limit_elevation_arcsec="as limit_range_um"),
+        *texts(passed="yes or no"),
+    ),
+)
 
 
 @dataclass(frozen=True)

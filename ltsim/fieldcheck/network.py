@@ -11,7 +11,7 @@ from ltsim.adjustment.doubt import require_result, weaknesses
 from ltsim.adjustment.estimate import adjust
 from ltsim.adjustment.gross import mistakes
 from ltsim.adjustment.known import known_tests
-from ltsim.adjustment.moving import Motion, SuddenMotion, moving_stations, told_motions
+from ltsim.adjustment.moving import SuddenMotion, moving_stations, told_motions
 from ltsim.adjustment.occupations import moved_tripods
 from ltsim.adjustment.reliability import FEW
 from ltsim.adjustment.stated import Kind
@@ -95,7 +95,11 @@ def items_of_network(
     except (NetworkError, ConvergenceError) as problem:
         return (Item.of("", "network", False, f"the set-ups make no network: {problem}"),)
     items = [Item.of("", "network", False, doubt) for doubt in weaknesses(plain)]
-    items += [_of_motion(motion, told) for motion, told in told_motions(found) if motion in moving]
+    items += [
+        Item.of(", ".join(one.stations), "bump" if isinstance(one, SuddenMotion) else "drift", False, told)
+        for one, told in told_motions(found)
+        if one in moving
+    ]
     known = np.zeros(len(recording), dtype=bool)
     for one, *_ in mistakes(plain):
         at = ", ".join(one.stations)
@@ -122,10 +126,6 @@ def items_of_network(
             known |= ~np.isin(np.arange(len(known)), [one.row for one in plain.outliers(estimated=True)])
         items += [*_of_targets(without, known, family), *_of_levels(found, family)]
     return tuple(items)
-
-
-def _of_motion(motion: Motion, told: str) -> Item:
-    return Item.of(", ".join(motion.stations), "bump" if isinstance(motion, SuddenMotion) else "drift", False, told)
 
 
 def _at_work(without: Adjustment, found: Adjustment) -> bool:

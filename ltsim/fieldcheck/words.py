@@ -6,8 +6,7 @@ from datetime import datetime, time as clock, timedelta
 import numpy as np
 
 from ltsim.arrays import Ints
-from ltsim.fieldcheck.faces import Faces
-from ltsim.fieldcheck.occupation import ColumnsFit, StationOccupation
+from ltsim.fieldcheck.occupation import ColumnsFit, Faces, StationOccupation
 from ltsim.notation import listing, with_sigma
 from ltsim.recording.recording import OBSERVABLES, Recording
 from ltsim.units import ARCSECOND, MICROMETRE, MICRORADIAN, MILLIMETRE

@@ -28,12 +28,6 @@ MOST = 5
 """Actions at the head of a page."""
 
 
-def headline(kind: str, mood: str) -> str:
-    """The verdict in a few words; empty for a kind that gives none."""
-    first = kind.split(" ", maxsplit=1)[0]
-    return HEADLINES.get((first, mood), "")
-
-
 HEADLINES = {
     ("Recording", "good"): "The recording agrees with itself.",
     ("Recording", "bad"): "The recording does not agree with itself.",
@@ -52,6 +46,7 @@ HEADLINES = {
     ("Comparison", "good"): "No point moved.",
     ("Comparison", "bad"): "Points moved.",
 }
+"""The verdict in a few words, of the kinds that give one."""
 
 
 NAME, MANIFEST = "report.html", "manifest.json"
@@ -111,7 +106,7 @@ def document(
         sections=sections,
         versions=versions(),
         about=_about(parts, sections, about or About()),
-        verdict=headline(first.kind, first.mood),
+        verdict=HEADLINES.get((first.kind.split(" ", maxsplit=1)[0], first.mood), ""),
         actions=list(dict.fromkeys([*first.actions, *(a for s in sections for a in s.actions)]))[:MOST],
     )
 

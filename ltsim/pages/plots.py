@@ -58,6 +58,16 @@ def figure_of(result: Result) -> Figure:
     raise ModelError(f"a {type(result).__name__} has no picture of its own")
 
 
+figure_of.register(Check, check_figure)
+figure_of.register(Comparison, displacement_figure)
+figure_of.register(AcceptanceFile, shares_of_limits)
+figure_of.register(Scenario, lambda result: floor_plan(from_scenario(result)))
+figure_of.register(Recording, lambda result: floor_plan(from_recording(result)))
+figure_of.register(View, lambda result: floor_plan(result.workshop))
+figure_of.register(Adjustment, lambda result: residuals_by_station(Residuals.from_adjustment(result)))
+figure_of.register(Evaluation, lambda result: budget_of(result.content))
+
+
 @figure_of.register
 def _(result: Calibration) -> Figure:
     if result.names:
@@ -75,11 +85,6 @@ def _(result: Criteria) -> Figure:
 
 
 @figure_of.register
-def _(result: Check) -> Figure:
-    return check_figure(result)
-
-
-@figure_of.register
 def _(result: Diagnosis) -> Figure:
     """The curve or the residuals of the first finding; of a consistent recording its residuals."""
     before, after = (Residuals.from_adjustment(a) for a in (result.baseline, result.adjusted))
@@ -88,11 +93,6 @@ def _(result: Diagnosis) -> Figure:
         if draw is not None:
             return draw()
     return residuals_by_covariate(after)
-
-
-@figure_of.register
-def _(result: Comparison) -> Figure:
-    return displacement_figure(result)
 
 
 @figure_of.register
@@ -108,37 +108,6 @@ def _(result: History) -> Figure:
 def _(result: Plan) -> Figure:
     """The floor with the chosen layout, as floor.png of a plan's folder."""
     return floor_plan(from_scenario(planned_scenario(result)), coordinates=True, ground=result.file.floor)
-
-
-@figure_of.register
-def _(result: Scenario) -> Figure:
-    return floor_plan(from_scenario(result))
-
-
-@figure_of.register
-def _(result: Recording) -> Figure:
-    """The floor as it was measured."""
-    return floor_plan(from_recording(result))
-
-
-@figure_of.register
-def _(result: View) -> Figure:
-    return floor_plan(result.workshop)
-
-
-@figure_of.register
-def _(result: Adjustment) -> Figure:
-    return residuals_by_station(Residuals.from_adjustment(result))
-
-
-@figure_of.register
-def _(result: Evaluation) -> Figure:
-    return budget_of(result.content)
-
-
-@figure_of.register
-def _(result: AcceptanceFile) -> Figure:
-    return shares_of_limits(result)
 
 
 @figure_of.register
@@ -180,7 +149,6 @@ def _(result: Recovery) -> Figure:
 
 @figure_of.register
 def _(result: NextMeasurement) -> Figure:
-    """What each of the first proposals does for the instrument's parameters."""
     shares = {p.remedy.words: (100 * (1 - p.sharper),) * 3 for p in result.proposals[:MOST_PROPOSALS]}
     return values_figure(shares, "sigmas of the instrument's parameters fall by [%]")
 
@@ -195,7 +163,6 @@ def _(result: Judged) -> Figure:
 
 @figure_of.register
 def _(result: Paired) -> Figure:
-    """Differences with their 95 % intervals."""
     rows = {
         ", ".join([e.statistic, *(f"{name} {value}" for name, value in e.settings.items())]): (
             e.difference,

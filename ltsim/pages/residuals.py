@@ -127,14 +127,14 @@ class Residuals:
 
 def _geometry(adjustment: Adjustment, rows: Ints) -> dict[str, Floats]:
     sightings, clock = adjustment.sightings, adjustment.recording.has_clock
-    found: dict[str, Floats] = {
+    found = {
         "azimuth": sightings.azimuth[rows] / DEGREE,
         "elevation": sightings.elevation[rows] / DEGREE,
         "distance": sightings.range_[rows],
-        **({"time": sightings.time[rows] / 60.0} if clock else {"row": rows + 1.0}),
     }
     incidence = sightings.incidence[rows] / DEGREE
     if np.isfinite(incidence).any():
         found["incidence"] = incidence
     further = {name: column[rows] for name, column in sightings.covariates.items()}
-    return found | further
+    order: dict[str, Floats] = {"time": sightings.time[rows] / 60.0} if clock else {"row": rows + 1.0}
+    return found | order | further

@@ -65,7 +65,10 @@ def _page(plotter: pv.Plotter, workshop: PlacedWorkshop, legend: scene3d.Legend)
         mesh = getattr(getattr(actor, "mapper", None), "dataset", None)
         if mesh is not None:
             mesh.points = (step * np.round(mesh.points / step)).astype(np.float32)
-    html = viewer_page(plotter)
+    plotter.render()
+    stream = io.StringIO()
+    write_html(_packed(_scene(plotter.render_window)), stream)
+    html = FAVICON.sub("data:,", stream.getvalue())
     title = escape(workshop.title or "Workshop")
     html = re.sub(r"<title>.*?</title>", lambda _: f"<title>{title}</title>", html, count=1)
     html = html.replace("<head>", f"<head>{HEAD}", 1)
@@ -93,14 +96,6 @@ FAVICON = re.compile(r"https://kitware\.github\.io/vtk-js/icon/favicon-\$\{\w+\}
 """vtk.js asks its maker's site for an icon when it loads; the address is replaced by an empty one."""
 
 LONG_AGO = (1980, 1, 1, 0, 0, 0)
-
-
-def viewer_page(plotter: pv.Plotter) -> str:
-    """The scene as an HTML page with everything in it: viewer and data."""
-    plotter.render()
-    stream = io.StringIO()
-    write_html(_packed(_scene(plotter.render_window)), stream)
-    return FAVICON.sub("data:,", stream.getvalue())
 
 
 def _scene(window: Any) -> dict[str, Any]:

@@ -18,9 +18,8 @@ from ltsim.campaigns.schema import ROWS, TRIALS, ManifestFile, RecoveryFile, sum
 from ltsim.campaigns.spec import Campaign
 from ltsim.diagnosis import schema as diagnosis
 from ltsim.evaluation.bench import BENCH, BenchFile
-from ltsim.evaluation.criteria import CriteriaFile
-from ltsim.evaluation.verification import NOMINAL
-from ltsim.fieldcheck import files as checks
+from ltsim.evaluation.criteria import NOMINAL, CriteriaFile
+from ltsim.fieldcheck import items as checks
 from ltsim.planning import schema as plan
 from ltsim.planning.spec import PlanFile
 from ltsim.recording.files import write_texts

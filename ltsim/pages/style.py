@@ -87,9 +87,15 @@ def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
     return inside
 
 
-def new_figure(height: float, *, width: float = WIDTH, layout: Any = "constrained") -> Figure:
+def new_figure(height: float, *, layout: Any = "constrained") -> Figure:
     """An empty figure [inch] that arranges itself and belongs to no window."""
-    return Figure(figsize=(width, height), layout=layout)
+    return Figure(figsize=(WIDTH, height), layout=layout)
+
+
+def panel(height: float, *, layout: Any = "constrained") -> tuple[Figure, Axes]:
+    """An empty figure with one panel."""
+    figure = new_figure(height, layout=layout)
+    return figure, figure.subplots()
 
 
 def svg(figure: Figure) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -26,8 +25,9 @@ SECOND_OPENING = 110.0 * DEGREE
 """The other reading of the paper's shadow cone (section 2.3.2)."""
 HEAD = 3.0
 """Height [m] of a tracker's head above the floor at most: a plan whose zero lies farther down tells no floor."""
-FACING, FLUSH = 0.25, 0.2
-"""Least component of a nest's look across its wall, and how far [m] nests of one wall differ in depth at most."""
+FACING, FLUSH, MARGIN = 0.25, 0.2, 0.4
+"""Least component of a nest's look across its wall; how far [m] nests of one wall differ in depth at most, and how far
+the floor reaches beyond what stands on it."""
 
 
 @dataclass(frozen=True)
@@ -117,7 +117,7 @@ class PlacedWorkshop(Valued):
         return self if sights is None else replace(self, sights=sights)
 
 
-def from_adjustment(adjustment: Adjustment, *, plain: Adjustment | None = None, title: str = "") -> PlacedWorkshop:
+def from_adjustment(adjustment: Adjustment, *, plain: Adjustment | None = None) -> PlacedWorkshop:
     """The workshop of an adjusted network; `plain` is the adjustment before, for the correction arrows."""
     recording, state = adjustment.recording, adjustment.state
     worst = np.nanmax(np.abs(np.nan_to_num(adjustment.w)), axis=1)
@@ -125,7 +125,7 @@ def from_adjustment(adjustment: Adjustment, *, plain: Adjustment | None = None, 
     rows, number = placed[recording.target], np.cumsum(placed) - 1
     correction = None if plain is None else (state.points - plain.state.points)[placed]
     network = PlacedWorkshop(
-        title=title or recording.setup.title,
+        title=recording.setup.title,
         stations=recording.stations,
         position=state.position,
         rotation=state.rotation,
@@ -157,7 +157,10 @@ def with_surroundings(network: PlacedWorkshop, setup: Setup) -> PlacedWorkshop:
     lowest = float(np.concatenate([points, position])[:, 2].min())
     height = 0.0 if planned and -0.05 < lowest < HEAD else float(points[:, 2].min())
     planes = _wall_planes(points, normal) if planned else []
-    floor = _floor_between(rectangle(np.concatenate([points, position])[:, :2]), planes)
+    instrument = next(iter(setup.instruments.values()), setup.instrument)
+    at = {name: i for i, name in enumerate(network.targets)}
+    lengths = setup.gauge.distance if setup.gauge else ()
+    floor = _floor(np.concatenate([points, position])[:, :2], planes)
     return replace(
         network,
         position=position,
@@ -167,37 +170,18 @@ def with_surroundings(network: PlacedWorkshop, setup: Setup) -> PlacedWorkshop:
         floor=floor,
         floor_height=height,
         walls=_wall_corners(planes, floor, height, float(points[:, 2].max()) + 0.3),
-        gauge=gauge_pairs(setup, network.targets),
-        elevation_min=_elevation_min(setup),
+        gauge=tuple((at[g.from_], at[g.to]) for g in lengths if g.from_ in at and g.to in at),
+        elevation_min=(instrument.limits or Limits()).elevation_min_deg * DEGREE,
         covariance=None if network.covariance is None else turn @ network.covariance @ turn.T,
         correction=None if network.correction is None else network.correction @ turn.T,
         notes=() if height == 0.0 else ("the floor is taken at the lowest target",),
     )
 
 
-def rectangle(places: Floats, margin: float = 0.4) -> Floats:
-    """Corners (4, 2) of the upright rectangle around places (n, 2) with a margin [m]."""
-    (x0, y0), (x1, y1) = places.min(axis=0) - margin, places.max(axis=0) + margin
-    return np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
-
-
-def gauge_pairs(setup: Setup, targets: Iterable[str]) -> tuple[tuple[int, int], ...]:
-    """Indices of the targets of each known length."""
-    place: Mapping[str, int] = {name: i for i, name in enumerate(targets)}
-    lengths = setup.gauge.distance if setup.gauge else ()
-    return tuple((place[g.from_], place[g.to]) for g in lengths if g.from_ in place and g.to in place)
-
-
 def _nest_normals(setup: Setup, targets: tuple[str, ...]) -> Floats:
     rows = [setup.targets[t].nest_normal if t in setup.targets else None for t in targets]
     normal = np.array([row or (np.nan, np.nan, np.nan) for row in rows], dtype=np.float64).reshape(-1, 3)
     return normal / np.linalg.norm(normal, axis=1, keepdims=True)
-
-
-def _elevation_min(setup: Setup) -> float:
-    """Lowest elevation [rad] of the first instrument."""
-    instrument = next(iter(setup.instruments.values()), setup.instrument)
-    return (instrument.limits or Limits()).elevation_min_deg * DEGREE
 
 
 def _wall_planes(points: Floats, normal: Floats) -> list[tuple[int, float, float]]:
@@ -216,8 +200,9 @@ def _wall_planes(points: Floats, normal: Floats) -> list[tuple[int, float, float
     return planes
 
 
-def _floor_between(floor: Floats, planes: list[tuple[int, float, float]]) -> Floats:
-    (x0, y0), (x1, y1) = floor.min(axis=0), floor.max(axis=0)
+def _floor(places: Floats, planes: list[tuple[int, float, float]]) -> Floats:
+    """Corners (4, 2) of the upright rectangle around places (n, 2) with a margin, up to the walls."""
+    (x0, y0), (x1, y1) = places.min(axis=0) - MARGIN, places.max(axis=0) + MARGIN
     sides = {(0, 1.0): x0, (0, -1.0): x1, (1, 1.0): y0, (1, -1.0): y1}
     sides |= {(axis, side): place for axis, side, place in planes}
     x0, x1, y0, y1 = sides[0, 1.0], sides[0, -1.0], sides[1, 1.0], sides[1, -1.0]
@@ -249,6 +234,7 @@ def from_scenario(scenario: Scenario) -> PlacedWorkshop:
     hidden = int((~table.visible).sum())
     lost = (f"{hidden} of {table.visible.size} pairs do not see each other.",) if hidden else ()
     x, y, z = np.array(scenario.workshop.size_mm) * MILLIMETRE
+    floor = np.array([[0.0, 0.0], [x, 0.0], [x, y], [0.0, y]])
     gauge = range(len(scenario.targets), len(layout.targets))
     return PlacedWorkshop(
         title=scenario.title,
@@ -258,13 +244,8 @@ def from_scenario(scenario: Scenario) -> PlacedWorkshop:
         targets=layout.targets,
         points=layout.points,
         nest_normal=np.where(layout.reaimed[:, None], np.nan, layout.nest_normal),
-        floor=np.array([[0.0, 0.0], [x, 0.0], [x, y], [0.0, y]]),
-        walls=np.array(
-            [
-                [[0.0, 0.0, 0.0], [0.0, y, 0.0], [0.0, y, z], [0.0, 0.0, z]],
-                [[0.0, 0.0, 0.0], [x, 0.0, 0.0], [x, 0.0, z], [0.0, 0.0, z]],
-            ]
-        ),
+        floor=floor,
+        walls=_wall_corners([(0, 1.0, 0.0), (1, 1.0, 0.0)], floor, 0.0, z),
         gauge=tuple((i, j) for i in gauge for j in gauge if i < j),
         elevation_min=max(t.limits.elevation_min_deg for t in scenario.trackers.values()) * DEGREE,
         sights=_sights(layout, table),

@@ -7,32 +7,18 @@ from typing import Any
 
 import numpy as np
 
-from ltsim.arrays import Floats
 from ltsim.effects import CATALOGUE
 from ltsim.errors import SetupError
-from ltsim.planning.improvement import ExpectedErrors
+from ltsim.planning import schema
+from ltsim.planning.information import ExpectedErrors
 from ltsim.planning.loading import load_plan
 from ltsim.planning.planner import Evaluated, Option, Plan
 from ltsim.planning.reasons import fewest, reasons
-from ltsim.planning.schema import (
-    EFFECTS,
-    NEXT,
-    NOMINALS,
-    PARAMETERS,
-    REFLECTORS,
-    STATIONS,
-    TRADEOFF,
-    VISIBILITY,
-    WORK,
-    NextFile,
-    PlanResult,
-    rounded,
-)
+from ltsim.planning.schema import NextFile, PlanResult, in_millimetres
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import Survey
 from ltsim.planning.tolerances import reached
-from ltsim.planning.work_order import work_rows
-from ltsim.recording.result_file import SourceEntry, Vector, read_result, write_result
+from ltsim.recording.result_file import SourceEntry, read_result, write_result
 from ltsim.remedies.detectability import Detectability, MinimalSize, detectability
 from ltsim.remedies.next_measurement import NextMeasurement
 from ltsim.results import Table
@@ -114,7 +100,7 @@ def _expected(e: ExpectedErrors) -> dict[str, Any]:
 def _places(survey: Survey) -> list[dict[str, Any]]:
     """The stations of a survey as a `StationEntry` begins."""
     return [
-        {"name": name, "position_mm": _millimetres(place), "yaw_deg": _degrees(yaw)}
+        {"name": name, "position_mm": in_millimetres(place), "yaw_deg": _degrees(yaw)}
         for name, place, yaw in zip(survey.station_names, survey.position, survey.yaw, strict=True)
     ]
 
@@ -137,7 +123,7 @@ def _reflectors(layout: Evaluated, plan: Plan | None) -> list[dict[str, Any]]:
         rows.append(
             {
                 "name": name,
-                "position_mm": _millimetres(survey.points[t], 3),
+                "position_mm": in_millimetres(survey.points[t], 3),
                 "sigma_um": round(float(information.target_sigma[t]) / MICROMETRE, 2),
                 "U_um": np.round(expanded[t], 2).tolist(),
                 "stations_seeing": int(survey.seen[:, t].sum()),
@@ -192,7 +178,7 @@ def with_layout(scenario: Scenario, survey: Survey, title: str = "") -> Scenario
     }
     fixed = set(scenario.gauge.targets) if scenario.gauge else set()
     targets = {
-        name: scenario.targets.get(name) or PlannedTarget(position_mm=_millimetres(place, 3))
+        name: scenario.targets.get(name) or PlannedTarget(position_mm=in_millimetres(place, 3))
         for name, place in zip(survey.target_names, survey.points, strict=True)
         if name not in fixed
     }
@@ -238,10 +224,6 @@ def opened(source: str | Path) -> tuple[PlanFile, Scenario]:
     return file, load_scenario(folder / SCENARIO)
 
 
-def _millimetres(place: Floats, decimals: int = 1) -> Vector:
-    return rounded(place / MILLIMETRE, decimals)
-
-
 def _degrees(angle: float) -> float:
     return round(float(angle) / DEGREE % 360, 2)
 
@@ -250,7 +232,14 @@ def write_plan(plan: Plan, folder: Path | None, pictures: Mapping[str, bytes] | 
     """Write plan.json, the tables, scenario.toml and pictures, where a folder is given; the content of plan.json."""
     content = plan_file(plan, detectability(plan.chosen.information.adjustment, CATALOGUE))
     if folder is not None:
-        return write_result(folder, content, {**plan_texts(plan, content), **(pictures or {})})
+        tables = (
+            *tables_of(content).values(),
+            schema.VISIBILITY.filled(_visibility(plan.chosen)),
+            schema.WORK.filled(_pointings(plan)),
+        )
+        scenario, cad = with_cad_beside(planned_scenario(plan))
+        texts = {table.file: table.csv() for table in tables} | {SCENARIO: scenario_to_toml(scenario)}
+        return write_result(folder, content, {**texts, **cad, **(pictures or {})})
     return content
 
 
@@ -270,8 +259,8 @@ def next_file(made: NextMeasurement, summary: str = "", source: SourceEntry | No
                 "minutes": round(p.remedy.seconds / 60, 2),
                 "tells_apart": p.tells_apart,
                 "decides": p.decides,
-                "position_mm": None if p.remedy.place is None else _millimetres(p.remedy.place),
-                "yaw_deg": None if p.remedy.yaw is None else _degrees(p.remedy.yaw),
+                "position_mm": in_millimetres(there[0]) if (there := p.remedy.set_up) else None,
+                "yaw_deg": _degrees(there[1]) if there else None,
             }
             for p in made.proposals
         ],
@@ -281,35 +270,28 @@ def next_file(made: NextMeasurement, summary: str = "", source: SourceEntry | No
 
 def next_csv(content: NextFile) -> str:
     """The content of `next.csv`."""
-    return NEXT.filled({**vars(p), "tells_apart": " ".join(p.tells_apart)} for p in content.proposals).csv()
+    return schema.NEXT.filled({**vars(p), "tells_apart": " ".join(p.tells_apart)} for p in content.proposals).csv()
 
 
 def tables_of(content: PlanResult) -> dict[str, Table]:
     """The tables that this content fills, by name."""
     own = {p.name: p.sigma for p in content.reference.parameters} if content.reference else {}
     filled = [
-        STATIONS.filled(
+        schema.STATIONS.filled(
             [s.name, *s.position_mm, s.yaw_deg, *s.sigma_position_um, s.reflectors_seen] for s in content.stations
         ),
-        REFLECTORS.filled(
+        schema.REFLECTORS.filled(
             [r.name, *r.position_mm, r.sigma_um, *r.u_um, r.within_mm, r.tolerance_mm, " ".join(r.seen_from)]
             for r in content.reflectors
         ),
-        TRADEOFF.filled(content.tradeoff),
-        PARAMETERS.filled(
+        schema.TRADEOFF.filled(content.tradeoff),
+        schema.PARAMETERS.filled(
             [p.name, p.unit, p.sigma, own.get(p.name), p.prior_sigma, p.gain] for p in content.parameters
         ),
-        *([EFFECTS.filled(content.detectable)] if "detectable" in content.model_fields_set else []),
-        NOMINALS.filled([r.name, *r.position_mm] for r in content.reflectors),
+        *([schema.EFFECTS.filled(content.detectable)] if "detectable" in content.model_fields_set else []),
+        schema.NOMINALS.filled([r.name, *r.position_mm] for r in content.reflectors),
     ]
     return {table.name: table for table in filled}
-
-
-def plan_texts(plan: Plan, content: PlanResult) -> dict[str, str | bytes]:
-    """The files beside `plan.json`, by name."""
-    filled = [*tables_of(content).values(), VISIBILITY.filled(_visibility(plan.chosen)), WORK.filled(work_rows(plan))]
-    scenario, cad = with_cad_beside(planned_scenario(plan))
-    return {table.file: table.csv() for table in filled} | {SCENARIO: scenario_to_toml(scenario)} | cad
 
 
 def _visibility(layout: Evaluated) -> list[list[Any]]:
@@ -321,4 +303,18 @@ def _visibility(layout: Evaluated) -> list[list[Any]]:
         ]
         for s, station in enumerate(survey.station_names)
         for t, target in enumerate(survey.target_names)
+    ]  # fmt: skip
+
+
+def _pointings(plan: Plan) -> list[list[Any]]:
+    """Rows of `work-order.csv`: every pointing with the readings of a perfect instrument at its place."""
+    recording = plan.chosen.survey.recording(plan.chosen.information.construction)
+    return [
+        [
+            i + 1, recording.stations[recording.station[i]], recording.targets[recording.target[i]],
+            int(recording.face[i]), int(recording.repeat[i]), round(float(recording.time[i]) / 60.0, 2),
+            round(float(reading[1]) / DEGREE % 360, 3), round(float(reading[2]) / DEGREE, 3),
+            round(float(reading[0]) / MILLIMETRE, 1),
+        ]
+        for i, reading in enumerate(recording.readings)
     ]  # fmt: skip

@@ -1,19 +1,27 @@
-"""What a layout would tell, without any data: standard deviations, undetermined combinations, redundancy.
+"""What a layout would tell, without any data: standard deviations, undetermined combinations, the paper's criteria.
 
 The calibrator's own problem is linearised at the nominal state, a perfect instrument at the planned places; a
 covariance does not depend on readings.
+
+How much calibration is expected to help (eq. 11, 12) is linear in the errors: noise, known lengths, the instrument's
+parameters and what the model leaves out. Each error's way into the criteria, before and after a network calibration, is
+a matrix; variances add over groups of errors, so that one layout can be asked about any sizes of them at once.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import combinations
 
 import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
+from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.arrays import Floats
-from ltsim.errors import NetworkError
+from ltsim.effects.effect import Effect
+from ltsim.errors import NetworkError, unknown_name
 from ltsim.geometry.rigid import rigid_motion
 from ltsim.model.construction import Construction, misalignment
 from ltsim.planning.schema import PlannedParameterEntry
@@ -135,3 +143,177 @@ class LayoutInformation:
                 self.construction.parameters, self.instrument_sigma, self.prior_sigma, strict=True
             )
         ]
+
+
+KINDS = {
+    None: "instrument",
+    "angle": "angle errors",
+    "offset": "offset errors",
+    "range_scale": "range scale",
+    "range_offset": "range offset",
+}
+RANGE_NOISE, ANGLE_NOISE, LENGTHS = "range noise", "angle noise", "gauge lengths"
+
+
+@dataclass(frozen=True)
+class ExpectedErrors:
+    """Expected mean of both criteria [m] before and after calibration, one value a request (k,)."""
+
+    distance_before: Floats
+    distance_after: Floats
+    coordinate_before: Floats
+    coordinate_after: Floats
+
+    @property
+    def distance_improvement(self) -> Floats:
+        """Percent."""
+        return 100.0 * (1.0 - self.distance_after / self.distance_before)
+
+    @property
+    def coordinate_improvement(self) -> Floats:
+        """Percent."""
+        return 100.0 * (1.0 - self.coordinate_after / self.coordinate_before)
+
+
+@dataclass(frozen=True)
+class Predictor:
+    """What each group of errors, at its stated size, adds to the criteria."""
+
+    groups: tuple[str, ...]
+    """Noise, gauge lengths, instrument parameters by kind, and the effects that were left out."""
+    distance: Floats
+    """(2, G, rows) [m^2]: variance of each station's deviation of each distance, before and after."""
+    coordinate: Floats
+    """(2, G, rows, 3, 3) [m^2]: covariance of the gap between two stations' places of each target."""
+
+    @classmethod
+    def of(cls, information: LayoutInformation, left_out: Sequence[Effect] = ()) -> Predictor:
+        """The predictor of a layout whose targets are all seen from all stations.
+
+        Effects in `left_out` act and the calibration does not know them; each is a group, at its prior sigma.
+        """
+        ways, group = _ways(information, left_out)
+        names = tuple(dict.fromkeys(group))
+        lengths, gaps = _distances(information), _coordinates(information)
+        distance = np.empty((2, len(names), len(lengths)))
+        coordinate = np.empty((2, len(names), len(gaps), 3, 3))
+        member = np.array([names.index(g) for g in group])
+        for i, way in enumerate(ways):
+            along, across = lengths @ way, np.einsum("rki,im->rkm", gaps, way, optimize=True)
+            for g in range(len(names)):
+                at = member == g
+                distance[i, g] = (along[:, at] ** 2).sum(axis=1)
+                coordinate[i, g] = across[:, :, at] @ np.swapaxes(across[:, :, at], 1, 2)
+        return cls(names, distance, coordinate)
+
+    def expected(self, sizes: Mapping[str, Floats | float] | None = None) -> ExpectedErrors:
+        """The criteria when groups have `sizes` times their stated size (default 1), each (k,) or a number."""
+        wanted = dict(sizes or {})
+        for name in wanted:
+            if name not in self.groups:
+                raise unknown_name("group of errors", name, self.groups)
+        scale = np.stack(np.broadcast_arrays(*(np.atleast_1d(wanted.get(name, 1.0)) for name in self.groups)), axis=1)
+        square = scale.astype(np.float64) ** 2
+        distance = [np.sqrt(2 / np.pi) * np.mean(np.sqrt(square @ variance), axis=1) for variance in self.distance]
+        coordinate = [_mean_gap(square, spread) for spread in self.coordinate]
+        return ExpectedErrors(distance[0], distance[1], coordinate[0], coordinate[1])
+
+
+def _mean_gap(square: Floats, spread: Floats) -> Floats:
+    """Mean over rows of the expected length (k,), a few requests at a time."""
+    found = [
+        expected_length(np.asarray(np.linalg.eigvalsh(np.tensordot(part, spread, axes=1)))).mean(axis=1)
+        for part in np.array_split(square, max(1, len(square) // 64))
+    ]
+    return np.concatenate(found)
+
+
+def expected_length(variances: Floats, nodes: int = 48) -> Floats:
+    """Expected length (...) of a normal vector with variances (..., 3) along its axes, to about 1e-6.
+
+    E sqrt(q) = 1 / (2 sqrt(pi)) integral of (1 - E exp(-t q)) t^(-3/2) dt, with E exp(-t q) the product of
+    (1 + 2 t variance)^(-1/2); substituted t = (x / (1 - x))^2 over the total variance, Gauss-Legendre in x.
+    """
+    total = np.maximum(variances.sum(axis=-1, keepdims=True), np.finfo(np.float64).tiny)
+    share = np.maximum(variances, 0.0) / total
+    at, weight = np.polynomial.legendre.leggauss(nodes)
+    x, weight = 0.5 * (at + 1.0), 0.5 * weight
+    root = x / (1.0 - x)
+    product = np.ones((*share.shape[:-1], nodes))
+    for axis in range(3):
+        product /= np.sqrt(1.0 + 2.0 * share[..., axis, None] * root**2)
+    length: Floats = ((1.0 - product) / root**2 * (weight / (1.0 - x) ** 2)).sum(axis=-1) / np.sqrt(np.pi)
+    return length * np.sqrt(total[..., 0])
+
+
+def _ways(information: LayoutInformation, left_out: Sequence[Effect]) -> tuple[tuple[Floats, Floats], list[str]]:
+    """Displacement of each station's targets (3 S T, errors) per unit error, before and after; each error's group."""
+    adjustment, construction = information.adjustment, information.construction
+    problem, sightings = adjustment.problem, adjustment.sightings
+    design = adjustment.solution.system.design
+    count, known, params = int(problem.use.sum()), len(problem.gauge), len(information.prior_sigma)
+    priors = design.shape[0] - problem.free.shape[1] - params
+    mean = _means(information)
+    _, by_reading, by_value = construction.linearised(sightings.raw, np.zeros(construction.size))
+    noise = np.einsum("rn,nij->rinj", mean, by_reading).reshape(3 * len(mean), -1) * problem.sigma.ravel()
+    parameters = -np.einsum("rn,nij->rij", mean, by_value).reshape(3 * len(mean), -1)
+    columns = np.eye(problem.unknowns.size)[:, problem.unknowns.instrument[0]]
+    answer = adjustment.factor.covariance_columns(columns).T @ design.T
+    errors = np.zeros((design.shape[0], 0))
+    if left_out:
+        space = ResidualSpace.of(adjustment)
+        errors = np.hstack([space.signature(e) * [p.prior_sigma for p in e.parameters] for e in left_out])
+    used = np.flatnonzero(problem.use.ravel())
+    kept = np.r_[0 : count + known, priors : priors + params]
+    before = np.zeros((len(noise), len(kept) + errors.shape[1]))
+    before[:, :count] = noise[:, used]
+    before[:, count + known : len(kept)] = -parameters * information.prior_sigma
+    before[:, len(kept) :] = noise[:, used] @ errors[:count]
+    after = before.copy()
+    after[:, count + known : len(kept)] = 0.0
+    after -= parameters @ np.hstack([answer[:, kept], answer @ errors])
+    labels = np.where(used % 3 == 0, RANGE_NOISE, ANGLE_NOISE).tolist() + [LENGTHS] * known
+    labels += [KINDS[p.prior_kind] for p in construction.parameters]
+    return (before, after), labels + [e.name for e in left_out for _ in e.parameters]
+
+
+def _means(information: LayoutInformation) -> Floats:
+    """(S T, n): means over faces and repeats of each station's pointings at each target."""
+    recording = information.adjustment.recording
+    place = recording.station * len(recording.targets) + recording.target
+    mean = np.zeros((len(recording.stations) * len(recording.targets), len(recording)))
+    mean[place, np.arange(len(recording))] = 1.0
+    return mean / mean.sum(axis=1, keepdims=True)
+
+
+def _distances(information: LayoutInformation) -> Floats:
+    """Each station's deviation of each distance from its mean over stations, by displacements (rows, 3 S T)."""
+    state = information.adjustment.state
+    stations, targets = len(state.position), len(state.points)
+    first, second = np.triu_indices(targets, k=1)
+    gap = state.points[first] - state.points[second]
+    unit = gap / np.linalg.norm(gap, axis=1, keepdims=True)
+    local = np.einsum("sji,pj->spi", state.rotation, unit)
+    own = np.zeros((stations, len(first), stations, targets, 3))
+    pair = np.arange(len(first))
+    for s in range(stations):
+        own[s, pair, s, first] = local[s]
+        own[s, pair, s, second] = -local[s]
+    deviation = own - own.mean(axis=0)
+    return deviation.reshape(stations * len(first), -1)
+
+
+def _coordinates(information: LayoutInformation) -> Floats:
+    """Gap between two stations' places of each target after rigid alignment (rows, 3, 3 S T)."""
+    state = information.adjustment.state
+    stations, targets = len(state.position), len(state.points)
+    motion = rigid_motion(state.points, state.points.mean(axis=0))
+    off = np.eye(3 * targets) - motion @ np.linalg.pinv(motion)
+    turned = np.einsum("ctl,sli->scti", off.reshape(3 * targets, targets, 3), state.rotation)
+    turned = turned.reshape(stations, targets, 3, 3 * targets)
+    rows = []
+    for m, n in combinations(range(stations), 2):
+        gap = np.zeros((targets, 3, stations, 3 * targets))
+        gap[:, :, m], gap[:, :, n] = turned[m], -turned[n]
+        rows.append(gap.reshape(targets, 3, -1))
+    return np.concatenate(rows)

@@ -126,7 +126,6 @@ def _check_names(made: PlanFile, scenario: Scenario, file: object) -> None:
 
 
 def _check_counts(made: PlanFile, scenario: Scenario, file: object) -> None:
-    """Settings that fit together."""
     if made.goal.tolerances and not made.listed:
         raise SetupError(f"{file}: goal.tolerances stands without points; give points as a list or a file")
     given = [f"budget.{key}" for key in ("faces", "repeats") if getattr(made.budget, key) is not None]

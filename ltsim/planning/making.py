@@ -6,7 +6,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ltsim.errors import NetworkError, SetupError
-from ltsim.model.construction import Construction
 from ltsim.planning.floor import grid_step
 from ltsim.planning.planner import Option, Plan, Tried, judge, measure
 from ltsim.planning.search import LayoutSearcher
@@ -19,7 +18,6 @@ from ltsim.planning.workshop import SIGHTS, objective_of, site_of, ways
 from ltsim.randomness import stream
 from ltsim.recording.recording import OBSERVABLES
 from ltsim.remedies.next_measurement import Progress, quiet
-from ltsim.simulation.physics import planned_construction
 from ltsim.simulation.scenario import Scenario
 from ltsim.units import MICROMETRE
 
@@ -49,28 +47,21 @@ class Follower:
     """Is given the best layout so far."""
 
 
-def make_plan(
-    file: PlanFile,
-    scenario: Scenario,
-    *,
-    jobs: int = 1,
-    follower: Follower | None = None,
-    construction: Construction | None = None,
-) -> Plan:
+def make_plan(file: PlanFile, scenario: Scenario, *, jobs: int = 1, follower: Follower | None = None) -> Plan:
     """Search and explain; the same file gives the same plan whatever the number of jobs.
 
     Ctrl-C ends the search: the plan is then that of the best layout so far, and says so. SetupError where no layout
     keeps the plan's rules.
     """
     _check_size(file, scenario)
-    built, heard = construction or planned_construction(scenario), follower or Follower()
+    heard = follower or Follower()
     heard.progress("searching layouts", 0.0)
-    search = _Search(PlanningProblem(file, scenario, built), jobs, heard)
+    search = _Search(PlanningProblem(file, scenario), jobs, heard)
     best = search.fewest() if file.searches_count else search.at_count()
     if not np.isfinite(best.value):
         raise SetupError(OPEN)
     heard.progress("judging tolerances and changes", SEARCHING)
-    made = judge(search.file, scenario, best.survey, built)
+    made = judge(search.file, scenario, best.survey)
     heard.progress("judging tolerances and changes", 1.0)
     own = search.found.get((len(best.survey.position), len(best.survey.faces)), [])
     return replace(
@@ -204,7 +195,6 @@ class _Search:
         return len(ratios) > 2 and np.isfinite(ratios[-3]) and ratios[-1] > LITTLE**2 * ratios[-3]
 
     def _none_found(self, counts: range) -> str:
-        """Why there is no layout at all."""
         hours = self.file.budget.hours
         if self.stopped:
             return STOPPED
@@ -217,7 +207,6 @@ class _Search:
         return "no layout was found; widen the floor or give more stations.most"
 
     def _estimate(self, tasks: Sequence[SearchTask], what: str = "") -> None:
-        """Say how long these searches may take."""
         if self.heard.say is quiet:
             return
         seconds = expected_seconds(self.problem, tasks) / min(self.jobs, len(tasks))
@@ -276,8 +265,6 @@ def most_sights(site: Site, step: float, heights: int) -> tuple[int, str]:
     A lower bound by the greedy placement, which is the truth where some place on the floor sees everything.
     """
     placement, names = site.placement(step, heights), site.survey.target_names
-    if not len(placement.position):
-        return 0, names[0]
     limiting = names[int(np.argmin(placement.seen.mean(axis=0)))]
     count = len(site.survey.position) - len(site.fixed)
     enough = (k for k in range(site.least, 0, -1) if not placement.missing(placement.stations(count, k), k).any())
@@ -324,8 +311,6 @@ def with_reachable_sights(file: PlanFile, site: Site) -> PlanFile:
 def check_in_sight(site: Site, file: PlanFile) -> Placement:
     """Where stations may stand; SetupError, with their names, where points are in sight from nowhere."""
     placement = site.placement(grid_step(site.areas, file.search.grid_mm), file.search.heights)
-    if not len(placement.position):
-        raise SetupError("no place on the floor sees three points; widen the floor, or move obstacles")
     if not placement.seen.any(axis=0).all():
         raise SetupError(site.out_of_sight(np.flatnonzero(~placement.seen.any(axis=0))))
     return placement

@@ -7,11 +7,10 @@ import numpy as np
 
 from ltsim.errors import NetworkError
 from ltsim.model.construction import Construction
-from ltsim.planning.changes import Changes, reflector_changes
 from ltsim.planning.fast import Reducer
-from ltsim.planning.improvement import ExpectedErrors, Predictor
-from ltsim.planning.information import LayoutInformation
+from ltsim.planning.information import ExpectedErrors, LayoutInformation, Predictor
 from ltsim.planning.objective import Objective
+from ltsim.planning.reflectors import Changes, reflector_changes
 from ltsim.planning.site import Site
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import Survey
@@ -77,7 +76,6 @@ class Plan(Result):
     scenario: Scenario
     site: Site
     """Of the chosen way of working."""
-    objective: Objective
     reference: Evaluated | None
     """The scenario's own layout, worked in the chosen way; None where it determines nothing."""
     chosen: Evaluated
@@ -124,16 +122,15 @@ class Plan(Result):
         }
 
 
-def judge(file: PlanFile, scenario: Scenario, survey: Survey, construction: Construction | None = None) -> Plan:
+def judge(file: PlanFile, scenario: Scenario, survey: Survey) -> Plan:
     """The plan of a layout as it is, without a search."""
-    built, demands = construction or planned_construction(scenario), Demands.of(file)
+    built, demands = planned_construction(scenario), Demands.of(file)
     site = site_of(file, scenario, stations=len(survey.position), faces=len(survey.faces), repeats=survey.repeats)
     objective = objective_of(file, survey)
     return Plan(
         file=file,
         scenario=scenario,
         site=site,
-        objective=objective,
         reference=_reference(file, scenario, site, built, survey),
         chosen=evaluated(site, survey, objective, built),
         demands=demands,
@@ -171,8 +168,10 @@ def evaluated(site: Site, survey: Survey, objective: Objective, built: Construct
 
 
 def sight_table(site: Site, survey: Survey) -> Visibility:
-    """Who sees whom, with fixed nests aimed at the layout's stations."""
-    normal, aimed = aimed_normals(survey.position, survey.points)[0], site.of_layout(survey).aimed
+    """Who sees whom, with fixed nests aimed at the layout's stations; reflectors of its own choice are in such too."""
+    normal = aimed_normals(survey.position, survey.points)[0]
+    aimed = np.full(len(survey.points), bool(site.aimed.any()))
+    aimed[: len(site.aimed)] = site.aimed[: len(survey.points)]
     return visibility(
         survey.position, survey.points, site.limits, nest_normal=normal, reaimed=~aimed, obstacles=site.obstacles
     )

@@ -100,7 +100,6 @@ def _air(plan: Plan) -> list[str]:
 
 
 def _against_reference(plan: Plan) -> list[str]:
-    """How the plan compares with the scenario's own layout."""
     reference, chosen = plan.reference, plan.chosen
     if plan.file.workshop is not None:
         return []
@@ -134,7 +133,6 @@ def _shown(name: str, value: float) -> str:
 
 
 def _parameters(reference: Evaluated, chosen: Evaluated) -> list[str]:
-    """The parameters that gain most and those that lose."""
     pairs = list(zip(reference.information.parameters(), chosen.information.parameters(), strict=True))
     pairs.sort(key=lambda pair: pair[0].sigma / pair[1].sigma, reverse=True)
     words = [(b.sigma / a.sigma, f"{a.name} {b.sigma:.3g} to {a.sigma:.3g} {a.unit}") for b, a in pairs]
@@ -147,7 +145,7 @@ def _parameters(reference: Evaluated, chosen: Evaluated) -> list[str]:
 def _what_each_station_does(plan: Plan) -> list[str]:
     """What is lost without a station, and which parameter it serves most."""
     survey, now, qualities = plan.chosen.survey, plan.chosen.information, plan.chosen.qualities
-    objective, found = Objective({INSTRUMENT: 1.0}, plan.objective.criterion), []
+    objective, found = Objective({INSTRUMENT: 1.0}, plan.file.goal.criterion), []
     for s, name in enumerate(survey.station_names):
         left = survey.without(s)
         try:
@@ -240,7 +238,6 @@ def _curve(plan: Plan) -> list[str]:
 
 
 def _reference_value(plan: Plan) -> float:
-    """The objective of the scenario's own layout."""
     if plan.reference is None:
         return float("inf")
     survey = plan.reference.survey

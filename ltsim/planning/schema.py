@@ -8,13 +8,14 @@ from ltsim.arrays import Floats
 from ltsim.calibration.schema import Combination
 from ltsim.recording.result_file import Entry, Finite, Known, ResultFile, Vector
 from ltsim.results import Table, columns_of, numbers, texts
+from ltsim.units import MILLIMETRE
 
 Qualities = dict[str, Known]
 
 
-def rounded(place: Floats, decimals: int) -> Vector:
-    """A place (3,) as a result file has it."""
-    x, y, z = (round(float(v), decimals) for v in place)
+def in_millimetres(place: Floats, decimals: int = 1) -> Vector:
+    """A place (3,) [m] as a result file has it."""
+    x, y, z = (round(float(v) / MILLIMETRE, decimals) for v in place)
     return x, y, z
 
 
@@ -310,11 +311,6 @@ class PlanResult(ResultFile, LayoutEntry):
     """Pairs that it could not tell apart."""
     silent: tuple[str, ...] = ()
     """Effects that leave no trace."""
-
-    @property
-    def value_unit(self) -> tuple[float, str]:
-        """Factor and unit in which a person reads the objective: lengths where targets alone are its goal."""
-        return (1e6, "um") if set(self.quality) == {"targets"} else (1.0, "")
 
 
 class ProposalEntry(Entry):

@@ -81,8 +81,6 @@ class LayoutSearcher:
         if key not in self._tables:
             places, seen = self.placement.position, self.placement.seen
             whole = self.site.least >= self.stations
-            if not len(places):
-                raise SetupError("no place on the floor sees three reflectors; widen the floor or move obstacles")
             good = seen.all(axis=1) if whole else np.ones(len(seen), dtype=bool)
             if not good.any():
                 raise SetupError(self._nowhere())

@@ -10,6 +10,7 @@ import scipy.sparse as sp
 from scipy.optimize import Bounds, LinearConstraint, milp
 
 from ltsim.arrays import Bools, Floats, Ints
+from ltsim.errors import SetupError
 from ltsim.notation import listing
 from ltsim.planning.floor import Area, KeepOut, may_stand, over
 from ltsim.planning.survey import Survey
@@ -67,12 +68,6 @@ class Site(Valued):
     def replace(self, **changes: Any) -> Site:
         """A copy with some fields changed."""
         return replace(self, **changes)
-
-    def of_layout(self, survey: Survey) -> Site:
-        """The site with a layout's stations and reflectors, those of its own choice in nests of the same kind."""
-        aimed = np.full(len(survey.points), bool(self.aimed.any()))
-        aimed[: len(self.aimed)] = self.aimed[: len(survey.points)]
-        return self.replace(survey=survey, aimed=aimed)
 
     def allowed(self, position: Floats) -> Bools:
         """(N,): a tripod may stand there."""
@@ -140,10 +135,15 @@ class Site(Valued):
         return np.unique(grid[self.allowed(grid)], axis=0)
 
     def placement(self, step: float, heights: int) -> Placement:
-        """The greedy placement on a grid, at places in sight of three targets; fixed stations stand already."""
+        """The greedy placement on a grid, at places in sight of three targets; fixed stations stand already.
+
+        Raises SetupError where there is no such place.
+        """
         places, fixed = self.places(step, heights), self.survey.position[list(self.fixed)]
         seen = self.seen(places)
         enough = seen.sum(axis=1) >= FEWEST
+        if not enough.any():
+            raise SetupError("no place on the floor sees three points; widen the floor, or move obstacles")
         counted = self.seen(fixed).sum(axis=0) if len(fixed) else np.zeros(seen.shape[1], dtype=np.int64)
         return Placement(places[enough], seen[enough], self.spacing, fixed, counted)
 

@@ -53,11 +53,15 @@ class SearchTask:
 
 @dataclass(frozen=True)
 class PlanningProblem:
-    """What is searched: a plan file with its scenario, and the construction whose parameters are meant."""
+    """What is searched: a plan file with its scenario."""
 
     file: PlanFile
     scenario: Scenario
-    built: Construction
+
+    @property
+    def built(self) -> Construction:
+        """The construction whose parameters are meant."""
+        return planned_construction(self.scenario)
 
     def site(self, task: SearchTask) -> Site:
         """The freedom of a search."""
@@ -85,8 +89,6 @@ def gathered(
     thread of its own.
     """
     done: dict[int, Found] = {}
-    # A construction holds functions that cannot travel; workers build the scenario's own.
-    own = problem.built if jobs == 1 else None
     stopped, told, last = False, np.inf, -np.inf
 
     def best_so_far(notes: ProgressNotes) -> dict[int, Found]:
@@ -108,9 +110,10 @@ def gathered(
             keep(survey, value)
 
     with followed(len(tasks), lambda done_share: look(done_share)) as notes:
-        work = ((problem.file, problem.scenario, task, own, notes, number) for number, task in enumerate(tasks))
+        jobs = min(jobs, len(tasks))
+        work = ((problem, task, notes, number, jobs == 1) for number, task in enumerate(tasks))
         try:
-            for number, layout in parallel(_task, work, min(jobs, len(tasks)), ordered=False):
+            for number, layout in parallel(_task, work, jobs, ordered=False):
                 done |= {number: layout} if layout is not None else {}
         except KeyboardInterrupt:
             stopped, done = True, best_so_far(notes) | done
@@ -126,10 +129,10 @@ def _note(notes: ProgressNotes, number: int) -> Path:
 
 
 def _task(
-    file: PlanFile, scenario: Scenario, task: SearchTask, built: Construction | None, notes: ProgressNotes, number: int
+    problem: PlanningProblem, task: SearchTask, notes: ProgressNotes, number: int, here: bool
 ) -> tuple[int, Found | None]:
     """One start's layout; None where the rules allow none, or ranges from so few stations determine none."""
-    if built is None:  # in a process of its own: Ctrl-C is for the one that gathers
+    if not here:  # in a process of its own: Ctrl-C is for the one that gathers
         signal(SIGINT, SIG_IGN)
 
     def keep(layout: PlannedLayout) -> None:
@@ -138,7 +141,6 @@ def _task(
         np.save(half, np.concatenate([np.full((1, 4), layout.value), rows]))
         half.replace(_note(notes, number))
 
-    problem = PlanningProblem(file, scenario, built or planned_construction(scenario))
     try:
         return number, search_one(problem, task, partial(notes.write, number), keep)
     except (SetupError, NetworkError):

@@ -115,17 +115,12 @@ class Kept:
         return self.numbers(self.worst) if self.worst in self.radius else self.worst
 
     @property
-    def margin(self) -> str:
-        """How much of a tolerance is left, or how far it is missed."""
-        if not np.isfinite(self.ratio):
-            return "seen from nowhere"
-        left = 100 * (1 - self.ratio)
-        return f"margin {left:.0f} %" if left >= 0 else f"{-left:.0f} % too large"
-
-    @property
     def worst_point(self) -> str:
-        """The worst point with its margin, where there is one."""
-        return f"worst {self.worst_words} ({self.margin})" if self.radius else APART
+        """The worst point with its margin, or how far it is missed, where there is one."""
+        left = 100 * (1 - self.ratio)
+        margin = f"margin {left:.0f} %" if left >= 0 else f"{-left:.0f} % too large"
+        margin = margin if np.isfinite(left) else "seen from nowhere"
+        return f"worst {self.worst_words} ({margin})" if self.radius else APART
 
     @property
     def remains(self) -> str:

@@ -18,7 +18,6 @@ from ltsim.planning.survey import Survey
 from ltsim.planning.tolerances import Demands, judged, losses_of, verdict
 from ltsim.planning.workshop import site_of
 from ltsim.remedies.next_measurement import Progress, next_measurement as next_measurement, quiet
-from ltsim.simulation.physics import planned_construction
 from ltsim.simulation.scenario import Scenario
 from ltsim.units import DEGREE, MICROMETRE, MILLIMETRE
 
@@ -107,7 +106,7 @@ def without_station(source: str | Path, station: str) -> tuple[Alternative, ...]
         When there is no such station, or no place for it.
     """
     file, scenario = opened(source)
-    problem = PlanningProblem(file, scenario, planned_construction(scenario))
+    problem = PlanningProblem(file, scenario)
     site, survey = _as_it_stands(file, scenario)
     slot = _index(survey, station)
     others = [s for s in range(len(survey.position)) if s != slot]

@@ -86,12 +86,7 @@ class Seen:
     """(q,) [SI]: minimal detectable sizes at each place; infinite where nothing is left."""
     visible: tuple[float, ...]
     columns: tuple[Floats, ...]
-    """(m, r): orthonormal, spanning what is left; empty for noise, and where they are not asked for."""
-
-    @property
-    def found_anywhere(self) -> bool:
-        """Some parameter leaves a trace at some place."""
-        return any(bool(np.isfinite(size).any()) for size in self.sizes)
+    """(m, r): orthonormal, spanning what is left; empty for noise, and where a diagnosis keeps none."""
 
     def table(self) -> list[MinimalSize]:
         """One row a parameter."""
@@ -130,11 +125,10 @@ def _noise_information(space: ResidualSpace, places: Sequence[NoiseEffect]) -> l
     return [0.5 * stack[a:b] @ spread[a:b].T for a, b in pairwise(edges)]
 
 
-def examine(space: ResidualSpace, places: Sequence[Effect], *, columns: bool = True) -> Seen | None:
+def examine(space: ResidualSpace, places: Sequence[Effect]) -> Seen | None:
     """What is left of one effect at all the places where a search would try it; None where the network lacks its needs.
 
-    At most `MOST_PLACES` of them are looked at. With `columns` what is left of each place is kept, as `Seen.columns`:
-    as many vectors as the network has readings.
+    At most `MOST_PLACES` of them are looked at.
     """
     some = thinned(places)
     noises = [effect for effect in some if isinstance(effect, NoiseEffect)]
@@ -144,7 +138,10 @@ def examine(space: ResidualSpace, places: Sequence[Effect], *, columns: bool = T
     for effect in () if noises else some:
         whole = space.signature(effect)
         if np.isfinite(whole).all() and whole.any():
-            found.append((effect, *_left(space, whole, columns=columns)))
+            norm = np.linalg.norm(whole, axis=0)
+            scaled = space.project(whole / np.where(norm > 0, norm, 1.0))
+            basis = orthonormal(scaled, np.ones(len(norm)))
+            found.append((effect, *information_left(scaled.T @ scaled, norm, VISIBLE), basis))
     return seen_from(found, len(places)) if found else None
 
 
@@ -158,14 +155,6 @@ def seen_from(found: Sequence[tuple[Effect, Floats, float, int, Floats]], sought
     sizes = tuple(map(_smallest, information, needed))
     names, laws = tuple(map(_place, kept)), tuple(effect.parameters for effect in kept)
     return Seen(kept[0].name, laws, names, sizes, visible, left)
-
-
-def _left(space: ResidualSpace, whole: Floats, *, columns: bool) -> tuple[Floats, float, int, Floats]:
-    """Information (q, q), visible share, rank and orthonormal columns of a signature (m, q)."""
-    norm = np.linalg.norm(whole, axis=0)
-    scaled = space.project(whole / np.where(norm > 0, norm, 1.0))
-    basis = orthonormal(scaled, np.ones(len(norm))) if columns else np.zeros((0, 0))
-    return *information_left(scaled.T @ scaled, norm, VISIBLE), basis
 
 
 def information_left(gram: Floats, norm: Floats, visible: float) -> tuple[Floats, float, int]:
@@ -242,9 +231,9 @@ class Detectability:
         """One row a parameter of every effect."""
         return [row for seen in self.effects for row in seen.table()]
 
-    def confusable(self, share: float = ALIKE) -> list[tuple[str, str, float]]:
+    def confusable(self) -> list[tuple[str, str, float]]:
         """Pairs (effect, what it would be taken for, share explained), the most alike first."""
-        first, second = np.nonzero((self.alike > share) & ~np.eye(len(self.names), dtype=bool))
+        first, second = np.nonzero((self.alike > ALIKE) & ~np.eye(len(self.names), dtype=bool))
         pairs = [(self.names[i], self.names[j], float(self.alike[i, j])) for i, j in zip(first, second, strict=True)]
         return sorted(pairs, key=lambda pair: -pair[2])
 
@@ -264,7 +253,7 @@ def detectability(adjustment: Adjustment, catalogue: Sequence[type[Effect] | Eff
             found.append(examine_baseline(adjustment, kind()))
             continue
         seen = examine(space, kind.candidates(adjustment.sightings))
-        if seen is None or not seen.found_anywhere:
+        if seen is None or not any(np.isfinite(size).any() for size in seen.sizes):
             silent.append(kind.name)
         if seen is not None:
             found.append(seen)

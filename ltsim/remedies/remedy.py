@@ -103,18 +103,10 @@ class Remedy:
     """With it, as the adjusted network predicts it."""
 
     @property
-    def place(self) -> Floats | None:
-        """(3,) [m] of a further set-up, on the floor plan."""
-        network = self.network
-        plan = FloorPlan.of(network.recording, network.state)
-        return plan.place(network.state.position[-1]) if self.kind in SET_UPS else None
-
-    @property
-    def yaw(self) -> float | None:
-        """[rad] of a further set-up, on the floor plan."""
-        network = self.network
-        plan = FloorPlan.of(network.recording, network.state)
-        return plan.yaw(network.state.rotation[-1]) if self.kind in SET_UPS else None
+    def set_up(self) -> tuple[Floats, float] | None:
+        """Place (3,) [m] and turn [rad] of a further set-up, on the floor plan."""
+        state, plan = self.network.state, FloorPlan.of(self.network.recording, self.network.state)
+        return (plan.place(state.position[-1]), plan.yaw(state.rotation[-1])) if self.kind in SET_UPS else None
 
 
 @dataclass(frozen=True)

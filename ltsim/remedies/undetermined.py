@@ -5,8 +5,9 @@ the gain, the share of the prior variance along that combination which the readi
 gain under one half is called undetermined: it was known better before than the readings alone would tell it.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from ltsim.arrays import Floats
 from ltsim.errors import NetworkError
 from ltsim.model.construction import Construction
 from ltsim.remedies.network import Network
-from ltsim.remedies.remedy import Remedy, advice, known_length, near_reflectors, other_face, returns
+from ltsim.remedies.remedy import advice, known_length, near_reflectors, other_face, returns
 
 DETERMINED = 0.5
 """Least gain of a determined combination."""
@@ -97,20 +98,13 @@ def determining(
         return [[] for _ in directions]
     network = Network.of(adjustment, construction)
     now = _gains_along(network, directions)
-    tried = [(r.words, _gains_along(r.network, directions)) for r in _worth_a_thought(network)]
+    cheap = [r for r in (other_face(network), *known_length(network)) if r]
+    worth = chain(cheap, returns(network, 0.0, [0]), near_reflectors(network))  # the cheapest first
+    tried = [(r.words, _gains_along(r.network, directions)) for r in worth]
     return [
         [_sentence(d, now[i][k], [(words, gain[i][k]) for words, gain in tried]) for k, d in enumerate(own)]
         for i, own in enumerate(directions)
     ]
-
-
-def _worth_a_thought(network: Network) -> Iterator[Remedy]:
-    """Remedies for a whole survey, the cheapest first."""
-    both = other_face(network)
-    yield from [both] if both else []
-    yield from known_length(network)
-    yield from returns(network, 0.0, [0])
-    yield from near_reflectors(network)
 
 
 def _gains_along(network: Network, directions: Sequence[Sequence[Direction]]) -> list[list[float]]:

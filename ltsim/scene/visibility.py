@@ -33,11 +33,6 @@ class Reason(IntEnum):
     ACCEPTANCE = 6
     OBSTACLE = 7
 
-    @property
-    def words(self) -> str:
-        """What a person reads; empty for a pair that sees each other."""
-        return WORDS[self]
-
 
 WORDS = (
     "",
@@ -49,6 +44,7 @@ WORDS = (
     "turned beyond the reflector's acceptance",
     "hidden by an obstacle",
 )
+"""Of each reason; empty for a pair that sees each other."""
 
 
 @dataclass(frozen=True)
@@ -91,12 +87,12 @@ class Visibility:
 
     def words(self) -> list[list[str]]:
         """The reason of each pair in words, '' where the station sees the target."""
-        return [[Reason(code).words for code in line] for line in self.reason.tolist()]
+        return [[WORDS[code] for code in line] for line in self.reason.tolist()]
 
     def lost(self, stations: Sequence[str], targets: Sequence[str]) -> list[str]:
         """One sentence for every pair that does not see each other."""
         return [
-            f"{stations[s]} does not see {targets[t]}: {Reason(int(self.reason[s, t])).words}"
+            f"{stations[s]} does not see {targets[t]}: {WORDS[self.reason[s, t]]}"
             for s, t in np.argwhere(~self.visible).tolist()
         ]
 

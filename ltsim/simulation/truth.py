@@ -14,7 +14,7 @@ from ltsim.arrays import Floats
 from ltsim.effects.effect import Effect
 from ltsim.effects.verbs import shape_of
 from ltsim.errors import ModelError, RecordError, SetupError
-from ltsim.evaluation.verification import NOMINAL
+from ltsim.evaluation.criteria import NOMINAL
 from ltsim.geometry.rotations import quaternion
 from ltsim.recording.files import write_text
 from ltsim.recording.result_file import read_json

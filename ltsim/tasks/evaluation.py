@@ -12,11 +12,10 @@ from ltsim.recording.recording import Recording
 from ltsim.recording.result_file import SourceEntry
 from ltsim.results import Result, Table
 from ltsim.solve.threads import in_one_thread
-from ltsim.tasks.files import BudgetPart, Conformity, Distribution, TaskResult, UncertaintyFile, conformity
+from ltsim.tasks.files import BudgetPart, Distribution, TaskResult, UncertaintyFile, conformity
 from ltsim.tasks.inputs import Inputs
 from ltsim.tasks.measurands import Measurand, Output
-from ltsim.tasks.montecarlo import Drawn, draw
-from ltsim.tasks.propagation import CURVED, Propagated, curvature, expansion_of, propagate
+from ltsim.tasks.propagation import CURVED, Drawn, Propagated, curvature, draw, expansion_of, propagate
 from ltsim.tasks.spec import Task, Tasks
 
 MOST_TOLD = 8
@@ -92,17 +91,18 @@ class Evaluation(Result):
 
     def _result(self, i: int, task: Task, output: Output) -> TaskResult:
         unit, drawn = output.factor, self.drawn
-        sigma = float(self.linear.sigma[i])
-        wide = float(self.linear.expanded(self.tasks.monte_carlo.coverage)[i])
+        value, sigma = float(self.linear.values[i]) / unit, float(self.linear.sigma[i]) / unit
+        wide = float(self.linear.expanded(self.tasks.monte_carlo.coverage)[i]) / unit
+        tolerance, draws = task.tolerances.get(output.name), drawn.values[:, i] / unit
         return TaskResult(
             task=task.name,
             kind=task.kind,
             name=output.name,
             unit=output.unit,
-            value=float(self.linear.values[i]) / unit,
-            standard_uncertainty=sigma / unit,
+            value=value,
+            standard_uncertainty=sigma,
             coverage_factor=wide / sigma if sigma > 0 else 0.0,
-            expanded_uncertainty=wide / unit,
+            expanded_uncertainty=wide,
             monte_carlo=Distribution(
                 mean=float(drawn.mean[i]) / unit,
                 standard_uncertainty=float(drawn.sigma[i]) / unit,
@@ -112,8 +112,8 @@ class Evaluation(Result):
                 agrees=bool(self.agrees[i]),
             ),
             curvature=float(self.curved[i]),
-            budget=self._budget(i, sigma / unit),
-            conformity=self._conformity(i, task, output),
+            budget=self._budget(i, sigma),
+            conformity=None if tolerance is None else conformity(value, sigma, tolerance, self.tasks.decision, draws),
         )
 
     def _budget(self, i: int, sigma: float) -> tuple[BudgetPart, ...]:
@@ -127,13 +127,6 @@ class Evaluation(Result):
             BudgetPart(source=name, type=kinds[name], share=share, standard_uncertainty=float(np.sqrt(share)) * sigma)
             for name, share in ranked
         )
-
-    def _conformity(self, i: int, task: Task, output: Output) -> Conformity | None:
-        if output.name not in task.tolerances:
-            return None
-        value, sigma = float(self.linear.values[i]) / output.factor, float(self.linear.sigma[i]) / output.factor
-        draws = self.drawn.values[:, i] / output.factor
-        return conformity(value, sigma, task.tolerances[output.name], self.tasks.decision, draws)
 
 
 @in_one_thread

@@ -120,23 +120,21 @@ def _fit_circle(local: Floats, _near: Feature | None) -> Feature:
         normal = _unit(normal + step[..., 3:4] * first + step[..., 4:5] * second)
         if np.abs(step).max(initial=0.0) < CONVERGED * (1 + np.abs(radius).max()):
             break
-    height, reach = _height_and_reach(local, centre, normal)
-    radial = reach - radius[..., None]
+    _, height, x, y = _about(local, centre, normal)
+    radial = np.hypot(x, y) - radius[..., None]
     return Feature(centre, normal, radius, np.where(np.abs(radial) >= np.abs(height), radial, height))
 
 
 def _fit_cylinder(local: Floats, near: Feature | None) -> Feature:
-    return _best_cylinder(local) if near is None else _refined_cylinder(local, near.normal, near.centre, near.radius)
-
-
-def _best_cylinder(local: Floats) -> Feature:
     """One set after another: the best of many axes, each with an algebraic circle across it, is refined."""
+    if near is not None:
+        return _refined_cylinder(local, near.normal, near.centre, near.radius)
     found = []
     for one in local.reshape(-1, *local.shape[-2:]):
         axes = np.concatenate([np.linalg.svd(one, full_matrices=False)[2], _half_sphere(DIRECTIONS)])
         many = np.broadcast_to(one, (len(axes), *one.shape))
         centre, radius = _circle_across(many, axes, strict=False)
-        gap = _height_and_reach(many, centre, axes)[1] - radius[:, None]
+        gap = np.hypot(*_about(many, centre, axes)[2:]) - radius[:, None]
         cost = np.where(np.isfinite(radius), np.sum(gap**2, axis=-1), np.inf)
         best = np.argsort(cost)[:6]
         tried = _refined_cylinder(many[best], axes[best], centre[best], radius[best], strict=False)
@@ -163,8 +161,7 @@ def _refined_cylinder(local: Floats, normal: Floats, centre: Floats, radius: Flo
         if np.nanmax(size, initial=0.0) < CONVERGED:
             break
     centre = centre - np.einsum("...i,...i->...", centre, normal)[..., None] * normal
-    reach = _height_and_reach(local, centre, normal)[1]
-    return Feature(centre, normal, radius, reach - radius[..., None])
+    return Feature(centre, normal, radius, np.hypot(*_about(local, centre, normal)[2:]) - radius[..., None])
 
 
 def _about(local: Floats, centre: Floats, normal: Floats) -> tuple[tuple[Floats, Floats], Floats, Floats, Floats]:
@@ -173,13 +170,6 @@ def _about(local: Floats, centre: Floats, normal: Floats) -> tuple[tuple[Floats,
     arm = local - centre[..., None, :]
     height, x, y = (np.einsum("...ni,...i->...n", arm, axis) for axis in (normal, *sides))
     return sides, height, x, y
-
-
-def _height_and_reach(local: Floats, centre: Floats, normal: Floats) -> tuple[Floats, Floats]:
-    """Coordinates (..., n) of points along an axis, and distances from it."""
-    arm = local - centre[..., None, :]
-    height = np.einsum("...ni,...i->...n", arm, normal)
-    return height, np.linalg.norm(arm - height[..., None] * normal[..., None, :], axis=-1)
 
 
 def _circle_across(local: Floats, normal: Floats, *, strict: bool = True) -> tuple[Floats, Floats]:
@@ -218,7 +208,6 @@ def _determined(kind: str, good: Bools | np.bool_, reason: str) -> None:
 
 
 def _unit(vectors: Floats) -> Floats:
-    """Vectors (..., 3) of length one."""
     return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
 
 

@@ -124,12 +124,14 @@ class Measurand(Valued):
         normal = found.normal
         if near is not None and task.kind != "sphere":
             normal = normal * np.sign(np.einsum("...i,i->...", normal, near.normal))[..., None]
+        # The zone that holds all deviations: a diameter for a line, peak to valley for the others.
+        form = 2.0 * found.deviations.max(axis=-1) if task.kind == "line" else np.ptp(found.deviations, axis=-1)
         diameter = 2.0 * (found.radius + task.radius_offset_mm * MILLIMETRE)
         parts = {
             "centre": found.centre,
             "normal": normal,
             "diameter": diameter[..., None],
-            "form": _form(task.kind, found.deviations)[..., None],
+            "form": form[..., None],
             "offset": np.einsum("...i,...i->...", normal, found.centre)[..., None],
         }
         return np.concatenate([parts[name] for name in _PARTS[task.kind]], axis=-1)
@@ -161,11 +163,6 @@ def _angle(chosen: Floats) -> Floats:
 def _gaps(gap: Floats) -> Floats:
     rows = np.concatenate([gap, np.linalg.norm(gap, axis=-1, keepdims=True)], axis=-1)
     return rows.reshape(*gap.shape[:-2], -1)
-
-
-def _form(kind: str, deviations: Floats) -> Floats:
-    """Width (...) of the zone that holds all deviations: a diameter for a line, peak to valley for the others."""
-    return 2.0 * deviations.max(axis=-1) if kind == "line" else np.ptp(deviations, axis=-1)
 
 
 _PARTS = {

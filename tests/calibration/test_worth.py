@@ -10,8 +10,7 @@ from ltsim.arrays import Floats
 from ltsim.calibration.files import read_calibration, write_calibration
 from ltsim.calibration.network import calibrate_network
 from ltsim.calibration.worth import ScaledPrior, held_out_targets, point_errors, reading_noise
-from ltsim.evaluation.clouds import measured_points
-from ltsim.evaluation.share_removed import cloud_error
+from ltsim.evaluation.clouds import cloud_error, measured_points
 from ltsim.model.construction import misalignment
 from ltsim.notation import number
 from ltsim.randomness import stream

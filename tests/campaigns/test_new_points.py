@@ -17,7 +17,7 @@ from ltsim.campaigns.spec import Campaign, judge_of
 from ltsim.effects import CATALOGUE
 from ltsim.effects.effect import Effect, Parameter, Stage, on_readings
 from ltsim.errors import ModelError, SetupError
-from ltsim.evaluation.share_removed import share
+from ltsim.evaluation.clouds import share
 from ltsim.scene.sightings import Sightings
 from ltsim.simulation.scenario import Scenario, load_scenario
 from tests.networks import share_removed

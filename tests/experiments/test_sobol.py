@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from ltsim.errors import ModelError
-from ltsim.planning.improvement import ExpectedErrors, Predictor
-from ltsim.planning.information import LayoutInformation
+from ltsim.planning.information import ExpectedErrors, LayoutInformation, Predictor
 from tests.planning.fixtures import survey
 
 sensitivity = import_module("experiments.14_what_drives_improvement.run").sensitivity

@@ -28,7 +28,6 @@ from ltsim.pages.figures import (
     campaign as sweeps,
     floor_plan as floors,
     parameters as estimates,
-    plan as plans,
     points as points,
     residuals as misfits,
 )
@@ -151,7 +150,7 @@ def parameter_figure() -> Figure:
 
 def reflector_changes() -> Figure:
     changes = [PlanChange.model_validate(change) for change in samples.REFLECTOR_CHANGES]
-    return plans.reflector_changes(from_scenario(load_scenario("paper-workshop")), changes)
+    return floors.reflector_changes(from_scenario(load_scenario("paper-workshop")), changes)
 
 
 def residuals_by_covariate() -> Figure:
@@ -172,7 +171,7 @@ def trade_off() -> Figure:
     tried = [{"stations": 2 + i, "hours": 0.3 + i / 60, "quality": {MARKUP: 9.0 - 0.2 * i}} for i in range(12)]
     best = {"stations": 3, "hours": 0.4, "quality": {MARKUP: 5.0}, "efficient": True}
     plan = {"summary": "", "stations": [], "hours": 0.7, "quality": {MARKUP: 3.0}, "tradeoff": [*tried, best]}
-    return plans.trade_off(PlanResult.model_validate(plan), MARKUP)
+    return estimates.trade_off(PlanResult.model_validate(plan), MARKUP)
 
 
 def budget_figure() -> Figure:
@@ -253,7 +252,7 @@ def pixels(figure: Figure) -> np.ndarray:
 
 
 def test_every_figure_is_drawn_here() -> None:
-    modules = (estimates, floors, misfits, plans, points, sweeps)
+    modules = (estimates, floors, misfits, points, sweeps)
     drawn = [one for module in modules for one in vars(module).values() if hasattr(one, "__wrapped__")]
     assert {one.__name__ for one in drawn} <= set(DRAWINGS)
 

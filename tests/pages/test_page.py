@@ -17,9 +17,8 @@ from ltsim.calibration.files import write_calibration
 from ltsim.calibration.network import calibrate_network
 from ltsim.cli.main import run
 from ltsim.errors import LtsimError, RecordError
-from ltsim.fieldcheck import write_check
+from ltsim.fieldcheck import check_file, write_check
 from ltsim.fieldcheck.check import check
-from ltsim.fieldcheck.files import check_file
 from ltsim.pages.document import Document
 from ltsim.pages.page import document, render
 from ltsim.pages.verbs import report

@@ -10,12 +10,11 @@ import pytest
 from ltsim.arrays import Floats
 from ltsim.errors import SetupError
 from ltsim.model.construction import misalignment
-from ltsim.planning.changes import reflector_changes
 from ltsim.planning.information import LayoutInformation
 from ltsim.planning.loading import load_plan
 from ltsim.planning.objective import INSTRUMENT, TARGETS, Objective
 from ltsim.planning.planner import measure
-from ltsim.planning.reflectors import choose_reflectors
+from ltsim.planning.reflectors import choose_reflectors, reflector_changes
 from ltsim.planning.schema import PlanChange
 from ltsim.planning.survey import Survey
 from ltsim.planning.workshop import fixed_of, site_of, staying

@@ -11,8 +11,7 @@ from ltsim.errors import ModelError
 from ltsim.evaluation.criteria import evaluate
 from ltsim.model.construction import misalignment
 from ltsim.model.measurement import MeasurementModel, State
-from ltsim.planning.improvement import Predictor, expected_length
-from ltsim.planning.information import LayoutInformation
+from ltsim.planning.information import LayoutInformation, Predictor, expected_length
 from ltsim.randomness import stream
 from tests.planning.fixtures import survey
 

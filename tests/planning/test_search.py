@@ -23,7 +23,6 @@ from ltsim.planning.starts import PlanningProblem, SearchTask
 from ltsim.randomness import stream
 from ltsim.scene.meshes import box, placed, together
 from ltsim.scene.visibility import SightLimits, aimed_normals, visibility
-from ltsim.simulation.physics import planned_construction
 from tests.planning.fixtures import survey
 
 FLOOR = np.array([[0.6, 0.6], [5.6, 0.6], [5.6, 5.6], [0.6, 5.6]])
@@ -113,7 +112,7 @@ def test_stations_that_share_too_little_are_bound_together(tmp_path: Path) -> No
     (tmp_path / "points.csv").write_text("\n".join(["name,x_mm,y_mm,z_mm", *rows]))
     (tmp_path / "hall.toml").write_text(LONG_HALL)
     file, scenario = load_plan(tmp_path / "hall.toml")
-    problem = PlanningProblem(file, scenario, planned_construction(scenario))
+    problem = PlanningProblem(file, scenario)
     work = problem.searcher(problem.site(SearchTask(4, 1, 0)))
     drawn = [work.random_layout(stream(0, "plan", 4, k)) for k in range(4)]
     apart = [layout for layout in drawn if not np.isfinite(work._value(layout))]

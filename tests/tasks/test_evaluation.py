@@ -21,8 +21,7 @@ from ltsim.tasks.evaluation import Evaluation, evaluate_tasks
 from ltsim.tasks.files import UncertaintyFile, compared, conformity, normalised_error
 from ltsim.tasks.inputs import Inputs, Source
 from ltsim.tasks.measurands import Measurand
-from ltsim.tasks.montecarlo import draw, shortest_intervals
-from ltsim.tasks.propagation import expansion_of, propagate
+from ltsim.tasks.propagation import draw, expansion_of, propagate, shortest_intervals
 from ltsim.tasks.spec import Decision, MonteCarlo, Task, Tasks, Tolerance, tasks_from
 from tests.networks import drawn, network
 

@@ -11,16 +11,14 @@ if TYPE_CHECKING:
         campaign as campaign,
         floor_plan as floor_plan,
         parameters as parameters,
-        plan as plan,
         points as points,
         residuals as residuals,
     )
 
-MODULES = ("campaign", "floor_plan", "parameters", "plan", "points", "residuals")
+MODULES = ("campaign", "floor_plan", "parameters", "points", "residuals")
 
 
 def _load(name: str) -> Any:
-    """Load a module of figures when it is first asked for."""
     if name in MODULES:
         return import_module(f"{__name__}.{name}")
     raise AttributeError(f"there are no figures '{name}'")

@@ -250,8 +250,7 @@ def by_setting(rows: Sequence[Swept], *, label: str, published: float | None = N
     """
     settings = list(dict.fromkeys(str(row.x) for row in rows))[:MOST_SETTINGS]
     methods = list(dict.fromkeys(row.line for row in rows))
-    figure = style.new_figure(0.75 + len(settings) * (0.14 + 0.14 * len(methods)))
-    ax = figure.subplots()
+    figure, ax = style.panel(0.75 + len(settings) * (0.14 + 0.14 * len(methods)))
     places = dict(zip(settings, style.category_rows(ax, settings), strict=True))
     for m, method in enumerate(methods):
         mine = [row for row in rows if row.line == method and str(row.x) in places]
@@ -279,21 +278,21 @@ class TrialDistribution:
 
 
 @style.styled
-def distributions(rows: Sequence[TrialDistribution], *, source: str = "the paper") -> Figure:
+def distributions(rows: Sequence[TrialDistribution]) -> Figure:
     """Small histograms, two a line: mean with 95 % interval, middle 90 % of trials, the published figure."""
     across = min(2, max(len(rows), 1))
     lines = -(-len(rows) // across)
     figure = style.new_figure(0.4 + 1.7 * lines)
     axes = figure.subplots(lines, across, squeeze=False)
     for ax, row in zip(axes.flat, rows, strict=False):
-        _panel(ax, row, source)
+        _panel(ax, row)
     for ax in axes.flat[len(rows) :]:
         ax.set_axis_off()
     style.legend_of(figure, axes.flat)
     return figure
 
 
-def _panel(ax: Axes, row: TrialDistribution, source: str) -> None:
+def _panel(ax: Axes, row: TrialDistribution) -> None:
     values = row.values[np.isfinite(row.values)]
     low, high = np.percentile(values, [0.25, 99.75])
     if row.published is not None:
@@ -315,7 +314,7 @@ def _panel(ax: Axes, row: TrialDistribution, source: str) -> None:
     ax.xaxis.set_major_locator(MaxNLocator(5))
     ax.set_xlabel(f"[{style.unit_text(row.unit)}]" if row.unit else "")
     if row.published is not None:
-        ax.axvline(row.published, color=style.INK, linewidth=1.2, linestyle=(0, (4, 2)), label=source)
+        ax.axvline(row.published, color=style.INK, linewidth=1.2, linestyle=(0, (4, 2)), label="the paper")
         left, below = row.published > 0.5 * (low + high), 100 * float(np.mean(values < row.published))
         ax.annotate(
             typeset(f"{number(row.published)}, percentile {below:.0f}"), (row.published, 1.27 * top),
@@ -336,28 +335,27 @@ def interval(row: Scores) -> tuple[float, float]:
     return float(centre - half), float(centre + half)
 
 
-def uncovered(rows: Sequence[Scores], allowed: tuple[float, float] = ALLOWED) -> list[bool]:
+def uncovered(rows: Sequence[Scores]) -> list[bool]:
     """Whether even the interval of the share that holds the truth lies outside the allowed band: what is drawn red."""
-    return [high < allowed[0] or low > allowed[1] for low, high in map(interval, rows)]
+    return [high < ALLOWED[0] or low > ALLOWED[1] for low, high in map(interval, rows)]
 
 
 @style.styled
-def coverage(rows: Sequence[Scores], *, allowed: tuple[float, float] = ALLOWED) -> Figure:
+def coverage(rows: Sequence[Scores]) -> Figure:
     """Share of trials whose 95 % interval holds the truth, with its own 95 % interval, against the allowed band."""
-    figure = style.new_figure(0.9 + 0.2 * max(len(rows), 3))
-    ax = figure.subplots()
+    figure, ax = style.panel(0.9 + 0.2 * max(len(rows), 3))
     places = style.category_rows(ax, [row.parameter for row in rows])
     share, bounds = np.array([row.coverage_95 for row in rows]), np.array([interval(row) for row in rows])
-    said = f"allowed {100 * allowed[0]:.1f} to {100 * allowed[1]:.1f} %"
-    ax.axvspan(*allowed, color=style.BAND, linewidth=0, zorder=0, label=said)
+    said = f"allowed {100 * ALLOWED[0]:.1f} to {100 * ALLOWED[1]:.1f} %"
+    ax.axvspan(*ALLOWED, color=style.BAND, linewidth=0, zorder=0, label=said)
     ax.axvline(0.95, color=style.INK, linewidth=1.0, linestyle=(0, (4, 2)), label="nominal 95 %")
-    red = np.array(uncovered(rows, allowed), dtype=bool)
+    red = np.array(uncovered(rows), dtype=bool)
     for chosen, colour, word in ((~red, style.BLUE, "share, its 95 % interval"), (red, style.RED, "outside the band")):
         if chosen.any():
             ax.hlines(places[chosen], *bounds[chosen].T, color=colour, linewidth=1.8)
             ax.plot(share[chosen], places[chosen], "o", ms=4.5, color=colour, label=word)
     ax.xaxis.set_major_formatter(lambda value, _: f"{100 * value:g} %")
     ax.set_xlabel("95 % intervals that hold the truth")
-    ax.set_xlim(min(bounds.min(), allowed[0]) - 0.01, min(max(bounds.max(), allowed[1]) + 0.01, 1.0))
+    ax.set_xlim(min(bounds.min(), ALLOWED[0]) - 0.01, min(max(bounds.max(), ALLOWED[1]) + 0.01, 1.0))
     style.legend_of(figure, [ax], ncols=2)
     return figure

@@ -3,6 +3,7 @@
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from math import hypot
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from ltsim.arrays import Bools, Floats
 from ltsim.pages import style
 from ltsim.pages.workshop import PlacedWorkshop
 from ltsim.planning.floor import Floor, FloorArea, distance
+from ltsim.planning.schema import PlanChange
 from ltsim.units import DEGREE, MILLIMETRE
 
 TURNS = np.radians([0, 180, 90, 270])
@@ -104,8 +106,7 @@ def floor_plan(
     """
     low, high = _limits(workshop)
     tall = (high[1] - low[1]) / (high[0] - low[0])
-    figure = style.new_figure(float(np.clip(WIDE * tall + 1.2, *HEIGHTS)), layout="compressed")
-    ax = figure.subplots()
+    figure, ax = style.panel(float(np.clip(WIDE * tall + 1.2, *HEIGHTS)), layout="compressed")
     ax.set_aspect("equal")
     style.quiet_axis(ax, grid="both")
     ax.add_patch(
@@ -338,3 +339,36 @@ def whereabouts(workshop: PlacedWorkshop, marked: Sequence[str], pairs: Sequence
         arrow = {"arrowstyle": "<|-|>", "color": style.RED, "lw": 1.6, "shrinkA": 5, "shrinkB": 5}
         ax.annotate("", place[end], place[start], arrowprops=arrow, zorder=9)
     return figure
+
+
+ONE_MARK = 0.04
+"""Share of the hall's size within which places have one mark, seen from above."""
+
+
+@style.styled
+def reflector_changes(workshop: PlacedWorkshop, changes: Sequence[PlanChange], ground: Floor | None = None) -> Figure:
+    """The floor plan with each change and its number: moves as arrows, crosses are left out."""
+    known = dict(zip(workshop.targets, workshop.points[:, :2].tolist(), strict=True))
+
+    def marks(ax: Axes) -> list[Label]:
+        labels = []
+        kinds = (True, "D", style.PURPLE, "new place, by number"), (False, "x", style.RED, "can go, by number")
+        for new, marker, colour, word in kinds:
+            numbers: dict[tuple[float, float], list[int]] = {}
+            for number, change in enumerate(changes, 1):
+                if (change.position_mm is not None) != new:
+                    continue
+                there = change.position_mm
+                x, y = (v * MILLIMETRE for v in there[:2]) if there else known[change.reflector]
+                near = next((p for p in numbers if hypot(p[0] - x, p[1] - y) < ONE_MARK * workshop.size), (x, y))
+                numbers.setdefault(near, []).append(number)
+                if new and change.reflector:
+                    arrow = {"arrowstyle": "-|>", "color": style.PURPLE, "lw": 1.3, "shrinkA": 3, "shrinkB": 4}
+                    ax.annotate("", near, xytext=known[change.reflector], arrowprops=arrow, zorder=8)
+            if numbers:
+                at = np.array([*numbers]).T
+                ax.scatter(at[0], at[1], marker=marker, s=40, color=colour, zorder=9, label=word)
+            labels += [Label(", ".join(map(str, n)), np.array(at), 8.0, bold=True) for at, n in numbers.items()]
+        return labels
+
+    return floor_plan(workshop, ground=ground, marks=marks)

@@ -1,10 +1,10 @@
-"""What is estimated: parameters, their correlation and course, criteria, and where an uncertainty comes from."""
+"""Numbers estimated or planned: parameters and their course, criteria, budgets, what a plan costs and is worth."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from textwrap import wrap
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -13,12 +13,12 @@ from ltsim.arrays import Floats
 from ltsim.calibration.schema import ParameterEntry
 from ltsim.notation import number, with_sigma
 from ltsim.pages import style
-from ltsim.pages.words import distinct_labels, is_determined, typeset
+from ltsim.pages.words import QUALITY, distinct_labels, is_determined, typeset
 from ltsim.results import Table
 
 if TYPE_CHECKING:
     from ltsim.calibration.history_schema import CourseEntry
-    from ltsim.planning.schema import PlannedParameterEntry
+    from ltsim.planning.schema import PlannedParameterEntry, PlanResult
 
 
 def names_of(rows: Sequence[ParameterEntry]) -> list[str]:
@@ -33,8 +33,7 @@ def parameter_figure(rows: Sequence[ParameterEntry], true: Sequence[float | None
     Where a parameter has no prior, its own sigma scales it. Hollow marks are hardly determined by the recording; `true`
     are the values of a simulation, each where it is known.
     """
-    figure = style.new_figure(0.75 + 0.2 * max(len(rows), 3))
-    ax = figure.subplots()
+    figure, ax = style.panel(0.75 + 0.2 * max(len(rows), 3))
     places = style.category_rows(ax, names_of(rows), size=7.0)
     scales = np.array([row.prior_sigma or row.sigma or 1.0 for row in rows])
     values, sigma = (np.array([getattr(row, name) or 0.0 for row in rows]) / scales for name in ("value", "sigma"))
@@ -63,8 +62,7 @@ def sigma_figure(rows: Sequence[PlannedParameterEntry], reference: Mapping[str, 
 
     `reference` has the sigmas of another layout by name.
     """
-    figure = style.new_figure(0.55 + 0.21 * max(len(rows), 3))
-    ax = figure.subplots()
+    figure, ax = style.panel(0.55 + 0.21 * max(len(rows), 3))
     places = style.category_rows(ax, [row.name for row in rows])
     share = np.array([row.sigma / row.prior_sigma for row in rows])
     other = np.array([reference.get(row.name, np.nan) / row.prior_sigma for row in rows])
@@ -81,7 +79,7 @@ def sigma_figure(rows: Sequence[PlannedParameterEntry], reference: Mapping[str, 
     ax.minorticks_off()
     style.at_right(ax, places, [f"{number(r.sigma, 2)} {style.unit_text(r.unit)}" for r in rows])
     ax.set_xlabel("sigma after measuring / sigma of the prior")
-    figure.legend(*ax.get_legend_handles_labels(), loc="outside upper left", ncols=3)
+    style.legend_of(figure, [ax])
     return figure
 
 
@@ -101,8 +99,7 @@ def correlation_figure(rows: Sequence[ParameterEntry], covariance: Floats) -> Fi
     apart = np.abs(np.where(np.eye(len(names), dtype=bool), 0.0, matrix)).max(axis=1, initial=0.0)
     shown = np.sort(np.argsort(-apart, kind="stable")[:MOST])
     count, matrix = len(shown), matrix[np.ix_(shown, shown)]
-    figure = style.new_figure(2.2 + 0.15 * count)
-    ax = figure.subplots()
+    figure, ax = style.panel(2.2 + 0.15 * count)
     if count < len(names):
         ax.set_title(f"the {count} of {len(names)} parameters that correlate most", fontsize=7.5, fontweight="normal")
     ax.set_facecolor("#DDE1E4")
@@ -161,8 +158,7 @@ def criteria_figure(criteria: Table) -> Figure:
         change = "" if row["improvement_percent"] is None else f" ({row['improvement_percent']:+.1f} % better)"
         lines.append((f"{row['criterion']}, mean{change}", row["mean_um"], row["mean_after_um"]))
         lines.append((f"{row['criterion']}, largest", row["max_um"], row["max_after_um"]))
-    figure = style.new_figure(0.9 + 0.3 * len(lines))
-    ax = figure.subplots()
+    figure, ax = style.panel(0.9 + 0.3 * len(lines))
     places = style.category_rows(ax, [name for name, _, _ in lines])
     for place, (_, before, after) in zip(places, lines, strict=True):
         ax.annotate(
@@ -196,8 +192,7 @@ def budget_figure(names: Sequence[str], shares: Mapping[str, Sequence[float]]) -
     rows = {name: np.asarray(shares[name], dtype=np.float64) for name in told}
     if rest:
         rows["all others"] = np.sum([shares[name] for name in rest], axis=0)
-    figure = style.new_figure(0.75 + 0.21 * max(len(names), 3))
-    ax = figure.subplots()
+    figure, ax = style.panel(0.75 + 0.21 * max(len(names), 3))
     places = style.category_rows(ax, list(names))
     left = np.zeros(len(names))
     for i, (name, share) in enumerate(rows.items()):
@@ -207,7 +202,7 @@ def budget_figure(names: Sequence[str], shares: Mapping[str, Sequence[float]]) -
     ax.set_xlim(0, 100)
     ax.set_xlabel("share of the variance [%]")
     ax.grid(visible=False, axis="y")
-    figure.legend(*ax.get_legend_handles_labels(), loc="outside upper left", ncols=2)
+    style.legend_of(figure, [ax], ncols=2)
     return figure
 
 
@@ -221,8 +216,7 @@ def values_figure(
 ) -> Figure:
     """A row a name: its value, its interval where it has one; dashed lines are the `marks` to compare with."""
     lines = ["\n".join(wrap(name, 34)) for name in rows]
-    figure = style.new_figure(0.9 + 0.15 * sum(1.4 + name.count("\n") for name in lines))
-    ax = figure.subplots()
+    figure, ax = style.panel(0.9 + 0.15 * sum(1.4 + name.count("\n") for name in lines))
     places = style.category_rows(ax, lines)
     ax.set_yticks(places, lines)
     value, low, high = np.array(list(rows.values())).T
@@ -239,8 +233,7 @@ def values_figure(
 @style.styled
 def lines_figure(at: Sequence[float], lines: Mapping[str, Sequence[Interval]], axis: str, label: str) -> Figure:
     """Lines over a quantity `at` (n,), each a value with its interval at every place."""
-    figure = style.new_figure(2.7)
-    ax = figure.subplots()
+    figure, ax = style.panel(2.7)
     for name, rows, colour, marker in zip(lines, lines.values(), style.CYCLE, style.MARKERS, strict=False):
         value, low, high = np.array(rows).T
         half = np.maximum([value - low, high - value], 0.0)
@@ -249,4 +242,44 @@ def lines_figure(at: Sequence[float], lines: Mapping[str, Sequence[Interval]], a
     ax.set_ylabel(typeset(label))
     style.quiet_axis(ax, grid="both")
     style.legend_of(figure, [ax])
+    return figure
+
+
+MOST_NAMED = 14
+"""Layouts that can be named in one picture."""
+COLOUR = {"tried": style.GREY, "best": style.BLUE, "chosen": style.RED, "reference": style.GREEN}
+MARKER = {"tried": ".", "best": "o", "chosen": "*", "reference": "D"}
+SIZE = {"tried": 34, "best": 30, "chosen": 150, "reference": 46}
+WORD = {"tried": "tried", "best": "best at its cost", "chosen": "the plan", "reference": "reference"}
+
+
+@style.styled
+def trade_off(plan: PlanResult, name: str) -> Figure:
+    """Time against one quality of a plan's goal; the line joins the layouts that are best at their cost."""
+    label, factor = QUALITY.get(name, (name, 1.0))
+    kinds: dict[str, list[tuple[float, float, str]]] = {"tried": [], "best": [], "reference": [], "chosen": []}
+    for option in plan.tradeoff:
+        way = f"{option.stations}s {option.faces}f {option.repeats}r"
+        kinds["best" if option.efficient else "tried"].append((option.hours, option.quality.get(name) or np.nan, way))
+    for kind, layout in (("reference", plan.reference), ("chosen", plan)):
+        if layout is not None and layout.quality.get(name) is not None:
+            kinds[kind].append((layout.hours, layout.quality[name] or np.nan, ""))
+    figure, ax = style.panel(3.2)
+    every = np.array([factor * quality for some in kinds.values() for _, quality, _ in some])
+    for kind, some in kinds.items():
+        if some:
+            hours, quality = zip(*((h, factor * q) for h, q, _ in sorted(some)), strict=True)
+            look: dict[str, Any] = {"marker": MARKER[kind], "s": SIZE[kind], "color": COLOUR[kind], "label": WORD[kind]}
+            ax.scatter(hours, quality, zorder=4 if kind != "tried" else 2, linewidths=0, **look)
+            if kind == "best":
+                ax.plot(hours, quality, color=style.BLUE, linewidth=1.0, zorder=3)
+    for hour, size, way in kinds["best"][:MOST_NAMED]:
+        ax.annotate(way, (hour, factor * size), xytext=(6, 5), textcoords="offset points", fontsize=7.5)
+    if (every > 0).all() and every.max() > 20 * every.min():
+        ax.set_yscale("log")
+    ax.margins(x=0.1, y=0.12)
+    ax.set_xlabel("time on the floor [h]; s: stations, f: faces, r: rounds")
+    ax.set_ylabel(f"{typeset(label)}\n(lower is better)")
+    style.quiet_axis(ax, grid="both")
+    style.legend_of(figure, [ax], ncols=2)
     return figure

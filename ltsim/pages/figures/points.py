@@ -5,20 +5,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ltsim.acceptance.files import AcceptanceFile
-from ltsim.arrays import Floats
 from ltsim.fieldcheck.check import Check
 from ltsim.pages import style
 from ltsim.pages.figures.floor_plan import Label, place_labels
 from ltsim.tasks.comparison import Comparison
 
 VIEWS = (("seen from above", 0, 1), ("seen from the side", 0, 2))
-
-
-def enlargement(places: Floats, shifts: Floats, semi_axes: Floats) -> float:
-    """How many times larger than life shifts are drawn: the longest takes an eighth of the picture."""
-    extent = float(np.ptp(places, axis=0).max()) or 1.0
-    longest = float(max(np.linalg.norm(shifts, axis=1).max(), semi_axes.max(), 1e-9))
-    return 1e3 * 0.125 * extent / longest
 
 
 @style.styled
@@ -30,9 +22,9 @@ def displacement_figure(comparison: Comparison) -> Figure:
     )
     moved, names = np.array([d.moved for d in points], dtype=bool), [d.target for d in points]
     figure = style.new_figure(3.0)
-    times = enlargement(places, shifts, semi_axes)
-    figure.suptitle(f"shifts are drawn {times:.0f} times as long", x=0.01, ha="left", fontsize=7.5)
-    enlarged = times * 1e-3
+    longest = max(np.linalg.norm(shifts, axis=1).max(), semi_axes.max(), 1e-9)
+    enlarged = float(0.125 * (np.ptp(places, axis=0).max() or 1.0) / longest)  # to an eighth of the picture
+    figure.suptitle(f"shifts are drawn {1e3 * enlarged:.0f} times as long", x=0.01, ha="left", fontsize=7.5)
     for ax, (title, i, j) in zip(figure.subplots(1, 2), VIEWS, strict=True):
         for place, shift, axes, far in zip(places, shifts, semi_axes, moved, strict=True):
             colour = style.RED if far else style.AFTER
@@ -62,8 +54,7 @@ SPREAD = 0.32
 def shares_of_limits(content: AcceptanceFile) -> Figure:
     """Error over limit of every test, a row a group; bars are expanded uncertainties, failed errors are crosses."""
     groups = [g.name for g in content.groups]
-    figure = style.new_figure(0.9 + 0.42 * max(len(groups), 3))
-    ax = figure.subplots()
+    figure, ax = style.panel(0.9 + 0.42 * max(len(groups), 3))
     rows = style.category_rows(ax, groups)
     ax.axvspan(-1, 1, color=style.BLUE, alpha=0.08, lw=0)
     for edge in (-1, 1):

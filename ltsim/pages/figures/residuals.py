@@ -1,6 +1,5 @@
 """Residuals by station and against what they might depend on, and what a finding puts through them."""
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -21,9 +20,9 @@ BAND = 1.96
 
 
 @style.styled
-def residuals_by_covariate(residuals: Residuals, *, covariates: Sequence[str] = USUAL) -> Figure:
+def residuals_by_covariate(residuals: Residuals) -> Figure:
     """Normalised residuals of all observables against each covariate that is known, with their running means."""
-    names = [name for name in covariates if name in residuals.covariates]
+    names = [name for name in USUAL if name in residuals.covariates]
     figure = style.new_figure(2.0 * max(-(-len(names) // 2), 1) + 0.4)
     axes = figure.subplots(-(-len(names) // 2), 2, sharey=True, squeeze=False)
     for ax, name in zip(axes.flat, names, strict=False):
@@ -110,8 +109,7 @@ def driver_curve(curve: Curve, carrier: str, residuals: Residuals | None = None)
     at, value, sigma = (np.array(values) for values in (curve.at, curve.value, curve.sigma))
     clock = residuals is None or "time" in residuals.covariates or "azimuth" not in residuals.covariates
     covariate, unit = _shown(curve.covariate, clock=clock), curve.unit
-    figure = style.new_figure(2.6)
-    ax = figure.subplots()
+    figure, ax = style.panel(2.6)
     factor, label = _axis(covariate)
     sign = 1.0
     if residuals is not None and covariate in residuals.covariates and carrier in OBSERVABLE_UNIT:
@@ -180,8 +178,7 @@ def _running_mean(ax: Axes, x: Floats, y: Floats, *, colour: str = style.RED, la
 @style.styled
 def hidden_and_found(at: Floats, hidden: Floats, found: Floats, axis: str, label: str) -> Figure:
     """Changes of readings (n,) by what was hidden, as rings, and by what was found, over a covariate (n,)."""
-    figure = style.new_figure(2.7)
-    ax = figure.subplots()
+    figure, ax = style.panel(2.7)
     order = np.argsort(at, kind="stable")
     ax.axhline(0.0, color=style.GREY, linewidth=0.7)
     ax.plot(at[order], hidden[order], "-o", ms=5, mfc="none", color=style.INK, lw=0.8, label="hidden")

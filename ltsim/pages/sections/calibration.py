@@ -70,7 +70,7 @@ def calibration_section(content: CalibrationFile, beside: Beside) -> Section:
     blocks += combined("Determined in combination", content.determined)
     blocks += [*([] if ahead else known), *first[1:], *(product if content.parameters else ()), *_stations(content)]
     if after is not None and not beside.brief:
-        blocks += residual_blocks(after, before, what="the instrument's parameters")
+        blocks += residual_blocks(after, before)
     if content.effects:
         blocks.append(Notes("Estimated beside the calibration", [effect.sentence for effect in content.effects]))
     told = "What the recording tells of the combination: 0 % is nothing beyond the maker's guarantee."

@@ -256,15 +256,13 @@ def _hidden(content: DiagnosisFile) -> list[Block]:
     return [Grid("Not to be seen in this recording", header, rows, note=note)] if rows else []
 
 
-def _detectability(content: DiagnosisFile) -> list[Block]:
+def _detectability(content: DiagnosisFile) -> list[Grid]:
     """How small an effect may be to be found."""
     note = (
         "About 80 % of recordings of this network are told as a mismatch if an effect at a middling place is this "
         "large; to be named it may have to be larger."
     )
-    return [
-        *table_of("Smallest size that is found", content.detectable, "effect", "parameter", "size", "unit", note=note)
-    ]
+    return table_of("Smallest size that is found", content.detectable, "effect", "parameter", "size", "unit", note=note)
 
 
 def _beside_truth(content: DiagnosisFile, truth: Truth, pair: Pair | None) -> list[Block]:

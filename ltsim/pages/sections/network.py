@@ -66,9 +66,9 @@ def truth_of(beside: Beside) -> Truth | None:
     return read_truth(file) if file is not None and file.is_file() else None
 
 
-def residual_blocks(after: Residuals, before: Residuals | None, *, what: str) -> list[Block]:
-    """Residuals by station and against covariates; `what` names the difference between before and after."""
-    compared = f" Grey: without {what}; blue: with." if before is not None else ""
+def residual_blocks(after: Residuals, before: Residuals | None) -> list[Block]:
+    """Residuals by station and against covariates; `before` is without the instrument's parameters."""
+    compared = " Grey: without the instrument's parameters; blue: with." if before is not None else ""
     text = "Observed minus adjusted reading of every pointing; the bar is the root mean square."
     drawn = Picture(
         "Residuals by station", lambda: figures.residuals.residuals_by_station(after, before), text + compared
@@ -185,7 +185,7 @@ def recording_section(folder: Path, *, detail: Detail = "turn", brief: bool = Fa
     blocks = workshop_blocks(lambda: from_adjustment(full, plain=plain), detail)
     if not brief:
         before, after = Residuals.from_adjustment(plain), Residuals.from_adjustment(full)
-        last = [*residual_blocks(after, before, what="the instrument's parameters"), *last]
+        last = [*residual_blocks(after, before), *last]
     answer = f"{_contents(recording)} With the instrument's parameters adjusted, {words}.{found}"
     return Section(title, "Recording", answer, mood(agrees and not outliers), facts, [*blocks, *last], shown=2)
 

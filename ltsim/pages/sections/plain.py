@@ -9,7 +9,7 @@ from ltsim.acceptance.files import AcceptanceFile, passes_words
 from ltsim.calibration.events import ENOUGH_STEPS, LEAST_STEPS
 from ltsim.calibration.history_schema import HistoryFile
 from ltsim.chances import p_is, p_text
-from ltsim.fieldcheck.files import CheckFile
+from ltsim.fieldcheck.items import CheckFile
 from ltsim.notation import number, with_sigma
 from ltsim.pages import figures
 from ltsim.pages.document import Beside, Block, Fact, Grid, Note, Notes, Picture, Section, mood, table_block, table_of
@@ -220,7 +220,8 @@ def history_section(content: HistoryFile, _: Beside) -> Section:
         *table_of("Events: steps that stand out", named, "from_=from", "to", "name=parameter", "difference+-sigma=step",
                   "usual=its usual step", "unit", "p_value"),
         Grid("Parameters", ["parameter", "last", "mean", "spread", "p constant"],
-              [[p.name, _last(p), number(p.mean), number(p.spread), p_text(p.constant.p_value)] for p in known]),
+              [[p.name, with_sigma(p.values[-1], p.sigmas[-1], p.unit), number(p.mean), number(p.spread),
+                p_text(p.constant.p_value)] for p in known]),
         Grid("Fits of the calibrations", ["calibration", "chi2", "degrees of freedom", "sigma0"],
               [[short[c.label], number(c.fit.chi2), str(c.fit.dof), number(c.fit.sigma0)]
                for c in content.calibrations],
@@ -234,10 +235,6 @@ def history_section(content: HistoryFile, _: Beside) -> Section:
     answer = f"Over {count(len(labels), 'calibration')} from {rows[-1][0]} to {rows[-1][1]} the instrument "
     answer += _course_words(content, named, usual, ends)
     return Section("History of an instrument", "History", answer, mood(not changed), facts, blocks)
-
-
-def _last(course: Any) -> str:
-    return with_sigma(course.values[-1], course.sigmas[-1], course.unit)
 
 
 def _course_words(content: HistoryFile, events: Sequence[Any], usual: bool, ends: dict[str, Any]) -> str:

@@ -144,18 +144,18 @@ def _pictures(content: PlanResult, scenario: Scenario | None, *, turn: bool) -> 
     ]
     drawn += [scene(workshop)] if turn else []
     text = "Numbers are those of the table; an arrow comes from where a reflector is now."
-    changes = partial(figures.plan.reflector_changes, workshop, content.reflector_changes, ground)
+    changes = partial(figures.floor_plan.reflector_changes, workshop, content.reflector_changes, ground)
     return drawn, [Picture("Where these reflectors are", changes, text)] if content.reflector_changes else []
 
 
 def _curve(content: PlanResult) -> list[Block]:
     text = "Every dot is the best layout found for its way of working."
     blocks: list[Block] = [
-        Picture(f"Cost against quality: {name}", partial(figures.plan.trade_off, content, name), text)
+        Picture(f"Cost against quality: {name}", partial(figures.parameters.trade_off, content, name), text)
         for name, own in content.quality.items()
         if own is not None and sum(option.quality.get(name) is not None for option in content.tradeoff) > 1
     ]
-    factor, unit = content.value_unit
+    factor, unit = (1e6, "um") if set(content.quality) == {"targets"} else (1.0, "")
     rows = [
         [count(o.stations, "station"), str(o.faces), str(o.repeats), str(o.pointings), f"{o.hours:.2f}",
          number(None if o.value is None else factor * o.value), "yes" if o.efficient else ""]
