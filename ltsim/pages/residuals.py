@@ -136,5 +136,7 @@ def _geometry(adjustment: Adjustment, rows: Ints) -> dict[str, Floats]:
     if np.isfinite(incidence).any():
         found["incidence"] = incidence
     further = {name: column[rows] for name, column in sightings.covariates.items()}
-    order: dict[str, Floats] = {"time": sightings.time[rows] / 60.0} if clock else {"row": (rows + 1).astype(np.float64)}
+    order: dict[str, Floats] = (
+        {"time": sightings.time[rows] / 60.0} if clock else {"row": (rows + 1).astype(np.float64)}
+    )
     return found | order | further

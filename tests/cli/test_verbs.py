@@ -14,9 +14,9 @@ import pytest
 
 import ltsim.cli
 from ltsim.cli.main import VERBS, run
-from ltsim.cli.terminal import table
 from ltsim.effects import CATALOGUE, card_of
 from ltsim.errors import ModelError
+from ltsim.notation import aligned
 from ltsim.recording import read
 from ltsim.simulation.truth import read_truth
 
@@ -272,9 +272,9 @@ def test_folder_that_cannot_be_written(workplace: Path, capsys, tmp_path: Path) 
 
 
 def test_tables() -> None:
-    assert table(["a", "b"], [["x", "1"], ["yy", "22"]]) == "a    b\nx    1\nyy  22"
+    assert aligned(["a", "b"], [["x", "1"], ["yy", "22"]]) == "a    b\nx    1\nyy  22"
     with pytest.raises(ModelError):
-        table(["a"], [["x", "y"]])
+        aligned(["a"], [["x", "y"]])
 
 
 WITHOUT = """
