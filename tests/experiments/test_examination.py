@@ -30,7 +30,7 @@ hall_of, known, law, made, tracker, score, report, entrants = (
     for name in ("hall", "laws.catalogue", "law", "make", "tracker", "score", "report", "entrants")
 )
 PLAN = """seed = 5
-laws = ["signals"]
+laws = ["bearings_and_circles"]
 clean = 1
 catalogued = { 200 = 1 }
 """
@@ -106,7 +106,7 @@ def test_a_third_party_makes_answers_and_scores_without_ltsim(root: Path, tmp_pa
 
 def test_a_truth_that_was_changed_is_not_scored(tmp_path: Path) -> None:
     main = import_module(PLACE + "__main__")
-    (tmp_path / "plan.toml").write_text('seed = 5\nlaws = ["signals"]\nclean = 1\n')
+    (tmp_path / "plan.toml").write_text('seed = 5\nlaws = ["bearings_and_circles"]\nclean = 1\n')
     made.make(made.read_plan(tmp_path / "plan.toml"), tmp_path)
     (tmp_path / made.TRUTH).write_text((tmp_path / made.TRUTH).read_text().replace("clean", "dirty"))
     with pytest.raises(SystemExit, match="sealed"):
@@ -171,9 +171,9 @@ def test_a_catalogued_cause_does_what_the_catalogue_says(name: str, tmp_path: Pa
 @pytest.mark.parametrize(
     ("name", "strength"),
     [
-        ("solvent-vapour-lies-in-one-bay", 200),
-        ("the-slab-dips-beside-the-press", 200),
-        ("the-adapters-are-not-in-the-certificate", 6),
+        ("a-warm-curtain-hangs-in-the-gate-while-it-is-open", 200),
+        ("one-leg-stands-on-a-soft-tile", 200),
+        ("the-upright-bar-was-certified-lying-down", 6),
     ],
 )
 def test_strength_is_what_the_adjustment_is_left_with(name: str, strength: int, tmp_path: Path) -> None:
