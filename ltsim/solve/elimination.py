@@ -92,7 +92,7 @@ class SparseElimination:
         """Solve for a right-hand side (K + 3 E, c)."""
         front, back = right[: self._kept], right[self._kept :]
         kept = self._chain.solve(front - self._carry @ back)
-        blocks = back.reshape(-1, 3, right.shape[1])
+        blocks = back.reshape(len(back) // 3, 3, right.shape[1])  # of no columns too
         return np.concatenate([kept, (self._inverse @ blocks).reshape(back.shape) - self._carry.T @ kept])
 
     @cached_property

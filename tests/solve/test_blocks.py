@@ -39,6 +39,7 @@ def test_step_covariance_and_leverage_equal_dense_ones(seed, kind):
     np.testing.assert_allclose(factor.leverage(), hat, rtol=1e-8)
     directions = np.eye(len(inverse))[:, [0, 9]]
     np.testing.assert_allclose(factor.covariance_columns(directions), inverse[:, [0, 9]], rtol=1e-8)
+    assert factor.covariance_columns(directions[:, :0]).shape == (len(directions), 0)
 
 
 @pytest.mark.parametrize("kind", [np.array, sp.csr_array])
