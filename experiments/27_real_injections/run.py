@@ -33,6 +33,7 @@ from ltsim.workers import parallel
 
 MEASURES = {"found": "found", "placed": "place right", "right": "told rightly"}
 DRAWN = (*MEASURES.values(), "reliability")
+COUNTED = ("site", "file", "kind", "strength", "trial", "hidden", *MEASURES, "new", "injected", "retold")
 SAME = 0.5
 """Share of several stations or targets in common from which they are the same place."""
 GREW = 0.01
@@ -170,7 +171,8 @@ def injected(given: Options, settings: Row, told_noise: bool) -> list[Row]:
 def run(given: Options) -> Made:
     settings, files = given.config, [given.out / "rows.csv", given.out / "told_noise.csv"]
     if "told-noise" in given.words:
-        write_table(files[1], injected(given, settings | {"strengths": [100]}, told_noise=True))
+        rows = injected(given, settings | {"strengths": [100]}, told_noise=True)
+        write_table(files[1], [{k: r.get(k, "") for k in COUNTED} for r in rows])
     elif "tables" not in given.words:
         write_table(files[0], injected(given, settings, told_noise=False))
     rows, told = (pd.read_csv(f).convert_dtypes().to_dict("records") if f.is_file() else [] for f in files)
