@@ -35,7 +35,7 @@ from ltsim.simulation.draws import Normal
 from ltsim.simulation.physics import construction_of, effects_of
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.simulator import place_key
-from ltsim.simulation.workshop import planned
+from ltsim.simulation.workshop import Layout, planned
 
 JUDGED = {"criteria", "errors"}
 """Statistics that take corrected readings."""
@@ -106,6 +106,10 @@ class Prepared:
             labels += labels_of(fitted_construction(method), names, fitted_effects(method))
         return {label.name: label.parameter.unit for label in labels}
 
+    @cached_property
+    def _plan(self) -> Layout:
+        return planned(self.scenario)
+
     def blocks(self, first: int, last: int) -> Iterator[tuple[Judge, Sequence[Calibrator], Block]]:
         """Blocks that hold the trials ``first`` to ``last - 1``, with their geometry's judge and calibrators.
 
@@ -123,11 +127,11 @@ class Prepared:
 
     def _geometries(self, trials: range) -> dict[int, CellTruth]:
         """The geometry of each trial that has a possible one; they share the set-up with the common one."""
-        found, seed, plan = {}, self.campaign.seed, planned(self.scenario)
+        found, seed = {}, self.campaign.seed
         for trial in trials:
             with suppress(SetupError):
                 key, like = place_key(trial, self.campaign.geometry), self.shared[0].truth
-                found[trial] = truth_of(self.scenario, seed, *key, like=like, plan=plan)
+                found[trial] = truth_of(self.scenario, seed, *key, like=like, plan=self._plan)
         return found
 
 
