@@ -60,6 +60,11 @@ class Residuals:
         return self.observable == OBSERVABLES.index(observable)
 
     @property
+    def order(self) -> str:
+        """What tells the order of the work: the time, or the row where the recording is known to have no clock."""
+        return "time" if "time" in self.covariates or "azimuth" not in self.covariates else "row"
+
+    @property
     def sigma(self) -> Floats:
         """(n,): standard deviations of the readings that the normalised residuals rest on."""
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -110,19 +115,21 @@ class Residuals:
         """The same residuals with the covariates that `other`, if there is one, knows for the same observations."""
         if other is None:
             return self
-        return replace(self, covariates={name: self._as_in(other, column) for name, column in other.covariates.items()})
+        at = self._places_in(other)
+        found = {name: np.append(column, np.nan)[at] for name, column in other.covariates.items()}
+        return replace(self, covariates=found)
 
     def by_noise_of(self, other: Residuals) -> Residuals:
         """The same residuals, normalised by the standard deviations that `other` rests on."""
+        sigma = np.append(other.sigma, np.nan)[self._places_in(other)]
         with np.errstate(divide="ignore", invalid="ignore"):
-            w = self.residual / (self._as_in(other, other.sigma) * np.sqrt(self.redundancy))
-        return replace(self, w=w)
+            return replace(self, w=self.residual / (sigma * np.sqrt(self.redundancy)))
 
-    def _as_in(self, other: Residuals, column: Floats) -> Floats:
-        """What a column (k,) of `other` says of the same observations (n,); NaN where it lacks one."""
+    def _places_in(self, other: Residuals) -> Ints:
+        """Where the same observations (n,) stand in `other`; -1 where it lacks one."""
         place = {key: i for i, key in enumerate(zip(other.row.tolist(), other.observable.tolist(), strict=True))}
-        at = [place.get(key) for key in zip(self.row.tolist(), self.observable.tolist(), strict=True)]
-        return np.array([np.nan if i is None else column[i] for i in at])
+        keys = zip(self.row.tolist(), self.observable.tolist(), strict=True)
+        return np.array([place.get(key, -1) for key in keys], dtype=np.int64)
 
 
 def _geometry(adjustment: Adjustment, rows: Ints) -> dict[str, Floats]:

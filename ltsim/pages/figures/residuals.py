@@ -82,15 +82,16 @@ def signature_figure(before: Residuals, after: Residuals, covariate: str, where:
     shown = [n for n in OBSERVABLES if (not where.observables or n in where.observables) and before.of(n).any()]
     figure = style.new_figure(0.5 + 1.8 * max(len(shown), 1))
     grid = figure.subplots(len(shown), 2, sharex=True, sharey="row", squeeze=False)
+    stated = before.w, after.by_noise_of(before).w
     for line, observable in zip(grid, shown, strict=True):
-        for ax, residuals, word in zip(line, (before, after), ("without", "with it"), strict=True):
+        for ax, residuals, normalised, word in zip(line, (before, after), stated, ("without", "with it"), strict=True):
             rows = residuals.of(observable) & np.isfinite(residuals.covariates[covariate])
             here = rows & residuals.at(where.stations, where.targets)
             if (rows & ~here).any():
                 _dots(ax, residuals, rows & ~here, covariate, color="#C3C8CC", label="elsewhere", ms=2.5)
             _dots(ax, residuals, here, covariate, color=style.AFTER, label="where the finding acts", ms=4.0)
             _running_mean(ax, residuals.covariates[covariate][here], residuals.residual[here], label="running mean")
-            w = residuals.by_noise_of(before).w[here]
+            w = normalised[here]
             size = float(np.sqrt(np.mean(w[np.isfinite(w)] ** 2))) if np.isfinite(w).any() else 0.0
             ax.set_title(f"{word}: rms {size:.2f} of the stated noise", fontsize=8, fontweight="normal")
         line[0].set_ylabel(_reading(observable))
@@ -107,8 +108,9 @@ def driver_curve(curve: Curve, carrier: str, residuals: Residuals | None = None)
     `residuals` without the finding are dots behind the curve of a reading, whose sign is then that of a residual.
     """
     at, value, sigma = (np.array(values) for values in (curve.at, curve.value, curve.sigma))
-    clock = residuals is None or "time" in residuals.covariates or "azimuth" not in residuals.covariates
-    covariate, unit = _shown(curve.covariate, clock=clock), curve.unit
+    covariate, unit = curve.covariate, curve.unit
+    if residuals is not None and covariate == "time":
+        covariate = residuals.order
     figure, ax = style.panel(2.6)
     factor, label = _axis(covariate)
     sign = 1.0
@@ -133,11 +135,6 @@ def axis_text(covariate: str) -> str:
     """Label of a covariate's axis."""
     unit = COVARIATE_UNIT.get(covariate, "")
     return f"{style.shorten(covariate)} [{unit}]" if unit else style.shorten(covariate)
-
-
-def _shown(covariate: str, *, clock: bool) -> str:
-    """The covariate that is drawn: without a clock the row stands for the time."""
-    return "row" if covariate == "time" and not clock else covariate
 
 
 def _axis(covariate: str) -> tuple[float, str]:

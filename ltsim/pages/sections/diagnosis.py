@@ -187,8 +187,7 @@ def finding_drawing(finding: Finding, before: Residuals | None, after: Residuals
     if before is None or after is None or mended or np.array_equal(before.residual, after.residual):
         return None
     where = finding.where
-    order = "time" if "time" in before.covariates else "row"
-    wanted = [order if name == "time" else name for name in (*where.covariates, "time", "elevation")]
+    wanted = [before.order if name == "time" else name for name in (*where.covariates, "time", "elevation", "row")]
     known = [name for name in wanted if name in before.covariates and name in after.covariates]
     place = where.stations, where.targets
     if not known or not before.at(*place).any() or not after.at(*place).any():
