@@ -1,0 +1,194 @@
+"""From a plan to work on the shop floor: each tripod placed by tape, the order of measuring, what to check."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from ltsim.arrays import Bools, Floats
+from ltsim.model.measurement import sightings_of
+from ltsim.planning.planner import Plan
+from ltsim.units import DEGREE, MILLIMETRE
+
+REACH = 2.2
+"""[m] above the floor to which a point can be plumbed to the floor."""
+TAPE = 15.0
+"""[m] that a tape or a distance meter reaches with ease."""
+MOST_MARKS = 16
+"""Marks of a station that are looked at."""
+STRAIGHT = 0.1
+"""What a distance straight to a reflector must gain in it over one along the floor."""
+READ, PLAY, CLEAR = 0.01, 0.03, 0.1
+"""[m] to which a tape is read, by how much three may leave the place open, and must miss every other place."""
+NEAR = 0.3
+"""[m] under which a distance fixes nothing."""
+ANKLE = 0.1
+"""[m] above the floor at which the tape must have a free way."""
+BORED = 0.03
+"""What a metre more of tape must gain in the firmness of three distances."""
+TRUST = 3.0
+"""Sigmas beyond which a repeated point is taken to have moved."""
+COMMON = 3
+"""Points that are measured again at the end of a station."""
+
+
+@dataclass(frozen=True)
+class Tape:
+    """A distance along the floor, from under the head to under a point, or straight from the head to a reflector."""
+
+    to: str
+    place: Floats
+    """(3,) [m]: of the point."""
+    metres: float
+    floor: bool
+
+    @classmethod
+    def of(cls, to: str, place: Floats, station: Floats, *, floor: bool) -> Tape:
+        """From an instrument at `station` (3,) [m]."""
+        gap = place - station
+        return cls(to, place, float(np.linalg.norm(gap[:2] if floor else gap)), floor)
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One station of the work."""
+
+    name: str
+    height: float
+    """[m]: of the head's centre above the floor."""
+    tapes: tuple[Tape, ...]
+    """Three, which meet in one point unless `lacking` says otherwise."""
+    lacking: str
+    """What the tapes lack to fix the place; empty where they do."""
+    towards: str
+    """Where azimuth zero looks, in words."""
+    order: tuple[str, ...]
+    """Targets in the order of their first pointing."""
+    again: dict[str, float]
+    """[m]: targets to measure again at the end, and how far they may be off then."""
+    minutes: float
+    """Of pointing."""
+
+
+def settings_of(plan: Plan) -> tuple[Setting, ...]:
+    """The stations of a plan in the order of the work."""
+    survey, built = plan.chosen.survey, plan.chosen.information.construction
+    recording = survey.recording(built)
+    sightings = sightings_of(recording, survey.state(built))
+    sigma = survey.noise(sightings) * survey.used
+    flat = sightings.range_ * np.cos(sightings.elevation)
+    error = np.linalg.norm(sigma * np.stack([np.ones_like(flat), flat, sightings.range_], axis=1), axis=1)
+    found = []
+    for s, name in enumerate(recording.stations):
+        rows = np.flatnonzero(recording.station == s)
+        at = survey.station_names.index(name)
+        place, seen = survey.position[at], survey.seen[at]
+        order = list(dict.fromkeys(recording.target[rows].tolist()))
+        again = [order[i] for i in np.unique(np.linspace(0, len(order) - 1, COMMON).round().astype(int))]
+        limit = {t: TRUST * np.sqrt(2.0) * float(error[rows[recording.target[rows] == t][0]]) for t in again}
+        tapes = _tapes(_marks(plan, place, seen), place)
+        found.append(
+            Setting(
+                name=name,
+                height=float(place[2]),
+                tapes=tapes,
+                lacking=lacking(tapes, place),
+                towards=_towards(plan, place, float(survey.yaw[at]), seen),
+                order=tuple(recording.targets[t] for t in order),
+                again={recording.targets[t]: value for t, value in limit.items()},
+                minutes=len(rows) * survey.seconds_per_pointing / 60.0,
+            )
+        )
+    return tuple(found)
+
+
+def _marks(plan: Plan, place: Floats, seen: Bools) -> list[Tape]:
+    """What a station can be taped to: in reach of a tape first, then along the floor, then the nearest.
+
+    Along the floor: points that can be plumbed and corners of the room, if the way is free; else straight to any
+    other reflector in sight.
+    """
+    survey, obstacles = plan.chosen.survey, plan.site.obstacles
+    targets = list(zip(survey.target_names, survey.points, strict=True))
+    wide, deep = np.array(plan.scenario.workshop.size_mm[:2]) * MILLIMETRE
+    corners = [(f"room corner ({x:g} m, {y:g} m)", np.array([x, y, 0.0])) for x in (0.0, wide) for y in (0.0, deep)]
+    plumbed = [*((name, point) for name, point in targets if point[2] <= REACH), *corners]
+    level = [Tape.of(name, point, place, floor=True) for name, point in plumbed]
+    if obstacles is not None:
+        ends = np.array([[*mark.place[:2], ANKLE] for mark in level])
+        blocked = obstacles.blocked(np.tile([*place[:2], ANKLE], (len(ends), 1)), ends)
+        level = [mark for mark, hidden in zip(level, blocked, strict=True) if not hidden]
+    known = {mark.to for mark in level}
+    straight = [Tape.of(*targets[t], place, floor=False) for t in np.flatnonzero(seen) if targets[t][0] not in known]
+    every = [mark for mark in (*level, *straight) if mark.metres > NEAR]
+    return sorted(every, key=lambda mark: (mark.metres > TAPE, not mark.floor, mark.metres))[:MOST_MARKS]
+
+
+def _tapes(marks: Sequence[Tape], place: Floats) -> tuple[Tape, ...]:
+    """Three distances that cross well, are short and meet in one point only, the station's; else the firmest three."""
+
+    def worth(three: tuple[Tape, ...]) -> tuple[bool, bool, float]:
+        firm, good = firmness(three, place), not lacking(three, place)
+        longest, straight = max(mark.metres for mark in three), sum(not mark.floor for mark in three)
+        return good, good and longest <= TAPE, firm - good * (BORED * longest + STRAIGHT * straight)
+
+    return max(combinations(marks, 3), key=worth, default=tuple(marks))
+
+
+def firmness(three: Sequence[Tape], place: Floats) -> float:
+    """By how much distances change at least for a step on the floor: the least singular value of their slopes."""
+    slopes = np.array([(place[:2] - mark.place[:2]) / mark.metres for mark in three])
+    return float(np.linalg.svd(slopes, compute_uv=False).min())
+
+
+def lacking(tapes: Sequence[Tape], place: Floats) -> str:
+    """What distances, read within `READ`, lack to give the place and no other one, as a sentence; empty for nothing."""
+    if len(tapes) < 3:
+        return "Fewer than three points can be taped to: mark its place by another way."
+    if (firm := firmness(tapes, place)) * PLAY < READ:
+        wide = f"by {100 * READ / firm:.0f} cm" if firm > READ else "along a line"
+        return f"The tapes cross too flat and leave its place open {wide}: mark it by another way."
+    at = np.array([mark.place[:2] for mark in tapes])
+    rise = np.array([mark.metres for mark in tapes]) ** 2 - np.sum((place[:2] - at) ** 2, axis=1)
+    first, second = max(combinations(at, 2), key=lambda ends: float(np.linalg.norm(ends[1] - ends[0])))
+    along = (second - first) / np.linalg.norm(second - first)
+    gap = place[:2] - first
+    mirror = place[:2] - 2.0 * (gap - along * (gap @ along))
+    misses = np.sqrt(np.sum((mirror - at) ** 2, axis=1) + rise) - [mark.metres for mark in tapes]
+    if np.linalg.norm(mirror - place[:2]) < PLAY or np.abs(misses).max() > CLEAR:
+        return ""
+    return f"The tapes meet a second time, at x {mirror[0]:.2f}, y {mirror[1]:.2f} m: that is the wrong side."
+
+
+def _towards(plan: Plan, place: Floats, yaw: float, seen: Bools) -> str:
+    """Where azimuth zero looks: the target in sight that is nearest to it, and how far beside."""
+    survey = plan.chosen.survey
+    way = survey.points[seen] - place
+    off = np.angle(np.exp(1j * (np.arctan2(way[:, 1], way[:, 0]) - yaw)))
+    best = int(np.argmin(np.abs(off)))
+    name = survey.target_names[np.flatnonzero(seen)[best]]
+    degrees = round(abs(float(off[best])) / DEGREE)
+    return name if degrees == 0 else f"{degrees}° {'right' if off[best] > 0 else 'left'} of {name}"
+
+
+def checks(plan: Plan) -> list[str]:
+    """What to check and when, in the order of the work."""
+    survey, file = plan.chosen.survey, plan.file
+    found = [
+        f"Before the first pointing: the tracker is warm, its own checks are passed, the air has the planned "
+        f"{plan.scenario.workshop.temperature_c:g} °C; note temperature, pressure and humidity.",
+        f"At every station, before its first pointing: the head stands within {file.stations.play_mm:g} mm of its "
+        "place, and every point of its list is in sight.",
+        "At the end of every station: measure the points under 'again' once more; where one is off by more than "
+        "stated, the tripod or the point has moved, and the station is measured anew.",
+    ]
+    if len(survey.faces) == 2:
+        found.append("In both faces: the two readings of a point differ as those of the others do; else one is a slip.")
+    if len(survey.position) > 1:
+        found.append(
+            "Before the second station and each later one is left: ltsim adjust of all so far suspects no pointing."
+        )
+    return found
