@@ -30,7 +30,6 @@ from ltsim.effects.signature import Signature
 from ltsim.errors import NetworkError
 from ltsim.model.construction import Construction, ideal
 from ltsim.model.measurement import MeasurementModel, State
-from ltsim.notation import listing
 from ltsim.recording.recording import Recording
 from ltsim.results import Result
 from ltsim.scene.sightings import Sightings
@@ -187,9 +186,6 @@ class Adjustment(Result):
         lengths = problem.use[:, 0].any() or len(problem.gauge) or problem.differences.axes[:, :2].any()
         if held < 2 and not lengths:
             return "no distance, no known length and no two known points give the network its scale"
-        if len(low := problem.without_height):
-            names = listing([recording.targets[t] for t in low])
-            return f'nothing tells the height of {names}: state it (known_axes = "z"; adj="xy" in a file of gama-local)'
         seen = np.zeros((len(recording.stations), len(recording.targets)), dtype=bool)
         seen[recording.station, recording.target] = True
         seen[problem.levels.station] = False  # to an upright station a line is as good as any targets

@@ -49,6 +49,8 @@ SIGMAS = 5.0
 """Standard deviations of what the rest says from which a known value is left out."""
 CHECKED = 1e-3
 """Redundancy below which the rest says nothing about a known value."""
+UNFELT = 1e-9
+"""Signature of a component, in that of the one that is felt most, below which nothing feels it."""
 FELT = 0.2
 """Whitened residual below which a known value need not be looked at: what is 5 sigmas off has more."""
 FINEST = 0.3
@@ -178,7 +180,7 @@ def known_tests(problem: NetworkProblem, solution: Solution[State], least: float
 def _test(value: KnownInRows, left: Floats, pull: Floats) -> KnownTest:
     """The test from what the adjustment leaves of the signature (q, q) and its product with the residuals (q,)."""
     size = np.linalg.norm(value.signature, axis=0)
-    size = np.where(size > 0, size, 1.0)  # no reading feels the height of a mark in a plan
+    size = np.where(size > UNFELT * size.max(), size, np.inf)  # no reading feels the height of a mark in a plan
     share, turned = np.linalg.eigh(left / np.outer(size, size))
     checked = share > CHECKED
     share, turned = share[checked], turned[:, checked]
@@ -296,20 +298,23 @@ def _most_suspect(
     w = normalised(problem, problem.residuals(problem.model.predict(solution.x)), redundancy)
     shown = scale_of(w, redundancy)
 
-    def unlikely(drop: float, rank: int, looks: int) -> tuple[float, float]:
-        healed = np.sqrt(max(solution.cost - drop, 0.0) / max(problem.dof - rank, 1))
-        scaled = drop / max(1.0, min(shown, float(healed))) ** 2
-        return float(surprise(scaled, rank)) - float(np.log(looks)), scaled
+    def noise(test: KnownTest) -> float:
+        healed = np.sqrt(max(solution.cost - test.drop, 0.0) / max(problem.dof - test.rank, 1))
+        return max(1.0, min(shown, float(healed)))
+
+    def unlikely(drop: float, rank: int, looks: int) -> float:
+        return float(surprise(drop, rank)) - float(np.log(looks))
 
     count = len(list(known_values(problem, solution.x)))
-    chances = [unlikely(test.drop, test.rank, count) for test in tests]
-    best = int(np.argmax([chance for chance, _ in chances]))
-    chance, scaled = chances[best]
+    chances = [unlikely(test.drop / noise(test) ** 2, test.rank, count) for test in tests]
+    best = int(np.argmax(chances))
+    chance, scaled = chances[best], tests[best].drop / noise(tests[best]) ** 2
     if scaled < max(SIGMAS, critical_w(count)) ** 2 or chance < -np.log(FAMILY_LEVEL):
         return None
     worst = int(np.argmax(np.nan_to_num(np.abs(w))))
-    if unlikely(float(np.nan_to_num(w).flat[worst] ** 2), 1, int(problem.use.sum()))[0] <= chance:
-        alike = [k for k, (other, _) in enumerate(chances) if other > chance - np.log(RIVAL)]
+    reading = float(np.nan_to_num(w).flat[worst]) / noise(tests[best])  # of two causes by the same noise
+    if unlikely(reading**2, 1, int(problem.use.sum())) <= chance:
+        alike = [k for k, other in enumerate(chances) if other > chance - np.log(RIVAL)]
         if len(alike) > 1 and tests[best].kind == "level":
             return None  # A few levels against each other: nothing that others would not tell better.
         if tests[best].kind == "scale":
@@ -318,9 +323,9 @@ def _most_suspect(
         chosen = alike[-1] if marks else best
         rivals = tuple(tests[k].name for k in alike if k != chosen)
         return replace(tests[chosen], left_out=marks or not rivals, rivals=rivals)
-    reading = np.zeros(w.shape, dtype=bool)
-    reading.flat[worst] = True
-    return reading
+    aside = np.zeros(w.shape, dtype=bool)
+    aside.flat[worst] = True
+    return aside
 
 
 def _too_many(problem: NetworkProblem, solution: Solution[State], out: Sequence[KnownTest]) -> bool:

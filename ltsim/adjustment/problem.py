@@ -45,17 +45,20 @@ class Structure:
     tilt: Ints
     """Stations without azimuths, and those without any angle or level."""
     height: Ints
-    """Levelled stations that only read azimuths."""
+    """Levelled stations that only read azimuths and horizontal distances."""
     place: Ints
     """Stations without any reading."""
     unseen: Bools
     """(T,): targets without a reading in use, known coordinates or a set-up on them."""
     flat: Bools
-    """(T,): targets that levelled set-ups saw by horizontal directions alone: nothing tells their height."""
+    """(T,): targets of which levelled set-ups read, or under which they read, horizontal directions and horizontal
+    distances alone: nothing tells their height."""
     turned: Ints
     """Stations whose yaw the readings know."""
     idle: int
     """Known coordinates of unseen targets: they check nothing."""
+    in_plan: bool
+    """Whether all heights are held: then a translation along the vertical is none that the datum holds."""
 
     @classmethod
     def of(cls, problem: NetworkProblem) -> Structure:
@@ -63,20 +66,27 @@ class Structure:
         recording, use, marks, levels = problem.model.recording, problem.use, problem.marks, problem.levels
         count = len(recording.stations)
         range_, azimuth, elevation = (np.bincount(recording.station, use[:, i], count) > 0 for i in range(3))
+        high = use[:, 2] | (use[:, 0] & ~recording.is_horizontal)
+        feels = np.bincount(recording.station, high, count) > 0
         level, alone = np.zeros(count, dtype=bool), (marks.first == np.arange(count)) & (marks.target < 0)
         level[levels.station] = True
         alone[problem.known_marks.target] = False
-        height = alone & azimuth & ~range_ & ~elevation & level
+        height = alone & azimuth & ~feels & level
         seen = np.bincount(recording.target, use.any(axis=1), len(recording.targets)) > 0
-        known = np.concatenate([problem.control.target, marks.target[marks.target >= 0]])
         seen[problem.control.target[problem.control.axes.all(axis=1)]] = True
         seen[marks.target[marks.target >= 0]] = True
         upright = np.zeros(count, dtype=bool)
         upright[levels.station] = np.abs(levels.vertical @ VERTICAL) > UPRIGHT
-        flat = np.bincount(recording.target, use[:, 1], len(recording.targets)) > 0
-        flat[recording.target[use[:, [0, 2]].any(axis=1) | (use[:, 1] & ~upright[recording.station])]] = False
-        flat[np.concatenate([known, problem.gauge.first, problem.gauge.second])] = False
+        on = marks.target >= 0
+        flat = np.bincount(recording.target, use.any(axis=1), len(recording.targets)) > 0
+        flat[marks.target[on & azimuth]] = True
+        flat[recording.target[high | (use.any(axis=1) & ~upright[recording.station])]] = False
+        flat[marks.target[on & (feels | ~upright)]] = False
+        flat[problem.control.target[problem.control.axes[:, 2]]] = False
+        flat[np.concatenate([problem.gauge.first, problem.gauge.second])] = False
         told = problem.differences.told(np.concatenate([flat, height, [False]]))
+        known = np.concatenate([problem.control.axes[:, 2], problem.known_marks.axes[:, 2]])
+        stands = np.where(marks.target >= 0, told[marks.target], told[len(flat) : -1])
         return cls(
             idle=int(problem.control.axes[~seen[problem.control.target]].sum()),
             unknowns=problem.unknowns,
@@ -87,6 +97,7 @@ class Structure:
             unseen=~seen,
             flat=told[: len(flat)],
             turned=np.flatnonzero(azimuth),
+            in_plan=bool(stands.all() and (told[: len(flat)] | ~seen).all() and not known.any()),
         )
 
     @property
@@ -183,7 +194,7 @@ class NetworkProblem:
         known_marks, yaws = ControlRows.of_stations(recording, marks), YawRows.of(recording, used)
         differences = DifferenceRows.between(recording, marks)
         plausible = [held_to * size for effect in model.effects for size in effect.spread]
-        plausible += [size for heads in model.heads for size in heads.spread]
+        plausible += [size for errors in model.stated for size in errors.spread]
         return cls(
             model=model,
             sigma=recording.sigma() if sigma is None else sigma,
@@ -229,18 +240,6 @@ class NetworkProblem:
         gone = np.concatenate([lost, stands])[self.differences.ends].any(axis=0)
         open_ = np.concatenate([structure.flat, heights])[self.differences.ends].any(axis=0)
         return np.asarray(gone | (open_ & self.differences.axes[:, 2]))
-
-    @property
-    def without_height(self) -> Ints:
-        """Targets under set-ups that read directions and flat distances alone, whose height nothing else tells."""
-        recording, over = self.model.recording, self.marks.target
-        level = ~(self.use[:, 2] | (self.use[:, 0] & ~recording.is_horizontal))
-        open_ = np.isin(np.arange(len(recording.targets)), over)
-        open_[self.control.target[self.control.axes[:, 2]]] = False
-        open_[self.differences.ends[self.differences.ends < len(open_)]] = False
-        open_[recording.target[~level & self.use.any(axis=1)]] = False
-        open_[over[recording.station[~level & (over[recording.station] >= 0)]]] = False
-        return np.flatnonzero(open_)
 
     def residuals(self, readings: Floats) -> Floats:
         """Observed minus predicted readings (n, 3), angles wrapped; NaN where not measured."""
@@ -386,8 +385,9 @@ class NetworkProblem:
         priors = int(np.isfinite(self.prior.sigma).sum())
         lengths = int(np.isfinite(self.gauge.sigma).sum())
         lengths -= lengths > 0 and not self.gauge.tell_scale
-        heads = sum(len(heads.parameters) for heads in self.model.heads)
+        stated = sum(len(errors.parameters) for errors in self.model.stated)
         known = self.control.count + self.known_marks.count + self.differences.count
-        known += lengths + 2 * len(self.levels) + len(self.yaws) + priors + heads
-        unknown = self.unknowns.size - self.free.shape[1] - self.structure.held + self.structure.idle
+        known += lengths + 2 * len(self.levels) + len(self.yaws) + priors + stated
+        free = self.free.shape[1] - self.structure.in_plan
+        unknown = self.unknowns.size - free - self.structure.held + self.structure.idle
         return int(self.use.sum()) + known - unknown

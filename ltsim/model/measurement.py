@@ -14,6 +14,7 @@ from ltsim.geometry.rigid import pose_design
 from ltsim.geometry.rotations import about_z, from_rotation_vector, smallest_turn
 from ltsim.model.construction import Construction
 from ltsim.model.heads import HeadHeights, head_heights
+from ltsim.model.shared import shared_errors
 from ltsim.recording.recording import Recording
 from ltsim.recording.reflectors import excess_radii
 from ltsim.scene.sightings import Sightings
@@ -154,10 +155,15 @@ class MeasurementModel:
         """The heights of heads, where the set-up states how well they are known."""
         return head_heights(self.recording, verticals(self.recording))
 
+    @cached_property
+    def stated(self) -> tuple[Signature, ...]:
+        """Errors of which the recording states how large they may be: of heights of heads, and what readings share."""
+        return *self.heads, *shared_errors(self.recording)
+
     @property
     def beside(self) -> tuple[Signature, ...]:
-        """All that is estimated beside network and instrument: the further effects, then heights of heads."""
-        return *self.effects, *self.heads
+        """All that is estimated beside network and instrument: the further effects, then errors of a stated size."""
+        return *self.effects, *self.stated
 
     @property
     def extra_size(self) -> int:

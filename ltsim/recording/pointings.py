@@ -119,6 +119,8 @@ class Observed:
     target_height: float = NAN
     horizontal: bool = False
     line: int = 0
+    shared: dict[str, float] = field(default_factory=dict)
+    """By how much errors that it shares with others change it, by their name."""
 
     @property
     def heights(self) -> tuple[float, float]:
@@ -153,6 +155,11 @@ def _at_one_height(observed: Sequence[Observed]) -> bool:
 def _pointing(row: dict[str, Observed], file: str) -> Pointing:
     sigmas = {SIGMA_COLUMNS[OBSERVABLES.index(kind)]: row[kind].sigma / _UNIT[kind] for kind in row}
     heights = zip(HEIGHT_COLUMNS, zip(*(o.heights for o in row.values()), strict=True), strict=True)
+    shared = {
+        f"shared_{name}_{SIGMA_COLUMNS[OBSERVABLES.index(kind)].removeprefix('sigma_')}": change / _UNIT[kind]
+        for kind, one in row.items()
+        for name, change in one.shared.items()
+    }
     stated = {name: next((h / MILLIMETRE for h in of if h == h), NAN) for name, of in heights}
     flat = "distance" in row and row["distance"].horizontal
     lines = sorted({one.line for one in row.values() if one.line})
@@ -162,7 +169,7 @@ def _pointing(row: dict[str, Observed], file: str) -> Pointing:
         first.target,
         1,
         **{kind: one.value for kind, one in row.items()},
-        covariates={name: value for name, value in (sigmas | stated).items() if value == value},
+        covariates={name: value for name, value in (sigmas | stated | shared).items() if value == value},
         labels={KIND_COLUMN: "horizontal"} if flat else {},
         source=f"{file}, line{'s' * (len(lines) > 1)} {', '.join(map(str, lines))}" if lines else "",
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -20,6 +21,8 @@ SIGMA_COLUMNS = ("sigma_distance_mm", "sigma_azimuth_arcsec", "sigma_elevation_a
 """Covariates: the standard deviation of single readings, empty where the instrument's noise holds."""
 HEIGHT_COLUMNS = ("instrument_height_mm", "target_height_mm")
 """Covariates that state heights of single pointings; an empty cell leaves the set-up's height."""
+SHARED_COLUMN = re.compile(r"shared_(.+)_(distance_mm|azimuth_arcsec|elevation_arcsec)")
+"""Covariates: by how much an error that readings share changes single readings, for one standard deviation of it."""
 BOOKKEEPING = (*SIGMA_COLUMNS, *HEIGHT_COLUMNS)
 """Covariates that are no circumstances of a pointing: nothing a diagnosis should try."""
 KIND_COLUMN = "distance_kind"
@@ -184,7 +187,8 @@ class Recording(Result):
     @property
     def circumstances(self) -> Mapping[str, Floats]:
         """Columns (n,) of circumstances that readings may depend on; where both meters were used, 1 for `ifm`."""
-        known = {name: column for name, column in self.covariates.items() if name not in BOOKKEEPING}
+        some = {name: column for name, column in self.covariates.items() if name not in BOOKKEEPING}
+        known = {name: column for name, column in some.items() if not SHARED_COLUMN.fullmatch(name)}
         modes = self.labels.get(MODE_COLUMN, ())
         if {"adm", "ifm"} <= set(modes):
             known[MODE_COLUMN] = np.array([mode == "ifm" for mode in modes], dtype=np.float64)

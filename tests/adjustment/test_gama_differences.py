@@ -1,4 +1,4 @@
-"""Height differences, vectors and shared directions in gama-local's format, against what gama-local 2.24 prints."""
+"""Height differences, vectors and covariances in gama-local's format, against what gama-local 2.24 prints."""
 
 from __future__ import annotations
 
@@ -134,6 +134,31 @@ NETWORKS = {
         7.45469,
         11,
     ),
+    "observations that are correlated": Printed(
+        "en",
+        """
+<point id="A" x="100" y="200" z="10" fix="xyz"/> <point id="B" x="221.3" y="214.8" z="14.2" fix="xyz"/>
+<point id="C" x="190.5" y="311.5" z="44.1" adj="xyz"/>
+<point id="E" x="146.3" y="262.6" z="28.9" adj="xyz"/>
+<obs from="A"> <direction to="B" val="22.27171"/> <direction to="C" val="373.40622"/> <direction to="E"
+val="370.54087"/> <distance to="C" val="143.6043"/> <distance to="E" val="77.8641"/> <z-angle to="C" val="85.15713"/>
+<z-angle to="E" val="84.83961"/>
+<cov-mat dim="7" band="6"> 25 11.73 -0.26 -0.82 -0.17 -9.89 -15.01 30.5 5.96 -4.82 0.32 -5.04 -6.11 26.48 -0.12 -5.26
+10.84 17.03 4.85 -0.94 -2.05 -6.62 5.27 -2.33 2.03 59.73 20.03 88.01</cov-mat> </obs>
+<obs from="B"> <direction to="A" val="322.27054"/> <s-distance to="C" val="105.8016"/> <direction to="C"
+val="10.36966"/> <z-angle to="C" val="81.76058"/> <direction to="E" val="366.12236"/> <s-distance to="E"
+val="90.1447"/>
+<cov-mat dim="6" band="2"> 25 0.45 -11.58 4.01 -2.99 3.65 32.3 -13.49 5.56 61.98 -5.18 2 26.27 0.49 4.97</cov-mat>
+</obs>
+<obs from="C"> <direction to="A" val="373.40437"/> <direction to="B" val="310.36838"/> <distance to="E"
+val="65.9166"/> <direction to="E" val="376.78775"/> <z-angle to="E" val="114.42851"/>
+<cov-mat dim="5" band="4"> 25 19.64 -0.62 -0.69 11.91 40.43 -1.21 -0.24 11.72 4.04 -3.68 0.08 28.43 -7.94
+57.04</cov-mat> </obs>
+""",
+        "C x 190.49954 0.7 y 311.50030 0.6 z 44.10013 0.7; E x 146.29882 0.6 y 262.59981 0.5 z 28.89979 0.7",
+        5.68904,
+        9,
+    ),
     "a point that looks back": Printed(
         "ne",
         """
@@ -152,7 +177,7 @@ NETWORKS = {
         4,
     ),
 }
-LEVELLED, VECTORS, SHARED, BACK = NETWORKS.values()
+LEVELLED, VECTORS, SHARED, CORRELATED, BACK = NETWORKS.values()
 
 
 @pytest.mark.parametrize("kind", NETWORKS)
@@ -180,8 +205,8 @@ def test_it_is_written_and_read_again(tmp_path: Path, kind: str) -> None:
         again = adjust(read(tmp_path / "again.gkf"))
         assert again.dof == NETWORKS[kind].dof
         assert again.chi2 == pytest.approx(NETWORKS[kind].pvv, rel=1e-5)
-    elif recording.setup.differences:
-        with pytest.raises(RecordError, match="known along xy, which gama-local does not know; expected z or xyz"):
+    elif recording.setup.differences or kind == "observations that are correlated":
+        with pytest.raises(RecordError, match=r"known along xy, which gama-local|errors that readings share"):
             write(recording, tmp_path / "again.gkf", "gama-local")
 
 
@@ -227,13 +252,21 @@ def test_levels_alone_give_heights_and_what_none_reaches_has_none(tmp_path: Path
     assert set(tested) == {"BM-A", "A-B", "A-B#2", "B-C", "C-E"}
 
 
-def test_heights_that_nothing_tells_are_named(tmp_path: Path) -> None:
+def test_heights_that_nothing_tells_are_left_open_as_gama_does(tmp_path: Path) -> None:
     inside = LEVELLED.inside.partition("<height-differences>")[0]
     for part in [p for p in inside.split("<") if p.startswith(("z-angle", "s-distance"))]:
         inside = inside.replace("<" + part, "")
-    found = adjust(read(Printed("en", inside, "", 0.0, 0).write(tmp_path / "network.gkf")))
-    with pytest.raises(NetworkError, match=r'nothing tells the height of .*adj="xy"'):
-        found.require_solution()
+    printed = "C x 190.60010 0.7 y 311.39988 0.9; E x 146.19983 0.6 y 262.69942 0.4"
+    network = Printed("en", inside, printed, 5.5055639, 8)
+    found = adjust(read(network.write(tmp_path / "network.gkf")))
+    ours, theirs = network.beside(found)
+    assert found.dof == network.dof
+    assert found.chi2 == pytest.approx(network.pvv, rel=1e-5)
+    assert np.abs(ours - theirs)[:, 0].max() < PRINTED
+    assert np.abs(ours - theirs)[:, 1].max() < 0.051
+    assert found.open_heights.all()
+    assert np.isnan(found.pose_covariance[:, 2, 2]).all()
+    assert all(abs(test.error[2]) == 0.0 for test in found.known if test.kind == "mark")
 
 
 def test_the_frame_names_what_holds_it(tmp_path: Path) -> None:
@@ -256,6 +289,8 @@ def test_differences_are_a_source_of_uncertainty(tmp_path: Path) -> None:
     [
         ('<point id="BM" z="8.5" fix="z"/>', "", "difference BM-A: 'BM' was never measured, expected a mark that was"),
         ('id="BM" z="8.5" fix="z"', 'id="BM" z="8.5" adj="z"', "difference BM-A: 'BM' was never measured"),
+        ("</obs>", '<cov-mat dim="6" band="1">9 9 9 0 9 0 9 0 9 0 9</cov-mat></obs>', "that is no covariance"),
+        ("</obs>", '<cov-mat dim="6" band="0">9 0 9 9 9 9</cov-mat></obs>', "whose variances are not all above 0"),
         (
             'val="1.5001" dist="0.35"',
             'val="1.5001"',

@@ -10,6 +10,7 @@ from hypothesis import HealthCheck, given, settings, strategies as st
 
 from ltsim.adjustment.estimate import adjust
 from ltsim.errors import RecordError
+from ltsim.model.shared import shared_errors
 from ltsim.recording import Recording, read, write
 from ltsim.recording.setup import Gauge, Setup, Station, Target
 from ltsim.units import ARCSECOND, GON
@@ -113,8 +114,12 @@ def test_observed_coordinates_and_covariances(tmp_path: Path) -> None:
     correlated = read(
         sample(tmp_path / "m.gkf", '<direction to="C" val="55" />', f'<direction to="C" val="55" />{matrix}')
     )
-    np.testing.assert_allclose(correlated.sigma()[2:5, 1], np.array([5e-4, 6e-4, 7e-4]) * GON)
-    assert any("correlations" in note for note in correlated.notes)
+    (shared,) = shared_errors(correlated)
+    reach = shared.reach[2:5, 1]
+    spread = np.diag(correlated.sigma()[2:5, 1] ** 2) + reach @ reach.T
+    np.testing.assert_allclose(spread, np.array([[25, 1, 0], [1, 36, 0], [0, 0, 49]]) * (1e-4 * GON) ** 2, atol=1e-20)
+    assert np.count_nonzero(shared.reach) == np.count_nonzero(reach) == 2
+    assert not {*correlated.circumstances}
 
 
 @pytest.mark.parametrize(

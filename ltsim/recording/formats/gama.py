@@ -19,7 +19,7 @@ from ltsim.notation import listing
 from ltsim.recording.conventions import NO_HINTS, Hints
 from ltsim.recording.differences import check_differences
 from ltsim.recording.files import FilePlace, as_title, shown
-from ltsim.recording.formats.gama_covariance import covariances, differences_of, shared_directions
+from ltsim.recording.formats.gama_covariance import covariances, differences_of, shared_errors
 from ltsim.recording.formats.gama_network import GamaNetwork, GamaPoint, lengths_of, named, take_plan
 from ltsim.recording.pointings import NAN, Observed, merged, recording_of, settled_heights
 from ltsim.recording.recording import Recording
@@ -41,7 +41,9 @@ STATED = {"z-angle": "zenith-angle", "s-distance": "distance"} | {k: k for k in 
 """Under which name the file states the standard deviation of an observation."""
 NAMES = ("id", "from", "to", "bs", "fs")
 """Attributes that name a point."""
-CORRELATIONS = "correlations of observations are left out: of a <cov-mat> the diagonal is used"
+Spread = tuple[float, dict[str, float]]
+"""Standard deviation of an observation by itself (NaN: by default), and its share of errors by their name [mm, cc]."""
+CORRELATIONS = "correlations between observed coordinates of different points are left out"
 BETWEEN = "correlations between height differences, or between vectors, are left out"
 _DMS = re.compile(r"([+-]?)(\d{1,3})-(\d{1,2})-(\d{1,2}(?:\.\d+)?)", re.ASCII)
 
@@ -171,25 +173,24 @@ def _read_obs(block: Node, network: GamaNetwork) -> None:
     """One block of observations from a point, or with ``from`` at every observation."""
     inner = [child for child in block if child.tag != "cov-mat"]
     row, column, numbers = covariances(block)
-    if shared := shared_directions(inner, row, column, numbers):
-        _read_chain(inner, block, shared, network)
-        return
-    if np.any(numbers[row != column]):
-        network.notes.append(CORRELATIONS)
-    variances = numbers[row == column]
-    if len(variances) not in (0, len(inner)):
+    if len(numbers) and row[-1] + 1 != len(inner):
         raise block.where.wrong("a <cov-mat> that does not match its observations")
-    sigmas = np.sqrt(variances).tolist() if len(variances) else [NAN] * len(inner)
+    sigmas, reach = [NAN] * len(inner), np.zeros((len(inner), 0))
+    if len(numbers):
+        own, reach = shared_errors(block, row, column, numbers)
+        sigmas = own.tolist()
+    shared = [{f"{network.shared + k}": errors[k] for k in np.flatnonzero(errors)} for errors in reach]
+    network.shared += reach.shape[1]
     circles = {(_from(child, block), child.tag) for child in inner if child.tag in ("direction", "azimuth")}
     names = {circle: network.station(circle[0], with_directions=True) for circle in sorted(circles, reverse=True)}
     network.oriented |= {name for (_, kind), name in names.items() if kind == "azimuth"}
-    for child, sigma in zip(inner, sigmas, strict=True):
+    for child, sigma, errors in zip(inner, sigmas, shared, strict=True):
         if child.tag in STATED:
             point = _from(child, block)
             station = names.get((point, child.tag)) or names.get((point, "direction")) or network.station(point)
-            network.observed.append(_observation(child, block, station, sigma, network))
+            network.observed.append(_observation(child, block, station, (sigma, errors), network))
         elif child.tag == "angle":
-            _read_angle(child, block, sigma, network)
+            _read_angle(child, block, (sigma, errors), network)
         else:
             network.left_out[child.tag] += 1
 
@@ -198,45 +199,44 @@ def _from(child: Node, block: Node) -> str:
     return (child if "from" in child else block).name("from", "point")
 
 
-def _observation(child: Node, block: Node, station: str, sigma: float, network: GamaNetwork) -> Observed:
+def _observation(child: Node, block: Node, station: str, spread: Spread, network: GamaNetwork) -> Observed:
     target = child.name("to", "point")
     heights = child.number("from_dh", block.number("from_dh", 0.0)), child.number("to_dh", 0.0)
     if child.tag in ("s-distance", "distance"):
         value = child.number("val")
         if not 0 < value < 1e6:
             raise child.where.wrong(f"found {value:g}, expected a distance above 0", f"<{child.tag}> val")
-        stated = sigma if np.isfinite(sigma) else _stdev(child, network, value)
+        sigma, shared = _in_unit(spread, MILLIMETRE, child, network, value)
         flat = child.tag == "distance"
-        return Observed("distance", station, target, value, stated * MILLIMETRE, *heights, flat, child.line)
+        return Observed("distance", station, target, value, sigma, *heights, flat, child.line, shared)
     value, second = _angle(child)
-    stated = (sigma if np.isfinite(sigma) else _stdev(child, network)) * second
+    sense = network.angle_sign if child.tag in ("direction", "azimuth") else -1.0
+    sigma, shared = _in_unit(spread, sense * second, child, network)
     if child.tag in ("direction", "azimuth"):
-        return Observed("azimuth", station, target, network.angle_sign * value, stated, line=child.line)
+        return Observed("azimuth", station, target, sense * value, sigma, line=child.line, shared=shared)
     if value > np.pi:
         raise child.where.wrong("a zenith angle beyond half a circle", "<z-angle> val")
-    return Observed("elevation", station, target, np.pi / 2 - value, stated, *heights, line=child.line)
+    return Observed("elevation", station, target, np.pi / 2 - value, sigma, *heights, line=child.line, shared=shared)
 
 
-def _read_angle(child: Node, block: Node, sigma: float, network: GamaNetwork) -> None:
+def _read_angle(child: Node, block: Node, spread: Spread, network: GamaNetwork) -> None:
     """An angle is two directions with an orientation of their own, each with its sigma over the square root of 2."""
     station = network.station(_from(child, block), with_directions=True)
     value, second = _angle(child)
-    stated = (sigma if np.isfinite(sigma) else _stdev(child, network)) * second / np.sqrt(2)
-    for name, turned in (("bs", 0.0), ("fs", network.angle_sign * value)):
-        one = Observed("azimuth", station, child.name(name, "point"), turned, stated, line=child.line)
+    sigma, shared = _in_unit(spread, network.angle_sign * second, child, network)
+    for name, turned, errors in (("bs", 0.0, {}), ("fs", network.angle_sign * value, shared)):
+        target = child.name(name, "point")
+        one = Observed("azimuth", station, target, turned, sigma / np.sqrt(2), line=child.line, shared=errors)
         network.observed.append(one)
 
 
-def _read_chain(angles: list[Node], block: Node, variances: list[float], network: GamaNetwork) -> None:
-    """Angles between directions that they share are one set of directions, with the variances [cc^2] of these."""
-    station, turned = network.station(_from(angles[0], block), with_directions=True), 0.0
-    ends = [(angles[0], "bs"), *((angle, "fs") for angle in angles)]
-    for (child, name), variance in zip(ends, variances, strict=True):
-        value, second = _angle(child)
-        turned += value * (name == "fs")
-        stated = float(np.sqrt(variance)) * second
-        target, seen = child.name(name, "point"), network.angle_sign * (turned % (2 * np.pi))
-        network.observed.append(Observed("azimuth", station, target, seen, stated, line=child.line))
+def _in_unit(
+    spread: Spread, unit: float, child: Node, network: GamaNetwork, distance: float = 0.0
+) -> tuple[float, dict[str, float]]:
+    """The standard deviation and what shared errors change, times a unit with the sign of the reading's sense."""
+    sigma, shared = spread
+    stated = sigma if np.isfinite(sigma) else _stdev(child, network, distance)
+    return stated * abs(unit), {name: error * unit for name, error in shared.items()}
 
 
 def _angle(child: Node) -> tuple[float, float]:

@@ -1,7 +1,4 @@
-"""What GNU Gama states with a matrix: height differences, vectors, and angles that share directions."""
-
-from collections.abc import Sequence
-from itertools import pairwise
+"""What GNU Gama states with a matrix: height differences, vectors, and errors that observations share."""
 
 import numpy as np
 from pydantic import ValidationError
@@ -13,7 +10,7 @@ from ltsim.recording.xml import Node, banded
 from ltsim.units import MILLIMETRE
 
 ALIKE = 1e-6
-"""Relative difference up to which a matrix is the one that shared directions give."""
+"""Eigenvalue of a correlation that counts as none, and share by which two are taken for one."""
 
 
 def covariances(node: Node) -> tuple[Ints, Ints, Floats]:
@@ -79,19 +76,29 @@ def _difference(child: Node, y_sign: float, spread: Floats) -> KnownDifference:
         raise child.where.wrong(f"<{child.tag}> is too large, or its covariance is none, expected {wanted}") from None
 
 
-def shared_directions(angles: Sequence[Node], row: Ints, column: Ints, numbers: Floats) -> list[float]:
-    """Variances [cc^2] of the n + 1 directions whose differences n angles are; empty where they are not.
+def shared_errors(block: Node, row: Ints, column: Ints, numbers: Floats) -> tuple[Floats, Floats]:
+    """Standard deviations (n,) of observations by themselves, and what each of q errors that they share does (n, q).
 
-    Each angle begins where the one before ended, and their covariance says that they share that direction.
+    With F the latter and D the former on the diagonal the stated covariance is D^2 + F F': F is as few errors as leave
+    every observation one of its own. Observations that are correlated with no other share none.
     """
-    chain = all(angle.tag == "angle" for angle in angles)
-    chain &= all(one.get("fs") == other.get("bs") for one, other in pairwise(angles))
-    if not chain or len(angles) < 2 or not np.any(numbers[row != column]):
-        return []
-    stated = np.zeros((len(angles),) * 2)
-    stated[row, column] = stated[column, row] = numbers
-    shared = -np.diag(stated, 1)
-    variances = np.array([stated[0, 0] - shared[0], *shared, stated[-1, -1] - shared[-1]])
-    made = np.diag(variances[:-1] + variances[1:]) - np.diag(shared, 1) - np.diag(shared, -1)
-    fits = np.abs(made - stated).max() <= ALIKE * np.abs(stated).max() and variances.min() > 0.0
-    return variances.tolist() if fits else []
+    covariance = np.zeros((row[-1] + 1,) * 2)
+    covariance[row, column] = covariance[column, row] = numbers
+    if not np.all(np.diag(covariance) > 0.0):
+        raise block.where.wrong("a <cov-mat> whose variances are not all above 0")
+    sigma = np.sqrt(np.diag(covariance))
+    correlation = covariance / np.outer(sigma, sigma)
+    linked, reach = correlation != 0.0, []
+    for _ in range(len(sigma).bit_length()):
+        linked = linked @ linked
+    for first in np.unique(np.argmax(linked, axis=1)).tolist():
+        if len(own := np.flatnonzero(linked[first])) > 1:
+            values, vectors = np.linalg.eigh(correlation[np.ix_(own, own)])
+            if values[0] < ALIKE:
+                raise block.where.wrong("a <cov-mat> that is no covariance, expected one that is positive definite")
+            more = values > values[0] * (1.0 + ALIKE)
+            found = np.zeros((len(sigma), int(more.sum())))
+            found[own] = sigma[own, None] * vectors[:, more] * np.sqrt(values[more] - values[0])
+            reach.append(found)
+            sigma[own] *= np.sqrt(values[0])
+    return sigma, np.hstack([np.zeros((len(sigma), 0)), *reach])

@@ -55,6 +55,7 @@ class GamaNetwork:
     apriori: float = 10.0  # [mm, cc] standard deviation of unit weight
     differences: list[KnownDifference] = field(default_factory=list)
     left_out: Counter[str] = field(default_factory=Counter)
+    shared: int = 0  # number of errors that observations share
     notes: list[str] = field(default_factory=list)
 
     def station(self, point: str, *, with_directions: bool = False) -> str:
@@ -97,7 +98,7 @@ def lengths_of(network: GamaNetwork) -> tuple[list[GaugeDistance], list[Observed
     gauge, rest = [], []
     for o in network.observed:
         start = network.over[o.station]
-        if o.station in angles or start == o.target or not {start, o.target} <= seen or any(o.heights):
+        if o.station in angles or start == o.target or not {start, o.target} <= seen or any(o.heights) or o.shared:
             rest.append(o)
         else:
             length = {"length_mm": o.value / MILLIMETRE, "sigma_mm": o.sigma / MILLIMETRE}

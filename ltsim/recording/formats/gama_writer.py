@@ -12,7 +12,7 @@ from ltsim.recording.files import write_text
 from ltsim.recording.formats.gama import CC
 from ltsim.recording.formats.gama_network import FIXED_MM
 from ltsim.recording.lengths import KnownLengths
-from ltsim.recording.recording import Recording
+from ltsim.recording.recording import SHARED_COLUMN, Recording
 from ltsim.recording.reflectors import excess_radii
 from ltsim.recording.setup import Target, Vector, symmetric
 from ltsim.units import GON, MILLIMETRE
@@ -31,6 +31,8 @@ def write(recording: Recording, path: Path) -> None:
     if excess_radii(recording) is not None:
         message = "SMRs of several radii stood off along normals of nests, which gama-local does not know"
         raise RecordError(f"{message}; write the recording as native", file=path)
+    if any(SHARED_COLUMN.fullmatch(name) for name in recording.covariates):
+        raise RecordError("holds errors that readings share, which is written as native only", file=path)
     for name in recording.stations:
         if not recording.station_setup(name).levelled:
             message = f"station {name} is not levelled, and gama-local knows levelled instruments only"
