@@ -1,5 +1,7 @@
 """Array aliases and the checks made at the doors of a room."""
 
+from collections.abc import Iterator
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -17,6 +19,14 @@ def side_by_side(*columns: Floats) -> Floats:
     for k, column in enumerate(columns):
         found[:, k] = column
     return found
+
+
+def grouped(keys: Ints, rows: Ints) -> Iterator[tuple[int, Ints]]:
+    """Rows by key, in the order of the keys."""
+    order = rows[np.argsort(keys[rows], kind="stable")]
+    values, first = np.unique(keys[order], return_index=True)
+    for key, group in zip(values, np.split(order, first[1:]), strict=False):
+        yield int(key), group
 
 
 def as_floats(values: ArrayLike, shape: tuple[int, ...], name: str) -> Floats:

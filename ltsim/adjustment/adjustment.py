@@ -185,7 +185,8 @@ class Adjustment(Result):
         held = problem.control.axes[:, :2].all(axis=1).sum() + len(problem.known_marks)
         lengths = problem.use[:, 0].any() or len(problem.gauge) or problem.differences.axes[:, :2].any()
         if held < 2 and not lengths:
-            return "no distance, no known length and no two known points give the network its scale"
+            cure = "rough coordinates of two targets of the datum would"
+            return f"no distance, no known length and no two known points give the network its scale; {cure}"
         seen = np.zeros((len(recording.stations), len(recording.targets)), dtype=bool)
         seen[recording.station, recording.target] = True
         seen[problem.levels.station] = False  # to an upright station a line is as good as any targets

@@ -69,7 +69,7 @@ def stated_datum(problem: NetworkProblem) -> tuple[str, ...]:
 
 
 def moved_to_datum(problem: NetworkProblem, state: State, names: Sequence[str]) -> tuple[State, float]:
-    """The state moved freely to the stated coordinates of the datum's points, and by which angle [rad]."""
+    """The state moved freely to the stated coordinates of the datum's points, and by which angle [rad] and scale."""
     turned = 0.0
     for _ in range(PASSES):
         tied = Tied.of(problem, state, names)
@@ -77,18 +77,20 @@ def moved_to_datum(problem: NetworkProblem, state: State, names: Sequence[str]) 
         if not known.any():
             break
         centre = tied.places[known.any(axis=1)].mean(axis=0)
-        free = about(problem.free, centre)
-        motion = (rigid_motion(tied.places, centre) @ free)[known.ravel()]
+        free, grown = about(problem.free, centre), _growth(problem)
+        motion = np.hstack([rigid_motion(tied.places, centre) @ free, grown(tied.places - centre)])[known.ravel()]
         gap = (tied.stated - tied.places)[known]
         amount = np.linalg.lstsq(motion, gap, rcond=1e-9)[0]
-        shift, turn = (free @ amount).reshape(2, 3)
-        rotation = from_rotation_vector(turn)
+        shift, turn = (free @ amount[: free.shape[1]]).reshape(2, 3)
+        rotation, more = from_rotation_vector(turn), amount[free.shape[1] :]
         position, points = (
-            (places - centre) @ rotation.T + centre + shift for places in (state.position, state.points)
+            arm @ rotation.T + (grown(arm) @ more).reshape(-1, 3) + centre + shift
+            for arm in (state.position - centre, state.points - centre)
         )
         state = replace(state, position=position, rotation=rotation @ state.rotation, points=points)
-        turned += float(np.linalg.norm(turn))
-        if np.linalg.norm(turn) < 1e-12:
+        moved = float(np.linalg.norm([*turn, *more]))
+        turned += moved
+        if moved < 1e-12:
             break
     return state, turned
 
@@ -139,11 +141,12 @@ class InnerDatum:
             return None
         tied, unknowns = Tied.of(problem, state, names), problem.unknowns
         centre = tied.places.mean(axis=0)
-        free = about(problem.free, centre)
-        motion = np.zeros((unknowns.size, free.shape[1]))
-        motion[unknowns.target.ravel()] = rigid_motion(state.points, centre) @ free
-        motion[unknowns.pose[:, 3:].ravel()] = np.tile(free[3:], (len(unknowns.pose), 1))
-        motion[unknowns.pose[:, :3].ravel()] = rigid_motion(state.position, centre) @ free
+        free, grown = about(problem.free, centre), _growth(problem)
+        turn = np.hstack([free[3:], np.zeros((3, len(problem.structure.scale)))])
+        motion = np.zeros((unknowns.size, turn.shape[1]))
+        motion[unknowns.pose[:, 3:].ravel()] = np.tile(turn, (len(unknowns.pose), 1))
+        for columns, places in ((unknowns.target, state.points), (unknowns.pose[:, :3], state.position)):
+            motion[columns.ravel()] = np.hstack([rigid_motion(places, centre) @ free, grown(places - centre)])
         return replace(cls.tied_to(motion, tied.columns[tied.counts], factor.covariance_columns), names=tuple(names))
 
     def transformed(self, covariance: Floats, columns: Ints) -> Floats:
@@ -152,6 +155,15 @@ class InnerDatum:
         across = motion @ np.swapaxes(carried, 1, 2)
         middle = motion @ self.middle @ np.swapaxes(motion, 1, 2)
         return np.asarray(covariance - across - np.swapaxes(across, 1, 2) + middle)
+
+
+def _growth(problem: NetworkProblem) -> Callable[[Floats], Floats]:
+    """What a change of scale does to places (k, 3) from the centre, as (3 k, 1), or (3 k, 0) where the scale is told.
+
+    Of a network in plan the heights stay.
+    """
+    axes = np.array([1.0, 1.0, float(problem.use[:, 2].any())])
+    return lambda arm: np.tile((arm * axes).reshape(-1, 1), (1, len(problem.structure.scale)))
 
 
 def about(free: Floats, centre: Floats) -> Floats:

@@ -10,7 +10,6 @@ import scipy.sparse as sp
 
 from ltsim.adjustment.prior import ParameterPrior, prior_sigmas
 from ltsim.adjustment.rows import (
-    VERTICAL,
     ControlRows,
     DifferenceRows,
     GaugeRows,
@@ -19,6 +18,7 @@ from ltsim.adjustment.rows import (
     YawRows,
     free_motions,
 )
+from ltsim.adjustment.structure import Network
 from ltsim.adjustment.unknowns import Unknowns
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.geometry.polar import wrap
@@ -30,122 +30,12 @@ from ltsim.solve.design import Design, Pattern, as_dense
 DATUM_SIGMA = np.full(6, 1e-8)
 """Stiffness [m, rad] of the datum rows. Any value gives the same adjustment; the covariance of the first
 station's frame wants one far below the sigmas of the network, the numbers one not too far."""
-UPRIGHT = 1.0 - 1e-8
-"""Cosine of the lean up to which a plumb line counts as that of the network (0.14 mrad, 900 m on the earth)."""
 WEAK = 300.0
 """Prior sigmas to which further effects are held: far beyond any plausible size."""
 
 
 @dataclass(frozen=True)
-class Structure:
-    """What no reading in use determines, wherever things stand: it is held where it is."""
-
-    unknowns: Unknowns
-    yaw: Ints
-    tilt: Ints
-    """Stations without azimuths, and those without any angle or level."""
-    height: Ints
-    """Levelled stations that only read azimuths and horizontal distances."""
-    place: Ints
-    """Stations without any reading."""
-    unseen: Bools
-    """(T,): targets without a reading in use, known coordinates or a set-up on them."""
-    flat: Bools
-    """(T,): targets of which levelled set-ups read, or under which they read, horizontal directions and horizontal
-    distances alone: nothing tells their height."""
-    turned: Ints
-    """Stations whose yaw the readings know."""
-    idle: int
-    """Known coordinates of unseen targets: they check nothing."""
-    in_plan: bool
-    """Whether all heights are held: then a translation along the vertical is none that the datum holds."""
-
-    @classmethod
-    def of(cls, problem: NetworkProblem) -> Structure:
-        """The structure of a network, by counting."""
-        recording, use, marks, levels = problem.model.recording, problem.use, problem.marks, problem.levels
-        count = len(recording.stations)
-        range_, azimuth, elevation = (np.bincount(recording.station, use[:, i], count) > 0 for i in range(3))
-        high = use[:, 2] | (use[:, 0] & ~recording.is_horizontal)
-        feels = np.bincount(recording.station, high, count) > 0
-        level, alone = np.zeros(count, dtype=bool), (marks.first == np.arange(count)) & (marks.target < 0)
-        level[levels.station] = True
-        alone[problem.known_marks.target] = False
-        height = alone & azimuth & ~feels & level
-        seen = np.bincount(recording.target, use.any(axis=1), len(recording.targets)) > 0
-        seen[problem.control.target[problem.control.axes.all(axis=1)]] = True
-        seen[marks.target[marks.target >= 0]] = True
-        upright = np.zeros(count, dtype=bool)
-        upright[levels.station] = np.abs(levels.vertical @ VERTICAL) > UPRIGHT
-        on = marks.target >= 0
-        flat = np.bincount(recording.target, use.any(axis=1), len(recording.targets)) > 0
-        flat[marks.target[on & azimuth]] = True
-        flat[recording.target[high | (use.any(axis=1) & ~upright[recording.station])]] = False
-        flat[marks.target[on & (feels | ~upright)]] = False
-        flat[problem.control.target[problem.control.axes[:, 2]]] = False
-        flat[np.concatenate([problem.gauge.first, problem.gauge.second])] = False
-        told = problem.differences.told(np.concatenate([flat, height, [False]]))
-        known = np.concatenate([problem.control.axes[:, 2], problem.known_marks.axes[:, 2]])
-        stands = np.where(marks.target >= 0, told[marks.target], told[len(flat) : -1])
-        return cls(
-            idle=int(problem.control.axes[~seen[problem.control.target]].sum()),
-            unknowns=problem.unknowns,
-            yaw=np.flatnonzero(~azimuth),
-            tilt=np.flatnonzero(~azimuth & ~elevation & ~level),
-            height=np.flatnonzero(told[len(flat) : -1]),
-            place=np.flatnonzero(alone & ~range_ & ~azimuth & ~elevation),
-            unseen=~seen,
-            flat=told[: len(flat)],
-            turned=np.flatnonzero(azimuth),
-            in_plan=bool(stands.all() and (told[: len(flat)] | ~seen).all() and not known.any()),
-        )
-
-    @property
-    def held_columns(self) -> Ints:
-        """Columns (h, 3) of each row that holds."""
-        unknowns = self.unknowns
-        single = [unknowns.target[self.unseen], unknowns.pose[self.place, :3]]
-        single += [unknowns.pose[self.height, 2:3], unknowns.target[self.flat, 2:3]]
-        rows = [unknowns.pose[self.yaw, 3:], np.repeat(unknowns.pose[self.tilt, 3:], 2, axis=0)]
-        return np.concatenate([*rows, *(np.repeat(columns.reshape(-1, 1), 3, axis=1) for columns in single)])
-
-    def held_directions(self, state: State) -> Floats:
-        """Directions (h, 3) in these columns."""
-        yaw = state.rotation[self.yaw] @ VERTICAL
-        tilt = np.swapaxes(state.rotation[self.tilt], 1, 2)[:, :2].reshape(-1, 3)
-        single = np.zeros((self.held - len(yaw) - len(tilt), 3))
-        single[:, 0] = 1.0
-        return np.concatenate([yaw, tilt, single])
-
-    @property
-    def held_poses(self) -> Bools:
-        """(S, 6) True where something of a pose is held; turns of all three axes where the yaw is open."""
-        held = np.zeros(self.unknowns.pose.shape, dtype=bool)
-        held[self.yaw, 3:] = True
-        held[self.tilt, 3:] = True
-        held[self.height, 2] = True
-        held[self.place, :3] = True
-        return held
-
-    @property
-    def held(self) -> int:
-        """Number h of held unknowns."""
-        counted = len(self.yaw) + 2 * len(self.tilt) + len(self.height) + 3 * len(self.place) + int(self.flat.sum())
-        return counted + 3 * int(self.unseen.sum())
-
-    @property
-    def anchors(self) -> Ints:
-        """Stations that the datum rows hold: the first whose yaw is known; all where none is (distances alone)."""
-        return self.turned[:1] if self.anchors_turn else np.arange(len(self.unknowns.pose))
-
-    @property
-    def anchors_turn(self) -> bool:
-        """Whether the datum rows hold the turns of the anchors too."""
-        return len(self.turned) > 0
-
-
-@dataclass(frozen=True)
-class NetworkProblem:
+class NetworkProblem(Network):
     """Unknown poses, targets, instrument parameters and further effects of a recording.
 
     Rows of the system, in order: the measured readings (row by row, range azimuth elevation), gauge lengths, control
@@ -153,7 +43,6 @@ class NetworkProblem:
     priors of the instrument parameters, weak priors of the further effects, datum.
     """
 
-    model: MeasurementModel
     sigma: Floats
     """(n, 3): standard deviations of the readings."""
     prior: ParameterPrior
@@ -162,16 +51,6 @@ class NetworkProblem:
     """(q,): of the further effects' parameters; infinite for none."""
     free: Floats
     """(6, f): rigid motions that only the datum holds."""
-    use: Bools
-    """(n, 3): readings in use."""
-    gauge: GaugeRows
-    control: ControlRows
-    levels: LevelRows
-    yaws: YawRows
-    marks: Marks
-    known_marks: ControlRows
-    differences: DifferenceRows
-    unknowns: Unknowns
 
     @classmethod
     def of(
@@ -227,11 +106,6 @@ class NetworkProblem:
             vars(found)["_pattern"] = self._pattern
         return found
 
-    @cached_property
-    def structure(self) -> Structure:
-        """What these readings and the set-up leave open."""
-        return Structure.of(self)
-
     def unplaced(self, lost: Bools) -> Bools:
         """(k,) Differences to `lost` targets (T,) or idle set-ups, or to a height that nothing else tells."""
         structure, stations = self.structure, len(self.unknowns.pose)
@@ -265,12 +139,6 @@ class NetworkProblem:
         datum = np.zeros(self.free.shape[1])
         known = pointings, gauge, control, marks, apart, levels.ravel(), yaws
         return np.concatenate([*known, held, prior, extra, datum])
-
-    @property
-    def knows_nothing(self) -> bool:
-        """Whether no known length, point, difference, level or azimuth zero joins the readings."""
-        known = self.gauge, self.control, self.known_marks, self.differences, self.levels, self.yaws
-        return not any(len(rows) for rows in known)
 
     def length_residuals(self, state: State) -> Floats:
         """Known less adjusted lengths (g,) [m]."""

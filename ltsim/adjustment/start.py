@@ -1,12 +1,11 @@
 """Approximate coordinates from the recording alone: stations joined one by one, in closed form where possible."""
 
-from collections.abc import Iterator
-
 import numpy as np
 
+from ltsim.adjustment.bearings import meeting_point, plan_of
 from ltsim.adjustment.fitting import Sight, fit_point, fit_pose, multilaterate
 from ltsim.adjustment.frame import VERTICAL, Frame, Pairs, on_a_line, upright_alignment
-from ltsim.arrays import Bools, Floats, Ints
+from ltsim.arrays import Bools, Floats, Ints, grouped
 from ltsim.errors import NetworkError
 from ltsim.geometry.alignment import robust_align
 from ltsim.geometry.polar import from_polar, to_face
@@ -15,11 +14,9 @@ from ltsim.model.measurement import lift_of
 from ltsim.notation import listing
 from ltsim.recording.recording import Recording
 
-BEGINNINGS = ("frame", "cloud", "ranges", "places")
+BEGINNINGS = ("frame", "cloud", "ranges", "places", "bearings")
 """How a network can begin: with known points, with what one station measured whole, with ranges alone, with all that is
-stated roughly."""
-PARALLEL = 1e-5
-"""Mean squared sine below which beams do not meet in a point."""
+stated roughly, with a plan of directions between known points."""
 
 
 def reached_network(recording: Recording) -> tuple[tuple[Floats, Floats, Floats], Bools]:
@@ -183,7 +180,7 @@ class Growth:
         """Place targets that joined stations only saw in part, and marks under joined stations."""
         recording, found = self._recording, False
         usable = self._joined[recording.station] & ~self._have[recording.target]
-        for target, rows in _groups(recording.target, np.flatnonzero(usable)):
+        for target, rows in grouped(recording.target, np.flatnonzero(usable)):
             if self._is_new(-1 - target, len(rows)):
                 point = self._located_by(rows)
                 if point is not None:
@@ -214,7 +211,7 @@ class Growth:
         """Join a station by a fit of whatever it read to known targets."""
         known, recording = self._known(), self._recording
         usable = ~self._joined[recording.station] & np.isfinite(known[recording.target, 0])
-        groups = _groups(recording.station, np.flatnonzero(usable))
+        groups = grouped(recording.station, np.flatnonzero(usable))
         for station, rows in sorted(groups, key=lambda group: -np.isfinite(self._front[group[1]]).sum()):
             stand = self._stand(station)
             if not self._is_new(station, 2 * len(rows) + (stand is not None)):
@@ -347,6 +344,23 @@ class Growth:
             turns = np.exp(1j * (np.arctan2(y, x) - self._front[rows, 1]))
             self._place(station, stated[station], about_z(float(np.angle(np.nansum(turns)))))
 
+    def _begin_with_bearings(self) -> None:
+        """Begin with the plan that directions of upright stations put together between points known in plan."""
+        self._begin_with_frame()
+        recording, frame, marks = self._recording, self._frame, self._frame.marks
+        rows = np.flatnonzero(frame.level[recording.station] & np.isfinite(self._front[:, 1]))
+        stands = np.where(marks.target >= 0, marks.target, len(self._located) + marks.first)
+        known = np.concatenate([frame.in_plan, frame.stations])[:, :2]
+        station, end = recording.station[rows], recording.target[rows]
+        found = plan_of(station, stands[station], end, self._front[rows, 1], known) if len(rows) else None
+        if found is None or np.isfinite(self._front[:, 2]).any():
+            return
+        places, yaw = np.pad(found[0], ((0, 0), (0, 1))), found[1]
+        for one in np.flatnonzero(np.isfinite(yaw)).tolist():
+            self._place(one, places[stands[one]] + marks.offset[one], about_z(float(yaw[one])))
+        self._located = np.where(np.isnan(self._located), places[: len(self._located)], self._located)
+        self._anchored = self._upright = True
+
     # --- the end ---------------------------------------------------------------------------------------------------
 
     def result(self) -> tuple[tuple[Floats, Floats, Floats], Bools]:
@@ -379,20 +393,3 @@ class Growth:
                 f"target {', '.join(recording.targets[:10])}: no station measured range and both angles, and what was "
                 "read from different stations does not meet in one point"
             )
-
-
-def _groups(keys: Ints, rows: Ints) -> Iterator[tuple[int, Ints]]:
-    """Rows by key, in the order of the keys."""
-    order = rows[np.argsort(keys[rows], kind="stable")]
-    values, first = np.unique(keys[order], return_index=True)
-    for key, group in zip(values, np.split(order, first[1:]), strict=False):
-        yield int(key), group
-
-
-def meeting_point(origin: Floats, beam: Floats) -> Floats | None:
-    """The point (3,) nearest to k beams from `origin` (k, 3) along unit vectors; None where they are parallel."""
-    across = np.eye(3) - beam[:, :, None] * beam[:, None, :]
-    normal = across.sum(axis=0)
-    if np.linalg.eigvalsh(normal)[0] < PARALLEL * len(beam):
-        return None
-    return np.linalg.solve(normal, np.einsum("kij,kj->i", across, origin))

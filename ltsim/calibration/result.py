@@ -211,11 +211,12 @@ def frame_of(adjustment: Adjustment) -> str:
     points = [f"the control point{'s' if len(control) > 1 else ''} {listing(control)}"] if control else []
     if free == 0:
         return f"the frame of {' and '.join([*points, *zeros])}"
-    rest = f"is {_free_axes(adjustment, first)}"
+    scaled = len(problem.structure.scale) > 0
+    rest = f"{'are' if scaled else 'is'} {_free_axes(adjustment, first)}"
     if adjustment.datum is not None:
         rest += f", standard deviations by inner constraints over {listing(adjustment.datum.names)}"
-    if free == 6:
-        return rest.removeprefix("is ")
+    if free == 6 or not (points or zeros or not adjustment.open_heights.all()):
+        return rest.removeprefix("is ").removeprefix("are ")
     if not control and not problem.differences.names:
         return f"{', x '.join([f'z follows the levels of {listing(levelled)}', *zeros])}; the rest {rest}"
     levels = ["the levels"] if levelled else []
@@ -227,7 +228,8 @@ def _free_axes(adjustment: Adjustment, first: str) -> str:
     state, frame = adjustment.state, Frame.of(adjustment.recording)
     if adjustment.datum is not None and _stated(adjustment):
         source = adjustment.recording.setup.axes
-        return f"the axes of {source}" if source else "the axes in which coordinates of the datum's targets are stated"
+        axes = "the axes and the scale" if len(adjustment.problem.structure.scale) else "the axes"
+        return f"{axes} of {source}" if source else f"{axes} in which coordinates of the datum's targets are stated"
     if adjustment.datum is None and frame.is_on_plan(state.position, state.rotation):
         return f"the frame of the floor plan, by the rough places of the stations, held at station {first}"
     return f"the frame of station {first}"

@@ -159,6 +159,23 @@ val="65.9166"/> <direction to="E" val="376.78775"/> <z-angle to="E" val="114.428
         5.68904,
         9,
     ),
+    "directions alone, and rough places of the datum": Printed(
+        "en",
+        """
+<point id="A" x="100" y="200" adj="XY"/> <point id="B" x="221.3" y="214.8" adj="XY"/>
+<point id="C" x="190.6" y="311.4" adj="XY"/> <point id="E" x="146.2" y="262.7" adj="xy"/>
+<obs from="A"> <direction to="B" val="153.5020" stdev="5"/> <direction to="C" val="104.6984" stdev="5"/>
+<direction to="E" val="101.6577" stdev="5"/> </obs>
+<obs from="B"> <direction to="A" val="278.5843" stdev="5"/> <direction to="C" val="366.7246" stdev="5"/>
+<direction to="E" val="322.4588" stdev="5"/> </obs>
+<obs from="E"> <direction to="A" val="347.7042" stdev="5"/> <direction to="B" val="243.4207" stdev="5"/>
+<direction to="C" val="154.3384" stdev="5"/> </obs>
+""",
+        "A x 100.00003 0.5 y 199.99998 0.4; B x 221.29995 0.7 y 214.79998 0.6; C x 190.60002 0.4 y 311.40005 0.6; "
+        "E x 146.19962 0.8 y 262.69933 1.0",
+        3.75993,
+        2,
+    ),
     "a point that looks back": Printed(
         "ne",
         """
@@ -177,7 +194,7 @@ val="65.9166"/> <direction to="E" val="376.78775"/> <z-angle to="E" val="114.428
         4,
     ),
 }
-LEVELLED, VECTORS, SHARED, CORRELATED, BACK = NETWORKS.values()
+LEVELLED, VECTORS, SHARED, CORRELATED, DIRECTIONS, BACK = NETWORKS.values()
 
 
 @pytest.mark.parametrize("kind", NETWORKS)
@@ -273,6 +290,8 @@ def test_the_frame_names_what_holds_it(tmp_path: Path) -> None:
     calibration = calibrate(NETWORKS["vectors from a point that nobody measured"].write(tmp_path / "network.gkf"))
     assert calibration.frame == "the frame of the known differences S-A, S-B, C-S, A-C"
     assert "4 known differences" in calibration.adjustment.recording.headline
+    free = calibrate(DIRECTIONS.write(tmp_path / "free.gkf"))
+    assert free.frame.startswith("the axes and the scale in which coordinates of the datum's targets are stated")
 
 
 def test_differences_are_a_source_of_uncertainty(tmp_path: Path) -> None:
@@ -334,18 +353,28 @@ def test_a_set_up_states_differences_once_and_between_two_marks(tmp_path: Path) 
             read(tmp_path / "native")
 
 
-def test_triangles_between_known_points_want_rough_coordinates(tmp_path: Path) -> None:
-    """No set-up sees two known points; gama-local puts such chains together by their shapes."""
-    angles = "A C E, Z E C, C E A, C Z E, E A C, E C Z"
+def test_triangles_between_known_points_are_put_together_by_their_shapes(tmp_path: Path) -> None:
+    """No set-up sees two known points, and there is no distance."""
     places = {"A": (0, 0), "C": (100, 20), "E": (-10, 95), "Z": (150, 130)}
-    inside, head = "", '<point id="A" x="0" y="0" fix="xy"/><point id="Z" x="150" y="130" fix="xy"/>'
-    for at, back, on in (angle.split() for angle in angles.split(", ")):
-        ways = [np.subtract(places[end], places[at]) for end in (back, on)]
-        turned = np.subtract(*(np.arctan2(way[1], way[0]) for way in reversed(ways))) * 200 / np.pi % 400
-        inside += f'<obs from="{at}"><angle bs="{back}" fs="{on}" val="{turned:.4f}" stdev="5"/></obs>'
-    rough = '<point id="C" x="98" y="21" adj="xy"/><point id="E" x="-9" y="97" adj="xy"/>'
+    points = '<point id="A" x="0" y="0" fix="xy"/><point id="Z" x="150" y="130" fix="xy"/>'
     unknown = '<point id="C" adj="xy"/><point id="E" adj="xy"/>'
-    found = adjust(read(Printed("ne", head + rough + inside, "", 0.0, 0).write(tmp_path / "rough.gkf")))
-    assert found.solution.converged and found.dof == 2
+    rough = '<point id="C" x="98" y="21" adj="xy"/><point id="E" x="-9" y="97" adj="xy"/>'
+
+    def adjusted(points: str, angles: str) -> Adjustment:
+        inside = points
+        for at, back, on in (angle.split() for angle in angles.split(", ")):
+            ways = [np.subtract(places[end], places[at]) for end in (back, on)]
+            turned = np.subtract(*(np.arctan2(way[1], way[0]) for way in reversed(ways))) * 200 / np.pi % 400
+            inside += f'<obs from="{at}"><angle bs="{back}" fs="{on}" val="{turned:.4f}" stdev="5"/></obs>'
+        return adjust(read(Printed("ne", inside, "", 0.0, 0).write(tmp_path / "network.gkf")))
+
+    whole, fewest = "A C E, Z E C, C E A, C Z E, E A C, E C Z", "A C E, Z E C, C E A, C Z E"
+    for angles, dof in ((whole, 2), (fewest, 0)):
+        near, found = adjusted(points + rough, angles), adjusted(points + unknown, angles)
+        assert near.solution.converged and found.solution.converged
+        assert near.dof == found.dof == dof
+        for name, (x, y) in places.items():
+            for one in (near, found):
+                assert one.state.points[one.recording.targets.index(name), :2] == pytest.approx((x, -y), abs=2e-3)
     with pytest.raises(NetworkError, match="or rough coordinates of all"):
-        adjust(read(Printed("ne", head + unknown + inside, "", 0.0, 0).write(tmp_path / "network.gkf")))
+        adjusted(points + unknown, "A C E, Z E C, C E A")

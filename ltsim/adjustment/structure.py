@@ -1,0 +1,183 @@
+"""What of a network was read and is known, and what that leaves open wherever things stand."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ltsim.adjustment.rows import VERTICAL, ControlRows, DifferenceRows, GaugeRows, LevelRows, Marks, YawRows
+from ltsim.adjustment.unknowns import Unknowns
+from ltsim.arrays import Bools, Floats, Ints
+from ltsim.model.measurement import MeasurementModel, State
+from ltsim.recording.recording import Recording
+
+UPRIGHT = 1.0 - 1e-8
+"""Cosine of the lean up to which a plumb line counts as that of the network (0.14 mrad, 900 m on the earth)."""
+
+
+@dataclass(frozen=True)
+class Network:
+    """Readings in use, what is known beside them, and the unknowns of both."""
+
+    model: MeasurementModel
+    use: Bools
+    """(n, 3): readings in use."""
+    gauge: GaugeRows
+    control: ControlRows
+    levels: LevelRows
+    yaws: YawRows
+    marks: Marks
+    known_marks: ControlRows
+    differences: DifferenceRows
+    unknowns: Unknowns
+
+    @property
+    def recording(self) -> Recording:
+        """What was measured."""
+        return self.model.recording
+
+    @cached_property
+    def structure(self) -> Structure:
+        """What these readings and the set-up leave open."""
+        return Structure.of(self)
+
+    @property
+    def knows_nothing(self) -> bool:
+        """Whether no known length, point, difference, level or azimuth zero joins the readings."""
+        known = self.gauge, self.control, self.known_marks, self.differences, self.levels, self.yaws
+        return not any(len(rows) for rows in known)
+
+
+@dataclass(frozen=True)
+class Structure:
+    """What no reading in use determines, wherever things stand: it is held where it is."""
+
+    unknowns: Unknowns
+    yaw: Ints
+    tilt: Ints
+    """Stations without azimuths, and those without any angle or level."""
+    height: Ints
+    """Levelled stations that only read azimuths and horizontal distances."""
+    place: Ints
+    """Stations without any reading."""
+    unseen: Bools
+    """(T,): targets without a reading in use, known coordinates or a set-up on them."""
+    flat: Bools
+    """(T,): targets of which levelled set-ups read, or under which they read, horizontal directions and horizontal
+    distances alone: nothing tells their height."""
+    turned: Ints
+    """Stations whose yaw the readings know."""
+    idle: int
+    """Known coordinates of unseen targets: they check nothing."""
+    scale: Ints
+    """One target, whose distance from the first station is held where directions alone tell no scale and rough places
+    of the datum do; else none."""
+    in_plan: bool
+    """Whether all heights are held: then a translation along the vertical is none that the datum holds."""
+
+    @classmethod
+    def of(cls, network: Network) -> Structure:
+        """The structure of a network, by counting."""
+        recording, use, marks, levels = network.recording, network.use, network.marks, network.levels
+        count = len(recording.stations)
+        range_, azimuth, elevation = (np.bincount(recording.station, use[:, i], count) > 0 for i in range(3))
+        high = use[:, 2] | (use[:, 0] & ~recording.is_horizontal)
+        feels = np.bincount(recording.station, high, count) > 0
+        level, alone = np.zeros(count, dtype=bool), (marks.first == np.arange(count)) & (marks.target < 0)
+        level[levels.station] = True
+        alone[network.known_marks.target] = False
+        height = alone & azimuth & ~feels & level
+        seen = np.bincount(recording.target, use.any(axis=1), len(recording.targets)) > 0
+        seen[network.control.target[network.control.axes.all(axis=1)]] = True
+        seen[marks.target[marks.target >= 0]] = True
+        upright = np.zeros(count, dtype=bool)
+        upright[levels.station] = np.abs(levels.vertical @ VERTICAL) > UPRIGHT
+        on = marks.target >= 0
+        flat = np.bincount(recording.target, use.any(axis=1), len(recording.targets)) > 0
+        flat[marks.target[on & azimuth]] = True
+        flat[recording.target[high | (use.any(axis=1) & ~upright[recording.station])]] = False
+        flat[marks.target[on & (feels | ~upright)]] = False
+        flat[network.control.target[network.control.axes[:, 2]]] = False
+        flat[np.concatenate([network.gauge.first, network.gauge.second])] = False
+        told = network.differences.told(np.concatenate([flat, height, [False]]))
+        known = np.concatenate([network.control.axes[:, 2], network.known_marks.axes[:, 2]])
+        stands = np.where(marks.target >= 0, told[marks.target], told[len(flat) : -1])
+        return cls(
+            idle=int(network.control.axes[~seen[network.control.target]].sum()),
+            unknowns=network.unknowns,
+            yaw=np.flatnonzero(~azimuth),
+            tilt=np.flatnonzero(~azimuth & ~elevation & ~level),
+            height=np.flatnonzero(told[len(flat) : -1]),
+            place=np.flatnonzero(alone & ~range_ & ~azimuth & ~elevation),
+            unseen=~seen,
+            flat=told[: len(flat)],
+            turned=np.flatnonzero(azimuth),
+            scale=_first_seen(network) if _takes_scale(network) else np.zeros(0, dtype=np.int64),
+            in_plan=bool(stands.all() and (told[: len(flat)] | ~seen).all() and not known.any()),
+        )
+
+    @property
+    def held_columns(self) -> Ints:
+        """Columns (h, 3) of each row that holds."""
+        unknowns = self.unknowns
+        single = [unknowns.target[self.unseen], unknowns.pose[self.place, :3]]
+        single += [unknowns.pose[self.height, 2:3], unknowns.target[self.flat, 2:3]]
+        rows = [unknowns.pose[self.yaw, 3:], np.repeat(unknowns.pose[self.tilt, 3:], 2, axis=0)]
+        rows.append(unknowns.target[self.scale])
+        return np.concatenate([*rows, *(np.repeat(columns.reshape(-1, 1), 3, axis=1) for columns in single)])
+
+    def held_directions(self, state: State) -> Floats:
+        """Directions (h, 3) in these columns."""
+        yaw = state.rotation[self.yaw] @ VERTICAL
+        tilt = np.swapaxes(state.rotation[self.tilt], 1, 2)[:, :2].reshape(-1, 3)
+        arm = state.points[self.scale] - state.position[self.turned[: len(self.scale)]]
+        away = arm / np.linalg.norm(arm, axis=1, keepdims=True)
+        single = np.zeros((self.held - len(yaw) - len(tilt) - len(away), 3))
+        single[:, 0] = 1.0
+        return np.concatenate([yaw, tilt, away, single])
+
+    @property
+    def held_poses(self) -> Bools:
+        """(S, 6) True where something of a pose is held; turns of all three axes where the yaw is open."""
+        held = np.zeros(self.unknowns.pose.shape, dtype=bool)
+        held[self.yaw, 3:] = True
+        held[self.tilt, 3:] = True
+        held[self.height, 2] = True
+        held[self.place, :3] = True
+        return held
+
+    @property
+    def held(self) -> int:
+        """Number h of held unknowns."""
+        counted = len(self.yaw) + 2 * len(self.tilt) + len(self.scale) + len(self.height) + 3 * len(self.place)
+        return counted + int(self.flat.sum()) + 3 * int(self.unseen.sum())
+
+    @property
+    def anchors(self) -> Ints:
+        """Stations that the datum rows hold: the first whose yaw is known; all where none is (distances alone)."""
+        return self.turned[:1] if self.anchors_turn else np.arange(len(self.unknowns.pose))
+
+    @property
+    def anchors_turn(self) -> bool:
+        """Whether the datum rows hold the turns of the anchors too."""
+        return len(self.turned) > 0
+
+
+def _takes_scale(network: Network) -> bool:
+    """Whether nothing that was measured or is known tells the scale, and rough places of the datum's targets do."""
+    use, recording, known = network.use, network.recording, network.control.axes
+    high = use[:, 2].any()
+    told = use[:, 0].any() or len(network.gauge) or len(network.differences) or len(network.known_marks)
+    if told or known[:, : 3 if high else 2].any() or (high and any(height.any() for height in recording.heights())):
+        return False
+    targets = map(recording.target_setup, recording.targets)
+    return sum(one.datum and one.approximate_mm is not None for one in targets) > 1
+
+
+def _first_seen(network: Network) -> Ints:
+    """(1,) A target to which the first station with azimuths reads one."""
+    recording, rows = network.recording, np.flatnonzero(network.use[:, 1])
+    first = rows[np.argsort(recording.station[rows], kind="stable")][:1]
+    return recording.target[first]
