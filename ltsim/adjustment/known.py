@@ -65,6 +65,8 @@ USUAL = 3
 """Known values of a kind that tell by how much such values are usually off; fewer may be wrong, each by itself."""
 RIVAL = 100.0
 """How many times likelier than another the error of one known value must be before it alone is blamed."""
+BY_FAR = 1e-6
+"""Share of chi-square that known values of another order of error leave: they are wrong, whatever is said of others."""
 MOST_OUT = 1 / 3
 """Share of the known values of a kind beyond which they contradict each other, and none can be named."""
 
@@ -212,6 +214,7 @@ def judged(
     """
     given, aside = (problem, solution), loosened(problem, solution.x)
     out: list[KnownTest] = []
+    by_far: tuple[NetworkProblem, Solution[State], int] | None = None
     if solution.factor is not None and aside is not problem:
         solution = solve(aside, solution.x)
     while solution.factor is not None and len(out) < len(problem.model.recording.targets):
@@ -227,8 +230,15 @@ def judged(
         else:
             aside = replace(aside, use=aside.use & ~found)
         solution = solve(aside, solution.x)
+        if by_far is None and out and solution.cost < BY_FAR * given[1].cost and not _too_many(*given, out):
+            by_far = problem.on(aside.model), solution, len(out)
     gone = [test for test in out if test.left_out]
-    if solution.factor is None or _too_many(*given, gone):
+    too_many = solution.factor is None or _too_many(*given, gone)
+    if too_many and by_far is not None:
+        kept, near, count = by_far
+        kept, ended, more = judged(kept, solve(kept, near.x), kinds, spared)
+        return kept, ended, (*_in_the_end(out[:count], problem, ended.x), *more)
+    if too_many:
         return *given, _each_other(gone, known_tests(*given))
     if not gone:
         return *given, tuple(out)

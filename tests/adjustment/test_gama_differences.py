@@ -269,6 +269,18 @@ def test_levels_alone_give_heights_and_what_none_reaches_has_none(tmp_path: Path
     assert set(tested) == {"BM-A", "A-B", "A-B#2", "B-C", "C-E"}
 
 
+def test_a_difference_wrong_by_far_goes_where_others_contradict_each_other(tmp_path: Path) -> None:
+    """Three of six are wrong: of two nobody can tell which, of the one that is off by kilometres all the others do."""
+    inside = LEVELLED.inside
+    for old, new in (('"4.1989"', '"1504.1989"'), ('"14.8000"', '"14.8300"'), ('"-8.9000"', '"-8.8600"')):
+        assert old in inside
+        inside = inside.replace(old, new)
+    found = adjust(read(Printed("en", inside, "", 0.0, 0).write(tmp_path / "network.gkf")))
+    assert [(test.name, test.left_out) for test in found.wrong] == [("A-B#2", True)]
+    assert found.wrong[0].error[0] == pytest.approx(1500.0, abs=0.1)
+    assert np.abs(found.state.points[:, 2] - [14.2, 4.1, 18.9, 10.0]).max() < 0.05
+
+
 def test_heights_that_nothing_tells_are_left_open_as_gama_does(tmp_path: Path) -> None:
     inside = LEVELLED.inside.partition("<height-differences>")[0]
     for part in [p for p in inside.split("<") if p.startswith(("z-angle", "s-distance"))]:
