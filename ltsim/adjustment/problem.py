@@ -18,7 +18,7 @@ from ltsim.adjustment.rows import (
     YawRows,
     free_motions,
 )
-from ltsim.adjustment.structure import Network
+from ltsim.adjustment.structure import NetworkRows
 from ltsim.adjustment.unknowns import Unknowns
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.geometry.polar import wrap
@@ -35,7 +35,7 @@ WEAK = 300.0
 
 
 @dataclass(frozen=True)
-class NetworkProblem(Network):
+class NetworkProblem(NetworkRows):
     """Unknown poses, targets, instrument parameters and further effects of a recording.
 
     Rows of the system, in order: the measured readings (row by row, range azimuth elevation), gauge lengths, control

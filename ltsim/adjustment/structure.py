@@ -18,7 +18,7 @@ UPRIGHT = 1.0 - 1e-8
 
 
 @dataclass(frozen=True)
-class Network:
+class NetworkRows:
     """Readings in use, what is known beside them, and the unknowns of both."""
 
     model: MeasurementModel
@@ -78,7 +78,7 @@ class Structure:
     """Whether all heights are held: then a translation along the vertical is none that the datum holds."""
 
     @classmethod
-    def of(cls, network: Network) -> Structure:
+    def of(cls, network: NetworkRows) -> Structure:
         """The structure of a network, by counting."""
         recording, use, marks, levels = network.recording, network.use, network.marks, network.levels
         count = len(recording.stations)
@@ -165,7 +165,7 @@ class Structure:
         return len(self.turned) > 0
 
 
-def _takes_scale(network: Network) -> bool:
+def _takes_scale(network: NetworkRows) -> bool:
     """Whether nothing that was measured or is known tells the scale, and rough places of the datum's targets do."""
     use, recording, known = network.use, network.recording, network.control.axes
     high = use[:, 2].any()
@@ -176,7 +176,7 @@ def _takes_scale(network: Network) -> bool:
     return sum(one.datum and one.approximate_mm is not None for one in targets) > 1
 
 
-def _first_seen(network: Network) -> Ints:
+def _first_seen(network: NetworkRows) -> Ints:
     """(1,) A target to which the first station with azimuths reads one."""
     recording, rows = network.recording, np.flatnonzero(network.use[:, 1])
     first = rows[np.argsort(recording.station[rows], kind="stable")][:1]
