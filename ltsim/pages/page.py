@@ -30,11 +30,11 @@ MOST = 5
 
 HEADLINES = {
     ("Recording", "good"): "The recording agrees with itself.",
-    ("Recording", "bad"): "The recording does not agree with itself.",
+    ("Recording", "bad"): "The recording does not agree with what is stated.",
     ("Calibration", "good"): "The calibration can be used.",
     ("Calibration", "bad"): "The calibration should not be used yet.",
     ("Network", "good"): "The network agrees with itself.",
-    ("Network", "bad"): "The network does not agree with itself.",
+    ("Network", "bad"): "The network does not agree with what is stated.",
     ("Diagnosis", "good"): "Nothing was found wrong.",
     ("Diagnosis", "bad"): "Something is wrong with this recording.",
     ("History", "good"): "The instrument has not changed.",

@@ -351,7 +351,7 @@ def _facing(direction: Floats) -> Floats:
 
 def _letters(name: str, place: Floats, axes: Floats, height: float) -> pv.PolyData:
     """A short name of a given height [m] in the plane of `axes`."""
-    text = style.shorten(name, 16).encode("latin-1", "replace").decode("latin-1")
+    text = style.shorten(name, 16).replace("…", "..").encode("latin-1", "replace").decode("latin-1")
     mesh = pv.Text3D(text, depth=0.0, height=height, center=(0.0, 0.0, 0.0), normal=(0.0, 0.0, 1.0))
     mesh.points = mesh.points @ axes + place + 0.25 * axes[2]  # clear of the wall that the target may stand on
     return mesh

@@ -3,6 +3,7 @@
 import os
 import re
 import tempfile
+import textwrap
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +14,7 @@ MAX_BYTES = 32 * 1024 * 1024
 MAX_LINES = 500_000
 MAX_LINE = 20_000
 MAX_NAME = 100
-MAX_TEXT = 500
+MAX_TEXT, TITLE = 500, 120
 UTF8, UTF16 = b"\xef\xbb\xbf", (b"\xff\xfe", b"\xfe\xff")
 _OPEN = frozenset(b"\x81\x8d\x8f\x90\x9d")  # bytes without a meaning in Windows-1252
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?", re.ASCII)
@@ -159,8 +160,8 @@ def comma_number(text: str, *, file: object, row: int | None = None, column: str
 
 
 def as_title(text: str) -> str:
-    """A foreign title in one line that a page can show."""
-    line = " ".join(text.split())[:MAX_TEXT]
+    """A foreign title in one line that heads a page: of a whole description as many words as go on it."""
+    line = textwrap.shorten(text, TITLE, placeholder=" ...")
     return "".join(c for c in line.replace("<", "(").replace(">", ")") if c.isprintable())
 
 

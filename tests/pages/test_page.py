@@ -11,6 +11,7 @@ from pathlib import Path
 from urllib.request import urlopen
 from xml.etree.ElementTree import fromstring
 
+import numpy as np
 import pytest
 
 from ltsim.calibration.files import write_calibration
@@ -21,6 +22,7 @@ from ltsim.fieldcheck import check_file, write_check
 from ltsim.fieldcheck.check import check
 from ltsim.pages.document import Document
 from ltsim.pages.page import document, render
+from ltsim.pages.sections.network import targets_in_words
 from ltsim.pages.verbs import report
 from ltsim.recording import write
 from tests.pages import samples
@@ -363,3 +365,13 @@ def test_the_page_of_a_diagnosis_needs_no_3d(folder: Path, tmp_path: Path) -> No
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == "False\n"
     assert "Floor plan" in {block.title for section in document(alone).sections for block in section.blocks}
+
+
+def test_targets_without_a_height_are_told_in_plan() -> None:
+    known, open_ = [1e-6, 2e-6, 2e-6], [3e-3, 4e-3, np.nan]
+    assert targets_in_words(np.array([known, known])) == (
+        "A target is known to U = 6.0 um (k = 2) in space, the worst to 6.0 um."
+    )
+    said = targets_in_words(np.array([known, open_, open_]))
+    assert said == "A target is known to U = 10000 um (k = 2) in plan, the worst to 10000 um."
+    assert not targets_in_words(np.full((2, 3), np.nan))

@@ -73,6 +73,13 @@ def test_a_network_is_understood(tmp_path: Path) -> None:
     np.testing.assert_allclose(recording.readings[6, 1] - recording.readings[5, 1], -90 * GON)
 
 
+def test_a_whole_description_is_no_title(tmp_path: Path) -> None:
+    told = read(sample(tmp_path / "n.gkf", "A yard, two", "A yard, two " + 40 * "of many words "))
+    assert len(told.setup.title) <= 120
+    assert told.setup.title.startswith("A yard, two of many words")
+    assert told.setup.title.endswith(" ...")
+
+
 def test_names_with_a_slash_are_kept_apart(tmp_path: Path) -> None:
     """The offset marks of a point, 12/1 and 12/2, beside a point whose name one of them would take."""
     (tmp_path / "n.gkf").write_text(SAMPLE.replace('"A"', '"12/1"').replace('"B"', '"12_1"'))

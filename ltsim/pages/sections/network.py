@@ -141,13 +141,14 @@ def target_table(file: Path | None, *, note: str) -> list[Grid]:
 
 
 def targets_in_words(sigma: Floats) -> str:
-    """How well targets are known, from their standard deviations (T, 3) [m]."""
-    known = np.sqrt((sigma**2).sum(axis=1))
-    known = np.sort(known[np.isfinite(known)])
+    """How well targets are known, from their standard deviations (T, 3) [m]: in plan where heights of some are open."""
+    told = sigma[np.isfinite(sigma[:, :2]).all(axis=1)]
+    flat = bool(np.isnan(told).any())
+    known = np.sort(np.sqrt((told[:, : 2 if flat else 3] ** 2).sum(axis=1)))
     if not len(known):
         return ""
     typical, worst = (number(2e6 * s, 2) for s in (np.median(known), known[-1]))
-    return f"A target is known to U = {typical} um (k = 2) in space, the worst to {worst} um."
+    return f"A target is known to U = {typical} um (k = 2) in {'plan' if flat else 'space'}, the worst to {worst} um."
 
 
 def recording_section(folder: Path, *, detail: Detail = "turn", brief: bool = False) -> Section:
