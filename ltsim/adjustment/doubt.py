@@ -178,6 +178,8 @@ def _plan(adjustment: Adjustment) -> Iterator[str]:
     if len(known) < LEAST_PLACES or np.median(state.rotation[:, 2, 2]) < UPRIGHT:
         return
     here, there = state.position[known] * [1.0, 1.0, 0.0], frame.plan[known] * [1.0, 1.0, 0.0]
+    if np.ptp(here, axis=0).max() < ROUGH_PLACE:  # set-ups over one mark
+        return
     as_is, mirrored = (
         float(misses(one, there, upright_alignment(one, there)).max()) for one in (here, here * [1.0, -1.0, 1.0])
     )

@@ -19,7 +19,7 @@ from ltsim.adjustment.rows import GaugeRows
 from ltsim.arrays import Floats, Ints
 from ltsim.model.construction import Construction
 from ltsim.model.measurement import MeasurementModel, State
-from ltsim.recording.recording import Recording
+from ltsim.recording.recording import KIND_COLUMN, SHARED_COLUMN, Recording
 from ltsim.recording.setup import GaugeDistance
 from ltsim.units import MILLIMETRE
 
@@ -81,6 +81,7 @@ class Network:
         when = np.asarray(recording.time.max(initial=-step) + step if time is None else time)
         when = when if when.ndim else when + step * np.arange(count)
         last = int(np.argmax(recording.time))
+        flat = "horizontal" if recording.is_horizontal[recording.measured[:, 0]].all() else ""
 
         def joined(column: Floats | Ints, new: Floats | Ints | float) -> Floats:
             return np.concatenate([column, np.broadcast_to(new, (count, *column.shape[1:])).astype(column.dtype)])
@@ -92,8 +93,14 @@ class Network:
             repeat=joined(recording.repeat, int(recording.repeat.max(initial=0)) + 1),
             time=joined(recording.time, when),
             readings=joined(recording.readings, np.nan),
-            covariates={key: joined(column, column[last]) for key, column in recording.covariates.items()},
-            labels={key: (*column, *([""] * count)) for key, column in recording.labels.items()},
+            covariates={
+                key: joined(column, np.nan if SHARED_COLUMN.fullmatch(key) else column[last])
+                for key, column in recording.covariates.items()
+            },
+            labels={
+                key: (*column, *([flat if key == KIND_COLUMN else ""] * count))
+                for key, column in recording.labels.items()
+            },
         )
         predicted = MeasurementModel(whole, self.construction).predict(self.state)[len(recording) :]
         reads = np.array(

@@ -268,7 +268,8 @@ def next_measurement(
         asked = [explanation(space, name) for name in between]
         return deciding(adjustment, asked, extra_effects, seconds_per_move=60.0 * minutes_per_move, progress=progress)
     network, move = Network.of(adjustment), 60.0 * minutes_per_move
-    found = [*further_pointings(network), *returns(network, move), *further_stations(network, move)]
+    every = *further_pointings(network), *returns(network, move), *further_stations(network, move)
+    found = [remedy for remedy in every if remedy.is_determined]
     proposals = []
     for done, remedy in enumerate(found, 1):
         proposals.append(Proposal.of(remedy, network.adjustment))
@@ -302,7 +303,8 @@ def deciding(
     late = sorted([*other_ways(network), *known_length(network)], key=_effort)
     total = len(near) + len(again) + FINALISTS + len(late)
     judged: list[Proposal] = []
-    for remedy in chain(near, again, _finalists(network, seconds_per_move), late):
+    every = chain(near, again, _finalists(network, seconds_per_move), late)
+    for remedy in (one for one in every if one.is_determined):
         longer = space_of(remedy.network.adjustment, extra_effects)
         evidence = {name: pair.evidence(longer) for name, pair in rivals.items()}
         judged.append(Proposal.of(remedy, network.adjustment, evidence))
@@ -319,6 +321,7 @@ def _effort(remedy: Remedy) -> tuple[int, float]:
 
 def _finalists(network: Network, seconds_per_move: float) -> Iterator[Remedy]:
     """The further places that tell most about the instrument, the quickest first."""
-    told = [Proposal.of(r, network.adjustment) for r in further_stations(network, seconds_per_move)]
+    some = (remedy for remedy in further_stations(network, seconds_per_move) if remedy.is_determined)
+    told = [Proposal.of(remedy, network.adjustment) for remedy in some]
     best = sorted(told, key=lambda p: p.sharper)[:FINALISTS]
     yield from sorted((p.remedy for p in best), key=_effort)

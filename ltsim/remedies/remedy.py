@@ -13,6 +13,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from ltsim.arrays import Floats, Ints
+from ltsim.errors import NetworkError
 from ltsim.geometry.polar import from_polar
 from ltsim.geometry.rotations import about_z
 from ltsim.model.measurement import State
@@ -101,6 +102,15 @@ class Remedy:
     """[s]."""
     network: Network
     """With it, as the adjusted network predicts it."""
+
+    @property
+    def is_determined(self) -> bool:
+        """Whether every pose is determined with it: a further set-up may see too little."""
+        try:
+            _ = self.network.adjustment
+        except NetworkError:
+            return False
+        return True
 
     @property
     def set_up(self) -> tuple[Floats, float] | None:

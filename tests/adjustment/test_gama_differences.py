@@ -10,6 +10,7 @@ import pytest
 
 from ltsim import calibrate
 from ltsim.adjustment import Adjustment, adjust
+from ltsim.adjustment.verdict import verdict
 from ltsim.errors import NetworkError, RecordError
 from ltsim.recording import read, write
 from ltsim.tasks.inputs import observed_sources, reach_of
@@ -390,3 +391,16 @@ def test_triangles_between_known_points_are_put_together_by_their_shapes(tmp_pat
                 assert one.state.points[one.recording.targets.index(name), :2] == pytest.approx((x, -y), abs=2e-3)
     with pytest.raises(NetworkError, match="or rough coordinates of all"):
         adjusted(points + unknown, "A C E, Z E C, C E A")
+
+
+def test_set_ups_over_one_mark_have_no_floor_plan_to_doubt(tmp_path: Path) -> None:
+    places = {"A": (0, 0), "B": (120, 10), "C": (40, 130), "P": (50, 40)}
+    inside = "".join(f'<point id="{n}" x="{x}" y="{y}" fix="xy"/>' for n, (x, y) in places.items() if n != "P")
+    inside += '<point id="P" x="50" y="40" adj="xy"/>'
+    for back, on in ("AB", "BC", "CA"):
+        ways = [complex(*places[end]) - complex(*places["P"]) for end in (back, on)]
+        turned = -np.angle(ways[1] / ways[0]) * 200 / np.pi % 400
+        inside += f'<obs from="P"><angle bs="{back}" fs="{on}" val="{turned:.4f}" stdev="5"/></obs>'
+    judged = verdict(adjust(read(Printed("en", inside, "", 0.0, 0).write(tmp_path / "network.gkf"))))
+    assert "miss the network" not in judged.sentence
+    assert judged.sentence.startswith(("Trust the stated noise", "Noise and model agree"))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +12,9 @@ import pytest
 from ltsim.adjustment import adjust
 from ltsim.calibration.network import calibrate_network
 from ltsim.model.construction import misalignment
+from ltsim.recording import read
 from ltsim.remedies.network import Network
+from ltsim.remedies.next_measurement import next_measurement
 from ltsim.remedies.remedy import ADVICE, further_pointings, known_length, near_reflectors, other_ways, returns
 from tests.networks import drawn, network
 
@@ -85,3 +88,29 @@ def test_nobody_aims_at_the_mark_that_the_tripod_stands_on(measured: Network) ->
     words = [remedy.words for remedy in further_pointings(over) if "has not measured" in remedy.words]
     assert len(words) == 1
     assert f"({recording.targets[4]})" in words[0]
+
+
+def test_a_plan_is_continued_in_plan_and_a_set_up_that_sees_too_little_is_no_remedy(tmp_path: Path) -> None:
+    """A traverse between two known points: whoever stands at its end sees one target, and nobody reads a height."""
+    places = {"A": (0.0, 0.0), "B": (100.0, 50.0), "C": (200.0, -40.0), "D": (300.0, 0.0)}
+    kept = {"A": "fix", "D": "fix", "B": "adj", "C": "adj"}
+    lines = [f'<point id="{n}" x="{x}" y="{y}" {kept[n]}="xy"/>' for n, (x, y) in places.items()]
+    for at, targets in {"A": "B", "B": "AC", "C": "BD", "D": "C"}.items():
+        lines.append(f'<obs from="{at}">')
+        for to in targets:
+            away = complex(*places[to]) - complex(*places[at])
+            lines.append(f'<direction to="{to}" val="{np.degrees(np.angle(away)) / 0.9 % 400:.4f}" stdev="5"/>')
+            lines.append(f'<distance to="{to}" val="{abs(away):.4f}" stdev="1"/>')
+        lines.append("</obs>")
+    head = '<gama-local><network axes-xy="en" angles="right-handed"><points-observations>'
+    file = tmp_path / "traverse.gkf"
+    file.write_text("\n".join([head, *lines, "</points-observations></network></gama-local>"]))
+    found = adjust(read(file))
+    network = Network.of(found)
+    before = len(network.recording)
+    remedies = [*further_pointings(network), *returns(network, 60.0)]
+    assert all(remedy.network.recording.is_horizontal[before:].all() for remedy in remedies)
+    determined = {remedy.words.split(",")[0]: remedy.is_determined for remedy in remedies if remedy.kind == "return"}
+    assert determined == {f"set up once more at {name}": name in "BC" for name in "ABCD"}
+    assert all(remedy.is_determined for remedy in remedies if remedy.kind == "pointings")
+    assert next_measurement(file).proposals
