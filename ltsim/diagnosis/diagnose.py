@@ -169,7 +169,7 @@ def _explain(case: Case, threshold: float, compared: Compared) -> Found:
     noise that is fitted before a law hides it; so with constants.
     """
     noise = case.noises(case.empty)[0][0]
-    if noise >= max(threshold, case.searcher.first_look(threshold, noise).score):
+    if noise >= case.searcher.first_look(threshold, noise).score:
         _noise_alone(case, threshold)
         found = _beside_noise(case, threshold)
     else:
@@ -182,10 +182,10 @@ def _explain(case: Case, threshold: float, compared: Compared) -> Found:
 
 
 def _noise_alone(case: Case, threshold: float) -> None:
-    """Changes of the noise, one after another, while they gain."""
-    for _ in range(MOST_ROUNDS):
+    """Changes of the noise, one after another, while they gain; the first in any case, as something is off."""
+    for further in range(MOST_ROUNDS):
         ranked = case.noises(case.empty)
-        if ranked[0][0] < threshold:
+        if further and ranked[0][0] < threshold:
             break
         case.add_noise(most_likely(case.space, case.space.sigma, _with_probability(ranked, 0.0)))
         case.weigh(case.settle_noise(()))

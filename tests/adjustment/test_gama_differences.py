@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from ltsim import calibrate
+from ltsim import calibrate, diagnose
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.adjustment.verdict import verdict
 from ltsim.errors import NetworkError, RecordError
@@ -404,3 +405,10 @@ def test_set_ups_over_one_mark_have_no_floor_plan_to_doubt(tmp_path: Path) -> No
     judged = verdict(adjust(read(Printed("en", inside, "", 0.0, 0).write(tmp_path / "network.gkf"))))
     assert "miss the network" not in judged.sentence
     assert judged.sentence.startswith(("Trust the stated noise", "Noise and model agree"))
+
+
+def test_of_noise_and_a_shift_below_the_threshold_the_likelier_is_told(tmp_path: Path) -> None:
+    """Readings far less noisy than stated, but few: nothing shifts them."""
+    wider = re.sub(r'stdev="([0-9.]+)"', lambda found: f'stdev="{8 * float(found[1]):g}"', SHARED.inside)
+    told = diagnose(read(Printed(SHARED.axes, wider, "", 0.0, 0).write(tmp_path / "network.gkf")))
+    assert [finding.effect for finding in told.findings] == ["noise-level"]
