@@ -16,6 +16,7 @@ from ltsim.errors import NetworkError, RecordError
 from ltsim.recording import read, write
 from ltsim.tasks.inputs import observed_sources, reach_of
 
+ANOTHER = '<direction to="B" val="153.5020"/>'
 PRINTED = 5.2e-6
 """[m] Half of the last digit that gama-local prints, and what its linearisation leaves of it."""
 
@@ -324,6 +325,11 @@ def test_differences_are_a_source_of_uncertainty(tmp_path: Path) -> None:
         ('id="BM" z="8.5" fix="z"', 'id="BM" z="8.5" adj="z"', "difference BM-A: 'BM' was never measured"),
         ("</obs>", '<cov-mat dim="6" band="1">9 9 9 0 9 0 9 0 9 0 9</cov-mat></obs>', "that is no covariance"),
         ("</obs>", '<cov-mat dim="6" band="0">9 0 9 9 9 9</cov-mat></obs>', "whose variances are not all above 0"),
+        (
+            '<obs from="A">',
+            f'<obs from="A">{502 * ANOTHER}<cov-mat dim="502" band="1">{501 * "9 1 "}9</cov-mat></obs><obs from="A">',
+            "more than 500 observations are correlated, expected fewer",
+        ),
         (
             'val="1.5001" dist="0.35"',
             'val="1.5001"',

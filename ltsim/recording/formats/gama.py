@@ -177,7 +177,7 @@ def _read_obs(block: Node, network: GamaNetwork) -> None:
         raise block.where.wrong("a <cov-mat> that does not match its observations")
     sigmas, reach = [NAN] * len(inner), np.zeros((len(inner), 0))
     if len(numbers):
-        own, reach = shared_errors(block, row, column, numbers)
+        own, reach = shared_errors(block, (row, column, numbers), network.shared)
         sigmas = own.tolist()
     shared = [{f"{network.shared + k}": errors[k] for k in np.flatnonzero(errors)} for errors in reach]
     network.shared += reach.shape[1]

@@ -9,6 +9,8 @@ from ltsim.recording.setup import KnownDifference
 from ltsim.recording.xml import Node, banded
 from ltsim.units import MILLIMETRE
 
+MOST_SHARED = 500
+"""Observations of a file that are correlated: each error that they share is an unknown of the adjustment."""
 ALIKE = 1e-6
 """Eigenvalue of a correlation that counts as none, and share by which two are taken for one."""
 
@@ -76,29 +78,35 @@ def _difference(child: Node, y_sign: float, spread: Floats) -> KnownDifference:
         raise child.where.wrong(f"<{child.tag}> is too large, or its covariance is none, expected {wanted}") from None
 
 
-def shared_errors(block: Node, row: Ints, column: Ints, numbers: Floats) -> tuple[Floats, Floats]:
+def shared_errors(block: Node, matrix: tuple[Ints, Ints, Floats], before: int) -> tuple[Floats, Floats]:
     """Standard deviations (n,) of observations by themselves, and what each of q errors that they share does (n, q).
 
     With F the latter and D the former on the diagonal the stated covariance is D^2 + F F': F is as few errors as leave
-    every observation one of its own. Observations that are correlated with no other share none.
+    every observation one of its own. Observations that are correlated with no other share none; `before` is how many
+    others share already.
     """
-    covariance = np.zeros((row[-1] + 1,) * 2)
-    covariance[row, column] = covariance[column, row] = numbers
-    if not np.all(np.diag(covariance) > 0.0):
+    (row, column, numbers), own = matrix, matrix[0] == matrix[1]
+    if not np.all(numbers[own] > 0.0):
         raise block.where.wrong("a <cov-mat> whose variances are not all above 0")
-    sigma = np.sqrt(np.diag(covariance))
-    correlation = covariance / np.outer(sigma, sigma)
+    sigma = np.sqrt(numbers[own])
+    if not np.any(numbers[~own]):
+        return sigma, np.zeros((len(sigma), 0))
+    if before + len(sigma) > MOST_SHARED:
+        message = f"more than {MOST_SHARED} observations are correlated, expected fewer; band 0 states variances alone"
+        raise block.where.wrong(message)
+    correlation = np.zeros((len(sigma),) * 2)
+    correlation[row, column] = correlation[column, row] = numbers / (sigma[row] * sigma[column])
     linked, reach = correlation != 0.0, []
     for _ in range(len(sigma).bit_length()):
         linked = linked @ linked
     for first in np.unique(np.argmax(linked, axis=1)).tolist():
-        if len(own := np.flatnonzero(linked[first])) > 1:
-            values, vectors = np.linalg.eigh(correlation[np.ix_(own, own)])
+        if len(group := np.flatnonzero(linked[first])) > 1:
+            values, vectors = np.linalg.eigh(correlation[np.ix_(group, group)])
             if values[0] < ALIKE:
                 raise block.where.wrong("a <cov-mat> that is no covariance, expected one that is positive definite")
             more = values > values[0] * (1.0 + ALIKE)
             found = np.zeros((len(sigma), int(more.sum())))
-            found[own] = sigma[own, None] * vectors[:, more] * np.sqrt(values[more] - values[0])
+            found[group] = sigma[group, None] * vectors[:, more] * np.sqrt(values[more] - values[0])
             reach.append(found)
-            sigma[own] *= np.sqrt(values[0])
-    return sigma, np.hstack([np.zeros((len(sigma), 0)), *reach])
+            sigma[group] *= np.sqrt(values[0])
+    return sigma, np.hstack(reach)
