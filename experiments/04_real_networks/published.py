@@ -12,6 +12,7 @@ from ltsim.adjustment import Adjustment
 from ltsim.arrays import Floats
 from ltsim.geometry.polar import to_polar
 from ltsim.recording import Recording
+from ltsim.recording.formats.gama import LEFT_HANDED
 from ltsim.recording.recording import SIGMA_COLUMNS
 from ltsim.recording.setup import Instrument, Prior, Setup, Target
 from ltsim.units import ARCSECOND
@@ -36,15 +37,17 @@ class GamaResult:
     """Of sigma0."""
 
 
-def gama_result(name: str, folder: str = "gama-3d-networks") -> GamaResult:
+def gama_result(name: str, folder: str | Path = "gama-3d-networks") -> GamaResult:
     """Read the published result of one network."""
     root: Element = parse(DATA / folder / f"{name}.xml").getroot()
+    axes = root.find(".//{*}network-general-parameters")
+    turned = axes is None or axes.get("axes-xy", "ne") in LEFT_HANDED
 
     def number(tag: str) -> float:
         return float(root.findtext(f".//{{*}}{tag}") or "nan")
 
     names, axis, value = zip(*(
-        (str(point.findtext("{*}id")), "xyz".index(child.tag[-1].lower()), float(child.text or "nan"))
+        (str(point.findtext("{*}id")).replace("/", "_"), "xyz".index(child.tag[-1].lower()), float(child.text or "nan"))
         for point in root.iterfind(".//{*}coordinates/{*}adjusted/{*}point")
         for child in point if child.tag[-1] in "xyzXYZ"
     ), strict=True)  # fmt: skip
@@ -52,7 +55,7 @@ def gama_result(name: str, folder: str = "gama-3d-networks") -> GamaResult:
     entries = [float(entry.text or "nan") for entry in root.iterfind(".//{*}cov-mat/{*}flt")]
     at = np.cumsum([0, *(min(width, size - 1 - i) + 1 for i in range(size - 1))])
     return GamaResult(
-        names, np.array(axis), np.where(np.array(axis) == 1, -1, 1) * value,
+        names, np.array(axis), np.where((np.array(axis) == 1) & turned, -1, 1) * value,
         1e-3 * np.sqrt(np.array(entries)[at])[: len(value)], number("sum-of-squares"),
         int(number("degrees-of-freedom")), number("apriori"), number("aposteriori"),
     )  # fmt: skip

@@ -1,9 +1,9 @@
 """Networks that nobody here made: GNU Gama's, CERN's trackers, a ring, a total station, a scanner with known truth.
 
-    python -m experiments 04 [gama] [cern] [ring] [geoeasy] [scanner]
+    python -m experiments 04 [gama] [own] [cern] [ring] [geoeasy] [scanner]
 
-Reads ../shared/recordings beside the checkout; writes only figures found: rows and set-ups are numbers in the order of
-the file.
+Reads ../shared/recordings beside the checkout, and ../gama, the repository of GNU Gama, if it is there; writes only
+figures found: rows and set-ups are numbers in the order of the file.
 """
 
 import time
@@ -13,12 +13,13 @@ import numpy as np
 from scipy import stats
 from scipy.optimize import least_squares
 
-from experiments.common import Made, Options, run_steps, show_table
+from experiments.common import Made, Options, run_steps, show_table, tell
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.known import Choice
 from ltsim.calibration.network import calibrate_network
 from ltsim.effects import BASELINE
+from ltsim.errors import RecordError
 from ltsim.geometry.polar import from_polar
 from ltsim.geometry.rotations import from_rotation_vector
 from ltsim.model.construction import ideal, misalignment
@@ -30,6 +31,9 @@ from ltsim.units import ARCSECOND, MILLIMETRE
 
 from .published import DATA, GAMA, SCANNER_TRUTH, beside, gama_result, scanner, scanner_recording
 
+OWN = DATA.parents[1] / "gama" / "tests"
+AGREE_UM = 5.0
+"""Half of the last digit that gama-local prints of a coordinate."""
 UNIT = (MILLIMETRE, ARCSECOND, ARCSECOND)
 Rows = list[dict[str, object]]
 
@@ -52,6 +56,33 @@ def gama(out: Path) -> None:
             "sigma_ratio_off_percent": f"{off:.3f}", "by_lines_between_marks_percent": f"{between:.3f}",
         })  # fmt: skip
     show_table(out / "gama.csv", rows)
+
+
+def own(out: Path) -> None:
+    """Networks of GNU Gama's own tests beside the results that it publishes of them, where its repository is there."""
+    found: dict[str, list[tuple[str, float]]] = {}
+    files = sorted(file for file in OWN.rglob("*.gkf") if file.with_suffix(".xml").exists())
+    if not files:
+        tell(f"own: left out, {OWN.parents[1].name} is not beside the checkout")
+        return
+    for file in files:
+        try:
+            ours, theirs = adjust(read(file)), gama_result(file.stem, file.parent)
+        except RecordError as refused:
+            found.setdefault(f"refused: {str(refused).partition(': ')[2].partition(',')[0]}", []).append(
+                (file.stem, 0.0)
+            )
+            continue
+        off = 1e6 * float(np.abs(beside(ours, theirs)[0] - theirs.value).max())
+        agree = ours.solution.converged and off < AGREE_UM
+        found.setdefault("agree" if agree else "differ", []).append((file.stem, off))
+    show_table(out / "gama_own.csv", [
+        {
+            "what": what, "networks": len(some), "worst_um": f"{max(off for _, off in some):.1f}",
+            "names": " ".join(sorted(name for name, _ in some)) if what == "differ" else "",
+        }
+        for what, some in sorted(found.items())
+    ])  # fmt: skip
 
 
 def difference(ours: Adjustment, name: str) -> np.ndarray:
@@ -302,7 +333,7 @@ def rounded(trial: int | None) -> Recording:
     return scanner_recording(scans, objects, True)
 
 
-STEPS = {"gama": gama, "cern": cern, "ring": ring, "geoeasy": geoeasy, "scanner": scanner_truth}
+STEPS = {"gama": gama, "own": own, "cern": cern, "ring": ring, "geoeasy": geoeasy, "scanner": scanner_truth}
 
 
 def run(given: Options) -> Made:
