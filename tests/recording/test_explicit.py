@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import copy
+import gc
+import io
 import pickle
 import zipfile
 from collections.abc import Callable
@@ -243,14 +245,21 @@ def packed(base: Path, path: Path, part: str, change: Callable[[bytes], bytes]) 
             "delete the cells far away from the table",
         ),
         ("sheet1.xml", lambda c: c + b" " * 34_000_000, "unpacks to more than 32 MiB"),
+        ("xl/workbook.xml", lambda c: c[:99], "it is damaged; save it again"),
         ("sharedStrings.xml", lambda c: c.replace(b"</sst>", b"<si/>" * 600_000 + b"</sst>"), "more than is read"),
     ],
 )
 def test_workbooks_are_bounded_and_told(tmp_path: Path, part: str, change: Callable[[bytes], bytes], says: str) -> None:
-    """Tracebacks, 3.3 GB and 24 s for one cell far away."""
+    """Tracebacks, 3.3 GB and 24 s for one cell far away, files that stay open."""
     file = packed(tables.workbook(tmp_path / "a.xlsx"), tmp_path / "b.xlsx", part, change)
-    found = outcome(lambda: read(file))
+    gc.disable()
+    try:
+        found = outcome(lambda: read(file))
+        buffers = [one for one in gc.get_objects() if isinstance(one, io.BufferedReader) and one.name == str(file)]
+    finally:
+        gc.enable()
     assert isinstance(found, str) and says in found, found
+    assert all(one.closed for one in buffers)
 
 
 def test_numbers_of_thousands_of_digits_and_keys_with_brackets(tmp_path: Path) -> None:

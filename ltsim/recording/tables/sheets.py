@@ -1,6 +1,7 @@
 """From a file to rows of text: encoding, separator, quotes, comments, sheets of a workbook."""
 
 import csv
+import io
 import zipfile
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -189,10 +190,10 @@ def _workbook(file: Path) -> list[Sheet]:
     except ImportError:
         message = 'is a workbook, which needs the library openpyxl: pip install "ltsim[xlsx]", or save it as CSV'
         raise RecordError(message, file=file) from None
-    read_bytes(file)
+    packed = io.BytesIO(read_bytes(file))  # of a damaged file the library would leave its own handle open
     try:
-        _check_size(file)
-        book = load_workbook(file, read_only=True, data_only=True)
+        _check_size(file, packed)
+        book = load_workbook(packed, read_only=True, data_only=True)
         try:
             found = [Sheet(file, tuple(_rows_of(book[name], file)), name) for name in book.sheetnames]
         finally:
@@ -207,13 +208,13 @@ def _workbook(file: Path) -> list[Sheet]:
     return [sheet for sheet in found if sheet.rows]
 
 
-def _check_size(file: Path) -> None:
+def _check_size(file: Path, packed: io.BytesIO) -> None:
     """Raise RecordError where a workbook unpacks to more than a recording ever holds."""
-    with zipfile.ZipFile(file) as packed:
-        for part in packed.infolist():
+    with zipfile.ZipFile(packed) as parts:
+        for part in parts.infolist():
             if part.file_size > MAX_BYTES:
                 raise RecordError(f"unpacks to more than {MAX_BYTES >> 20} MiB a sheet, the most read", file=file)
-            if part.filename.endswith("sharedStrings.xml") and packed.read(part).count(b"<si") > MAX_LINES:
+            if part.filename.endswith("sharedStrings.xml") and parts.read(part).count(b"<si") > MAX_LINES:
                 raise RecordError(f"holds more than {MAX_LINES} texts, more than is read", file=file)
 
 
