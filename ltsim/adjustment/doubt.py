@@ -32,6 +32,8 @@ FEW_KEPT = 0.5
 MOST_NAMED = 4
 LEAST_PLACES = 3
 """Places of a plan that tell a network from its mirror image."""
+FAR = 0.01
+"""Share of a network's extent by which places that are stated roughly may miss it."""
 CLEARLY = 0.3
 """Ratio of the misses from which a mirror image fits clearly better."""
 UPRIGHT = 0.9
@@ -183,7 +185,7 @@ def _plan(adjustment: Adjustment) -> Iterator[str]:
     as_is, mirrored = (
         float(misses(one, there, upright_alignment(one, there)).max()) for one in (here, here * [1.0, -1.0, 1.0])
     )
-    if as_is < ROUGH_PLACE:
+    if as_is < max(ROUGH_PLACE, FAR * float(np.ptp(here, axis=0).max())):
         return
     names = listing([adjustment.recording.stations[s] for s in known])
     if mirrored < min(ROUGH_PLACE, CLEARLY * as_is):

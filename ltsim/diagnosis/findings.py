@@ -261,7 +261,8 @@ def noise_finding(hypothesis: NoiseHypothesis, sightings: Sightings, detection: 
     effect, sizes = hypothesis.effect, zip(hypothesis.values, hypothesis.sigma, strict=True)
     probability = hypothesis.probability * (NOISY if any(v > SURE * s for v, s in sizes) else PLAIN)
     where = where_of(effect, _scattering(hypothesis, sightings))
-    rows = [Estimate.of(*told) for told in zip(effect.parameters, hypothesis.values, hypothesis.sigma, strict=True)]
+    every = zip(effect.parameters, hypothesis.values, hypothesis.sigma, strict=True)
+    rows = [Estimate.of(*told) for told in every if np.isfinite(told[2])]
     more, sentence = {}, ""
     if isinstance(effect, NoisePattern):
         more = {"formula": effect.law, "carrier": effect.carrier, "driver": effect.driver}

@@ -23,11 +23,14 @@ from ltsim.diagnosis.evidence import shares
 from ltsim.diagnosis.prior import log_share
 from ltsim.diagnosis.schema import Estimate, InstrumentEntry
 from ltsim.effects.effect import Parameter
+from ltsim.solve.design import unit_diagonal
 
 CHANGED = sum(share * size**2 for size, share in SIZES.items())
 """Variance in guarantees of a constant that is taken to have changed, when the others are looked at."""
 NOT_APART = 0.01
 """Share of the evidence from which another constant may be the one that is off."""
+ALIKE = 1e-6
+"""Least eigenvalue of the correlation of changes that the readings tell apart; of others the likelier is told."""
 TINY = 1e-12
 """Weight under which nothing is told of a constant."""
 WORDS = {True: "the correction that it is said to have", False: "the other instruments"}
@@ -165,10 +168,14 @@ def compared(adjustment: Adjustment, expected: Expected, least: float) -> list[C
         return found
 
     found = changes_found(logs, least)
-    told = sorted((k for k in found if found[k][k] > least), key=lambda k: -found[k][k])
+    score, weight = change_seen(said.information, surprise, expected.covariance)
+    told: list[int] = []
+    for k in sorted((k for k in found if found[k][k] > least), key=lambda k: -found[k][k]):
+        square = ways[[*told, k]] @ weight @ ways[[*told, k]].T
+        if np.linalg.eigvalsh(unit_diagonal(square, np.diag(square))[0])[0] > ALIKE:
+            told.append(k)
     if not told:
         return []
-    score, weight = change_seen(said.information, surprise, expected.covariance)
     covariance = np.linalg.inv(ways[told] @ weight @ ways[told].T)
     gap, sigma = covariance @ ways[told] @ score, np.sqrt(np.diag(covariance))
     units = [unit[expected.changes[k].owners[0], expected.changes[k].constant] for k in told]

@@ -372,7 +372,8 @@ def most_likely(space: ResidualSpace, stated: Floats, hypothesis: NoiseHypothesi
     """A hypothesis with its sizes, their deviations, and twice the log ratio of the restricted likelihood.
 
     Sizes and deviations are those of the posterior, since the likelihood of a variance is skew and ends at zero; a
-    priori all factors on a variance are alike, by their logarithm. Each size has a posterior of its own (`gained_by`).
+    priori all factors on a variance are alike, by their logarithm. Each size has a posterior of its own (`gained_by`);
+    one that no reading feels is 0, its deviation infinite.
     """
     effect, scale = hypothesis.effect, hypothesis.effect.spread
     gained = gained_by(space, stated, effect, space.residual, space.redundancy)
@@ -381,13 +382,14 @@ def most_likely(space: ResidualSpace, stated: Floats, hypothesis: NoiseHypothesi
     for _ in range(ZOOMS):
         points = np.linspace(low, high, GRID)
         sizes = scale * np.expm1(points)
-        weight = shares(np.array([gained(one) for one in sizes]))
+        ratio = np.array([gained(one) for one in sizes])
+        weight, felt = shares(ratio), np.ptp(ratio, axis=0) > 0.0
         mean = np.sum(weight * points, axis=0)
         spread = np.sqrt(np.sum(weight * (points - mean) ** 2, axis=0))
         spread = np.maximum(spread, 0.4 * (high - low) / (GRID - 1))
         low, high = np.maximum(least, mean - REACH * spread), np.minimum(most, mean + REACH * spread)
-    values = np.sum(weight * sizes, axis=0)
-    sigma = np.sqrt(np.sum(weight * (sizes - values) ** 2, axis=0))
+    values = np.where(felt, np.sum(weight * sizes, axis=0), 0.0)
+    sigma = np.where(felt, np.sqrt(np.sum(weight * (sizes - values) ** 2, axis=0)), np.inf)
     gain = gained(values) - gained(0.0 * scale)
     if getattr(effect, "each", ""):  # most have none: an amount counts by the chance that there is one
         values = values * expit(gain + np.log(LOUDER.min() / (1.0 - LOUDER.min())))

@@ -47,6 +47,8 @@ WAVE_STEP = 0.6
 """Step of the rates tried for a wave, in cycles over the covariate's span: no rate lies far from one that is tried."""
 MOST_CYCLES, LEAST_OF_A_CYCLE = 60, 8
 """Cycles over a covariate's span that a wave may have, and pointings that each must have."""
+ROUNDING = 1e-12
+"""[rad, m, s] Spread of what a pointing says that is none: elevations in a plan differ by 1e-31."""
 COST = 1.0 / 3.0
 """Prior odds that an operator, or a second factor, costs: odds of one in three that there is one."""
 DEPTHS = {
@@ -74,7 +76,8 @@ def _varying(sightings: Sightings, names: Iterable[str]) -> list[str]:
     """What of some quantities varies here."""
     seen, faces = np.isfinite(sightings.incidence).any(), np.ptp(sightings.face) > 0
     asked = [n for n in names if (seen or n not in _BALL) and (faces or n not in _CIRCLES)]
-    return [n for n in asked if np.ptp(sightings.quantities[n]) > 0]
+    floor = {n: ROUNDING * (base_of(n) not in sightings.covariates) for n in asked}
+    return [n for n in asked if np.ptp(sightings.quantities[n]) > floor[n]]
 
 
 def moves(kind: str, driver: Driver, sightings: Sightings) -> bool:
@@ -170,7 +173,7 @@ def products(sightings: Sightings) -> Iterator[Driver]:
 def rates(sightings: Sightings, name: str, most: float) -> Floats:
     """Rates of waves in a quantity with up to `most` cycles over its span."""
     span = float(np.ptp(sightings.quantities[name]))
-    return 2 * np.pi * np.arange(1.0, most, WAVE_STEP) / span if span > 0 else np.zeros(0)
+    return 2 * np.pi * np.arange(1.0, most, WAVE_STEP) / span if span > ROUNDING else np.zeros(0)
 
 
 def waves(

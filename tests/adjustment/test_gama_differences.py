@@ -12,7 +12,10 @@ import pytest
 from ltsim import calibrate, diagnose
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.adjustment.verdict import verdict
+from ltsim.diagnosis import instruments
 from ltsim.errors import NetworkError, RecordError
+from ltsim.laws.offered import drivers_of
+from ltsim.model.construction import misalignment
 from ltsim.recording import read, write
 from ltsim.tasks.inputs import observed_sources, reach_of
 
@@ -417,4 +420,28 @@ def test_of_noise_and_a_shift_below_the_threshold_the_likelier_is_told(tmp_path:
     """Readings far less noisy than stated, but few: nothing shifts them."""
     wider = re.sub(r'stdev="([0-9.]+)"', lambda found: f'stdev="{8 * float(found[1]):g}"', SHARED.inside)
     told = diagnose(read(Printed(SHARED.axes, wider, "", 0.0, 0).write(tmp_path / "network.gkf")))
-    assert [finding.effect for finding in told.findings] == ["noise-level"]
+    (level,) = told.findings
+    assert level.effect == "noise-level"
+    assert [one.name for one in level.parameters] == ["noise-distance", "noise-azimuth"]  # nobody read an elevation
+
+
+def test_what_is_constant_in_a_plan_drives_no_law(tmp_path: Path) -> None:
+    """Elevations of a plan differ by 1e-31: a smooth function of them was a random one."""
+    found = adjust(read(DIRECTIONS.write(tmp_path / "network.gkf")))
+    names = {name for drivers in drivers_of(found.sightings).values() for one in drivers for name in one.covariates}
+    assert {"azimuth", "distance"} <= names
+    assert not {name for name in names if "elevation" in name or "height" in name}
+
+
+def test_of_constants_that_a_plan_does_not_tell_apart_one_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """There an offset of the transit axis is the range zero over again: the two together had no deviation at all."""
+    found = adjust(read(BACK.write(tmp_path / "network.gkf")), misalignment())
+    names = found.construction.names
+    both = {names.index("transit-offset"): 2.0, names.index("range-offset"): 1.0}
+    logs = {k: np.where(np.arange(len(names)) == k, size, -9.0) for k, size in both.items()}
+    monkeypatch.setattr(instruments, "changes_found", lambda evidence, least: logs)
+    (told,) = instruments.contradictions(found, 0.0)
+    assert told.parameter.name == "transit-offset"
+    assert np.isfinite(told.sigma)
