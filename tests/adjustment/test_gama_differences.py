@@ -445,3 +445,24 @@ def test_of_constants_that_a_plan_does_not_tell_apart_one_is_told(
     (told,) = instruments.contradictions(found, 0.0)
     assert told.parameter.name == "transit-offset"
     assert np.isfinite(told.sigma)
+
+
+def test_of_a_bad_angle_and_a_mark_that_explain_the_same_the_angle_goes(tmp_path: Path) -> None:
+    """The mark of a set-up of two readings takes up whatever is wrong with them."""
+    rng, places = np.random.default_rng(3), {"A": 5600 + 4966j, "B": 6061 + 8043j, "C": 9787 + 8038j, "D": 9260 + 4843j}
+    inside = "".join(
+        f'<point id="{n}" x="{z.real}" y="{z.imag}" {"fix" if n in "AB" else "adj"}="xy"/>' for n, z in places.items()
+    )
+    for (at, to), sigma in zip(("AB", "BC", "CD", "DA", "AC", "BD"), (10, 12, 10, 12, 16, 14), strict=True):
+        length = abs(places[at] - places[to]) + 1e-3 * sigma * rng.normal()
+        inside += f'<obs from="{at}"><distance to="{to}" val="{length:.3f}" stdev="{sigma}"/></obs>'
+    for at, back, on in ("ABC", "ACD", "BCD", "BDA", "CDA", "CAB", "DAB", "DBC"):
+        turn = -np.angle((places[on] - places[at]) / (places[back] - places[at])) * 200 / np.pi
+        turn += 6.5e-4 * rng.normal() + 0.019 * (at + back + on == "DAB")
+        inside += f'<obs from="{at}"><angle bs="{back}" fs="{on}" val="{turn % 400:.5f}" stdev="6.5"/></obs>'
+    recording = read(Printed("en", inside, "", 0.0, 0).write(tmp_path / "network.gkf"))
+    found = adjust(recording, robust=True)
+    assert not adjust(recording).wrong and not found.wrong
+    rows, columns = np.nonzero(found.rejected)
+    assert {recording.stations[s] for s in recording.station[rows]} == {"D"}
+    assert set(columns.tolist()) == {1}
