@@ -36,16 +36,19 @@ def plan_of(setup: Ints, start: Ints, end: Ints, turn: Floats, known: Floats) ->
     yaw = _yaws(setup, start, end, turn)
     rows = np.isfinite(yaw[setup])
     used, at = np.unique(np.concatenate([start[rows], end[rows]]), return_inverse=True)
+    told = np.isfinite(known[used]).all(axis=1)
+    if told.sum() < 2:
+        return None
     first, second = at.reshape(2, -1)
     bearing = (yaw[setup] + turn)[rows]
     across = np.stack([-np.sin(bearing), np.cos(bearing)], axis=1)
     design = np.zeros((len(bearing), len(used), 2))
     design[np.arange(len(bearing)), second] = across
     design[np.arange(len(bearing)), first] -= across
-    free, told = 2 * (len(used) - 1), np.isfinite(known[used]).all(axis=1)
+    free = 2 * (len(used) - 1)
     padded = np.concatenate([design[:, 1:].reshape(-1, free), np.zeros((free, free))])  # a row for each column at least
     _, size, right = np.linalg.svd(padded, full_matrices=False)
-    if told.sum() < 2 or size[-2] < LOOSE * size[0]:
+    if size[-2] < LOOSE * size[0]:
         return None
     shape = np.concatenate([[0.0], right[-1].reshape(-1, 2) @ [1.0, 1j]])
     ahead = np.real((shape[second] - shape[first]) * np.exp(-1j * bearing))

@@ -180,12 +180,13 @@ def _plan(adjustment: Adjustment) -> Iterator[str]:
     if len(known) < LEAST_PLACES or np.median(state.rotation[:, 2, 2]) < UPRIGHT:
         return
     here, there = state.position[known] * [1.0, 1.0, 0.0], frame.plan[known] * [1.0, 1.0, 0.0]
-    if np.ptp(here, axis=0).max() < ROUGH_PLACE:  # set-ups over one mark
+    extent = float(np.ptp(here, axis=0).max())
+    if extent < ROUGH_PLACE:  # set-ups over one mark
         return
     as_is, mirrored = (
         float(misses(one, there, upright_alignment(one, there)).max()) for one in (here, here * [1.0, -1.0, 1.0])
     )
-    if as_is < max(ROUGH_PLACE, FAR * float(np.ptp(here, axis=0).max())):
+    if as_is < max(ROUGH_PLACE, FAR * extent):
         return
     names = listing([adjustment.recording.stations[s] for s in known])
     if mirrored < min(ROUGH_PLACE, CLEARLY * as_is):

@@ -318,11 +318,12 @@ def _most_suspect(
     count = len(list(known_values(problem, solution.x)))
     chances = [unlikely(test.drop / noise(test) ** 2, test.rank, count) for test in tests]
     best = int(np.argmax(chances))
-    chance, scaled = chances[best], tests[best].drop / noise(tests[best]) ** 2
+    chance, scatter = chances[best], noise(tests[best])
+    scaled = tests[best].drop / scatter**2
     if scaled < max(SIGMAS, critical_w(count)) ** 2 or chance < -np.log(FAMILY_LEVEL):
         return None
     worst = int(np.argmax(np.nan_to_num(np.abs(w))))
-    reading = float(np.nan_to_num(w).flat[worst]) / noise(tests[best])  # of two causes by the same noise
+    reading = float(np.nan_to_num(w).flat[worst]) / scatter  # two causes are weighed by one noise
     if unlikely(reading**2, 1, int(problem.use.sum())) <= chance:
         alike = [k for k, other in enumerate(chances) if other > chance - np.log(RIVAL)]
         if len(alike) > 1 and tests[best].kind == "level":

@@ -346,15 +346,17 @@ class Growth:
 
     def _begin_with_bearings(self) -> None:
         """Begin with the plan that directions of upright stations put together between points known in plan."""
-        self._begin_with_frame()
         recording, frame, marks = self._recording, self._frame, self._frame.marks
         rows = np.flatnonzero(frame.level[recording.station] & np.isfinite(self._front[:, 1]))
+        if not len(rows) or np.isfinite(self._front[:, 2]).any():
+            return
         stands = np.where(marks.target >= 0, marks.target, len(self._located) + marks.first)
         known = np.concatenate([frame.in_plan, frame.stations])[:, :2]
         station, end = recording.station[rows], recording.target[rows]
-        found = plan_of(station, stands[station], end, self._front[rows, 1], known) if len(rows) else None
-        if found is None or np.isfinite(self._front[:, 2]).any():
+        found = plan_of(station, stands[station], end, self._front[rows, 1], known)
+        if found is None:
             return
+        self._begin_with_frame()
         places, yaw = np.pad(found[0], ((0, 0), (0, 1))), found[1]
         for one in np.flatnonzero(np.isfinite(yaw)).tolist():
             self._place(one, places[stands[one]] + marks.offset[one], about_z(float(yaw[one])))

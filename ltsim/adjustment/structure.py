@@ -11,7 +11,6 @@ from ltsim.adjustment.rows import VERTICAL, ControlRows, DifferenceRows, GaugeRo
 from ltsim.adjustment.unknowns import Unknowns
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.model.measurement import MeasurementModel, State
-from ltsim.recording.recording import Recording
 
 UPRIGHT = 1.0 - 1e-8
 """Cosine of the lean up to which a plumb line counts as that of the network (0.14 mrad, 900 m on the earth)."""
@@ -32,11 +31,6 @@ class NetworkRows:
     known_marks: ControlRows
     differences: DifferenceRows
     unknowns: Unknowns
-
-    @property
-    def recording(self) -> Recording:
-        """What was measured."""
-        return self.model.recording
 
     @cached_property
     def structure(self) -> Structure:
@@ -80,7 +74,7 @@ class Structure:
     @classmethod
     def of(cls, network: NetworkRows) -> Structure:
         """The structure of a network, by counting."""
-        recording, use, marks, levels = network.recording, network.use, network.marks, network.levels
+        recording, use, marks, levels = network.model.recording, network.use, network.marks, network.levels
         count = len(recording.stations)
         range_, azimuth, elevation = (np.bincount(recording.station, use[:, i], count) > 0 for i in range(3))
         high = use[:, 2] | (use[:, 0] & ~recording.is_horizontal)
@@ -167,7 +161,7 @@ class Structure:
 
 def _takes_scale(network: NetworkRows) -> bool:
     """Whether nothing that was measured or is known tells the scale, and rough places of the datum's targets do."""
-    use, recording, known = network.use, network.recording, network.control.axes
+    use, recording, known = network.use, network.model.recording, network.control.axes
     high = use[:, 2].any()
     told = use[:, 0].any() or len(network.gauge) or len(network.differences) or len(network.known_marks)
     if told or known[:, : 3 if high else 2].any() or (high and any(height.any() for height in recording.heights())):
@@ -178,6 +172,6 @@ def _takes_scale(network: NetworkRows) -> bool:
 
 def _first_seen(network: NetworkRows) -> Ints:
     """(1,) A target to which the first station with azimuths reads one."""
-    recording, rows = network.recording, np.flatnonzero(network.use[:, 1])
+    recording, rows = network.model.recording, np.flatnonzero(network.use[:, 1])
     first = rows[np.argsort(recording.station[rows], kind="stable")][:1]
     return recording.target[first]

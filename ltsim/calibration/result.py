@@ -211,12 +211,11 @@ def frame_of(adjustment: Adjustment) -> str:
     points = [f"the control point{'s' if len(control) > 1 else ''} {listing(control)}"] if control else []
     if free == 0:
         return f"the frame of {' and '.join([*points, *zeros])}"
-    scaled = len(problem.structure.scale) > 0
-    rest = f"{'are' if scaled else 'is'} {_free_axes(adjustment, first)}"
+    rest = f"is {_free_axes(adjustment, first)}"
     if adjustment.datum is not None:
         rest += f", standard deviations by inner constraints over {listing(adjustment.datum.names)}"
     if free == 6 or not (points or zeros or not adjustment.open_heights.all()):
-        return rest.removeprefix("is ").removeprefix("are ")
+        return rest.removeprefix("is ")
     if not control and not problem.differences.names:
         return f"{', x '.join([f'z follows the levels of {listing(levelled)}', *zeros])}; the rest {rest}"
     levels = ["the levels"] if levelled else []

@@ -169,14 +169,15 @@ def compared(adjustment: Adjustment, expected: Expected, least: float) -> list[C
 
     found = changes_found(logs, least)
     score, weight = change_seen(said.information, surprise, expected.covariance)
+    every = ways @ weight @ ways.T
     told: list[int] = []
     for k in sorted((k for k in found if found[k][k] > least), key=lambda k: -found[k][k]):
-        square = ways[[*told, k]] @ weight @ ways[[*told, k]].T
+        square = every[np.ix_([*told, k], [*told, k])]
         if np.linalg.eigvalsh(unit_diagonal(square, np.diag(square))[0])[0] > ALIKE:
             told.append(k)
     if not told:
         return []
-    covariance = np.linalg.inv(ways[told] @ weight @ ways[told].T)
+    covariance = np.linalg.inv(every[np.ix_(told, told)])
     gap, sigma = covariance @ ways[told] @ score, np.sqrt(np.diag(covariance))
     units = [unit[expected.changes[k].owners[0], expected.changes[k].constant] for k in told]
     chance = np.minimum(len(ways) * erfc(np.abs(gap) / sigma / np.sqrt(2.0)), 1.0)

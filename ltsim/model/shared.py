@@ -8,9 +8,8 @@ import numpy as np
 
 from ltsim.arrays import Bools, Floats
 from ltsim.effects.signature import Parameter, Signature
-from ltsim.recording.recording import OBSERVABLES, SHARED_COLUMN, Recording
+from ltsim.recording.recording import ENDINGS, OBSERVABLES, SHARED_COLUMN, SIGMA_UNITS, Recording
 from ltsim.scene.sightings import Sightings
-from ltsim.units import ARCSECOND, MILLIMETRE
 
 
 @dataclass(frozen=True)
@@ -57,7 +56,6 @@ def shared_errors(recording: Recording) -> tuple[SharedErrors, ...]:
         return ()
     reach = np.zeros((len(recording), len(OBSERVABLES), len(names)))
     for name, found in columns.items():
-        unit = MILLIMETRE if found[2] == "distance_mm" else ARCSECOND
-        observable = OBSERVABLES.index(found[2].partition("_")[0])
-        reach[:, observable, names.index(found[1])] = np.nan_to_num(recording.covariates[name]) * unit
+        k = ENDINGS.index(found[2])
+        reach[:, k, names.index(found[1])] = np.nan_to_num(recording.covariates[name]) * SIGMA_UNITS[k]
     return (SharedErrors(reach, recording.is_horizontal),)

@@ -9,13 +9,21 @@ import numpy as np
 from ltsim.arrays import Ints
 from ltsim.errors import RecordError
 from ltsim.recording.files import FilePlace
-from ltsim.recording.recording import HEIGHT_COLUMNS, KIND_COLUMN, OBSERVABLES, SIGMA_COLUMNS, Recording
+from ltsim.recording.recording import (
+    ENDINGS,
+    HEIGHT_COLUMNS,
+    KIND_COLUMN,
+    OBSERVABLES,
+    SIGMA_COLUMNS,
+    SIGMA_UNITS,
+    Recording,
+)
 from ltsim.recording.setup import Setup
-from ltsim.units import ARCSECOND, MILLIMETRE
+from ltsim.units import MILLIMETRE
 
 NAN = float("nan")
 Kind = Literal["distance", "azimuth", "elevation"]
-_UNIT = {"distance": MILLIMETRE, "azimuth": ARCSECOND, "elevation": ARCSECOND}
+_UNIT = dict(zip(OBSERVABLES, SIGMA_UNITS, strict=True))
 
 
 @dataclass(frozen=True)
@@ -156,7 +164,7 @@ def _pointing(row: dict[str, Observed], file: str) -> Pointing:
     sigmas = {SIGMA_COLUMNS[OBSERVABLES.index(kind)]: row[kind].sigma / _UNIT[kind] for kind in row}
     heights = zip(HEIGHT_COLUMNS, zip(*(o.heights for o in row.values()), strict=True), strict=True)
     shared = {
-        f"shared_{name}_{SIGMA_COLUMNS[OBSERVABLES.index(kind)].removeprefix('sigma_')}": change / _UNIT[kind]
+        f"shared_{name}_{ENDINGS[OBSERVABLES.index(kind)]}": change / _UNIT[kind]
         for kind, one in row.items()
         for name, change in one.shared.items()
     }

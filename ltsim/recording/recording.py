@@ -19,9 +19,12 @@ from ltsim.units import ARCSECOND, DEGREE, MILLIMETRE, PPM
 OBSERVABLES = ("distance", "azimuth", "elevation")
 SIGMA_COLUMNS = ("sigma_distance_mm", "sigma_azimuth_arcsec", "sigma_elevation_arcsec")
 """Covariates: the standard deviation of single readings, empty where the instrument's noise holds."""
+SIGMA_UNITS = (MILLIMETRE, ARCSECOND, ARCSECOND)
+ENDINGS = tuple(name.removeprefix("sigma_") for name in SIGMA_COLUMNS)
+"""How columns of each observable end, in these units."""
 HEIGHT_COLUMNS = ("instrument_height_mm", "target_height_mm")
 """Covariates that state heights of single pointings; an empty cell leaves the set-up's height."""
-SHARED_COLUMN = re.compile(r"shared_(.+)_(distance_mm|azimuth_arcsec|elevation_arcsec)")
+SHARED_COLUMN = re.compile(f"shared_(.+)_({'|'.join(ENDINGS)})")
 """Covariates: by how much an error that readings share changes single readings, for one standard deviation of it."""
 BOOKKEEPING = (*SIGMA_COLUMNS, *HEIGHT_COLUMNS)
 """Covariates that are no circumstances of a pointing: nothing a diagnosis should try."""
@@ -167,7 +170,7 @@ class Recording(Result):
         noise = [self.instrument_of(name).noise for name in self.stations]
         range_, _, level = np.nan_to_num(self.readings).T
         sigma = noise_sigma(noise, self.station, range_, level)
-        for column, (name, unit) in enumerate(zip(SIGMA_COLUMNS, (MILLIMETRE, ARCSECOND, ARCSECOND), strict=True)):
+        for column, (name, unit) in enumerate(zip(SIGMA_COLUMNS, SIGMA_UNITS, strict=True)):
             if name in self.covariates:
                 stated = self.covariates[name] * unit
                 sigma[:, column] = np.where(np.isfinite(stated), stated, sigma[:, column])
