@@ -13,7 +13,7 @@ import numpy as np
 from ltsim.adjustment.rows import Marks
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.errors import NetworkError
-from ltsim.geometry.alignment import align
+from ltsim.geometry.alignment import align, robust_align
 from ltsim.geometry.polar import from_polar
 from ltsim.geometry.rotations import about_z, smallest_turn
 from ltsim.recording.recording import Recording
@@ -88,7 +88,7 @@ class Frame:
         """
         here, there = self.common(position, points)
         if len(here) >= 3 and not on_a_line(there):
-            return align(here, there)
+            return robust_align(here, there)
         height = float(np.mean(there[:, 2] - (here @ turn.T)[:, 2])) if len(here) else 0.0
         if len(here) < 2:
             both = np.isfinite(points).all(axis=1) & np.isfinite(self.in_plan).all(axis=1)

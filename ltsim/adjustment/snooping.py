@@ -10,6 +10,7 @@ import numpy as np
 
 from ltsim.adjustment.problem import NetworkProblem
 from ltsim.adjustment.reliability import UNCHECKED, critical_w, normalised, redundancy_of, scale_of
+from ltsim.adjustment.robust import robust_state
 from ltsim.adjustment.start import reached_network
 from ltsim.arrays import Bools, Floats
 from ltsim.geometry.polar import wrap
@@ -31,11 +32,10 @@ FACTOR = 30.0
 PASSES = 20
 SETTLED = 0.9
 """A gross miss that still shrinks to less than this share of itself in a pass is not settled yet."""
-HUBER = 2.0
-RELAXATIONS = 8
-STILL = 1e-2
-"""Squared length of a step, in standard deviations, after which a relaxed network moves no more."""
-ROUNDS = 20
+ROUNDS = 8
+"""Solutions until what is left out does not change: what alternates longer is on the edge."""
+STEPS = 10
+"""Iterations of a solution on the way; the last has as many as it needs."""
 ALONE = 100.0
 """Standard deviations of a reading that was left out: a target that the rest places no better has no place by it."""
 
@@ -201,12 +201,7 @@ def snooped(problem: NetworkProblem, state: State) -> tuple[NetworkProblem, Solu
     Reweighting (Huber) finds a network that many outliers together do not bend; readings that it rejects are left
     out; then the usual snooping goes on, and whatever was left out is tested again against the network without it.
     """
-    for _ in range(RELAXATIONS):
-        whitened = _whitened(problem, state)
-        scale = max(median_deviation(whitened[problem.use]), 1e-3)
-        state, length = _step(problem, state, np.sqrt(np.maximum(np.nan_to_num(whitened) / (HUBER * scale), 1.0)))
-        if length < STILL:
-            break
+    state, _ = robust_state(problem, state)
     try:
         factor = BlockFactor(problem.linearise(state))
     except SingularSystemError:
@@ -218,7 +213,7 @@ def snooped(problem: NetworkProblem, state: State) -> tuple[NetworkProblem, Solu
     placed, target = state.points, problem.model.recording.target
     while True:
         kept = without_loose(replace(problem, use=problem.use & ~rejected), state)
-        solution = solve(kept, state)
+        solution = solve(kept, state, cap=STEPS)
         if solution.factor is None:  # Too much at once: what is left does not hold the network.
             size = np.where(rejected, _whitened(problem, state), -1.0)
             half = np.argsort(-size, axis=None)[: int(rejected.sum()) // 2]
@@ -228,11 +223,11 @@ def snooped(problem: NetworkProblem, state: State) -> tuple[NetworkProblem, Solu
         seen.add(rejected.tobytes())
         new = _retested(problem, kept, solution, rejected, limit)
         if np.array_equal(new, rejected):
-            return kept, solution
+            return kept, solution if solution.converged else solve(kept, state)
         if new.tobytes() in seen or len(seen) == ROUNDS:  # On the edge: what is out in either stays out.
             last = without_loose(replace(problem, use=problem.use & ~(new | rejected)), state)
             ended = solve(last, state)
-            return (kept, solution) if ended.factor is None else (last, ended)
+            return (kept, solve(kept, state)) if ended.factor is None else (last, ended)
         rejected = new
         held = np.bincount(target, (problem.use & ~rejected).any(axis=1), len(placed)) > 0
         state = replace(state, points=np.where(held[:, None], state.points, placed))  # misses are told from there

@@ -1,0 +1,223 @@
+"""A network with some hypotheses in its model, fitted robustly, and the log evidence of that."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from ltsim.adjustment.adjustment import Adjustment
+from ltsim.adjustment.prior import ParameterPrior
+from ltsim.adjustment.problem import NetworkProblem
+from ltsim.adjustment.snooping import snooped, without_loose
+from ltsim.adjustment.start import reached_network
+from ltsim.adjustment.stated import KnownValue, common_scale, known_values, without
+from ltsim.arrays import Bools, Floats
+from ltsim.identification.evidence import occam, occam_of_variance, variance_factor
+from ltsim.identification.hypothesis import Correction, Hypothesis, NoiseFactor, Omission, Shift
+from ltsim.identification.prior import log_prior_of
+from ltsim.adjustment.robust import robust_state
+from ltsim.model.construction import Construction
+from ltsim.model.measurement import MeasurementModel, State, with_plumb_lines
+from ltsim.recording.recording import Recording
+from ltsim.scene.sightings import Sightings
+from ltsim.solve.gauss_newton import Solution
+
+FREE = 1e6
+"""Plausible sizes to which a shift is held: nothing that happens is larger."""
+
+
+@dataclass(frozen=True)
+class Network:
+    """What a fit begins with: recording, construction, priors of its parameters, readings (n, 3) that may be used."""
+
+    recording: Recording
+    construction: Construction
+    prior: ParameterPrior | None = None
+    usable: Bools | None = None
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A network fitted with some hypotheses in its model; readings that contradict it are left out as outliers.
+
+    Attributes
+    ----------
+    network : Network
+    hypotheses : tuple of Hypothesis
+    whole : NetworkProblem
+        With all usable readings in use.
+    problem : NetworkProblem
+        With the readings in use that fit.
+    solution : Solution
+    """
+
+    network: Network
+    hypotheses: tuple[Hypothesis, ...]
+    whole: NetworkProblem
+    problem: NetworkProblem
+    solution: Solution[State]
+
+    @classmethod
+    def of(
+        cls,
+        network: Network,
+        hypotheses: Sequence[Hypothesis] = (),
+        start: State | None = None,
+        near: Sightings | None = None,
+    ) -> Fit | None:
+        """The fit from a start, by default from the recording alone; None where the network is not determined.
+
+        From the recording less what the hypotheses' guesses say of it, where the sightings `near` are given.
+        """
+        recording = changed_recording(network.recording, hypotheses)
+        lost = np.zeros(len(recording.targets), dtype=bool)
+        fresh = start is None
+        if start is None:
+            reached, lost = reached_network(recording if near is None else _unshifted(recording, hypotheses, near))
+            recording = recording.with_readings(np.where(lost[recording.target][:, None], np.nan, recording.readings))
+            parameters = np.zeros((len(recording.instruments), network.construction.size))
+            start = State(*reached, parameters if network.prior is None else network.prior.mean)
+        recording = with_plumb_lines(recording, start.position)
+        effects = tuple(h.change.effect for h in hypotheses if isinstance(h.change, Shift))
+        model = MeasurementModel(recording, network.construction, effects)
+        if len(start.extra) != model.extra_size:
+            start = replace(start, extra=_guesses(hypotheses, model.extra_size, near))
+        usable = np.ones((len(recording), 3), dtype=bool) if network.usable is None else network.usable
+        problem = NetworkProblem.of(
+            model,
+            sigma=recording.sigma(),
+            use=usable & ~lost[recording.target][:, None],
+            held_to=FREE,
+            prior=network.prior,
+        )
+        start = replace(start, position=problem.marks.on_marks(start.position, start.points))
+        if fresh:
+            start = robust_state(problem, start)[0]
+        whole = without_loose(problem, start)
+        fit = cls(network, tuple(hypotheses), whole, *snooped(whole, start))
+        for _ in range(2 if any(isinstance(h.change, NoiseFactor) for h in hypotheses) else 0):
+            fit = fit._reweighted()
+        return fit if fit.solution.converged else None
+
+    def _reweighted(self) -> Fit:
+        """The fit with its noise factors as the residuals have them (restricted maximum likelihood)."""
+        sigma = self.network.recording.sigma()
+        for h in self.hypotheses:
+            if isinstance(h.change, NoiseFactor):
+                chosen = h.change.readings & self.problem.use
+                squares = float(np.sum((self.residuals / sigma)[chosen] ** 2))
+                factor, _ = variance_factor(np.array(squares), np.array(float(np.nansum(self.redundancy[chosen]))))
+                sigma = np.where(h.change.readings, sigma * factor, sigma)
+        whole = replace(self.whole, sigma=sigma)
+        return replace(self, whole=whole, **dict(zip(("problem", "solution"), snooped(whole, self.state), strict=True)))
+
+    @property
+    def state(self) -> State:
+        """Poses, targets and parameters."""
+        return self.solution.x
+
+    @cached_property
+    def adjustment(self) -> Adjustment:
+        """The fit as an adjustment."""
+        out = self.recording.measured.any(axis=1) & ~self.problem.use.any(axis=1)
+        return Adjustment(self.problem, self.solution, out)
+
+    @property
+    def recording(self) -> Recording:
+        """The recording with the hypotheses' corrections."""
+        return self.problem.model.recording
+
+    @cached_property
+    def residuals(self) -> Floats:
+        """Observed minus predicted readings (n, 3) [m, rad, rad], outliers among them."""
+        return self.problem.residuals(self.problem.model.predict(self.state))
+
+    @cached_property
+    def whitened(self) -> Floats:
+        """The same over the standard deviations; 0 where nothing can be used."""
+        return np.where(self.whole.use, np.nan_to_num(self.residuals / self.problem.sigma), 0.0)
+
+    @property
+    def redundancy(self) -> Floats:
+        """Redundancy numbers (n, 3)."""
+        return self.adjustment.redundancy
+
+    @cached_property
+    def outliers(self) -> Bools:
+        """(n, 3): usable readings that are left out."""
+        return self.whole.use & ~self.problem.use
+
+    def _missed_by(self, value: KnownValue) -> float:
+        """Miss of an omitted reference value, in its declared standard deviations."""
+        return float(np.linalg.norm(self.gap_of(value) / np.where(value.sigma > 0, value.sigma, np.inf)))
+
+    def gap_of(self, value: KnownValue) -> Floats:
+        """What an omitted reference value (q,) misses the network by [m, rad]."""
+        model = replace(self.problem.model, recording=self.network.recording)
+        declared = NetworkProblem.of(model, use=self.problem.use)
+        every = (*known_values(declared, self.state), *common_scale(declared, self.state))
+        return next(v.residual for v in every if (v.kind, v.name) == (value.kind, value.name))
+
+    @cached_property
+    def outlier_terms(self) -> float:
+        """Log of the Occam factors and priors of all outliers."""
+        w = np.abs(self.whitened[self.outliers])
+        return float(np.sum(occam(w, 1))) + len(w) * log_prior_of("outlier", int(self.whole.use.sum()))
+
+    @cached_property
+    def log_evidence(self) -> float:
+        """Log marginal likelihood up to a constant of the recording: fit, Occam factors and priors of all causes."""
+        total = -0.5 * self.solution.cost + sum(h.log_prior for h in self.hypotheses)
+        total += self.outlier_terms
+        first = 0
+        for h in self.hypotheses:
+            if isinstance(h.change, Shift):
+                own = slice(first, first := first + len(h.change.effect.parameters))
+                values, covariance = self.state.extra[own], self.adjustment.extra_covariance[own, own]
+                length = float(np.sqrt(max(values @ np.linalg.pinv(covariance) @ values, 0.0)))
+                total += float(occam(length, len(values)))
+            elif isinstance(h.change, NoiseFactor):
+                chosen = h.change.readings & self.problem.use
+                redundancy = np.nansum(self.redundancy[chosen])
+                ratio = self.problem.sigma[chosen] / self.network.recording.sigma()[chosen]
+                total -= float(np.sum(np.nan_to_num(self.redundancy[chosen]) * np.log(ratio)))
+                total += float(occam_of_variance(redundancy))
+            elif isinstance(h.change, Omission):
+                total += float(occam(self._missed_by(h.change.value), len(h.change.value.sigma)))
+        return total
+
+
+def _guesses(hypotheses: Sequence[Hypothesis], size: int, near: Sightings | None) -> Floats:
+    """Where the parameters of the shifts begin (q,)."""
+    shifts = [h.change for h in hypotheses if isinstance(h.change, Shift)]
+    values = [s.guess if near is not None and s.guess else (0.0,) * len(s.effect.parameters) for s in shifts]
+    whole = np.zeros(size)
+    flat = [v for value in values for v in value]
+    whole[: len(flat)] = flat
+    return whole
+
+
+def _unshifted(recording: Recording, hypotheses: Sequence[Hypothesis], near: Sightings) -> Recording:
+    """The recording less the shifts of the hypotheses, as large as they are guessed."""
+    readings = recording.readings.copy()
+    for h in hypotheses:
+        if isinstance(h.change, Shift) and h.change.guess:
+            readings -= h.change.effect.shift(near, np.array(h.change.guess))
+    return recording.with_readings(readings)
+
+
+def changed_recording(recording: Recording, hypotheses: Sequence[Hypothesis]) -> Recording:
+    """The recording with corrected rows and without the reference values that are not believed."""
+    readings, target, face = recording.readings.copy(), recording.target.copy(), recording.face.copy()
+    for h in hypotheses:
+        if isinstance(h.change, Correction):
+            rows = h.change.rows
+            readings[rows], target[rows], face[rows] = h.change.readings, h.change.target, h.change.face
+    recording = recording.replace(readings=readings, target=target, face=face)
+    for h in hypotheses:
+        if isinstance(h.change, Omission):
+            recording = without(recording, h.change.value)
+    return recording

@@ -1,0 +1,56 @@
+"""Signatures of simple causes: an offset or a scale error of one observable, at a station or target, from a time on."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from ltsim.arrays import Floats
+from ltsim.effects.signature import Parameter, Signature, on_readings
+from ltsim.scene.sightings import Sightings
+from ltsim.units import MICROMETRE, MICRORADIAN, PPM
+
+Observable = Literal["distance", "azimuth", "elevation"]
+
+
+@dataclass(frozen=True)
+class ReadingShift(Signature):
+    """Offset, or scale error, of the readings of one observable.
+
+    Attributes
+    ----------
+    observable : {`distance`, `azimuth`, `elevation`}
+    proportional : bool
+        Whether it grows with the range (a scale error).
+    stations, targets : tuple of str
+        Where it acts; empty for all.
+    since : float
+        First time [s] at which it acts.
+    """
+
+    observable: Observable
+    proportional: bool = False
+    stations: tuple[str, ...] = ()
+    targets: tuple[str, ...] = ()
+    since: float = -np.inf
+
+    @property
+    def name(self) -> str:
+        """`scale-error` or `constant-offset`."""
+        return "scale-error" if self.proportional else "constant-offset"
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The change of a reading, or of its share of the range."""
+        if self.proportional:
+            return (Parameter("scale-error", "ppm", "scale error of the readings", PPM),)
+        if self.observable == "distance":
+            return (Parameter("offset", "um", "offset of the readings", 10 * MICROMETRE),)
+        return (Parameter("offset", "urad", "offset of the readings", 10 * MICRORADIAN),)
+
+    def design(self, sightings: Sightings) -> Floats:
+        """Change (n, 3, 1) of the raw readings per unit of the parameter."""
+        acts = self.mask(sightings) * (sightings.time >= self.since)
+        size = acts * sightings.range_ if self.proportional else acts
+        change = {self.observable: -size[:, None]}
+        return on_readings(sightings, **change)
