@@ -22,8 +22,8 @@ from ltsim.effects.index_drift import IndexDrift
 from ltsim.effects.motions import StationMotion
 from ltsim.effects.range_drift import RangeDrift
 from ltsim.effects.station_bump import StationBump
-from ltsim.errors import NetworkError
-from ltsim.fieldcheck.items import CAUSES, TWO_FACE, CheckFile, Family, Item, Kind, two_sided
+from ltsim.errors import LtsimError, NetworkError
+from ltsim.fieldcheck.items import CAUSES, TWO_FACE, CheckFile, Family, Item, Kind, item_of, two_sided
 from ltsim.fieldcheck.network import NETWORK_TESTS, items_of_network, plain_network, with_own_noise
 from ltsim.fieldcheck.occupation import ColumnsFit, Faces, StationOccupation
 from ltsim.fieldcheck.words import (
@@ -34,6 +34,7 @@ from ltsim.fieldcheck.words import (
     instrument_sentence,
     target_sentence,
 )
+from ltsim.identification import Network, Selection, Test, select, tests_of
 from ltsim.model.construction import Construction, stated_construction
 from ltsim.recording.exchange import RecordingSource, recording_of
 from ltsim.recording.recording import Recording
@@ -78,6 +79,8 @@ class Check(Result):
     setups: tuple[SetUp, ...]
     network: tuple[Item, ...]
     level: float
+    tests: tuple[Test, ...] = ()
+    """The simple causes that the readings support, and outliers; all items are of the recording without them."""
 
     def _lines(self) -> list[str]:
         return [self.sentence]
@@ -91,9 +94,9 @@ class Check(Result):
 
     @property
     def items(self) -> tuple[Item, ...]:
-        """Every item: mistakes of the work first, then set-up by set-up."""
-        mistakes = (item for item in self.network if item.kind == "mistake")
-        rest = (item for item in self.network if item.kind != "mistake")
+        """Every item: causes and mistakes of the work first, then set-up by set-up."""
+        mistakes = (item for item in self.network if item.kind in ("cause", "mistake"))
+        rest = (item for item in self.network if item.kind not in ("cause", "mistake"))
         return (*mistakes, *(item for setup in self.setups for item in setup.items), *rest)
 
     @property
@@ -138,26 +141,37 @@ def check(recording: RecordingSource, *, level: float = LEVEL, mpe: tuple[float,
     True
     """
     whole = recording_of(recording)
+    selection = _identified(whole)
+    causes = () if selection is None else tests_of(selection)
+    corrected = whole if selection is None else selection.fit.corrected(whole)
     family = Family(level, 2 * TESTS * max(len(whole.stations), 1))
     every = range(len(whole.stations))
-    setups, network = tuple(_set_up(whole, s, family, mpe) for s in every), tuple[Item, ...]()
+    setups, network = tuple(_set_up(corrected, s, family, mpe) for s in every), tuple[Item, ...]()
     if len(whole.stations) > 1:
         motions = tuple(motion for setup in setups for motion in setup.motions)
-        plain = plain_network(whole, motions)
-        read, shown, scattering = whole, whole, tuple[Item, ...]()
+        plain = plain_network(corrected, motions)
+        read, shown, scattering = corrected, corrected, tuple[Item, ...]()
         if isinstance(plain, Adjustment):
-            shown, scattering = with_own_noise(whole, plain)
+            shown, scattering = with_own_noise(corrected, plain)
             read = mended(shown, mistakes(plain))
-        if read is not whole:  # a set-up is not blamed for what has a name
+        if read is not corrected:  # a set-up is not blamed for what has a name
             setups = tuple(_set_up(read, s, family, mpe) for s in every)
         shared = Family(level, 2 * NETWORK_TESTS)
-        together = items_of_network(shown, plain, shared, motions, own_noise=shown is not whole)
+        together = items_of_network(shown, plain, shared, motions, own_noise=shown is not corrected)
         network = (*scattering, *together)
-    found = Check(whole, setups, network, level)
+    found = Check(whole, setups, (*map(item_of, causes), *network), level, causes)
     if not found.items:
         message = "no station measured a target twice, so nothing can be checked yet; "
         raise NetworkError(message + "measure some targets on both faces, or the first ones again at the end")
     return found
+
+
+def _identified(recording: Recording) -> Selection | None:
+    """The simple causes of a recording; None where its readings make no network."""
+    try:
+        return select(Network(recording, stated_construction(recording)))
+    except LtsimError:
+        return None
 
 
 def check_file(check: Check) -> CheckFile:
@@ -167,6 +181,7 @@ def check_file(check: Check) -> CheckFile:
         passed=check.passed,
         sentence=check.sentence,
         level=check.level,
+        tests=check.tests,
         items=check.items,
     )
 

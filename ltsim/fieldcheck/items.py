@@ -7,11 +7,12 @@ from typing import Any, ClassVar, Literal
 
 from scipy import special
 
+from ltsim.identification.tests import Test
 from ltsim.recording.result_file import Entry, Finite, Known, ResultFile
 from ltsim.results import Table, numbers, texts
 
-Kind = Literal["two-face", "gross", "bump", "drift", "instrument-drift", "closure", "network", "level", "mistake"]
-CAUSES = ("mistake", "bump", "drift")
+Kind = Literal["cause", "two-face", "gross", "bump", "drift", "instrument-drift", "closure", "network", "level", "mistake"]
+CAUSES = ("cause", "mistake", "bump", "drift")
 """What is named first: two faces that differ and scatter follow from it."""
 
 
@@ -53,8 +54,17 @@ class CheckFile(ResultFile):
     """Go or no-go, and why."""
     level: Finite
     """Chance of one false alarm in the whole recording."""
+    tests: tuple[Test, ...] = ()
+    """Simple causes that the readings support, and outliers."""
     items: tuple[Item, ...]
-    """Every test, set-up by set-up."""
+    """Every test, set-up by set-up, of the readings without these causes."""
+
+
+def item_of(test: Test) -> Item:
+    """The item of a cause that was identified: noise that is less than declared is no reason to stop."""
+    passed = test.kind == "noise-level" and (test.estimate or 0.0) <= 1.0
+    at, targets = ", ".join(test.where.stations), test.where.targets
+    return Item.of(at, "cause", passed, test.sentence.rstrip("."), test.p_value, targets=targets, rows=test.rows)
 
 
 TWO_FACE = Table(

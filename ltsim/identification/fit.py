@@ -21,9 +21,10 @@ from ltsim.identification.prior import log_prior_of
 from ltsim.adjustment.robust import robust_state
 from ltsim.model.construction import Construction
 from ltsim.model.measurement import MeasurementModel, State, with_plumb_lines
-from ltsim.recording.recording import Recording
+from ltsim.recording.recording import SIGMA_COLUMNS, Recording
 from ltsim.scene.sightings import Sightings
 from ltsim.solve.gauss_newton import Solution
+from ltsim.units import ARCSECOND, MILLIMETRE
 
 FREE = 1e6
 """Plausible sizes to which a shift is held: nothing that happens is larger."""
@@ -129,6 +130,26 @@ class Fit:
     def recording(self) -> Recording:
         """The recording with the hypotheses' corrections."""
         return self.problem.model.recording
+
+    def corrected(self, recording: Recording) -> Recording:
+        """A recording without what is in the model: rows corrected, shifts subtracted, outliers left out.
+
+        Noise that differs from the declared is declared so; reference values that are not believed are declared no more.
+        """
+        readings = self.recording.readings.copy()
+        sightings, first = self.adjustment.sightings, 0
+        for h in self.hypotheses:
+            if isinstance(h.change, Shift):
+                own = slice(first, first := first + len(h.change.effect.parameters))
+                readings -= h.change.effect.shift(sightings, self.state.extra[own])
+        readings[self.outliers] = np.nan
+        found = recording.replace(
+            readings=readings, target=self.recording.target, face=self.recording.face, setup=self.recording.setup
+        )
+        if not any(isinstance(h.change, NoiseFactor) for h in self.hypotheses):
+            return found
+        sigma = self.problem.sigma / [MILLIMETRE, ARCSECOND, ARCSECOND]
+        return found.replace(covariates={**found.covariates, **dict(zip(SIGMA_COLUMNS, sigma.T, strict=True))})
 
     @cached_property
     def residuals(self) -> Floats:
