@@ -76,6 +76,8 @@ class Adjustment(Result):
     """How the coordinates fit that only give axes; those left out of the datum too."""
     copies: int = 0
     """Rows that repeat others to the last digit: their readings are not counted again."""
+    causes: tuple[str, ...] = ()
+    """Simple causes that were identified and are in the model, in sentences."""
     datum: InnerDatum | None = None
     """Datum of the covariances where it is not that of the factor (the pose of the first station)."""
 

@@ -149,7 +149,7 @@ def _unit_that_fits(adjustment: Adjustment) -> str:
 def doubts(adjustment: Adjustment) -> tuple[str, ...]:
     """Sentences: what nobody can tell, mistakes, stations that lost most of their readings, sigmas that mislead."""
     slips = _undecided, _mistakes, _two_names, _tripods
-    kinds = _known, _motions, _plan, *slips, _thin_stations, _uncertain_figures, _copies
+    kinds = _causes, _known, _motions, _plan, *slips, _thin_stations, _uncertain_figures, _copies
     return tuple(doubt for kind in kinds for doubt in kind(adjustment))
 
 
@@ -168,9 +168,14 @@ def _known(adjustment: Adjustment) -> Iterator[str]:
         yield f"{len(told) - MOST_NAMED} more known values contradict the rest"
 
 
+def _causes(adjustment: Adjustment) -> Iterator[str]:
+    """Simple causes that are in the model."""
+    yield from (sentence.rstrip(".") for sentence in adjustment.causes)
+
+
 def _motions(adjustment: Adjustment) -> Iterator[str]:
     """Stations that move while they measure."""
-    yield from (told for _, told in told_motions(adjustment))
+    yield from () if adjustment.causes else (told for _, told in told_motions(adjustment))
 
 
 def _plan(adjustment: Adjustment) -> Iterator[str]:

@@ -35,6 +35,7 @@ from ltsim.chances import p_is, two_sided
 from ltsim.effects.signature import Parameter
 from ltsim.errors import RecordError
 from ltsim.evaluation.criteria import Criteria
+from ltsim.identification.tests import Test
 from ltsim.model.construction import Construction
 from ltsim.recording.recording import OBSERVABLES, Recording
 from ltsim.recording.result_file import SourceEntry
@@ -120,6 +121,7 @@ class Calibration(Result):
     """(I, p) [SI]: what is taken out of readings where that is not the estimates themselves."""
     effects: tuple[FittedEffectEntry, ...] = ()
     notes: tuple[str, ...] = ()
+    tests: tuple[Test, ...] = ()
     recording: SourceEntry | None = None
     adjustment: Adjustment | None = field(default=None, repr=False, compare=False)
     """The adjusted network; None for a calibration that was read from a file."""

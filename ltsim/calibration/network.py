@@ -22,7 +22,10 @@ from ltsim.calibration.worth import correction_of
 from ltsim.effects.range_mode import RangeMode
 from ltsim.effects.signature import Signature
 from ltsim.effects.verbs import names
-from ltsim.errors import ConvergenceError, NetworkError
+from ltsim.errors import ConvergenceError, LtsimError, NetworkError
+from ltsim.identification import Network, Selection, select, tests_of
+from ltsim.identification.fit import changed_recording
+from ltsim.identification.tests import sentence_of
 from ltsim.model.construction import Construction, ideal, stated_construction
 from ltsim.recording.exchange import RecordingSource, recording_of
 from ltsim.recording.recording import MODE_COLUMN, Recording
@@ -67,8 +70,9 @@ def calibrate_network(
     prior, informed = chosen.over(expected, recording, built), chosen.prior is not None
     freed, grouping = np.zeros(prior.mean.shape, dtype=bool), _grouping(noise_from_data)
     quiet_by, heard = "", True
+    selection = identified(recording, built)
     for left in reversed(range(PASSES if weigh else 1)):
-        adjusted = partial(_adjusted, recording, built, robust, grouping, datum, prior.widened(freed))
+        adjusted = partial(_adjusted, recording, built, robust, grouping, datum, prior.widened(freed), selection)
         try:
             found, fits = estimated_beside(adjusted, modes, extra_effects)
         except ConvergenceError:
@@ -84,6 +88,7 @@ def calibrate_network(
         else:
             freed = further
     calibration = replace(_calibration(recording, found, "network", advise=advise, robust=robust), effects=fits)
+    calibration = replace(calibration, tests=() if selection is None else tests_of(selection))
     if weigh:
         wider = WIDE if chosen.free else None
         worth, weighed = correction_of(found, calibration.names, informed=informed, wider=wider)
@@ -132,8 +137,42 @@ def adjust(
     (28, 7)
     """
     seen = recording_of(recording)
-    found = _adjusted(seen, ideal(), robust, _grouping(noise_from_data), None if datum is None else names(datum))
-    return _calibration(seen, found, "adjustment", advise=False, robust=robust)
+    chosen = None if datum is None else names(datum)
+    selection = identified(seen)
+    found = _adjusted(seen, ideal(), robust, _grouping(noise_from_data), chosen, selection=selection)
+    calibration = _calibration(seen, found, "adjustment", advise=False, robust=robust)
+    return replace(calibration, tests=() if selection is None else tests_of(selection))
+
+
+def identified(recording: Recording, construction: Construction | None = None) -> Selection | None:
+    """The simple causes of a recording, the instrument's errors estimated; None where its readings make no network."""
+    try:
+        return select(Network(recording, construction or stated_construction(recording)))
+    except LtsimError:
+        return None
+
+
+def _adapted(
+    recording: Recording, construction: Construction, selection: Selection, effects: Sequence[Signature], **how: Any
+) -> Adjustment:
+    """The adjustment with the simple causes in its model: from their state, and without outliers that are gross."""
+    fit = selection.fit
+    changed = changed_recording(recording, fit.hypotheses)
+    instrument = np.zeros((len(recording.instruments), construction.size))
+    if construction.size == fit.state.instrument.shape[1]:
+        instrument = fit.state.instrument
+    extra = np.zeros(sum(len(e.parameters) for e in effects))
+    start = replace(fit.state, instrument=instrument, extra=np.concatenate([extra, fit.state.extra]))
+    found = adjusted_network(
+        changed,
+        construction,
+        effects=(*effects, *fit.effects),
+        use=~(fit.outliers & fit.is_gross),
+        start=start,
+        **how,
+    )
+    causes = tuple(sentence_of(fit, choice.hypothesis) for choice in selection.choices)
+    return replace(found, causes=causes)
 
 
 def _grouping(noise_from_data: bool) -> Grouping | None:
@@ -147,9 +186,14 @@ def _adjusted(
     grouping: Grouping | None,
     datum: Sequence[str] | None,
     prior: ParameterPrior | None = None,
+    selection: Selection | None = None,
     effects: Sequence[Signature] = (),
 ) -> Adjustment:
     how: dict[str, Any] = {"robust": robust, "variance_components": grouping, "datum": datum, "prior": prior}
+    if selection is not None and selection.displaces:
+        found = _adapted(recording, construction, selection, effects, **how)
+        require_result(found)
+        return _in_frame(found, datum)
     how["judging"] = KINDS if prior is None or prior.held.all() else SCALED
     found = adjusted_network(recording, construction, effects=effects, **how)
     if found.sigma0 >= UNEXPLAINED and any(test.kind == "scale" for test in found.wrong):
@@ -159,6 +203,11 @@ def _adjusted(
     if moving := _moving(found):
         found = adjusted_network(recording, construction, effects=(*effects, *moving), **how)
         require_result(found)
+    return _in_frame(found, datum)
+
+
+def _in_frame(found: Adjustment, datum: Sequence[str] | None) -> Adjustment:
+    """The adjustment; NetworkError where a datum is asked for that control points define."""
     if datum and not found.problem.free.shape[1]:
         raise NetworkError("the control points define the frame already: leave the datum out, or their coordinates")
     return found

@@ -11,6 +11,7 @@ from ltsim.arrays import Floats
 from ltsim.chances import p_is
 from ltsim.evaluation.criteria import CriterionEntry
 from ltsim.notation import number, with_sigma
+from ltsim.identification.tests import Test
 from ltsim.recording.result_file import Entry, Finite, Known, ResultFile, Vector, known
 from ltsim.results import Table, numbers, texts
 from ltsim.units import ARCSECOND, MILLIMETRE
@@ -369,6 +370,8 @@ class CalibrationFile(ResultFile):
     """The paper's criteria before and after."""
     outliers: tuple[OutlierRow, ...] = ()
     """Readings that do not belong."""
+    tests: tuple[Test, ...] = ()
+    """Simple causes that the readings support, and outliers: all statements about what does not fit come from here."""
     robust: bool = False
     """Readings that do not belong were left out."""
     noise: tuple[NoiseRow, ...] = ()

@@ -11,10 +11,11 @@ import numpy as np
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.prior import ParameterPrior
 from ltsim.adjustment.problem import NetworkProblem
-from ltsim.adjustment.snooping import snooped, without_loose
+from ltsim.adjustment.snooping import LARGEST_ERROR, snooped, without_loose
 from ltsim.adjustment.start import reached_network
 from ltsim.adjustment.stated import KnownValue, common_scale, known_values, without
 from ltsim.arrays import Bools, Floats
+from ltsim.effects.signature import Signature
 from ltsim.identification.evidence import occam, occam_of_variance, variance_factor
 from ltsim.identification.hypothesis import Correction, Hypothesis, NoiseFactor, Omission, Shift
 from ltsim.identification.prior import log_prior_of
@@ -131,6 +132,16 @@ class Fit:
         """The recording with the hypotheses' corrections."""
         return self.problem.model.recording
 
+    @property
+    def effects(self) -> tuple[Signature, ...]:
+        """The shifts in the model, each with a plausible size of at least its estimate."""
+        first, found = 0, list[Signature]()
+        for effect in self.problem.model.effects:
+            own = slice(first, first := first + len(effect.parameters))
+            times = float(np.max(np.abs(self.state.extra[own]) / effect.spread))
+            found.append(replace(effect, coarse=max(1.0, times)))  # type: ignore[type-var]
+        return tuple(found)
+
     def corrected(self, recording: Recording) -> Recording:
         """A recording without what is in the model: rows corrected, shifts subtracted, outliers left out.
 
@@ -181,6 +192,13 @@ class Fit:
         declared = NetworkProblem.of(model, use=self.problem.use)
         every = (*known_values(declared, self.state), *common_scale(declared, self.state))
         return next(v.residual for v in every if (v.kind, v.name) == (value.kind, value.name))
+
+    @property
+    def is_gross(self) -> Bools:
+        """(n, 3): readings that miss by more than any error of a tracker."""
+        range_ = self.adjustment.sightings.range_
+        arm = np.stack([np.ones_like(range_), range_, range_], axis=1)
+        return np.abs(np.nan_to_num(self.residuals)) * arm > LARGEST_ERROR
 
     @cached_property
     def outlier_terms(self) -> float:

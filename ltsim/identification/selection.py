@@ -56,6 +56,11 @@ class Selection:
     fit: Fit
     choices: tuple[Choice, ...]
 
+    @property
+    def displaces(self) -> bool:
+        """Whether a cause displaces readings or reference values: outliers and noise do not."""
+        return any(not isinstance(c.hypothesis.change, NoiseFactor) for c in self.choices)
+
 
 def select(network: Network, least: float = LEAST_GAIN) -> Selection:
     """Select the simple causes of a recording.

@@ -26,6 +26,8 @@ class ReadingShift(Signature):
         Where it acts; empty for all.
     since : float
         First time [s] at which it acts.
+    coarse : float
+        Times its usual size that is plausible.
     """
 
     observable: Observable
@@ -33,6 +35,7 @@ class ReadingShift(Signature):
     stations: tuple[str, ...] = ()
     targets: tuple[str, ...] = ()
     since: float = -np.inf
+    coarse: float = 1.0
 
     @property
     def name(self) -> str:
@@ -47,6 +50,11 @@ class ReadingShift(Signature):
         if self.observable == "distance":
             return (Parameter("offset", "um", "offset of the readings", 10 * MICROMETRE),)
         return (Parameter("offset", "urad", "offset of the readings", 10 * MICRORADIAN),)
+
+    @property
+    def spread(self) -> Floats:
+        """Plausible size (1,) of the parameter [SI]."""
+        return self.coarse * super().spread
 
     def design(self, sightings: Sightings) -> Floats:
         """Change (n, 3, 1) of the raw readings per unit of the parameter."""
