@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import numpy as np
+import scipy.sparse as sp
 
 from ltsim.adjustment.problem import NetworkProblem
 from ltsim.arrays import Floats
 from ltsim.model.measurement import State
 from ltsim.solve.blocks import BlockFactor, BlockSystem, SingularSystemError
-from ltsim.solve.design import median_deviation
+from ltsim.solve.design import Design, median_deviation
 
 HUBER = 2.0
 """Residual, in robust standard deviations, up to which an observation has its full weight (Huber 1964)."""
 STEPS = 25
-STILL = 1e-2
-"""Squared length of a step, in standard deviations, after which the state moves no more."""
+STILL = 1e-3
+"""Squared length of a step for each unknown, in standard deviations, after which the state moves no more."""
 
 
 def observations(problem: NetworkProblem) -> int:
@@ -32,13 +33,20 @@ def robust_state(problem: NetworkProblem, state: State) -> tuple[State, Floats]:
         weight = np.ones(len(residual))
         weight[:count] = np.sqrt(1.0 / np.maximum(np.abs(residual[:count]) / (HUBER * scale), 1.0))
         system = problem.linearise(state)
-        weighted = system.design * weight[:, None] if isinstance(system.design, np.ndarray) else system.design.multiply(weight[:, None]).tocsr()
+        weighted = _weighted(system.design, weight)
         try:
             step = BlockFactor(BlockSystem(weighted, system.residual * weight, system.kept)).step()
         except SingularSystemError:
             break
         state = problem.retract(state, step)
         residual = problem.residual(state)
-        if float(np.sum((weighted @ step) ** 2)) < STILL:
+        if float(np.sum((weighted @ step) ** 2)) < STILL * problem.unknowns.size:
             break
     return state, residual
+
+
+def _weighted(design: Design, weight: Floats) -> Design:
+    """A design with its rows times weights (m,)."""
+    if isinstance(design, np.ndarray):
+        return np.asarray(design * weight[:, None])
+    return sp.csr_array(design.multiply(weight[:, None]))

@@ -22,8 +22,8 @@ from ltsim.calibration.worth import correction_of
 from ltsim.effects.range_mode import RangeMode
 from ltsim.effects.signature import Signature
 from ltsim.effects.verbs import names
-from ltsim.errors import ConvergenceError, LtsimError, NetworkError
-from ltsim.identification import Network, Selection, select, tests_of
+from ltsim.errors import ConvergenceError, NetworkError
+from ltsim.identification import Selection, identified, tests_of
 from ltsim.identification.fit import changed_recording
 from ltsim.identification.tests import sentence_of
 from ltsim.model.construction import Construction, ideal, stated_construction
@@ -142,14 +142,6 @@ def adjust(
     found = _adjusted(seen, ideal(), robust, _grouping(noise_from_data), chosen, selection=selection)
     calibration = _calibration(seen, found, "adjustment", advise=False, robust=robust)
     return replace(calibration, tests=() if selection is None else tests_of(selection))
-
-
-def identified(recording: Recording, construction: Construction | None = None) -> Selection | None:
-    """The simple causes of a recording, the instrument's errors estimated; None where its readings make no network."""
-    try:
-        return select(Network(recording, construction or stated_construction(recording)))
-    except LtsimError:
-        return None
 
 
 def _adapted(

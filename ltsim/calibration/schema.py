@@ -10,8 +10,8 @@ from scipy import special
 from ltsim.arrays import Floats
 from ltsim.chances import p_is
 from ltsim.evaluation.criteria import CriterionEntry
-from ltsim.notation import number, with_sigma
 from ltsim.identification.tests import Test
+from ltsim.notation import number, with_sigma
 from ltsim.recording.result_file import Entry, Finite, Known, ResultFile, Vector, known
 from ltsim.results import Table, numbers, texts
 from ltsim.units import ARCSECOND, MILLIMETRE

@@ -18,7 +18,8 @@ from ltsim.diagnosis.instruments import Contradiction
 from ltsim.diagnosis.noise import NoiseBank, NoiseHypothesis, most_likely, noise_hypotheses
 from ltsim.diagnosis.probe import TRIALS
 from ltsim.diagnosis.search import Searcher
-from ltsim.effects.signature import Tunable
+from ltsim.effects.signature import Signature, Tunable
+from ltsim.model.measurement import State
 from ltsim.recording.recording import Recording
 
 REWEIGHTINGS = 2
@@ -82,7 +83,12 @@ class Case:
         adjusted = partial(
             adjust, self.recording, old.construction, sigma=sigma, use=self.use, held_to=WIDE, prior=old.problem.prior
         )
-        return refit(adjusted, effects, start=old.state)
+
+        def with_causes(effects: Sequence[Signature] = (), start: State | None = None) -> Adjustment:
+            """The adjustment with effects before the causes of the baseline."""
+            return adjusted(effects=(*effects, *old.effects), start=start)
+
+        return refit(with_causes if old.effects else adjusted, effects, start=old.state)
 
     def free(self, constants: Sequence[Contradiction]) -> None:
         """Let constants that contradict what is known of them be whatever the readings say."""
@@ -93,7 +99,13 @@ class Case:
             freed[owners, old.construction.names.index(one.parameter.name)] = True
         prior = old.problem.prior.widened(freed)
         self.baseline = adjust(
-            self.recording, old.construction, sigma=self.recording.sigma(), use=self.use, start=old.state, prior=prior
+            self.recording,
+            old.construction,
+            effects=old.effects,
+            sigma=self.recording.sigma(),
+            use=self.use,
+            start=old.state,
+            prior=prior,
         )
         self.weigh(self.refit((), self.sigma).adjustment)
 

@@ -17,6 +17,7 @@ from ltsim.adjustment.stated import without
 from ltsim.arrays import Bools
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.calibration.known import Known
+from ltsim.diagnosis.adaptation import adapted, gross_causes
 from ltsim.diagnosis.averaging import averaged_targets
 from ltsim.diagnosis.blind import Sight, sight_of
 from ltsim.diagnosis.case import Case
@@ -38,6 +39,7 @@ from ltsim.diagnosis.words import LIKELY, summarise
 from ltsim.effects.noise_level import NoiseLevel
 from ltsim.effects.signature import Tunable
 from ltsim.errors import RecordError
+from ltsim.identification import Selection, identified, tests_of
 from ltsim.laws.carriers import VARIED, constants_in
 from ltsim.laws.law import Law
 from ltsim.model.construction import Construction, stated_construction
@@ -98,7 +100,13 @@ def diagnose(
     compared = (
         contradictions if history is None else HistoryExpectation.of(history, recording, construction).contradictions
     )
-    baseline, use, gross, wrong = _mended(recording, construction)
+    selection = identified(recording, construction)
+    large = gross_causes(selection)
+    if selection is not None and large:
+        baseline, use, mistaken = adapted(recording, construction, selection, large)
+    else:
+        baseline, use, gross, wrong = _mended(recording, construction)
+        mistaken = [*(gross_finding(slip, baseline) for slip in gross), *(known_finding(t, baseline) for t in wrong)]
     trials = max(TRIALS, ceil(1.0 / level))
     case = Case(baseline, use, seed, trials, ordinary=history is None)
     sight, detection = sight_of(case.space, case.searcher.cards), detect(case.searcher, case.bank)
@@ -107,14 +115,12 @@ def diagnose(
     found = _explain(case, threshold, compared) if mismatch else case.empty
     found, fitted = _refitted(case, found)
     settled = fitted.adjustment if fitted.adjustment.solution.converged else baseline
-    mistaken = [gross_finding(slip, baseline) for slip in gross]
-    mistaken += [known_finding(test, baseline) for test in wrong]
     apart = _apart(case, found, settled, compared)
     odd = [instrument_finding(c) for c in apart if not _varies(c.parameter.name, found.effects)][:MOST_MEMBERS]
     explained = Explained(case, detection, found, fitted, bool(mistaken or odd or _beyond_level(case.noise)))
     repeated = not case.searcher.large if held_out is None else held_out
     errors = HeldOut() if case.searcher.large and not repeated else _held_out(explained, threshold, repeated)
-    return _told(explained, sight, [*mistaken, *odd], settled, errors, mismatch=mismatch)
+    return _told(explained, sight, [*mistaken, *odd], settled, errors, selection, mismatch=mismatch)
 
 
 def _mended(
@@ -275,6 +281,7 @@ def _told(
     certain: Sequence[Finding],
     settled: Adjustment,
     errors: HeldOut,
+    selection: Selection | None,
     *,
     mismatch: bool,
 ) -> Diagnosis:
@@ -313,6 +320,7 @@ def _told(
         targets=averaged_targets(case.searcher, found, explained.rankings, explained.refit),
         baseline=baseline,
         adjusted=adjusted,
+        tests=() if selection is None else tests_of(selection),
     )
 
 

@@ -19,6 +19,7 @@ from ltsim.diagnosis.schema import (
     Misfit,
     Undetectable,
 )
+from ltsim.identification.tests import Test
 from ltsim.recording.recording import Recording
 from ltsim.recording.result_file import SourceEntry
 from ltsim.remedies.detectability import MinimalSize
@@ -54,6 +55,7 @@ class Diagnosis(Result):
     targets: Targets
     baseline: Adjustment
     adjusted: Adjustment
+    tests: tuple[Test, ...] = ()
 
     def _lines(self) -> list[str]:
         before, after = self.before, self.after
@@ -98,6 +100,7 @@ class Diagnosis(Result):
                 statistic=self.statistic, dof=self.dof, p_value=self.p_value, search_p_value=self.search_p_value
             ),
             findings=self.findings,
+            tests=self.tests,
             fit=BeforeAfter(before=self.before, after=self.after),
             undetectable=self.undetectable,
             detectable=tuple(

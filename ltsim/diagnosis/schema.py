@@ -5,6 +5,7 @@ from typing import ClassVar, Literal, Self
 
 from ltsim.calibration.schema import COORDINATES, RESIDUALS, DeterminedEntry
 from ltsim.effects.signature import Parameter, ShapeParameter
+from ltsim.identification.tests import Test
 from ltsim.recording.result_file import Entry, Finite, Known, ResultFile
 from ltsim.results import Table, numbers
 from ltsim.units import FACTOR
@@ -216,6 +217,8 @@ class DiagnosisFile(ResultFile):
     """Of the ordinary model."""
     findings: tuple[Finding, ...] = ()
     """What was left out of the model."""
+    tests: tuple[Test, ...] = ()
+    """Simple causes that the readings support, and outliers, as `adjust` and `check` have them."""
     fit: BeforeAfter | None = None
     """Without and with the findings."""
     undetectable: tuple[Undetectable, ...] = ()

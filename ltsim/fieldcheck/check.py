@@ -22,7 +22,7 @@ from ltsim.effects.index_drift import IndexDrift
 from ltsim.effects.motions import StationMotion
 from ltsim.effects.range_drift import RangeDrift
 from ltsim.effects.station_bump import StationBump
-from ltsim.errors import LtsimError, NetworkError
+from ltsim.errors import NetworkError
 from ltsim.fieldcheck.items import CAUSES, TWO_FACE, CheckFile, Family, Item, Kind, item_of, two_sided
 from ltsim.fieldcheck.network import NETWORK_TESTS, items_of_network, plain_network, with_own_noise
 from ltsim.fieldcheck.occupation import ColumnsFit, Faces, StationOccupation
@@ -34,7 +34,7 @@ from ltsim.fieldcheck.words import (
     instrument_sentence,
     target_sentence,
 )
-from ltsim.identification import Network, Selection, Test, select, tests_of
+from ltsim.identification import Test, identified, tests_of
 from ltsim.model.construction import Construction, stated_construction
 from ltsim.recording.exchange import RecordingSource, recording_of
 from ltsim.recording.recording import Recording
@@ -141,7 +141,7 @@ def check(recording: RecordingSource, *, level: float = LEVEL, mpe: tuple[float,
     True
     """
     whole = recording_of(recording)
-    selection = _identified(whole)
+    selection = identified(whole)
     causes = () if selection is None else tests_of(selection)
     corrected = whole if selection is None else selection.fit.corrected(whole)
     family = Family(level, 2 * TESTS * max(len(whole.stations), 1))
@@ -164,14 +164,6 @@ def check(recording: RecordingSource, *, level: float = LEVEL, mpe: tuple[float,
         message = "no station measured a target twice, so nothing can be checked yet; "
         raise NetworkError(message + "measure some targets on both faces, or the first ones again at the end")
     return found
-
-
-def _identified(recording: Recording) -> Selection | None:
-    """The simple causes of a recording; None where its readings make no network."""
-    try:
-        return select(Network(recording, stated_construction(recording)))
-    except LtsimError:
-        return None
 
 
 def check_file(check: Check) -> CheckFile:

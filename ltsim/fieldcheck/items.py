@@ -11,7 +11,9 @@ from ltsim.identification.tests import Test
 from ltsim.recording.result_file import Entry, Finite, Known, ResultFile
 from ltsim.results import Table, numbers, texts
 
-Kind = Literal["cause", "two-face", "gross", "bump", "drift", "instrument-drift", "closure", "network", "level", "mistake"]
+Kind = Literal[
+    "cause", "two-face", "gross", "bump", "drift", "instrument-drift", "closure", "network", "level", "mistake"
+]
 CAUSES = ("cause", "mistake", "bump", "drift")
 """What is named first: two faces that differ and scatter follow from it."""
 

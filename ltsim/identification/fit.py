@@ -11,6 +11,7 @@ import numpy as np
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.prior import ParameterPrior
 from ltsim.adjustment.problem import NetworkProblem
+from ltsim.adjustment.robust import robust_state
 from ltsim.adjustment.snooping import LARGEST_ERROR, snooped, without_loose
 from ltsim.adjustment.start import reached_network
 from ltsim.adjustment.stated import KnownValue, common_scale, known_values, without
@@ -19,7 +20,6 @@ from ltsim.effects.signature import Signature
 from ltsim.identification.evidence import occam, occam_of_variance, variance_factor
 from ltsim.identification.hypothesis import Correction, Hypothesis, NoiseFactor, Omission, Shift
 from ltsim.identification.prior import log_prior_of
-from ltsim.adjustment.robust import robust_state
 from ltsim.model.construction import Construction
 from ltsim.model.measurement import MeasurementModel, State, with_plumb_lines
 from ltsim.recording.recording import SIGMA_COLUMNS, Recording
@@ -114,7 +114,8 @@ class Fit:
                 factor, _ = variance_factor(np.array(squares), np.array(float(np.nansum(self.redundancy[chosen]))))
                 sigma = np.where(h.change.readings, sigma * factor, sigma)
         whole = replace(self.whole, sigma=sigma)
-        return replace(self, whole=whole, **dict(zip(("problem", "solution"), snooped(whole, self.state), strict=True)))
+        problem, solution = snooped(whole, self.state)
+        return replace(self, whole=whole, problem=problem, solution=solution)
 
     @property
     def state(self) -> State:
@@ -125,7 +126,7 @@ class Fit:
     def adjustment(self) -> Adjustment:
         """The fit as an adjustment."""
         out = self.recording.measured.any(axis=1) & ~self.problem.use.any(axis=1)
-        return Adjustment(self.problem, self.solution, out)
+        return Adjustment(self.problem, self.solution, np.asarray(out))
 
     @property
     def recording(self) -> Recording:
@@ -145,7 +146,7 @@ class Fit:
     def corrected(self, recording: Recording) -> Recording:
         """A recording without what is in the model: rows corrected, shifts subtracted, outliers left out.
 
-        Noise that differs from the declared is declared so; reference values that are not believed are declared no more.
+        Noise that differs from the declared is declared so; reference values that are not believed are left out.
         """
         readings = self.recording.readings.copy()
         sightings, first = self.adjustment.sightings, 0
@@ -193,12 +194,23 @@ class Fit:
         every = (*known_values(declared, self.state), *common_scale(declared, self.state))
         return next(v.residual for v in every if (v.kind, v.name) == (value.kind, value.name))
 
+    def displacement(self, hypothesis: Hypothesis) -> float:
+        """Largest displacement [m] of a reading, or miss of a reference value, by a hypothesis of the model."""
+        change, sightings, first = hypothesis.change, self.adjustment.sightings, 0
+        if isinstance(change, Omission):
+            return float(np.abs(self.gap_of(change.value)).max())
+        for h in self.hypotheses:
+            if isinstance(h.change, Shift):
+                own = slice(first, first := first + len(h.change.effect.parameters))
+                if h is hypothesis:
+                    moved = np.abs(h.change.effect.design(sightings) @ self.state.extra[own])
+                    return float(np.max(moved * _arms(sightings)))
+        return 0.0
+
     @property
     def is_gross(self) -> Bools:
         """(n, 3): readings that miss by more than any error of a tracker."""
-        range_ = self.adjustment.sightings.range_
-        arm = np.stack([np.ones_like(range_), range_, range_], axis=1)
-        return np.abs(np.nan_to_num(self.residuals)) * arm > LARGEST_ERROR
+        return np.abs(np.nan_to_num(self.residuals)) * _arms(self.adjustment.sightings) > LARGEST_ERROR
 
     @cached_property
     def outlier_terms(self) -> float:
@@ -216,7 +228,7 @@ class Fit:
             if isinstance(h.change, Shift):
                 own = slice(first, first := first + len(h.change.effect.parameters))
                 values, covariance = self.state.extra[own], self.adjustment.extra_covariance[own, own]
-                length = float(np.sqrt(max(values @ np.linalg.pinv(covariance) @ values, 0.0)))
+                length = float(np.sqrt(max(float(values @ np.linalg.pinv(covariance) @ values), 0.0)))
                 total += float(occam(length, len(values)))
             elif isinstance(h.change, NoiseFactor):
                 chosen = h.change.readings & self.problem.use
@@ -227,6 +239,12 @@ class Fit:
             elif isinstance(h.change, Omission):
                 total += float(occam(self._missed_by(h.change.value), len(h.change.value.sigma)))
         return total
+
+
+def _arms(sightings: Sightings) -> Floats:
+    """Lengths (n, 3) [m or m/rad] that turn errors of the readings into displacements."""
+    range_ = sightings.range_
+    return np.stack([np.ones_like(range_), range_ * np.cos(sightings.elevation), range_], axis=1)
 
 
 def _guesses(hypotheses: Sequence[Hypothesis], size: int, near: Sightings | None) -> Floats:

@@ -7,8 +7,7 @@ made from one array, so that a network of thousands of places is screened at onc
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -16,7 +15,7 @@ import numpy as np
 from ltsim.adjustment.gross import mend_faces, mend_stations, mistakes
 from ltsim.adjustment.moving import EvenMotion
 from ltsim.adjustment.stated import known_values
-from ltsim.arrays import Floats, Ints
+from ltsim.arrays import Bools, Floats, Ints
 from ltsim.effects.motions import station_design
 from ltsim.effects.signature import Signature
 from ltsim.effects.smr_offset import SmrOffset
@@ -75,40 +74,17 @@ class Family:
 
     def effect(self, name: str, since: float) -> Signature:
         """The signature at a station or target, from a time [s] on."""
-        at = {"stations": (name,)} if self.place == "station" else {"targets": (name,)}
-        return MAKERS[self.kind, self.acts_on](at, since)
-
-
-def _bump(at: dict[str, tuple[str, ...]], since: float) -> Signature:
-    return StationBump(**at, time=since)
-
-
-def _moved(at: dict[str, tuple[str, ...]], since: float) -> Signature:
-    return TargetMoved(**at, time=since)
-
-
-def _shift(at: dict[str, tuple[str, ...]], since: float, *, observable: str, proportional: bool) -> Signature:
-    return ReadingShift(observable, proportional, since=since, **at)
-
-
-def _drift(at: dict[str, tuple[str, ...]], since: float) -> Signature:
-    return EvenMotion(**at)
-
-
-def _ball(at: dict[str, tuple[str, ...]], since: float) -> Signature:
-    return SmrOffset(**at)
-
-
-MAKERS = {
-    ("constant-offset", "distance"): partial(_shift, observable="distance", proportional=False),
-    ("constant-offset", "elevation"): partial(_shift, observable="elevation", proportional=False),
-    ("orientation", "azimuth"): partial(_shift, observable="azimuth", proportional=False),
-    ("scale-error", "distance"): partial(_shift, observable="distance", proportional=True),
-    ("reflector-radius", "position"): _ball,
-    ("station-bump", "position"): _bump,
-    ("station-drift", "position"): _drift,
-    ("target-moved", "position"): _moved,
-}
+        names = (name,)
+        stations, targets = (names, ()) if self.place == "station" else ((), names)
+        if self.kind == "station-bump":
+            return StationBump(stations, targets, time=since)
+        if self.kind == "station-drift":
+            return EvenMotion(stations, targets)
+        if self.kind == "target-moved":
+            return TargetMoved(stations, targets, time=since)
+        if self.kind == "reflector-radius":
+            return SmrOffset(stations, targets)
+        return ReadingShift(self.acts_on, self.kind == "scale-error", stations, targets, since)
 
 
 def families(sightings: Sightings) -> Iterator[Family]:
@@ -181,18 +157,25 @@ def candidates(sightings: Sightings) -> list[Candidate]:
 def omissions(fit: Fit) -> list[Hypothesis]:
     """Reference values that may be wrong."""
     recording = fit.recording
-    values = [v for v in known_values(fit.problem, fit.state)]
+    values = list(known_values(fit.problem, fit.state))
     found = []
     for v in values:
         ends = (v.name, *v.name.partition("#")[0].split("-")) if v.kind in ("length", "difference") else (v.name,)
-        targets = tuple(name for name in recording.targets if name in ends) if v.kind not in ("level", "yaw", "mark") else ()
+        targets = (
+            tuple(name for name in recording.targets if name in ends) if v.kind not in ("level", "yaw", "mark") else ()
+        )
         stations = tuple(name for name in recording.stations if name in ends) if not targets else ()
         prior = log_prior_of("reference-value", len(values))
         found.append(Hypothesis("reference-value", v.kind, stations, targets, prior, Omission(v), v.name))
     return found
 
 
-MISTAKES: dict[str, Kind] = {"target-swap": "names", "wrong-unit": "unit", "face-confusion": "unit", "outlier": "height"}
+MISTAKES: dict[str, Kind] = {
+    "target-swap": "names",
+    "wrong-unit": "unit",
+    "face-confusion": "unit",
+    "outlier": "height",
+}
 
 
 def corrections(fit: Fit) -> list[Hypothesis]:
@@ -203,7 +186,9 @@ def corrections(fit: Fit) -> list[Hypothesis]:
         change = Correction(mistake.rows, readings, target, fit.recording.face[mistake.rows])
         rows = tuple((mistake.rows + 1).tolist())
         prior = log_prior_of(kind, places)
-        found.append(Hypothesis(kind, "position", mistake.stations, mistake.targets, prior, change, mistake.sentence, rows))
+        found.append(
+            Hypothesis(kind, "position", mistake.stations, mistake.targets, prior, change, mistake.sentence, rows)
+        )
     return found
 
 
@@ -220,16 +205,24 @@ def conventions(recording: Recording) -> list[Hypothesis]:
     return found
 
 
-def noises(fit: Fit) -> Iterator[Hypothesis]:
-    """Noise other than declared: of all readings, of an observable, a target, a station."""
+def noises(fit: Fit) -> Iterator[tuple[Hypothesis, Bools]]:
+    """Noise other than declared, of all readings, an observable, a target, a station; and the readings (n, 3)."""
     recording = fit.recording
     every = np.ones((len(recording), 3), dtype=bool)
-    places = len(OBSERVABLES) + len(recording.targets) + len(recording.stations)
-    yield Hypothesis("noise-level", "noise", (), (), log_prior_of("noise-level", 1), NoiseFactor(every))
-    prior = log_prior_of("noise-level", places)
+    several = len(recording.stations) > 1
+    places = len(OBSERVABLES) + len(recording.targets) + several * len(recording.stations)
+
+    def noise(acts_on: str, stations: tuple[str, ...], targets: tuple[str, ...], among: int, rows: Bools) -> Hypothesis:
+        prior = log_prior_of("noise-level", among)
+        return Hypothesis("noise-level", acts_on, stations, targets, prior, NoiseFactor(rows))
+
+    yield noise("noise", (), (), 1, every), every
     for k, observable in enumerate(OBSERVABLES):
-        yield Hypothesis("noise-level", observable, (), (), prior, NoiseFactor(every & (np.arange(3) == k)))
+        column = every & (np.arange(3) == k)
+        yield noise(observable, (), (), places, column), column
     for t, name in enumerate(recording.targets):
-        yield Hypothesis("noise-level", "noise", (), (name,), prior, NoiseFactor(every & (recording.target == t)[:, None]))
-    for s, name in enumerate(recording.stations) if len(recording.stations) > 1 else ():
-        yield Hypothesis("noise-level", "noise", (name,), (), prior, NoiseFactor(every & (recording.station == s)[:, None]))
+        rows = every & (recording.target == t)[:, None]
+        yield noise("noise", (), (name,), places, rows), rows
+    for s, name in enumerate(recording.stations) if several else ():
+        rows = every & (recording.station == s)[:, None]
+        yield noise("noise", (name,), (), places, rows), rows

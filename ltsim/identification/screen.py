@@ -8,17 +8,17 @@ as outliers is seen, whatever its size. Both only rank: what is reported comes f
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.adjustment.known import known_tests, loosened
+from ltsim.adjustment.known import KnownTest, known_tests, loosened
 from ltsim.adjustment.residual_space import VISIBLE, ResidualSpace
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.identification.evidence import occam, occam_of_variance, variance_factor
 from ltsim.identification.fit import Fit
-from ltsim.identification.hypothesis import Hypothesis, NoiseFactor, Omission, Shift
+from ltsim.identification.hypothesis import Hypothesis
 from ltsim.identification.library import Candidate, candidates, corrections, noises, omissions
 from ltsim.identification.prior import log_prior_of
 from ltsim.solve.gauss_newton import solve
@@ -151,7 +151,7 @@ def _local(fit: Fit, every: Sequence[Candidate]) -> tuple[Floats, list[Floats]]:
         id(c.family): np.where(fit.whole.use[:, :, None], c.family.design / fit.problem.sigma[:, :, None], 0.0)
         for c in every
     }
-    gross = fit.outliers.any(axis=1)
+    gross = np.asarray(fit.outliers.any(axis=1))
     for i, c in enumerate(every):
         rank = c.family.design.shape[2]
         for sign, rows in ((1.0, c.rows), (-1.0, c.before)):
@@ -209,10 +209,12 @@ def _rows_of(fit: Fit, hypothesis: Hypothesis) -> Ints:
 def _references(fit: Fit, adjustment: Adjustment) -> list[tuple[float, Hypothesis]]:
     problem = loosened(adjustment.problem, adjustment.state)
     solution = adjustment.solution if problem is adjustment.problem else solve(problem, adjustment.state)
-    tests = {(t.kind, t.name): t for t in known_tests(problem, solution)} if solution.factor is not None else {}
+    tests: dict[tuple[str, str], KnownTest] = {}
+    if solution.factor is not None:
+        tests = {(t.kind, t.name): t for t in known_tests(problem, solution)}
     found = []
     for h in omissions(fit):
-        test = tests.get((h.change.value.kind, h.change.value.name))
+        test = tests.get((h.acts_on, h.name))
         if test is not None and test.rank:
             found.append((_evidence(test.drop, test.rank) + h.log_prior, h))
     return found
@@ -220,8 +222,8 @@ def _references(fit: Fit, adjustment: Adjustment) -> list[tuple[float, Hypothesi
 
 def _noises(fit: Fit) -> list[tuple[float, Hypothesis]]:
     found = []
-    for h in noises(fit):
-        chosen = h.change.readings & fit.problem.use
+    for h, readings in noises(fit):
+        chosen = readings & fit.problem.use
         redundancy = np.array(float(np.nansum(fit.redundancy[chosen])))
         _, gain = variance_factor(np.array(float(np.sum(fit.whitened[chosen] ** 2))), redundancy)
         found.append((float(gain) + h.log_prior + float(occam_of_variance(redundancy)), h))

@@ -16,6 +16,8 @@ from ltsim.identification.fit import Fit, Network
 from ltsim.identification.hypothesis import Hypothesis, NoiseFactor
 from ltsim.identification.library import conventions
 from ltsim.identification.screen import looks
+from ltsim.model.construction import Construction, stated_construction
+from ltsim.recording.recording import Recording
 
 LEAST_GAIN = 3.0
 """Log evidence that a hypothesis must gain: odds of 20 to 1, on the scale of Kass and Raftery (1995) strong."""
@@ -24,7 +26,7 @@ MOST = 8
 TRIED = 4
 """Hypotheses that are fitted in a step, in the order of what they promise."""
 AFTER_ALL = 0.5
-"""Share of its promise that a hypothesis must gain from where the network stands, or it is fitted from the beginning."""
+"""Share of its promise that a hypothesis must gain from where the network stands; else it is fitted from the start."""
 
 
 @dataclass(frozen=True)
@@ -76,13 +78,23 @@ def select(network: Network, least: float = LEAST_GAIN) -> Selection:
     NetworkError
         When the readings determine no network, whatever is wrong.
     """
-    fit = _beginning(network)
+    fit, before = _beginning(network), list[tuple[Fit, list[tuple[Hypothesis, Fit]]]]()
     while len(fit.hypotheses) < MOST:
         tried = _fitted(fit)
         if not tried or tried[0][1].log_evidence < fit.log_evidence + least:
             break
-        fit = _without_needless(tried[0][1], least)
-    return _judged_again(fit, least)
+        chosen = _without_needless(tried[0][1], least)
+        before = [(fit, tried)] if chosen is tried[0][1] else []
+        fit = chosen
+    return _judged_again(fit, least, before)
+
+
+def identified(recording: Recording, construction: Construction | None = None) -> Selection | None:
+    """The simple causes of a recording, by default beside the errors of its instrument; None where it is no network."""
+    try:
+        return select(Network(recording, construction or stated_construction(recording)))
+    except LtsimError:
+        return None
 
 
 def _beginning(network: Network) -> Fit:
@@ -149,15 +161,26 @@ def _less(fit: Fit, hypothesis: Hypothesis) -> Fit | None:
         return None
 
 
-def _judged_again(fit: Fit, least: float) -> Selection:
-    """Every chosen hypothesis beside the others: what it gains, and what in its place would; the better one stays."""
-    choices, beginning = list[Choice](), {h.place for h in conventions(fit.network.recording)} if fit.hypotheses else set()
+def _judged_again(fit: Fit, least: float, before: Sequence[tuple[Fit, list[tuple[Hypothesis, Fit]]]] = ()) -> Selection:
+    """Every chosen hypothesis beside the others: what it gains, and what in its place would; the better one stays.
+
+    `before` is the fit without the last one, where that is known, with what was fitted beside it.
+    """
+    choices, beginning = (
+        list[Choice](),
+        {h.place for h in conventions(fit.network.recording)} if fit.hypotheses else set(),
+    )
     for h in fit.hypotheses:
-        rest = None if h.place in beginning else _less(fit, h)
+        known = [
+            (rest, tried)
+            for rest, tried in before
+            if rest.hypotheses == fit.hypotheses[:-1] and h is fit.hypotheses[-1]
+        ]
+        rest = known[0][0] if known else None if h.place in beginning else _less(fit, h)
         if rest is None:  # without it there is no network
             choices.append(Choice(h, np.inf, ()))
             continue
-        others = [(other, made) for other, made in _fitted(rest) if other.place != h.place]
+        others = [(other, made) for other, made in (known[0][1] if known else _fitted(rest)) if other.place != h.place]
         if others and others[0][1].log_evidence > fit.log_evidence + least:
             return _judged_again(others[0][1], least)
         gains = tuple((other, made.log_evidence - rest.log_evidence) for other, made in others)

@@ -1,7 +1,6 @@
 """Signatures of simple causes: an offset or a scale error of one observable, at a station or target, from a time on."""
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
@@ -9,8 +8,6 @@ from ltsim.arrays import Floats
 from ltsim.effects.signature import Parameter, Signature, on_readings
 from ltsim.scene.sightings import Sightings
 from ltsim.units import MICROMETRE, MICRORADIAN, PPM
-
-Observable = Literal["distance", "azimuth", "elevation"]
 
 
 @dataclass(frozen=True)
@@ -30,7 +27,7 @@ class ReadingShift(Signature):
         Times its usual size that is plausible.
     """
 
-    observable: Observable
+    observable: str
     proportional: bool = False
     stations: tuple[str, ...] = ()
     targets: tuple[str, ...] = ()
@@ -60,5 +57,4 @@ class ReadingShift(Signature):
         """Change (n, 3, 1) of the raw readings per unit of the parameter."""
         acts = self.mask(sightings) * (sightings.time >= self.since)
         size = acts * sightings.range_ if self.proportional else acts
-        change = {self.observable: -size[:, None]}
-        return on_readings(sightings, **change)
+        return on_readings(sightings, **{self.observable: -size[:, None]})

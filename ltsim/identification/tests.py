@@ -8,7 +8,6 @@ import numpy as np
 from scipy import special
 
 from ltsim.arrays import Floats
-from ltsim.effects.station_bump import StationBump
 from ltsim.effects.target_moved import TargetMoved
 from ltsim.identification.fit import Fit
 from ltsim.identification.hypothesis import Correction, Hypothesis, NoiseFactor, Omission, Shift
@@ -17,7 +16,7 @@ from ltsim.identification.signatures import ReadingShift
 from ltsim.notation import with_sigma
 from ltsim.recording.recording import OBSERVABLES
 from ltsim.recording.result_file import Entry, Finite, Known
-from ltsim.units import ARCSECOND, MICROMETRE, MICRORADIAN, MILLIMETRE, PPM
+from ltsim.units import ARCSECOND, MICRORADIAN, MILLIMETRE, PPM
 
 
 class Place(Entry):
@@ -161,7 +160,7 @@ def _size(h: Hypothesis, values: Floats, covariance: Floats) -> dict[str, Any]:
         unit, factor = ("arcsec", ARCSECOND) if h.acts_on in ("azimuth", "elevation") else (unit, factor)
     part, spread = values[:3], covariance[:3, :3]
     size = float(part[0]) if len(part) == 1 else float(np.linalg.norm(part))
-    sigma = float(np.sqrt(max(part @ spread @ part, 0.0))) / max(abs(size), 1e-300)
+    sigma = float(np.sqrt(max(float(part @ spread @ part), 0.0))) / max(abs(size), 1e-300)
     return {"estimate": size / factor, "sigma": sigma / factor, "unit": unit}
 
 
@@ -170,9 +169,13 @@ def _missed(fit: Fit, h: Hypothesis) -> tuple[float, str, float]:
     assert isinstance(h.change, Omission)
     size = float(np.linalg.norm(fit.gap_of(h.change.value)))
     angular = h.change.value.kind in ("level", "yaw")
-    return size, *(("arcsec", ARCSECOND) if angular else ("ppm", PPM) if h.change.value.kind == "scale" else ("mm", MILLIMETRE))
+    return size, *(
+        ("arcsec", ARCSECOND) if angular else ("ppm", PPM) if h.change.value.kind == "scale" else ("mm", MILLIMETRE)
+    )
 
 
+REFERENCE_UNITS = {"level": ("arcsec", ARCSECOND), "yaw": ("arcsec", ARCSECOND), "scale": ("ppm", PPM)}
+"""Units of reference values that are no lengths."""
 REFERENCES = {
     "point": "The reference coordinates of",
     "difference": "The reference difference",
@@ -196,8 +199,10 @@ def sentence_of(fit: Fit, h: Hypothesis) -> str:
         cure = "state the noise as it is in the set-up" if not at else "measure again, or state it so in the set-up"
         return f"{what}{of} scatter {factor:.2g} times as much as stated (sigma); {cure}."
     if isinstance(h.change, Omission):
-        size, unit, factor = _missed(fit, h)
-        return f"{REFERENCES[h.change.value.kind]} {h.name} is off by {size / factor:.4g} {unit}: check it."
+        miss, unit, factor = _missed(fit, h)
+        plural = h.change.value.kind == "point"
+        verb, them = ("are", "them") if plural else ("is", "it")
+        return f"{REFERENCES[h.change.value.kind]} {h.name} {verb} off by {_plain(miss / factor)} {unit}: check {them}."
     values, covariance = shift_of(fit, h)
     told = _size(h, values, covariance)
     size = f"{with_sigma(abs(told['estimate']), told['sigma'], told['unit'])}"
@@ -222,7 +227,7 @@ def sentence_of(fit: Fit, h: Hypothesis) -> str:
     if h.kind == "station-bump":
         turn, spread = values[3:], covariance[3:, 3:]
         length = float(np.linalg.norm(turn))
-        sigma = float(np.sqrt(max(turn @ spread @ turn, 0.0))) / max(length, 1e-300)
+        sigma = float(np.sqrt(max(float(turn @ spread @ turn), 0.0))) / max(length, 1e-300)
         turned = with_sigma(length / MICRORADIAN, sigma / MICRORADIAN, "urad")
         return f"Station {at} moved {between}, by {size} and {turned}."
     assert isinstance(effect, TargetMoved)
@@ -244,6 +249,11 @@ def _between(fit: Fit, h: Hypothesis) -> str:
     if not 0 < at < len(rows):
         return "while it was measured"
     return f"between rows {rows[at - 1] + 1} and {rows[at] + 1}"
+
+
+def _plain(value: float) -> str:
+    """Four digits, large numbers written out."""
+    return f"{float(f'{value:.4g}'):.12g}"
 
 
 def usual_size(value: float, sigma: float) -> str:
