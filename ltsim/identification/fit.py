@@ -9,12 +9,13 @@ from functools import cached_property
 import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
+from ltsim.adjustment.known import loosened
 from ltsim.adjustment.prior import ParameterPrior
 from ltsim.adjustment.problem import NetworkProblem
 from ltsim.adjustment.robust import robust_state
 from ltsim.adjustment.snooping import LARGEST_ERROR, snooped, without_loose
 from ltsim.adjustment.start import reached_network
-from ltsim.adjustment.stated import KnownValue, common_scale, known_values, without
+from ltsim.adjustment.stated import KnownInRows, KnownValue, common_scale, known_values, without
 from ltsim.arrays import Bools, Floats
 from ltsim.effects.signature import Signature
 from ltsim.identification.evidence import occam, occam_of_variance, variance_factor
@@ -24,9 +25,12 @@ from ltsim.model.construction import Construction
 from ltsim.model.measurement import MeasurementModel, State, with_plumb_lines
 from ltsim.recording.recording import SIGMA_COLUMNS, Recording
 from ltsim.scene.sightings import Sightings
+from ltsim.solve.design import median_deviation
 from ltsim.solve.gauss_newton import Solution
 from ltsim.units import ARCSECOND, MILLIMETRE
 
+FAR = 50.0
+"""Residual of a reference value at a robust state, in standard deviations of the readings, that no noise explains."""
 FREE = 1e6
 """Plausible sizes to which a shift is held: nothing that happens is larger."""
 
@@ -63,6 +67,16 @@ class Fit:
     solution: Solution[State]
 
     @classmethod
+    def far_references(cls, network: Network, hypotheses: Sequence[Hypothesis]) -> list[KnownInRows]:
+        """Reference values that a robust state misses by far: a fit that believes them bends the whole network."""
+        problem, start = cls._problem(network, hypotheses)
+        state, residual = robust_state(loosened(problem, start), start)
+        limit = FAR * max(median_deviation(residual[: int(problem.use.sum())]), 1.0)
+        values = [v for v in known_values(problem, state) if v.kind != "mark"]
+        far = [v for v in values if float(np.abs(residual[v.rows]).max()) > limit]
+        return far if 3 * len(far) <= max(len(values), 3) else []
+
+    @classmethod
     def of(
         cls,
         network: Network,
@@ -74,9 +88,26 @@ class Fit:
 
         From the recording less what the hypotheses' guesses say of it, where the sightings `near` are given.
         """
+        fresh = start is None
+        problem, start = cls._problem(network, hypotheses, start, near)
+        if fresh:
+            start = robust_state(problem, start)[0]
+        whole = without_loose(problem, start)
+        fit = cls(network, tuple(hypotheses), whole, *snooped(whole, start))
+        for _ in range(2 if any(isinstance(h.change, NoiseFactor) for h in hypotheses) else 0):
+            fit = fit._reweighted()
+        return fit if fit.solution.converged else None
+
+    @staticmethod
+    def _problem(
+        network: Network,
+        hypotheses: Sequence[Hypothesis],
+        start: State | None = None,
+        near: Sightings | None = None,
+    ) -> tuple[NetworkProblem, State]:
+        """The problem with all usable readings in use, and a start, as of `of`."""
         recording = changed_recording(network.recording, hypotheses)
         lost = np.zeros(len(recording.targets), dtype=bool)
-        fresh = start is None
         if start is None:
             reached, lost = reached_network(recording if near is None else _unshifted(recording, hypotheses, near))
             recording = recording.with_readings(np.where(lost[recording.target][:, None], np.nan, recording.readings))
@@ -95,14 +126,7 @@ class Fit:
             held_to=FREE,
             prior=network.prior,
         )
-        start = replace(start, position=problem.marks.on_marks(start.position, start.points))
-        if fresh:
-            start = robust_state(problem, start)[0]
-        whole = without_loose(problem, start)
-        fit = cls(network, tuple(hypotheses), whole, *snooped(whole, start))
-        for _ in range(2 if any(isinstance(h.change, NoiseFactor) for h in hypotheses) else 0):
-            fit = fit._reweighted()
-        return fit if fit.solution.converged else None
+        return problem, replace(start, position=problem.marks.on_marks(start.position, start.points))
 
     def _reweighted(self) -> Fit:
         """The fit with its noise factors as the residuals have them (restricted maximum likelihood)."""

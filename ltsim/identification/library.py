@@ -6,7 +6,7 @@ made from one array, so that a network of thousands of places is screened at onc
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -14,7 +14,7 @@ import numpy as np
 
 from ltsim.adjustment.gross import mend_faces, mend_stations, mistakes
 from ltsim.adjustment.moving import EvenMotion
-from ltsim.adjustment.stated import known_values
+from ltsim.adjustment.stated import KnownInRows, known_values
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.effects.motions import station_design
 from ltsim.effects.signature import Signature
@@ -156,8 +156,11 @@ def candidates(sightings: Sightings) -> list[Candidate]:
 
 def omissions(fit: Fit) -> list[Hypothesis]:
     """Reference values that may be wrong."""
-    recording = fit.recording
-    values = list(known_values(fit.problem, fit.state))
+    return omissions_of(fit.recording, list(known_values(fit.problem, fit.state)))
+
+
+def omissions_of(recording: Recording, values: Sequence[KnownInRows]) -> list[Hypothesis]:
+    """Hypotheses that each of some reference values is wrong."""
     found = []
     for v in values:
         ends = (v.name, *v.name.partition("#")[0].split("-")) if v.kind in ("length", "difference") else (v.name,)

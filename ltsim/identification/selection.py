@@ -14,7 +14,7 @@ import numpy as np
 from ltsim.errors import LtsimError, NetworkError
 from ltsim.identification.fit import Fit, Network
 from ltsim.identification.hypothesis import Hypothesis, NoiseFactor
-from ltsim.identification.library import conventions
+from ltsim.identification.library import conventions, omissions_of
 from ltsim.identification.screen import looks
 from ltsim.model.construction import Construction, stated_construction
 from ltsim.recording.recording import Recording
@@ -64,6 +64,10 @@ class Selection:
         return any(not isinstance(c.hypothesis.change, NoiseFactor) for c in self.choices)
 
 
+Looked = tuple[Fit, list[tuple[Hypothesis, Fit]]]
+"""A fit, and the hypotheses that were fitted beside its own."""
+
+
 def select(network: Network, least: float = LEAST_GAIN) -> Selection:
     """Select the simple causes of a recording.
 
@@ -78,15 +82,16 @@ def select(network: Network, least: float = LEAST_GAIN) -> Selection:
     NetworkError
         When the readings determine no network, whatever is wrong.
     """
-    fit, before = _beginning(network), list[tuple[Fit, list[tuple[Hypothesis, Fit]]]]()
+    fit = beginning = _beginning(network)
+    last: Looked | None = None
     while len(fit.hypotheses) < MOST:
         tried = _fitted(fit)
         if not tried or tried[0][1].log_evidence < fit.log_evidence + least:
             break
-        chosen = _without_needless(tried[0][1], least)
-        before = [(fit, tried)] if chosen is tried[0][1] else []
+        chosen = _without_needless(tried[0][1], least, len(beginning.hypotheses))
+        last = (fit, tried) if chosen is tried[0][1] else None
         fit = chosen
-    return _judged_again(fit, least, before)
+    return _judged_again(fit, least, beginning, last)
 
 
 def identified(recording: Recording, construction: Construction | None = None) -> Selection | None:
@@ -98,13 +103,14 @@ def identified(recording: Recording, construction: Construction | None = None) -
 
 
 def _beginning(network: Network) -> Fit:
-    """The fit with the units and senses of set-ups whose shape shows them, and without any other hypothesis.
+    """The fit with the units and senses of set-ups whose shape shows them, without reference values that are far off.
 
-    Without these a network bends so far that nothing else of it can be seen.
+    With these a network bends so far that nothing else of it can be seen.
     """
-    found = tuple(conventions(network.recording))
-    fit = Fit.of(network, found)
-    if fit is None and found:
+    found = conventions(network.recording)
+    far = omissions_of(network.recording, Fit.far_references(network, found))
+    fit = Fit.of(network, (*found, *far))
+    if fit is None and (found or far):
         fit = Fit.of(network)
     if fit is None:
         raise NetworkError("the observations contradict each other so far that no network fits them")
@@ -143,9 +149,9 @@ def refitted(fit: Fit, hypothesis: Hypothesis, promised: float) -> Fit | None:
     return best
 
 
-def _without_needless(fit: Fit, least: float) -> Fit:
-    """The fit without earlier hypotheses that the last one leaves nothing to explain."""
-    for h in fit.hypotheses[:-1]:
+def _without_needless(fit: Fit, least: float, first: int) -> Fit:
+    """The fit without hypotheses, from the `first` to the last but one, that the last one leaves nothing to explain."""
+    for h in fit.hypotheses[first:-1]:
         rest = _less(fit, h)
         if rest is not None and rest.log_evidence > fit.log_evidence - least:
             fit = rest
@@ -161,28 +167,22 @@ def _less(fit: Fit, hypothesis: Hypothesis) -> Fit | None:
         return None
 
 
-def _judged_again(fit: Fit, least: float, before: Sequence[tuple[Fit, list[tuple[Hypothesis, Fit]]]] = ()) -> Selection:
+def _judged_again(fit: Fit, least: float, beginning: Fit, last: Looked | None) -> Selection:
     """Every chosen hypothesis beside the others: what it gains, and what in its place would; the better one stays.
 
-    `before` is the fit without the last one, where that is known, with what was fitted beside it.
+    Those of the `beginning` have no network without them. `last` is what was fitted beside all but the last one.
     """
-    choices, beginning = (
-        list[Choice](),
-        {h.place for h in conventions(fit.network.recording)} if fit.hypotheses else set(),
-    )
-    for h in fit.hypotheses:
-        known = [
-            (rest, tried)
-            for rest, tried in before
-            if rest.hypotheses == fit.hypotheses[:-1] and h is fit.hypotheses[-1]
-        ]
-        rest = known[0][0] if known else None if h.place in beginning else _less(fit, h)
-        if rest is None:  # without it there is no network
+    choices = [Choice(h, np.inf, ()) for h in fit.hypotheses if h in beginning.hypotheses]
+    for h in fit.hypotheses[len(choices) :]:
+        is_last = last is not None and h is fit.hypotheses[-1] and last[0].hypotheses == fit.hypotheses[:-1]
+        rest = last[0] if last is not None and is_last else _less(fit, h)
+        if rest is None:
             choices.append(Choice(h, np.inf, ()))
             continue
-        others = [(other, made) for other, made in (known[0][1] if known else _fitted(rest)) if other.place != h.place]
+        tried = last[1] if last is not None and is_last else _fitted(rest)
+        others = [(other, made) for other, made in tried if other.place != h.place]
         if others and others[0][1].log_evidence > fit.log_evidence + least:
-            return _judged_again(others[0][1], least)
+            return _judged_again(others[0][1], least, beginning, None)
         gains = tuple((other, made.log_evidence - rest.log_evidence) for other, made in others)
         choices.append(Choice(h, fit.log_evidence - rest.log_evidence, gains))
     return Selection(fit, tuple(sorted(choices, key=lambda c: -c.gain)))
