@@ -95,9 +95,9 @@ class Check(Result):
     @property
     def items(self) -> tuple[Item, ...]:
         """Every item: causes and mistakes of the work first, then set-up by set-up."""
-        mistakes = (item for item in self.network if item.kind in ("cause", "mistake"))
-        rest = (item for item in self.network if item.kind not in ("cause", "mistake"))
-        return (*mistakes, *(item for setup in self.setups for item in setup.items), *rest)
+        mistakes = (item for item in self.network if item.kind == "mistake")
+        rest = (item for item in self.network if item.kind != "mistake")
+        return (*map(item_of, self.tests), *mistakes, *(item for setup in self.setups for item in setup.items), *rest)
 
     @property
     def passed(self) -> bool:
@@ -108,8 +108,11 @@ class Check(Result):
     def sentence(self) -> str:
         """Go or no-go and why."""
         failed = [item for item in self.items if not item.passed]
-        # What others follow from first: targets that scatter by themselves make gross pointings.
-        failed.sort(key=lambda item: not (item.kind in CAUSES or (item.kind == "closure" and item.targets)))
+        # What others follow from first: what was identified, then targets that scatter by themselves.
+        causes = failed[: sum(not item.passed for item in map(item_of, self.tests))]
+        rest = failed[len(causes) :]
+        rest.sort(key=lambda item: not (item.kind in CAUSES or (item.kind == "closure" and item.targets)))
+        failed = [*causes, *rest]
         if failed:
             more = f" (and {len(failed) - 1} more)" if len(failed) > 1 else ""
             return f"no-go: {failed[0].sentence}{more}"
@@ -159,7 +162,7 @@ def check(recording: RecordingSource, *, level: float = LEVEL, mpe: tuple[float,
         shared = Family(level, 2 * NETWORK_TESTS)
         together = items_of_network(shown, plain, shared, motions, own_noise=shown is not corrected)
         network = (*scattering, *together)
-    found = Check(whole, setups, (*map(item_of, causes), *network), level, causes)
+    found = Check(whole, setups, network, level, causes)
     if not found.items:
         message = "no station measured a target twice, so nothing can be checked yet; "
         raise NetworkError(message + "measure some targets on both faces, or the first ones again at the end")

@@ -62,11 +62,25 @@ class CheckFile(ResultFile):
     """Every test, set-up by set-up, of the readings without these causes."""
 
 
+OF_TEST: dict[str, Kind] = {
+    "outlier": "gross",
+    "station-bump": "bump",
+    "station-drift": "drift",
+    "reference-value": "network",
+    "names": "mistake",
+    "unit": "mistake",
+    "height": "mistake",
+    "noise-level": "closure",
+}
+"""Kind of the item of a cause that was identified; `cause` for the others."""
+
+
 def item_of(test: Test) -> Item:
     """The item of a cause that was identified: noise that is less than declared is no reason to stop."""
     passed = test.kind == "noise-level" and (test.estimate or 0.0) <= 1.0
     at, targets = ", ".join(test.where.stations), test.where.targets
-    return Item.of(at, "cause", passed, test.sentence.rstrip("."), test.p_value, targets=targets, rows=test.rows)
+    kind, sentence = OF_TEST.get(test.kind, "cause"), test.sentence.rstrip(".")
+    return Item.of(at, kind, passed, sentence, test.p_value, targets=targets, rows=test.rows)
 
 
 TWO_FACE = Table(

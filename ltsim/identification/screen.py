@@ -25,8 +25,8 @@ from ltsim.solve.gauss_newton import solve
 
 AT_ONCE = 4_000_000
 """Numbers of signatures that are projected at once."""
-EXACT = 400
-"""Candidates that are projected off the network exactly; of more the best by their own rows alone."""
+EXACT = 3_000_000
+"""Numbers of all signatures that are projected off the network exactly; of more the best by their own rows alone."""
 STEPS = 6
 """Reweightings of a shift that is estimated from the residuals of its own rows."""
 
@@ -84,9 +84,10 @@ def _exact(space: ResidualSpace, every: Sequence[Candidate]) -> Floats:
     """Log evidence (h,) of candidates in a residual space."""
     gains = np.full(len(every), -np.inf)
     chosen = np.arange(len(every))
-    if len(every) > EXACT:
-        rough = _rough(space, every)
-        chosen = np.argsort(-rough)[:EXACT]
+    sizes = np.array([space.size * c.family.design.shape[2] for c in every], dtype=np.int64)
+    if sizes.sum() > EXACT:
+        chosen = np.argsort(-_rough(space, every))
+        chosen = chosen[np.cumsum(sizes[chosen]) <= EXACT]
     by_rank: dict[int, list[int]] = {}
     for i in chosen.tolist():
         by_rank.setdefault(every[i].family.design.shape[2], []).append(i)

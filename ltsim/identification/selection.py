@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import special
 
 from ltsim.errors import LtsimError, NetworkError
 from ltsim.identification.fit import Fit, Network
@@ -25,6 +26,10 @@ MOST = 8
 """Hypotheses that are chosen at most: a network with more simple causes is measured again."""
 TRIED = 4
 """Hypotheses that are fitted in a step, in the order of what they promise."""
+LARGE = 1500
+"""Pointings from which a network that agrees as a whole is not looked at place by place: 5 s of processor time."""
+AGREES, FEW = 0.01, 0.01
+"""Chance of a larger chi-square above which a large network agrees, and share of outliers below which it does."""
 AFTER_ALL = 0.5
 """Share of its promise that a hypothesis must gain from where the network stands; else it is fitted from the start."""
 
@@ -84,7 +89,7 @@ def select(network: Network, least: float = LEAST_GAIN) -> Selection:
     """
     fit = beginning = _beginning(network)
     last: Looked | None = None
-    while len(fit.hypotheses) < MOST:
+    while len(fit.hypotheses) < MOST and not _agrees(fit):
         tried = _fitted(fit)
         if not tried or tried[0][1].log_evidence < fit.log_evidence + least:
             break
@@ -92,6 +97,17 @@ def select(network: Network, least: float = LEAST_GAIN) -> Selection:
         last = (fit, tried) if chosen is tried[0][1] else None
         fit = chosen
     return _judged_again(fit, least, beginning, last)
+
+
+def _agrees(fit: Fit) -> bool:
+    """Whether a large network agrees with its model as a whole, so that looking at each of its places would cost more.
+
+    In a network of `LARGE` pointings what one place hides is small for all others.
+    """
+    if len(fit.recording) < LARGE:
+        return False
+    chance = float(special.chdtrc(max(fit.problem.dof, 1), fit.solution.cost))
+    return chance > AGREES and not fit.hypotheses and fit.outliers.sum() < FEW * fit.whole.use.sum()
 
 
 def identified(recording: Recording, construction: Construction | None = None) -> Selection | None:
