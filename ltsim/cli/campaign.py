@@ -7,7 +7,6 @@ import sys
 from enum import StrEnum
 from importlib.resources import files
 from pathlib import Path
-from tempfile import TemporaryFile
 from typing import TYPE_CHECKING, Annotated, Any
 from xml.etree.ElementTree import Element, SubElement, tostring
 
@@ -15,11 +14,11 @@ import typer
 
 import ltsim as lt
 from ltsim.campaigns import require_packages
-from ltsim.cli.places import Force, claim_file
+from ltsim.cli.places import FILE, FOLDER, Force, check_writable
 from ltsim.cli.simulate import ScenarioName
 from ltsim.cli.terminal import ResultTerminal, Terminal
 from ltsim.errors import SetupError, StoppedError
-from ltsim.recording.files import is_device, write_text
+from ltsim.recording.files import write_text
 from ltsim.workers import MOST
 
 if TYPE_CHECKING:
@@ -41,7 +40,9 @@ class Backend(StrEnum):
 CampaignFile = Annotated[Path | None, typer.Argument(metavar="FILE", help="A campaign file (ltsim-campaign/1).")]
 Example = Annotated[bool, typer.Option("--show", help="Print a commented campaign file to edit, and do nothing else.")]
 Rows = Annotated[
-    Path | None, typer.Option("--out", metavar="DIR", help="Folder for the rows; default: FILE without its ending.")
+    Path | None,
+    typer.Option("--out", metavar="DIR", help="Folder for the rows; default: FILE without its ending."),
+    FOLDER,
 ]
 BackendName = Annotated[Backend, typer.Option(help="Processes on this machine, or workers of a dask cluster.")]
 Scheduler = Annotated[
@@ -88,6 +89,7 @@ def campaign(
     from ltsim.pages.sections.campaign import campaign_section
 
     folder = out or file.with_suffix("")
+    check_writable(folder, folder=True)
     settings, scenarios = load_campaign(file, options["changes"])
     total = settings.trials * len(settings.methods) * len(scenarios)
     workers = Workers(options.pop("jobs"), backend.value, scheduler)
@@ -135,7 +137,7 @@ RecoverJobs = Annotated[
 
 
 JunitFile = Annotated[
-    Path | None, typer.Option("--junit", metavar="FILE", help="Write the checks as JUnit XML too, for CI.")
+    Path | None, typer.Option("--junit", metavar="FILE", help="Write the checks as JUnit XML too, for CI."), FILE
 ]
 MODES = {"drawn": "drawn from the prior", "stated": "as the scenario states them"}
 FEW = 100
@@ -162,13 +164,6 @@ def recover(
     from ltsim.campaigns.schema import TRIALS, RecoveryFile
 
     terminal.claim(RecoveryFile, TRIALS.file)
-    claim_file(junit, force=terminal.force)
-    if junit is not None and not is_device(junit):
-        try:
-            junit.parent.mkdir(parents=True, exist_ok=True)
-            TemporaryFile(dir=junit.parent).close()  # before all trials, not after them
-        except OSError as problem:
-            raise SetupError(f"{junit}: cannot be written ({problem.strerror})") from None
     workers = jobs or (1 if options["trials"] < FEW else os.cpu_count() or 1)
     with terminal.progress("trials", options["trials"]) as step:
         result = lt.recover(scenario, progress=step, jobs=workers, **options)

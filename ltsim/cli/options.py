@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args, get_type_hints
 import typer
 
 import ltsim as lt
+from ltsim.cli.places import Output, check_outputs
 from ltsim.cli.terminal import Terminal
 from ltsim.errors import SPECIAL, RecordError, SetupError
 from ltsim.workers import MOST
@@ -154,10 +155,13 @@ def command_of(name: str, verb: Callable[..., Any]) -> Callable[..., Any]:
             taken = [o for source, *wanted in sources for o in public_options(source, wanted) if o.name not in own]
         else:
             single.append(_option(key, hints[key], parameter.default))
+    outputs = list(_outputs(single))
     at = next((i for i, p in enumerate(single) if p.name in ("out", *ReadingOptions.__dataclass_fields__)), len(single))
     single[at:at] = [option.parameter for option in taken]
 
     def run(**given: Any) -> Any:
+        places = ((flag, given[name], output) for name, flag, output in outputs if given[name] is not None)
+        check_outputs(places, force=given.get("force", False))
         for key, group in groups.items():
             given[key] = group(**{f.name: given.pop(f.name) for f in fields(group)})
         return verb(**given | {option.name: option.value(given[option.name]) for option in taken})
@@ -166,6 +170,16 @@ def command_of(name: str, verb: Callable[..., Any]) -> Callable[..., Any]:
     run.__annotations__ = {parameter.name: parameter.annotation for parameter in single}
     run.__signature__ = inspect.Signature(single)  # type: ignore[attr-defined]
     return run
+
+
+def _outputs(options: list[inspect.Parameter]) -> Iterator[tuple[str, str, Output]]:
+    """Options and arguments that name a place to write to: name, spelling and mark."""
+    for option in options:
+        marks: list[Any] = [mark for mark in get_args(option.annotation)[1:] if isinstance(mark, Output)]
+        if marks:
+            declared: Any = get_args(option.annotation)[1]
+            flags = [word for word in (declared.default, *(declared.param_decls or ())) if str(word).startswith("--")]
+            yield option.name, flags[0] if flags else declared.metavar, marks[0]
 
 
 def _option(name: str, kind: Any, default: Any) -> inspect.Parameter:

@@ -10,7 +10,7 @@ import typer
 
 import ltsim as lt
 from ltsim.cli.options import Jobs, ReadingOptions
-from ltsim.cli.places import Force, claim
+from ltsim.cli.places import FOLDER, Force, claim
 from ltsim.cli.terminal import Terminal
 from ltsim.errors import SetupError
 
@@ -26,7 +26,9 @@ PlanSource = Annotated[
     typer.Argument(metavar="FILE", help="A plan file, a scenario file, or the name of a built-in one."),
 ]
 PlanOut = Annotated[
-    Path | None, typer.Option("--out", metavar="DIR", help="Folder to write to; default plan-NAME, none with --json.")
+    Path | None,
+    typer.Option("--out", metavar="DIR", help="Folder to write to; default plan-NAME, none with --json."),
+    FOLDER,
 ]
 Show = Annotated[bool, typer.Option("--show", help="Print a built-in plan as a file to edit, and do nothing else.")]
 After = Annotated[

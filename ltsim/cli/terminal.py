@@ -16,7 +16,7 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from ltsim.cli.places import Force, claim
+from ltsim.cli.places import FOLDER, Force, claim
 from ltsim.errors import printable
 
 if TYPE_CHECKING:
@@ -123,7 +123,9 @@ class Terminal:
 class ResultTerminal(Terminal):
     """A terminal, and the folder that a verb writes to what it finds."""
 
-    out: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Folder to write the results to.")] = None
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="DIR", help="Folder to write the results to."), FOLDER
+    ] = None
     force: Force = False
 
     def claim(self, model: type[ResultFile], *names: str, own: Callable[[Any], bool] = lambda found: True) -> None:
