@@ -77,15 +77,21 @@ class ProgressNotes:
 
 @contextmanager
 def followed(count: int, tell: Callable[[float], None]) -> Iterator[ProgressNotes]:
-    """Notes of so many pieces of work; `tell` hears the share of the whole now and then, from a thread of its own."""
-    done = threading.Event()
+    """Notes of so many pieces of work; `tell` hears the share of the whole now and then, from a thread of its own.
+
+    What `tell` raises there is raised here, when the work is done.
+    """
+    done, problems = threading.Event(), []
     with tempfile.TemporaryDirectory() as folder:
         notes = ProgressNotes(Path(folder) / "shares")
         notes.path.write_bytes(bytes(8 * count))
 
         def look() -> None:
-            while not done.wait(LOOK):
-                tell(notes.mean())
+            try:
+                while not done.wait(LOOK):
+                    tell(notes.mean())
+            except Exception as problem:
+                problems.append(problem)
 
         thread = threading.Thread(target=look, daemon=True)
         thread.start()
@@ -94,6 +100,8 @@ def followed(count: int, tell: Callable[[float], None]) -> Iterator[ProgressNote
         finally:
             done.set()
             thread.join()
+        if problems:
+            raise problems[0]
         tell(notes.mean())
 
 

@@ -14,6 +14,7 @@ import typer
 
 import ltsim as lt
 from ltsim.campaigns import require_packages
+from ltsim.cli import streams
 from ltsim.cli.places import FILE, FOLDER, Force, check_writable
 from ltsim.cli.simulate import ScenarioName
 from ltsim.cli.terminal import ResultTerminal, Terminal
@@ -75,7 +76,7 @@ def campaign(
     Example: ltsim campaign --show > mine.toml; ltsim campaign mine.toml --jobs 2
     """
     if show_example:
-        print((files("ltsim.campaigns") / "example.toml").read_text(encoding="utf-8"), end="")
+        terminal.show((files("ltsim.campaigns") / "example.toml").read_text(encoding="utf-8"))
         return 0
     if file is None:
         raise SetupError("a campaign needs a FILE; ltsim campaign --show prints one to edit")
@@ -114,7 +115,7 @@ def campaign(
         terminal.say(f"\nall statistics: {folder / 'summary.csv'}; a page: ltsim report {folder}")
     failures = [disagreement(e, results) for e in summary["ends"] if (e["largest_difference_sigma"] or 0.0) > AGREED]
     for failure in failures:
-        print(failure, file=sys.stderr)
+        streams.write(failure, sys.stderr)
     return 1 if failures else 0
 
 
@@ -184,7 +185,7 @@ def recover(
     terminal.say(result.table("parameters").text() if len(result.converged) > 1 else "hardly a trial gave a result")
     failures = result.failures()
     for failure in failures:
-        print(failure.sentence(), file=sys.stderr)
+        streams.write(failure.sentence(), sys.stderr)
     if failures:
         raise typer.Exit(1)
     rate = "" if result.tolerance else f" (a correct model fails this check in {100 * FALSE_ALARM:.0f} % of runs)"

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args, get_type_hints
 import typer
 
 import ltsim as lt
+from ltsim.cli import streams
 from ltsim.cli.places import Output, check_outputs
 from ltsim.cli.terminal import Terminal
 from ltsim.errors import SPECIAL, RecordError, SetupError
@@ -162,6 +163,8 @@ def command_of(name: str, verb: Callable[..., Any]) -> Callable[..., Any]:
     def run(**given: Any) -> Any:
         places = ((flag, given[name], output) for name, flag, output in outputs if given[name] is not None)
         check_outputs(places, force=given.get("force", False))
+        if given.get("as_json") and streams.output_is_closed():
+            raise SetupError("--json prints to standard output, which is closed; open it, or leave --json out")
         for key, group in groups.items():
             given[key] = group(**{f.name: given.pop(f.name) for f in fields(group)})
         return verb(**given | {option.name: option.value(given[option.name]) for option in taken})

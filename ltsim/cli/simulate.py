@@ -75,7 +75,7 @@ def simulate(
     Example: ltsim simulate paper-workshop --out my-recording --truth truth.json --seed 7
     """
     if show:
-        print(_whole(scenario), end="")
+        terminal.show(_whole(scenario))
         return
     if out is None:
         raise SetupError("give a folder for the recording with --out REC, or print the scenario with --show")

@@ -10,6 +10,7 @@ import typer
 from pydantic import ValidationError
 
 import ltsim as lt
+from ltsim.cli import streams
 from ltsim.cli.options import FramedReading
 from ltsim.cli.places import FILE, FOLDER, Force, Output, claim_file
 from ltsim.cli.terminal import Quiet, Terminal
@@ -107,15 +108,16 @@ def _by_hand(terminal: Terminal, plan: str, out: Path, port: int, *, force: bool
     for name in (SCENARIO, PLAN):
         claim_file(out / name, force)
     with terminal.progress("reading the plan"):
-        door = BoardAccess(Board.of(plan), out)
+        access = BoardAccess(Board.of(plan), out)
 
     def tell(address: str) -> None:
-        print(address, flush=True)
+        terminal.show(address)
+        streams.flush()
         terminal.say("drag the stations there; Ctrl-C here ends it")
         if _has_screen():
             webbrowser.open(address)
 
-    serve(door, tell, port)
+    serve(access, tell, port)
 
 
 def _has_screen() -> bool:

@@ -15,8 +15,8 @@ from ltsim.cli.main import VERBS, run, verb_of
 from ltsim.cli.options import _outputs, command_of
 
 INPUTS = {
-    "after", "against", "cad", "calibration", "control", "file", "frame", "history", "nominal", "place", "plan", "prior",
-    "recording", "scenario", "second", "source", "sources",
+    "after", "against", "cad", "calibration", "control", "file", "frame", "history", "nominal", "place", "plan",
+    "prior", "recording", "scenario", "second", "source", "sources",
 }  # fmt: skip
 """Paths that verbs read; `nominal` is written by `simulate`."""
 
