@@ -221,7 +221,7 @@ class _Server(ThreadingHTTPServer):
 def serve(access: BoardAccess, tell: Callable[[str], None], port: int = 0) -> None:
     """Answer the page until Ctrl-C; `tell` is given the address; raises SetupError for a port that is taken."""
     work: SimpleQueue[tuple[Future[Answer], str, str, bytes]] = SimpleQueue()
-    handler = type("Handler", (_Handler,), {"work": work, "access": access})
+    handler: type[_Handler] = type("Handler", (_Handler,), {"work": work, "access": access})
     try:
         server = _Server((HERE, port), handler)
     except OSError as problem:
@@ -234,10 +234,10 @@ def serve(access: BoardAccess, tell: Callable[[str], None], port: int = 0) -> No
             tell(f"http://{HERE}:{server.server_port}/{access.token}/")
             while True:
                 try:
-                    future, *request = work.get(timeout=WAIT)
+                    future, method, path, body = work.get(timeout=WAIT)
                 except Empty:
                     continue
-                future.set_result(_answered(access, *request))
+                future.set_result(_answered(access, method, path, body))
         except KeyboardInterrupt:
             pass
         finally:
