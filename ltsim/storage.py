@@ -61,8 +61,12 @@ def write_files(folder: Path, contents: Mapping[str, bytes], *, durable: bool = 
                 left.unlink(missing_ok=True)
 
 
-def settle(folder: Path) -> None:
-    """Finish what a killed process had begun to move into a folder, and remove what it had not; raises OSError."""
+def settle(folder: Path) -> set[str]:
+    """Finish what a killed process had begun to move into a folder, and remove what it had not; names of the former.
+
+    Raises OSError.
+    """
+    finished: set[str] = set()
     for note in _abandoned(folder, "moves"):
         try:
             moves = json.loads(note.read_bytes())
@@ -72,10 +76,13 @@ def settle(folder: Path) -> None:
         except ValueError:  # killed while it wrote the note
             valid = False
         if valid:
-            _move(folder, {s: n for s, n in moves.items() if _inside(folder, s)}, durable=False)
+            moves = {source: name for source, name in moves.items() if _inside(folder, source)}
+            _move(folder, moves, durable=False)
+            finished.update(moves.values())
         note.unlink(missing_ok=True)
     for left in _abandoned(folder, "tmp"):
         left.unlink(missing_ok=True)
+    return finished
 
 
 def place_in(folder: Path, name: str) -> Path:

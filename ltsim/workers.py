@@ -8,7 +8,6 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -46,10 +45,11 @@ def parallel(
     from joblib.externals.loky.process_executor import TerminatedWorkerError
 
     how = "generator" if ordered else "generator_unordered"
-    with parallel_config(backend="loky", inner_max_num_threads=1):
+    watching = {"initializer": _watch, "initargs": (os.getpid(),)}
+    with parallel_config(backend="loky", inner_max_num_threads=1, **watching):
         pool = Parallel(n_jobs=min(jobs, MOST), return_as=how, batch_size=batch)
     try:
-        yield from pool(delayed(_watched)(os.getpid(), function, *arguments) for arguments in calls)
+        yield from pool(delayed(function)(*arguments) for arguments in calls)
     except TerminatedWorkerError:
         raise WorkerError(
             f"a worker process was ended from outside, perhaps for want of memory; take fewer {option('jobs')}"
@@ -105,19 +105,12 @@ def followed(count: int, tell: Callable[[float], None]) -> Iterator[ProgressNote
         tell(notes.mean())
 
 
-def _watched(parent: int, function: Callable[..., Result], *arguments: Any) -> Result:
-    _watch(parent)
-    return function(*arguments)
-
-
-@lru_cache(maxsize=1)
 def _watch(parent: int) -> None:
-    """End this process as soon as its parent is gone."""
+    """End this process as soon as its parent is gone, from its start on."""
 
     def look() -> None:
         while os.getppid() == parent:
             time.sleep(WATCH)
         os._exit(1)
 
-    if os.getppid() == parent:
-        threading.Thread(target=look, daemon=True).start()
+    threading.Thread(target=look, daemon=True).start()

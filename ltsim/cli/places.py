@@ -7,6 +7,7 @@ wrote itself and nobody changed. An option or argument that names such a place h
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import re
@@ -54,17 +55,14 @@ def check_outputs(outputs: Iterable[tuple[str, Path, Output]], *, force: bool) -
 
 
 def check_writable(path: Path, *, folder: bool) -> None:
-    """Raise RecordError where no file, or no `folder`, can be written at a path; folders above it may be missing.
-
-    What a killed process left unfinished there is finished.
-    """
+    """Raise RecordError where no file, or no `folder`, can be written at a path; folders above it may be missing."""
     try:
         if path.is_dir() != folder and path.exists():
             wrong = "this is a file, expected a folder" if folder else "this is a folder, expected a file"
             raise RecordError(f"{wrong} to write to", file=path)
         if is_device(path):
             if not os.access(path, os.W_OK):
-                raise PermissionError(0, "no permission to write")
+                raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
             return
         above = path if folder else path.parent
         while not os.path.lexists(above):
@@ -75,7 +73,6 @@ def check_writable(path: Path, *, folder: bool) -> None:
             with suppress(FileNotFoundError):
                 os.lstat(above / part)
         TemporaryFile(dir=above).close()
-        settle(above)
     except OSError as problem:
         raise RecordError(f"cannot be written ({problem.strerror})", file=path) from None
     if not folder:
@@ -118,11 +115,15 @@ def _is_own(folder: Path, model: type[ResultFile], taken: list[str], own: Callab
 
 
 def _taken(folder: Path, names: Iterable[str]) -> list[str]:
-    """Names in a folder that are there already; raises RecordError where one cannot be written."""
+    """Names in a folder that are there already; raises RecordError where one cannot be written.
+
+    What a killed process had begun to write is finished, and counts for nothing: nobody was told of it.
+    """
     check_writable(folder, folder=True)
+    finished = settle(folder) if folder.is_dir() else set()
     for name in names:
         place_in(folder, name)
-    return [name for name in names if os.path.lexists(folder / name)]
+    return [name for name in names if os.path.lexists(folder / name) and name not in finished]
 
 
 def claim_recording(folder: Path, force: bool) -> None:
