@@ -9,7 +9,6 @@ import tomllib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields, is_dataclass
 from enum import StrEnum
-from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_args, get_type_hints
 
@@ -192,16 +191,18 @@ def _option(name: str, kind: Any, default: Any) -> inspect.Parameter:
 PROGRAMS = ("advise", "again", "geometry", "about", "format", "hints", "follower")
 """Parameters that only a program gives, or that their verb reads in its own way."""
 BOUNDS: dict[str, tuple[float, float | None]] = {
-    "seed": (0, None), "trial": (0, None), "trials": (2, None), "starts": (1, None), "injections": (1, None),
+    "seed": (0, None), "trial": (0, 10**12), "trials": (2, 10**9), "starts": (1, 10**4), "injections": (1, 10**5),
     "jobs": (1, MOST), "level": (1e-6, 0.5), "noncentrality": (1e-3, None), "length_sigma": (1e-6, None),
 }  # fmt: skip
+LARGEST = 1e12
+"""Of a number in an option that is a mapping, as in a table."""
 SHORT = {"trials": "-n", "jobs": "-j"}
 METAVARS = {"prior": "FILE|none", "with_effects": "EFFECT[:WHERE,...]", "calibrator": "'CMD {recording} {out}'"}
 
 
 def _number(text: str) -> float:
     value = float(text)
-    if not isfinite(value):
+    if not abs(value) <= LARGEST:
         raise ValueError
     return value
 

@@ -51,3 +51,13 @@ def test_a_known_length_of_targets_in_one_place_is_no_fault(recording: Recording
             verb(recording.with_readings(readings))
         except NetworkError as refused:
             assert str(refused)
+
+
+def test_a_range_of_zero_is_a_sentence_of_every_verb(recording: Recording) -> None:
+    readings = recording.readings.copy()
+    readings[3, 0] = 0.0
+    for verb in (lt.adjust, lt.check):
+        try:
+            verb(recording.with_readings(readings))
+        except NetworkError as refused:
+            assert "singular" in str(refused)
