@@ -51,7 +51,20 @@ def check_outputs(outputs: Iterable[tuple[str, Path, Output]], *, force: bool) -
         place = os.path.realpath(path)
         if place in names and not is_device(path):
             raise SetupError(f"{names[place]} and {name} both name {path}; each needs a place of its own")
+        folder = str(Path(place).parent)
+        if folder in names and path.name in _names_of_results():
+            raise SetupError(f"{name} names {path}, which {names[folder]} may write; give another name")
         names[place] = name
+
+
+def _names_of_results() -> set[str]:
+    """Names that verbs give to files of their own choice; a truth is named by its option."""
+    from ltsim.pages.schemas import FILES, TABLES
+    from ltsim.recording.native import OBSERVATIONS
+
+    truth = "truth.json"
+    tables = {table.file for file, beside in TABLES.items() if file != truth for table in beside}
+    return {OBSERVATIONS, *FILES, *tables} - {truth}
 
 
 def check_writable(path: Path, *, folder: bool) -> None:
