@@ -30,10 +30,8 @@ def reached_network(recording: Recording) -> tuple[tuple[Floats, Floats, Floats]
     NetworkError when the readings do not tie a station to the rest, or hold elevations alone.
     """
     if not recording.measured[:, :2].any():
-        raise NetworkError(
-            "the recording holds elevations alone: they determine neither the horizontal position of a station or "
-            "target nor its range; measure azimuths or distances too"
-        )
+        message = "the recording holds elevations alone: horizontal positions and ranges are undetermined; "
+        raise NetworkError(message + "measure azimuths or distances too")
     pairs, frame = Pairs.of(recording, _flat_points(recording)), Frame.of(recording)
     grown = []
     for beginning in BEGINNINGS if frame.is_stated else BEGINNINGS[1:]:
