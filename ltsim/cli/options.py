@@ -16,7 +16,7 @@ import typer
 
 import ltsim as lt
 from ltsim.cli import streams
-from ltsim.cli.places import Output, check_outputs
+from ltsim.cli.places import OutputPlace, check_outputs
 from ltsim.cli.terminal import Terminal
 from ltsim.errors import SPECIAL, RecordError, SetupError
 from ltsim.workers import MOST
@@ -174,10 +174,10 @@ def command_of(name: str, verb: Callable[..., Any]) -> Callable[..., Any]:
     return run
 
 
-def _outputs(options: list[inspect.Parameter]) -> Iterator[tuple[str, str, Output]]:
+def _outputs(options: list[inspect.Parameter]) -> Iterator[tuple[str, str, OutputPlace]]:
     """Options and arguments that name a place to write to: name, spelling and mark."""
     for option in options:
-        marks: list[Any] = [mark for mark in get_args(option.annotation)[1:] if isinstance(mark, Output)]
+        marks: list[Any] = [mark for mark in get_args(option.annotation)[1:] if isinstance(mark, OutputPlace)]
         if marks:
             declared: Any = get_args(option.annotation)[1]
             flags = [word for word in (declared.default, *(declared.param_decls or ())) if str(word).startswith("--")]

@@ -1,7 +1,7 @@
 """Places that a verb writes to, checked before it begins: whether they can be written, and what they would replace.
 
 Without --force a verb writes to a folder that is new, empty or ltsim's own, and there over nothing but what the verb
-wrote itself and nobody changed. An option or argument that names such a place has an `Output` in its annotation;
+wrote itself and nobody changed. An option or argument that names such a place has an `OutputPlace` in its annotation;
 `command_of` applies its rule before it calls the verb.
 """
 
@@ -36,14 +36,14 @@ OWN = re.compile(rf'"?format"? ?[:=] ?"ltsim-|{re.escape(GENERATOR)}')
 
 
 @dataclass(frozen=True)
-class Output:
+class OutputPlace:
     """Mark of an option or argument that names a place to write to."""
 
     rule: Callable[[Path, bool], None]
     """Raises RecordError where the place cannot be written, or, without `force`, would replace something else."""
 
 
-def check_outputs(outputs: Iterable[tuple[str, Path, Output]], *, force: bool) -> None:
+def check_outputs(outputs: Iterable[tuple[str, Path, OutputPlace]], *, force: bool) -> None:
     """Apply the rules of options, by name; raises RecordError, and SetupError for two that name the same place."""
     names: dict[str, str] = {}
     for name, path, output in outputs:
@@ -207,8 +207,8 @@ def _refuse(folder: Path, taken: list[str]) -> None:
     )
 
 
-FILE, RECORDING, EMPTY = Output(claim_file), Output(claim_recording), Output(claim_empty)
-FOLDER = Output(lambda folder, force: check_writable(folder, folder=True))
+FILE, RECORDING, EMPTY = OutputPlace(claim_file), OutputPlace(claim_recording), OutputPlace(claim_empty)
+FOLDER = OutputPlace(lambda folder, force: check_writable(folder, folder=True))
 """A folder whose verb knows which files it replaces there, and claims them."""
-ANYWHERE = Output(lambda path, force: check_writable(path, folder=path.is_dir()))
+ANYWHERE = OutputPlace(lambda path, force: check_writable(path, folder=path.is_dir()))
 """A file or a folder, as other options say."""

@@ -12,7 +12,7 @@ from pydantic import ValidationError
 import ltsim as lt
 from ltsim.cli import streams
 from ltsim.cli.options import FramedReading
-from ltsim.cli.places import FILE, FOLDER, Force, Output, claim_file
+from ltsim.cli.places import FILE, FOLDER, Force, OutputPlace, claim_file
 from ltsim.cli.terminal import Quiet, Terminal
 from ltsim.errors import RecordError, SetupError, require
 from ltsim.recording.settings import sentence
@@ -48,7 +48,7 @@ Html = Annotated[
 Folder = Annotated[
     Path,
     typer.Argument(metavar="DIR", help="A folder that another verb wrote, or one of such folders."),
-    Output(claim_page),
+    OutputPlace(claim_page),
 ]
 Line = Annotated[str | None, typer.Option(metavar="TEXT", help="For the head; default from [report] of setup.toml.")]
 Day = Annotated[str | None, typer.Option("--date", metavar="YYYY-MM-DD", help="Day of the measurement.")]
