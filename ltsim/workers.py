@@ -8,7 +8,6 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -46,10 +45,11 @@ def parallel(
     from joblib.externals.loky.process_executor import TerminatedWorkerError
 
     how = "generator" if ordered else "generator_unordered"
-    with parallel_config(backend="loky", inner_max_num_threads=1):
+    watching = {"initializer": _watch, "initargs": (os.getpid(),)}
+    with parallel_config(backend="loky", inner_max_num_threads=1, **watching):
         pool = Parallel(n_jobs=min(jobs, MOST), return_as=how, batch_size=batch)
     try:
-        yield from pool(delayed(_watched)(os.getpid(), function, *arguments) for arguments in calls)
+        yield from pool(delayed(function)(*arguments) for arguments in calls)
     except TerminatedWorkerError:
         raise WorkerError(
             f"a worker process was ended from outside, perhaps for want of memory; take fewer {option('jobs')}"
@@ -77,15 +77,21 @@ class ProgressNotes:
 
 @contextmanager
 def followed(count: int, tell: Callable[[float], None]) -> Iterator[ProgressNotes]:
-    """Notes of so many pieces of work; `tell` hears the share of the whole now and then, from a thread of its own."""
-    done = threading.Event()
+    """Notes of so many pieces of work; `tell` hears the share of the whole now and then, from a thread of its own.
+
+    What `tell` raises there is raised here, when the work is done.
+    """
+    done, problems = threading.Event(), []
     with tempfile.TemporaryDirectory() as folder:
         notes = ProgressNotes(Path(folder) / "shares")
         notes.path.write_bytes(bytes(8 * count))
 
         def look() -> None:
-            while not done.wait(LOOK):
-                tell(notes.mean())
+            try:
+                while not done.wait(LOOK):
+                    tell(notes.mean())
+            except Exception as problem:
+                problems.append(problem)
 
         thread = threading.Thread(target=look, daemon=True)
         thread.start()
@@ -94,22 +100,17 @@ def followed(count: int, tell: Callable[[float], None]) -> Iterator[ProgressNote
         finally:
             done.set()
             thread.join()
+        if problems:
+            raise problems[0]
         tell(notes.mean())
 
 
-def _watched(parent: int, function: Callable[..., Result], *arguments: Any) -> Result:
-    _watch(parent)
-    return function(*arguments)
-
-
-@lru_cache(maxsize=1)
 def _watch(parent: int) -> None:
-    """End this process as soon as its parent is gone."""
+    """End this process as soon as its parent is gone, from its start on."""
 
     def look() -> None:
         while os.getppid() == parent:
             time.sleep(WATCH)
         os._exit(1)
 
-    if os.getppid() == parent:
-        threading.Thread(target=look, daemon=True).start()
+    threading.Thread(target=look, daemon=True).start()

@@ -64,6 +64,27 @@ def test_workers_end_when_their_parent_is_killed(tmp_path: Path, root: Path) -> 
     assert _until(lambda: not any(map(_lives, _pids(there))))
 
 
+@pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="the processes of a process are not listed here")
+def test_workers_end_when_their_parent_is_killed_while_they_start(tmp_path: Path, root: Path) -> None:
+    (tmp_path / "sleepers.py").write_text(SLEEPERS)
+    there = tmp_path / "pids"
+    there.mkdir()
+    parent = subprocess.Popen([sys.executable, str(tmp_path / "sleepers.py"), str(there)], cwd=root, env=_path(root))
+    children: set[int] = set()
+
+    def started() -> bool:
+        for file in Path(f"/proc/{parent.pid}/task").glob("*/children"):
+            children.update(map(int, file.read_text().split()))
+        return len(children) > 2  # two that work, and one that keeps account of what they share
+
+    try:
+        assert _until(started)
+    finally:
+        parent.send_signal(signal.SIGKILL)
+        parent.wait()
+    assert _until(lambda: not any(map(_lives, children)))
+
+
 def test_a_worker_that_is_killed_is_a_sentence() -> None:
     with pytest.raises(WorkerError, match="ended from outside"):
         list(parallel(_die, [(1,), (2,)], 2))

@@ -14,6 +14,7 @@ from ltsim.adjustment.known import KINDS, SIGMAS, KnownTest, judged
 from ltsim.adjustment.prior import ParameterPrior
 from ltsim.adjustment.problem import WEAK, NetworkProblem
 from ltsim.adjustment.rows import Marks
+from ltsim.adjustment.singular import refusing_singular
 from ltsim.adjustment.snooping import copied_rows, screened, snooped, without_loose
 from ltsim.adjustment.stated import Kind
 from ltsim.arrays import Bools, Floats
@@ -37,6 +38,7 @@ SIDEWAYS = 1e-6
 """[share of its length, per radian] An SMR's way from its target that turns by less does not turn."""
 
 
+@refusing_singular
 @in_one_thread
 def adjust(
     recording: Recording,

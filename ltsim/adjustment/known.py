@@ -325,7 +325,7 @@ def _most_suspect(
     worst = int(np.argmax(np.nan_to_num(np.abs(w))))
     reading = float(np.nan_to_num(w).flat[worst]) / scatter  # two causes are weighed by one noise
     if unlikely(reading**2, 1, int(problem.use.sum())) <= chance:
-        alike = [k for k, other in enumerate(chances) if other > chance - np.log(RIVAL)]
+        alike = [k for k, other in enumerate(chances) if k == best or other >= chance - np.log(RIVAL)]
         if len(alike) > 1 and tests[best].kind == "level":
             return None  # A few levels against each other: nothing that others would not tell better.
         if tests[best].kind == "scale":

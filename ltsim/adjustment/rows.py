@@ -67,9 +67,10 @@ class GaugeRows(KnownLengths):
         return np.linalg.norm(points[self.first] - points[self.second], axis=1)
 
     def directions(self, points: Floats) -> Floats:
-        """Unit vectors (g, 3) from the second to the first target: derivative of the length."""
+        """Unit vectors (g, 3) from the second to the first target: derivative of the length; zero at one place."""
         gap = points[self.first] - points[self.second]
-        return gap / np.linalg.norm(gap, axis=1, keepdims=True)
+        length = np.linalg.norm(gap, axis=1, keepdims=True)
+        return gap / np.where(length > 0.0, length, 1.0)
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ import numpy as np
 from ltsim.adjustment.problem import NetworkProblem
 from ltsim.adjustment.reliability import UNCHECKED, critical_w, normalised, redundancy_of, scale_of
 from ltsim.adjustment.robust import robust_state
+from ltsim.adjustment.singular import refusing_singular
 from ltsim.adjustment.start import reached_network
 from ltsim.arrays import Bools, Floats
 from ltsim.geometry.polar import wrap
@@ -147,6 +148,7 @@ class Screened(NamedTuple):
     """(T,): targets that nothing ties to the rest."""
 
 
+@refusing_singular
 def screened(recording: Recording) -> Screened:
     """Begin a network and screen out gross pointings; raises NetworkError.
 

@@ -27,8 +27,11 @@ def reached_network(recording: Recording) -> tuple[tuple[Floats, Floats, Floats]
     angles, single beams are intersected, stations resected, and a network of ranges alone begins by algebra. Targets
     that are tied to nothing stand amid the others, to be left out.
 
-    NetworkError when the readings do not tie a station to the rest.
+    NetworkError when the readings do not tie a station to the rest, or hold elevations alone.
     """
+    if not recording.measured[:, :2].any():
+        message = "the recording holds elevations alone: horizontal positions and ranges are undetermined; "
+        raise NetworkError(message + "measure azimuths or distances too")
     pairs, frame = Pairs.of(recording, _flat_points(recording)), Frame.of(recording)
     grown = []
     for beginning in BEGINNINGS if frame.is_stated else BEGINNINGS[1:]:

@@ -250,6 +250,8 @@ def _waiting(
         task = ShardTask(campaign, cells[cell].scenario, cells[cell].mark, cell, shard, cells[cell].judge)
         state = store.state_of(cell, shard, task.key, rows_of(campaign, shard), known)
         if state == "whole":
+            if store.shard_path(cell, shard).relative_to(store.folder).as_posix() not in known:
+                store.note(cell, shard)
             progress(rows_of(campaign, shard))
             continue
         if state == "damaged":

@@ -17,6 +17,7 @@ import fcntl
 import hashlib
 import json
 import os
+import re
 import shutil
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -28,8 +29,11 @@ import pyarrow.parquet as pq
 from ltsim.campaigns.schema import SUMMARY, ManifestFile
 from ltsim.errors import RecordError, SetupError
 from ltsim.recording.result_file import read_result
+from ltsim.storage import MODE, place_in, settle, write_files
 
 MANIFEST, SOURCE, ROWS, LOCK, DIGESTS = ManifestFile.FILE, "campaign.toml", "rows", ".lock", "rows.sha256"
+DIGEST_LINE = re.compile(r"^(?P<digest>[0-9a-f]{64})  (?P<name>rows/cell-\d+/shard-\d+\.parquet)\n", re.MULTILINE)
+"""A whole line of the digests."""
 
 
 def encoded(table: pa.Table, key: Mapping[str, str]) -> bytes:
@@ -96,10 +100,10 @@ class Store:
     def digests(self) -> dict[str, str]:
         """Digest of each shard by its place in the folder, as far as they are noted."""
         try:
-            lines = (self.folder / DIGESTS).read_text(encoding="ascii").splitlines()
-        except (OSError, ValueError):
+            text = (self.folder / DIGESTS).read_text(encoding="ascii", errors="replace")
+        except OSError:
             return {}
-        return {name: digest for digest, _, name in (line.partition("  ") for line in lines) if len(digest) == 64}
+        return {match["name"]: match["digest"] for match in DIGEST_LINE.finditer(text)}
 
     @property
     def begun(self) -> bool:
@@ -119,19 +123,24 @@ class Store:
         """Write the files that the campaign was given, then its manifest; where it has grown, anew."""
         with self._writing():
             self.folder.mkdir(parents=True, exist_ok=True)
-            for name, content in sources.items():
-                (self.folder / name).parent.mkdir(parents=True, exist_ok=True)
-                _write(self.folder / name, content)
-            _write(self.folder / MANIFEST, manifest.text().encode())
+            write_files(self.folder, {**sources, MANIFEST: manifest.text().encode()}, durable=True)
 
     def write_shard(self, cell: int, shard: int, content: bytes) -> None:
         """Put a shard in its place at once; raises SetupError when the disk is full or cannot be written to."""
+        name = self.shard_path(cell, shard).relative_to(self.folder).as_posix()
+        with self._writing():
+            write_files(self.folder, {name: content}, durable=True)
+            self._note(name, hashlib.sha256(content).hexdigest())
+
+    def note(self, cell: int, shard: int) -> None:
+        """Note the digest of a whole shard whose line a kill kept from the disk."""
         path = self.shard_path(cell, shard)
         with self._writing():
-            path.parent.mkdir(parents=True, exist_ok=True)
-            _write(path, content)
-            with (self.folder / DIGESTS).open("a", encoding="ascii") as stream:
-                stream.write(f"{hashlib.sha256(content).hexdigest()}  {path.relative_to(self.folder).as_posix()}\n")
+            self._note(path.relative_to(self.folder).as_posix(), _digest(path))
+
+    def _note(self, name: str, digest: str) -> None:
+        with place_in(self.folder, DIGESTS).open("a", encoding="ascii") as stream:
+            stream.write(f"{digest}  {name}\n")
 
     def taken(self, sources: Mapping[str, bytes]) -> list[str]:
         """Names in the folder that beginning a campaign with some sources would replace by something else."""
@@ -175,17 +184,21 @@ class Store:
         return aside
 
     def sweep(self) -> None:
-        """Remove temporary files that a killed run left."""
+        """Remove what a killed run left unfinished: temporary files, a line of the digests that was cut."""
         with self._writing():
-            for left in self.folder.glob(f"{ROWS}/cell-*/.*.tmp"):
-                left.unlink(missing_ok=True)
+            for folder in (self.folder, *self.folder.glob(f"{ROWS}/cell-*")):
+                settle(folder)
+            lines = "".join(f"{digest}  {name}\n" for name, digest in self.digests().items()).encode()
+            file = self.folder / DIGESTS
+            if file.exists() and file.read_bytes() != lines:
+                write_files(self.folder, {DIGESTS: lines}, durable=True)
 
     @contextlib.contextmanager
     def lock(self) -> Iterator[None]:
         """Keep others from working in the folder at the same time; the lock ends with the process, however it ends."""
         with self._writing():
             self.folder.mkdir(parents=True, exist_ok=True)
-            handle = os.open(self.folder / LOCK, os.O_RDWR | os.O_CREAT, 0o644)
+            handle = os.open(self.folder / LOCK, os.O_RDWR | os.O_CREAT, MODE)
         try:
             try:
                 fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -220,26 +233,6 @@ def _label(table: pa.Table) -> dict[str, str]:
 def _digest(path: Path) -> str:
     with path.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
-
-
-def _write(path: Path, content: bytes) -> None:
-    """Write a file so that it is either whole or not there, also after a power cut."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        with temporary.open("wb") as stream:
-            stream.write(content)
-            stream.flush()
-            os.fsync(stream.fileno())
-        os.replace(temporary, path)
-    except BaseException:
-        with contextlib.suppress(OSError):
-            temporary.unlink(missing_ok=True)
-        raise
-    folder = os.open(path.parent, os.O_RDONLY)
-    try:
-        os.fsync(folder)
-    finally:
-        os.close(folder)
 
 
 def literal(path: Path) -> str:

@@ -9,7 +9,7 @@ import typer
 
 import ltsim as lt
 from ltsim.cli.options import CalibrationFile, FramedReading, OptionalCalibrationFile, ReadingOptions, Source
-from ltsim.cli.places import Force, claim_recording
+from ltsim.cli.places import RECORDING, Force
 from ltsim.cli.terminal import ResultTerminal, Terminal
 from ltsim.units import ARCSECOND, MICROMETRE
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from ltsim.evaluation import Criteria
     from ltsim.recording import Recording
 
-Corrected = Annotated[Path, typer.Option("--out", metavar="REC2", help="Folder of the corrected recording.")]
+Corrected = Annotated[Path, typer.Option("--out", metavar="REC2", help="Folder of the corrected recording."), RECORDING]
 Nominal = Annotated[
     Path, typer.Option("--nominal", metavar="FILE", help="Points of the targets: target,x_mm,y_mm,z_mm.")
 ]
@@ -77,7 +77,6 @@ def correct(
 
     from ltsim.geometry.polar import wrap
 
-    claim_recording(out, force=force)
     recording = reading.of(source)
     terminal.notes(recording.notes)
     found = calibration_of(terminal, calibration)

@@ -7,7 +7,6 @@ import sys
 from enum import StrEnum
 from importlib.resources import files
 from pathlib import Path
-from tempfile import TemporaryFile
 from typing import TYPE_CHECKING, Annotated, Any
 from xml.etree.ElementTree import Element, SubElement, tostring
 
@@ -15,11 +14,12 @@ import typer
 
 import ltsim as lt
 from ltsim.campaigns import require_packages
-from ltsim.cli.places import Force, claim_file
+from ltsim.cli import streams
+from ltsim.cli.places import FILE, FOLDER, Force, check_writable
 from ltsim.cli.simulate import ScenarioName
 from ltsim.cli.terminal import ResultTerminal, Terminal
 from ltsim.errors import SetupError, StoppedError
-from ltsim.recording.files import is_device, write_text
+from ltsim.recording.files import write_text
 from ltsim.workers import MOST
 
 if TYPE_CHECKING:
@@ -41,7 +41,9 @@ class Backend(StrEnum):
 CampaignFile = Annotated[Path | None, typer.Argument(metavar="FILE", help="A campaign file (ltsim-campaign/1).")]
 Example = Annotated[bool, typer.Option("--show", help="Print a commented campaign file to edit, and do nothing else.")]
 Rows = Annotated[
-    Path | None, typer.Option("--out", metavar="DIR", help="Folder for the rows; default: FILE without its ending.")
+    Path | None,
+    typer.Option("--out", metavar="DIR", help="Folder for the rows; default: FILE without its ending."),
+    FOLDER,
 ]
 BackendName = Annotated[Backend, typer.Option(help="Processes on this machine, or workers of a dask cluster.")]
 Scheduler = Annotated[
@@ -74,7 +76,7 @@ def campaign(
     Example: ltsim campaign --show > mine.toml; ltsim campaign mine.toml --jobs 2
     """
     if show_example:
-        print((files("ltsim.campaigns") / "example.toml").read_text(encoding="utf-8"), end="")
+        terminal.show((files("ltsim.campaigns") / "example.toml").read_text(encoding="utf-8"))
         return 0
     if file is None:
         raise SetupError("a campaign needs a FILE; ltsim campaign --show prints one to edit")
@@ -88,6 +90,7 @@ def campaign(
     from ltsim.pages.sections.campaign import campaign_section
 
     folder = out or file.with_suffix("")
+    check_writable(folder, folder=True)
     settings, scenarios = load_campaign(file, options["changes"])
     total = settings.trials * len(settings.methods) * len(scenarios)
     workers = Workers(options.pop("jobs"), backend.value, scheduler)
@@ -112,7 +115,7 @@ def campaign(
         terminal.say(f"\nall statistics: {folder / 'summary.csv'}; a page: ltsim report {folder}")
     failures = [disagreement(e, results) for e in summary["ends"] if (e["largest_difference_sigma"] or 0.0) > AGREED]
     for failure in failures:
-        print(failure, file=sys.stderr)
+        streams.write(failure, sys.stderr)
     return 1 if failures else 0
 
 
@@ -135,7 +138,7 @@ RecoverJobs = Annotated[
 
 
 JunitFile = Annotated[
-    Path | None, typer.Option("--junit", metavar="FILE", help="Write the checks as JUnit XML too, for CI.")
+    Path | None, typer.Option("--junit", metavar="FILE", help="Write the checks as JUnit XML too, for CI."), FILE
 ]
 MODES = {"drawn": "drawn from the prior", "stated": "as the scenario states them"}
 FEW = 100
@@ -162,13 +165,6 @@ def recover(
     from ltsim.campaigns.schema import TRIALS, RecoveryFile
 
     terminal.claim(RecoveryFile, TRIALS.file)
-    claim_file(junit, force=terminal.force)
-    if junit is not None and not is_device(junit):
-        try:
-            junit.parent.mkdir(parents=True, exist_ok=True)
-            TemporaryFile(dir=junit.parent).close()  # before all trials, not after them
-        except OSError as problem:
-            raise SetupError(f"{junit}: cannot be written ({problem.strerror})") from None
     workers = jobs or (1 if options["trials"] < FEW else os.cpu_count() or 1)
     with terminal.progress("trials", options["trials"]) as step:
         result = lt.recover(scenario, progress=step, jobs=workers, **options)
@@ -189,7 +185,7 @@ def recover(
     terminal.say(result.table("parameters").text() if len(result.converged) > 1 else "hardly a trial gave a result")
     failures = result.failures()
     for failure in failures:
-        print(failure.sentence(), file=sys.stderr)
+        streams.write(failure.sentence(), sys.stderr)
     if failures:
         raise typer.Exit(1)
     rate = "" if result.tolerance else f" (a correct model fails this check in {100 * FALSE_ALARM:.0f} % of runs)"

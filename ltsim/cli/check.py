@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 import ltsim as lt
+from ltsim.cli import streams
 from ltsim.cli.options import ReadingOptions, Source
 from ltsim.cli.terminal import ResultTerminal, Terminal
 from ltsim.errors import NetworkError, RecordError, SetupError
@@ -137,6 +138,8 @@ def follow(terminal: Terminal, look: Callable[[], Check], steps: Iterator[None])
         if (known and not failed) or not known.union(map(_key, failed)):
             terminal.at_once(f"{len(found.recording)} pointings: {found.sentence}")
         known = set(map(_key, failed))
+        if streams.reader_is_gone():
+            return
 
 
 def _key(item: Item) -> tuple[str, str, tuple[str, ...]]:

@@ -6,14 +6,14 @@ from typing import Annotated
 import typer
 
 from ltsim.cli.options import FramedReading
-from ltsim.cli.places import Force, claim_file, claim_recording
+from ltsim.cli.places import ANYWHERE, Force, claim_file, claim_recording
 from ltsim.cli.terminal import Terminal
 from ltsim.recording import FORMATS, write
 
 WRITABLE = ", ".join(f.name for f in FORMATS if f.write is not None)
 
 Input = Annotated[Path, typer.Argument(metavar="IN", help="A recording in a format that is recognised.")]
-Output = Annotated[Path, typer.Argument(metavar="OUT", help="Where to write it.")]
+Output = Annotated[Path, typer.Argument(metavar="OUT", help="Where to write it."), ANYWHERE]
 To = Annotated[str, typer.Option("--to", metavar="NAME", help=f"Format to write: {WRITABLE}.")]
 
 
@@ -34,10 +34,7 @@ def convert(
 
     Example: ltsim convert survey.csv my-recording --columns "target=Name,azimuth=Hz[gon]" --hint azimuth=clockwise
     """
-    if to == "native":
-        claim_recording(destination, force=force)
-    else:
-        claim_file(destination, force=force)
+    (claim_recording if to == "native" else claim_file)(destination, force)
     recording = reading.of(source)
     terminal.notes(recording.notes)
     write(recording, destination, to)

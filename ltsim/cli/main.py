@@ -2,7 +2,6 @@
 
 import errno
 import gc
-import os
 import sys
 import traceback
 from collections.abc import Callable, Sequence
@@ -12,12 +11,16 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
+from ltsim.cli import streams
 from ltsim.cli.options import command_of
-from ltsim.errors import LtsimError, StoppedError, options_are_flags, printable
+from ltsim.errors import LtsimError, StoppedError, options_are_flags
 
 BAD_INPUT, UNEXPECTED, INTERRUPTED = 2, 70, 130
-UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG)
-"""What a disk says that takes no more."""
+UNWRITABLE = (
+    errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG, errno.EROFS, errno.EACCES, errno.EPERM, errno.EBADF,
+    errno.EMFILE, errno.ENFILE,
+)  # fmt: skip
+"""Reasons of the operating system for which something cannot be written, whatever ltsim does."""
 
 # Typer brings its own copy of click or the library's, by version; its errors are reached through a public one.
 UsageProblem: type[Exception] = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException")
@@ -94,7 +97,7 @@ def show_version(asked: bool) -> None:
     if asked:
         from importlib.metadata import version
 
-        print(f"ltsim {version('ltsim')}")
+        streams.write(f"ltsim {version('ltsim')}", sys.stdout)
         raise typer.Exit
 
 
@@ -117,7 +120,7 @@ def run(arguments: Sequence[str]) -> int:
     try:
         with options_are_flags():
             status = app(args=list(arguments) or ["--help"], prog_name="ltsim", standalone_mode=False)
-        sys.stdout.flush()
+        streams.flush()
     except UsageProblem as problem:
         return _refuse(_usage_sentence(problem))
     except StoppedError as stop:
@@ -126,7 +129,7 @@ def run(arguments: Sequence[str]) -> int:
         return _refuse(str(problem))
     except (BrokenPipeError, SystemExit):
         # The reader of the pipe has gone (`| head`); Typer leaves for that reason only.
-        _drop_output()
+        streams.drop(sys.stdout)
         return 0
     except (KeyboardInterrupt, typer.Abort):
         return _interrupted()
@@ -137,24 +140,19 @@ def run(arguments: Sequence[str]) -> int:
 
 
 def _interrupted(kept: str = "nothing half-written was left") -> int:
-    print(f"interrupted; {kept}", file=sys.stderr)
+    streams.write(f"interrupted; {kept}", sys.stderr)
     return INTERRUPTED
 
 
 def _failed(problem: Exception) -> int:
     """What no input should bring about, but for a disk that is full."""
     if isinstance(problem, OSError) and problem.errno in UNWRITABLE:
-        _drop_output()
+        streams.drop(sys.stdout)
         return _refuse(f"{problem.filename or 'the output'} cannot be written ({problem.strerror})")
-    traceback.print_exception(problem)
+    streams.write("".join(traceback.format_exception(problem)).rstrip(), sys.stderr)
     words = "the memory is not enough for this" if isinstance(problem, MemoryError) else "a fault of ltsim itself"
-    print(f"error: {words} ({type(problem).__name__}); please report it with the lines above", file=sys.stderr)
+    streams.write(f"error: {words} ({type(problem).__name__}); please report it with the lines above", sys.stderr)
     return UNEXPECTED
-
-
-def _drop_output() -> None:
-    """Let what is still to be printed go nowhere, so that Python does not complain about it at exit."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _usage_sentence(problem: Any) -> str:
@@ -166,11 +164,14 @@ def _usage_sentence(problem: Any) -> str:
 
 
 def _refuse(message: str) -> int:
-    print("error: " + printable(" ".join(message.split())), file=sys.stderr)
+    streams.write("error: " + " ".join(message.split()), sys.stderr)
     return BAD_INPUT
 
 
 def main() -> None:
     """Entry point of the installed command."""
+    streams.prepare()
     gc.set_threshold(50_000, 10, 10)  # what is loaded and drawn stays: a tenth of a page's time looked for rings in it
-    sys.exit(run(sys.argv[1:]))
+    status = run(sys.argv[1:])
+    streams.flush()
+    sys.exit(status)

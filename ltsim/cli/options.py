@@ -9,13 +9,14 @@ import tomllib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields, is_dataclass
 from enum import StrEnum
-from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_args, get_type_hints
 
 import typer
 
 import ltsim as lt
+from ltsim.cli import streams
+from ltsim.cli.places import OutputPlace, check_outputs
 from ltsim.cli.terminal import Terminal
 from ltsim.errors import SPECIAL, RecordError, SetupError
 from ltsim.workers import MOST
@@ -154,10 +155,15 @@ def command_of(name: str, verb: Callable[..., Any]) -> Callable[..., Any]:
             taken = [o for source, *wanted in sources for o in public_options(source, wanted) if o.name not in own]
         else:
             single.append(_option(key, hints[key], parameter.default))
+    outputs = list(_outputs(single))
     at = next((i for i, p in enumerate(single) if p.name in ("out", *ReadingOptions.__dataclass_fields__)), len(single))
     single[at:at] = [option.parameter for option in taken]
 
     def run(**given: Any) -> Any:
+        places = ((flag, given[name], output) for name, flag, output in outputs if given[name] is not None)
+        check_outputs(places, force=given.get("force", False))
+        if given.get("as_json") and streams.output_is_closed():
+            raise SetupError("--json prints to standard output, which is closed; open it, or leave --json out")
         for key, group in groups.items():
             given[key] = group(**{f.name: given.pop(f.name) for f in fields(group)})
         return verb(**given | {option.name: option.value(given[option.name]) for option in taken})
@@ -168,6 +174,16 @@ def command_of(name: str, verb: Callable[..., Any]) -> Callable[..., Any]:
     return run
 
 
+def _outputs(options: list[inspect.Parameter]) -> Iterator[tuple[str, str, OutputPlace]]:
+    """Options and arguments that name a place to write to: name, spelling and mark."""
+    for option in options:
+        marks: list[Any] = [mark for mark in get_args(option.annotation)[1:] if isinstance(mark, OutputPlace)]
+        if marks:
+            declared: Any = get_args(option.annotation)[1]
+            flags = [word for word in (declared.default, *(declared.param_decls or ())) if str(word).startswith("--")]
+            yield option.name, flags[0] if flags else declared.metavar, marks[0]
+
+
 def _option(name: str, kind: Any, default: Any) -> inspect.Parameter:
     return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=kind)
 
@@ -175,16 +191,18 @@ def _option(name: str, kind: Any, default: Any) -> inspect.Parameter:
 PROGRAMS = ("advise", "again", "geometry", "about", "format", "hints", "follower")
 """Parameters that only a program gives, or that their verb reads in its own way."""
 BOUNDS: dict[str, tuple[float, float | None]] = {
-    "seed": (0, None), "trial": (0, None), "trials": (2, None), "starts": (1, None), "injections": (1, None),
+    "seed": (0, None), "trial": (0, 10**12), "trials": (2, 10**9), "starts": (1, 10**4), "injections": (1, 10**5),
     "jobs": (1, MOST), "level": (1e-6, 0.5), "noncentrality": (1e-3, None), "length_sigma": (1e-6, None),
 }  # fmt: skip
+LARGEST = 1e12
+"""Of a number in an option that is a mapping, as in a table."""
 SHORT = {"trials": "-n", "jobs": "-j"}
 METAVARS = {"prior": "FILE|none", "with_effects": "EFFECT[:WHERE,...]", "calibrator": "'CMD {recording} {out}'"}
 
 
 def _number(text: str) -> float:
     value = float(text)
-    if not isfinite(value):
+    if not abs(value) <= LARGEST:
         raise ValueError
     return value
 

@@ -1,22 +1,28 @@
-"""Where a verb may write without --force.
+"""Places that a verb writes to, checked before it begins: whether they can be written, and what they would replace.
 
-A folder that is new, empty or ltsim's own; and there over nothing but what the verb wrote itself and nobody changed.
+Without --force a verb writes to a folder that is new, empty or ltsim's own, and there over nothing but what the verb
+wrote itself and nobody changed. An option or argument that names such a place has an `OutputPlace` in its annotation;
+`command_of` applies its rule before it calls the verb.
 """
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import re
 from collections.abc import Callable, Iterable
+from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ltsim.errors import RecordError
+from ltsim.errors import RecordError, SetupError
 from ltsim.notation import listing
-from ltsim.recording.files import is_device
+from ltsim.storage import is_device, place_in, settle
 
 if TYPE_CHECKING:
     from ltsim.recording.result_file import ResultFile
@@ -27,6 +33,63 @@ GENERATOR = '<meta name="generator" content="ltsim'
 HEAD = 4096
 OWN = re.compile(rf'"?format"? ?[:=] ?"ltsim-|{re.escape(GENERATOR)}')
 """What the beginning of a file says that ltsim wrote, or that a person wrote for it."""
+
+
+@dataclass(frozen=True)
+class OutputPlace:
+    """Mark of an option or argument that names a place to write to."""
+
+    rule: Callable[[Path, bool], None]
+    """Raises RecordError where the place cannot be written, or, without `force`, would replace something else."""
+
+
+def check_outputs(outputs: Iterable[tuple[str, Path, OutputPlace]], *, force: bool) -> None:
+    """Apply the rules of options, by name; raises RecordError, and SetupError for two that name the same place."""
+    names: dict[str, str] = {}
+    for name, path, output in outputs:
+        output.rule(path, force)
+        place = os.path.realpath(path)
+        if place in names and not is_device(path):
+            raise SetupError(f"{names[place]} and {name} both name {path}; each needs a place of its own")
+        folder = str(Path(place).parent)
+        if folder in names and path.name in _names_of_results():
+            raise SetupError(f"{name} names {path}, which {names[folder]} may write; give another name")
+        names[place] = name
+
+
+def _names_of_results() -> set[str]:
+    """Names that verbs give to files of their own choice; a truth is named by its option."""
+    from ltsim.pages.schemas import FILES, TABLES
+    from ltsim.recording.native import OBSERVATIONS
+
+    truth = "truth.json"
+    tables = {table.file for file, beside in TABLES.items() if file != truth for table in beside}
+    return {OBSERVATIONS, *FILES, *tables} - {truth}
+
+
+def check_writable(path: Path, *, folder: bool) -> None:
+    """Raise RecordError where no file, or no `folder`, can be written at a path; folders above it may be missing."""
+    try:
+        if path.is_dir() != folder and path.exists():
+            wrong = "this is a file, expected a folder" if folder else "this is a folder, expected a file"
+            raise RecordError(f"{wrong} to write to", file=path)
+        if is_device(path):
+            if not os.access(path, os.W_OK):
+                raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+            return
+        above = path if folder else path.parent
+        while not os.path.lexists(above):
+            above = above.parent
+        with suppress(FileNotFoundError):
+            os.lstat(path)
+        for part in path.parts:  # a name may be too long for the file system
+            with suppress(FileNotFoundError):
+                os.lstat(above / part)
+        TemporaryFile(dir=above).close()
+    except OSError as problem:
+        raise RecordError(f"cannot be written ({problem.strerror})", file=path) from None
+    if not folder:
+        place_in(path.parent, path.name)
 
 
 def claim(
@@ -43,9 +106,11 @@ def claim(
     `force` replaces whatever is there. `own` says whether a result that is there comes from this verb, where several
     verbs write the same file. Raises RecordError.
     """
-    if folder is None or force:
+    if folder is None:
         return
-    taken = [name for name in (model.FILE, *names) if os.path.lexists(folder / name)]
+    taken = _taken(folder, (model.FILE, *names))
+    if force:
+        return
     if taken and not _is_own(folder, model, taken, own):
         _refuse(folder, taken)
     _refuse_foreign(folder)
@@ -62,11 +127,23 @@ def _is_own(folder: Path, model: type[ResultFile], taken: list[str], own: Callab
         return False
 
 
-def claim_recording(folder: Path, *, force: bool) -> None:
+def _taken(folder: Path, names: Iterable[str]) -> list[str]:
+    """Names in a folder that are there already; raises RecordError where one cannot be written.
+
+    What a killed process had begun to write is finished, and counts for nothing: nobody was told of it.
+    """
+    check_writable(folder, folder=True)
+    finished = settle(folder) if folder.is_dir() else set()
+    for name in names:
+        place_in(folder, name)
+    return [name for name in names if os.path.lexists(folder / name) and name not in finished]
+
+
+def claim_recording(folder: Path, force: bool) -> None:
     """Make sure that a recording replaces none and lies among nothing foreign; raises RecordError."""
     from ltsim.recording.native import OBSERVATIONS, SETUP
 
-    taken = [name for name in (OBSERVATIONS, SETUP) if os.path.lexists(folder / name)]
+    taken = _taken(folder, (OBSERVATIONS, SETUP))
     if force:
         return
     if taken:
@@ -74,17 +151,19 @@ def claim_recording(folder: Path, *, force: bool) -> None:
     _refuse_foreign(folder)
 
 
-def claim_empty(folder: Path, *, force: bool) -> None:
+def claim_empty(folder: Path, force: bool) -> None:
     """Make sure that a folder for many results is new or empty; raises RecordError."""
+    check_writable(folder, folder=True)
     if folder.is_dir() and not force:
         taken = sorted(p.name for p in folder.iterdir())
         if taken:
             _refuse(folder, taken)
 
 
-def claim_file(file: Path | None, *, force: bool) -> None:
+def claim_file(file: Path, force: bool) -> None:
     """Make sure that a file replaces none, but for a page that ltsim made; raises RecordError."""
-    if file is None or force or not os.path.lexists(file) or is_device(file):
+    check_writable(file, folder=False)
+    if force or not os.path.lexists(file) or is_device(file):
         return
     if file.is_file() and file.suffix == ".html":
         with file.open("rb") as stream:
@@ -126,3 +205,10 @@ def _refuse(folder: Path, taken: list[str]) -> None:
         "name another place, or replace them with --force",
         file=folder,
     )
+
+
+FILE, RECORDING, EMPTY = OutputPlace(claim_file), OutputPlace(claim_recording), OutputPlace(claim_empty)
+FOLDER = OutputPlace(lambda folder, force: check_writable(folder, folder=True))
+"""A folder whose verb knows which files it replaces there, and claims them."""
+ANYWHERE = OutputPlace(lambda path, force: check_writable(path, folder=path.is_dir()))
+"""A file or a folder, as other options say."""

@@ -10,9 +10,9 @@ import typer
 
 import ltsim as lt
 from ltsim.cli.options import Jobs, ReadingOptions
-from ltsim.cli.places import Force, claim
+from ltsim.cli.places import FOLDER, Force, claim
 from ltsim.cli.terminal import Terminal
-from ltsim.errors import SetupError
+from ltsim.errors import RecordError, SetupError
 
 if TYPE_CHECKING:
     from ltsim.effects.signature import Signature
@@ -26,7 +26,9 @@ PlanSource = Annotated[
     typer.Argument(metavar="FILE", help="A plan file, a scenario file, or the name of a built-in one."),
 ]
 PlanOut = Annotated[
-    Path | None, typer.Option("--out", metavar="DIR", help="Folder to write to; default plan-NAME, none with --json.")
+    Path | None,
+    typer.Option("--out", metavar="DIR", help="Folder to write to; default plan-NAME, none with --json."),
+    FOLDER,
 ]
 Show = Annotated[bool, typer.Option("--show", help="Print a built-in plan as a file to edit, and do nothing else.")]
 After = Annotated[
@@ -82,7 +84,7 @@ def plan(
     if source is None:
         raise SetupError(f"ltsim plan needs a plan: a file, or a built-in one ({', '.join(plan_names())})")
     if show:
-        print(plan_text(source), end="")
+        terminal.show(plan_text(source))
         return None
     changes = options.pop("move")
     if without is not None and (changes or out is not None):
@@ -123,7 +125,10 @@ def _searched(terminal: Terminal, source: str, folder: Path | None, how: dict[st
     def keep(survey: Survey) -> None:
         if folder is not None:
             beside, cad = with_cad_beside(with_layout(scenario, survey))
-            write_texts(folder, {**cad, SO_FAR: scenario_to_toml(beside)})
+            try:
+                write_texts(folder, {**cad, SO_FAR: scenario_to_toml(beside)})
+            except RecordError as problem:
+                terminal.note(f"the best layout so far is not kept: {problem}")
 
     with terminal.progress("searching layouts", 100) as advance:
         made = lt.plan(source, **how, follower=Follower(_percent(advance), terminal.at_once, keep))

@@ -13,7 +13,7 @@ import typer
 import ltsim as lt
 from ltsim.campaigns import require_packages
 from ltsim.cli.options import FramedReading, Source
-from ltsim.cli.places import Force, claim_empty, claim_file, claim_recording
+from ltsim.cli.places import EMPTY, FILE, FOLDER, RECORDING, Force, claim_file, claim_recording
 from ltsim.cli.terminal import Terminal
 from ltsim.errors import ModelError, SetupError
 from ltsim.recording.files import write_text, write_texts
@@ -26,13 +26,14 @@ if TYPE_CHECKING:
 ScenarioName = Annotated[
     str, typer.Argument(metavar="SCENARIO", help=f"A scenario file, or one of: {', '.join(builtin_names())}.")
 ]
-Destination = Annotated[Path | None, typer.Option("--out", metavar="REC", help="Folder of the recording.")]
+Destination = Annotated[Path | None, typer.Option("--out", metavar="REC", help="Folder of the recording."), RECORDING]
 TruthFile = Annotated[
-    Path | None, typer.Option("--truth", metavar="FILE", help="File for the truth; no calibrator opens it.")
+    Path | None, typer.Option("--truth", metavar="FILE", help="File for the truth; no calibrator opens it."), FILE
 ]
 NominalFile = Annotated[
     Path | None,
     typer.Option("--nominal", metavar="FILE", help="File for the points of the measuring machine, for verify."),
+    FILE,
 ]
 OwnPlaces = Annotated[
     bool, typer.Option("--per-trial", help="As in a campaign whose trials have places of their own (geometry).")
@@ -47,10 +48,10 @@ Causes = Annotated[
     ),
 ]
 Injected = Annotated[
-    Path | None, typer.Option("--out", metavar="REC2", help="Folder of the recording, or of the curve.")
+    Path | None, typer.Option("--out", metavar="REC2", help="Folder of the recording, or of the curve."), FOLDER
 ]
 PutIn = Annotated[
-    Path | None, typer.Option("--truth", metavar="FILE", help="File for what was put in; no diagnosis opens it.")
+    Path | None, typer.Option("--truth", metavar="FILE", help="File for what was put in; no diagnosis opens it."), FILE
 ]
 Curve = Annotated[
     bool, typer.Option("--curve", help="Inject it at six strengths and tell the share found, placed and named.")
@@ -74,13 +75,10 @@ def simulate(
     Example: ltsim simulate paper-workshop --out my-recording --truth truth.json --seed 7
     """
     if show:
-        print(_whole(scenario), end="")
+        terminal.show(_whole(scenario))
         return
     if out is None:
         raise SetupError("give a folder for the recording with --out REC, or print the scenario with --show")
-    claim_recording(out, force=force)
-    for file in (truth, nominal):
-        claim_file(file, force=force)
     from ltsim.simulation.truth import nominal_csv
 
     recording, true = lt.simulate(scenario, **options, geometry="per-trial" if per_trial else "shared")
@@ -126,13 +124,13 @@ def inject(
         raise ModelError(f"a curve is of one cause, not of {len(causes)}")
     if curve:
         file = None if out is None else out / "curve.csv"
-        claim_file(file, force=force)
+        if file is not None:
+            claim_file(file, force)
         del options["noncentrality"]
         return _curve(terminal, reading.open(source, terminal), causes, file, options)
     if out is None:
         raise ModelError("give a folder for the recording with --out REC2, or ask for the --curve")
-    claim_recording(out, force=force)
-    claim_file(truth, force=force)
+    claim_recording(out, force)
     recording = reading.open(source, terminal)
     del options["injections"]
     made, told = lt.inject(recording, *causes, **options)
@@ -160,7 +158,7 @@ def _curve(
         terminal.say(f"written to {file}")
 
 
-Folder = Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for everything.")]
+Folder = Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for everything."), EMPTY]
 
 HIDDEN: tuple[dict[str, Any], ...] = tuple(
     {"name": "smr-offset", "stations": [station], "values": {"radius-difference": size}}
@@ -198,7 +196,6 @@ def demo(
     require_packages()
     from ltsim.campaigns.kernels import compiled_before  # the compiler takes a second to load
 
-    claim_empty(out, force=force)
     said = []
     if not compiled_before():
         terminal.note("compiling the solver on the way, which takes half a minute: the first demo does")

@@ -16,8 +16,8 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from ltsim.cli.places import Force, claim
-from ltsim.errors import printable
+from ltsim.cli import streams
+from ltsim.cli.places import FOLDER, Force, claim
 
 if TYPE_CHECKING:
     from ltsim.recording.result_file import ResultFile
@@ -43,19 +43,23 @@ class Terminal:
     def say(self, text: str = "") -> None:
         """A line for a person."""
         if not self.silent:
-            print(printable(text))
+            streams.write(text, sys.stdout)
+
+    def show(self, text: str) -> None:
+        """What was asked for, whatever else is to be silent: a file to edit, an address."""
+        streams.write(text.removesuffix("\n"), sys.stdout)
 
     def at_once(self, text: str, *, bell: bool = False) -> None:
         """A line that somebody waits for: held in no buffer, with a bell where somebody watches."""
         if bell and not self.silent and sys.stdout.isatty():
             print("\a", end="")
         self.say(text)
-        sys.stdout.flush()
+        streams.flush()
 
     def note(self, text: str) -> None:
         """A remark that does not belong to the answer: on standard error."""
         if not self.quiet:
-            print(printable(text), file=sys.stderr)
+            streams.write(text, sys.stderr)
 
     def notes(self, notes: Iterable[str]) -> None:
         """What was decided where the input did not say, or what it lacks."""
@@ -80,7 +84,7 @@ class Terminal:
     def answer(self, content: Any) -> None:
         """The whole answer for a program, where it asked for it."""
         if self.as_json:
-            print(json.dumps(content, indent=1, allow_nan=False))
+            streams.write(json.dumps(content, indent=1, allow_nan=False), sys.stdout)
 
     @contextmanager
     def progress(self, what: str, total: int | None = None) -> Iterator[Callable[[int], None]]:
@@ -108,7 +112,8 @@ class Terminal:
             wait = SILENCE
             while not done.wait(wait):
                 wait = time.monotonic() - began
-                print(f"{words()} ({wait:.0f} s)", file=sys.stderr, flush=True)
+                self.note(f"{words()} ({wait:.0f} s)")
+                streams.flush()
 
         thread = threading.Thread(target=tell, daemon=True)
         thread.start()
@@ -123,7 +128,9 @@ class Terminal:
 class ResultTerminal(Terminal):
     """A terminal, and the folder that a verb writes to what it finds."""
 
-    out: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Folder to write the results to.")] = None
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="DIR", help="Folder to write the results to."), FOLDER
+    ] = None
     force: Force = False
 
     def claim(self, model: type[ResultFile], *names: str, own: Callable[[Any], bool] = lambda found: True) -> None:

@@ -10,12 +10,21 @@ import typer
 from pydantic import ValidationError
 
 import ltsim as lt
+from ltsim.cli import streams
 from ltsim.cli.options import FramedReading
-from ltsim.cli.places import Force, claim_file
+from ltsim.cli.places import FILE, FOLDER, Force, OutputPlace, claim_file
 from ltsim.cli.terminal import Quiet, Terminal
 from ltsim.errors import RecordError, SetupError, require
 from ltsim.recording.settings import sentence
 from ltsim.recording.setup import About
+
+
+def claim_page(folder: Path, force: bool) -> None:
+    """Make sure that the page of a folder replaces no page but its own; raises RecordError."""
+    from ltsim.pages.page import NAME  # what draws takes its time to load
+
+    claim_file(folder / NAME, force)
+
 
 Place = Annotated[
     str | None, typer.Argument(metavar="SCENARIO-or-REC", help="A built-in scenario, a scenario file, or a recording.")
@@ -27,15 +36,19 @@ Plan = Annotated[
     ),
 ]
 Out = Annotated[
-    Path | None, typer.Option("--out", metavar="DIR", help="With --plan: folder that its page saves to; NAME-moved.")
+    Path | None,
+    typer.Option("--out", metavar="DIR", help="With --plan: folder that its page saves to; NAME-moved."),
+    FOLDER,
 ]
 Port = Annotated[int, typer.Option("--port", min=0, max=65535, help="With --plan: of the page's address; 0: any free.")]
-Png = Annotated[Path | None, typer.Option("--png", metavar="FILE", help="Write a picture instead of a window.")]
+Png = Annotated[Path | None, typer.Option("--png", metavar="FILE", help="Write a picture instead of a window."), FILE]
 Html = Annotated[
-    Path | None, typer.Option("--html", metavar="FILE", help="Write one page to turn in a browser, offline.")
+    Path | None, typer.Option("--html", metavar="FILE", help="Write one page to turn in a browser, offline."), FILE
 ]
 Folder = Annotated[
-    Path, typer.Argument(metavar="DIR", help="A folder that another verb wrote, or one of such folders.")
+    Path,
+    typer.Argument(metavar="DIR", help="A folder that another verb wrote, or one of such folders."),
+    OutputPlace(claim_page),
 ]
 Line = Annotated[str | None, typer.Option(metavar="TEXT", help="For the head; default from [report] of setup.toml.")]
 Day = Annotated[str | None, typer.Option("--date", metavar="YYYY-MM-DD", help="Day of the measurement.")]
@@ -73,8 +86,6 @@ def view(
         raise SetupError("ltsim view takes either a scenario or a recording, or --plan FILE")
     if png is None and html is None and not _has_screen():
         raise RecordError("there is no screen for a window; write a picture with --png FILE or a page with --html FILE")
-    for file in (png, html):
-        claim_file(file, force=force)
     with terminal.progress("looking at the workshop"):
         source = place if reading == FramedReading() else reading.of(Path(place))
         shown = lt.view(source, **options)
@@ -95,17 +106,18 @@ def _by_hand(terminal: Terminal, plan: str, out: Path, port: int, *, force: bool
     from ltsim.viewer.server import BoardAccess, serve
 
     for name in (SCENARIO, PLAN):
-        claim_file(out / name, force=force)
+        claim_file(out / name, force)
     with terminal.progress("reading the plan"):
-        door = BoardAccess(Board.of(plan), out)
+        access = BoardAccess(Board.of(plan), out)
 
     def tell(address: str) -> None:
-        print(address, flush=True)
+        terminal.show(address)
+        streams.flush()
         terminal.say("drag the stations there; Ctrl-C here ends it")
         if _has_screen():
             webbrowser.open(address)
 
-    serve(door, tell, port)
+    serve(access, tell, port)
 
 
 def _has_screen() -> bool:
@@ -132,11 +144,8 @@ def report(
 
     Example: ltsim report my-calibration --customer "Hall 3" --instrument "AT960, 751234"
     """
-    from ltsim.pages.page import NAME
-
     terminal = Terminal(quiet)
     about = _about(instrument=instrument, date=date, operator=operator, customer=customer)
-    claim_file(folder / NAME, force=force)
     with terminal.progress("drawing the report"):
         page = lt.report(folder, about=about, tell=terminal.note, **options)
     terminal.say(f"written to {page}")

@@ -4,19 +4,23 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ltsim.adjustment.residual_space import ResidualSpace
+from ltsim.adjustment.residual_space import VISIBLE, ResidualSpace
 from ltsim.arrays import Floats
 from ltsim.diagnosis.cards import Cards
 from ltsim.diagnosis.schema import Undetectable
 from ltsim.effects.effect import Effect
 from ltsim.geometry.rigid import rigid_motion
-from ltsim.remedies.detectability import MinimalSize, information_left, seen_from, thinned
+from ltsim.remedies.detectability import MinimalSize, Seen, information_left, seen_from, thinned
 from ltsim.remedies.remedy import advice
 
 OUT_OF_REACH = 10.0
 """An effect that would have to be so many times a bad but plausible size to be found is called invisible."""
-SINGLE = 1e-5
-"""Share of a squared length that single precision loses."""
+TIE = 1e-6
+"""Relative difference of two sizes below which the first is taken: rounding must not choose what is reported."""
+DIGITS = 6
+"""Decimals of a micrometre: what is less is rounding."""
+AT_ONCE = 1_000_000
+"""Numbers of signatures that are held at once."""
 Sight = tuple[tuple[MinimalSize, ...], tuple[Undetectable, ...]]
 
 
@@ -28,33 +32,39 @@ def sight_of(space: ResidualSpace, cards: Cards) -> Sight:
     Parameters
     ----------
     cards : Cards
-        All that was looked for, scored: what the adjustment leaves of each is known.
+        All that was looked for.
     """
     found, hidden = [], []
-    for places in cards.left():
-        best = min(seen_from(_seen(places), len(places)).table(), key=lambda row: row.typical / row.prior_sigma)
-        times = best.typical / best.prior_sigma
-        if times < OUT_OF_REACH:
-            found.append(best)
+    for effects in cards.by_family():
+        rows = _seen(space, effects).table()
+        times = np.array([row.typical / row.prior_sigma for row in rows])
+        best = int(np.flatnonzero(times <= times.min() * (1.0 + TIE))[0])
+        if times[best] < OUT_OF_REACH:
+            found.append(rows[best])
         else:
-            hidden.append(_undetectable(space, places[(len(places) - 1) // 2][0], times))
+            hidden.append(_undetectable(space, effects[(len(effects) - 1) // 2], float(times[best])))
     return tuple(found), tuple(sorted(hidden, key=lambda one: -(one.hides_um or 0.0)))
 
 
-def _seen(places: Sequence[tuple[Effect, Floats, Floats]]) -> list[tuple[Effect, Floats, float, int, Floats]]:
-    """Information, visible share and rank at some of the places."""
-    found = []
-    for effect, own, gram in thinned(places):
-        norm = np.sqrt(np.diag(own))
-        unit = np.where(norm > 0, norm, 1.0)
-        told = information_left(gram / np.outer(unit, unit), norm / effect.spread, SINGLE)
-        found.append((effect, *told, np.zeros((0, 0))))
-    return found
+def _seen(space: ResidualSpace, effects: Sequence[Effect]) -> Seen:
+    """What the adjustment leaves of an effect at some of its places, in double precision: it is reported."""
+    some, found = thinned(effects), []
+    step = max(1, AT_ONCE // (space.size * len(some[0].parameters)))
+    for batch in (some[i : i + step] for i in range(0, len(some), step)):
+        signatures = [space.signature(effect) for effect in batch]
+        edges = np.cumsum([0, *(signature.shape[1] for signature in signatures)])
+        left = space.projection.grams(np.hstack(signatures), edges, slice(None))
+        for effect, signature, gram in zip(batch, signatures, left, strict=True):
+            norm = np.linalg.norm(signature, axis=0)
+            unit = np.where(norm > 0, norm, 1.0)
+            told = information_left(gram / np.outer(unit, unit), norm, VISIBLE)
+            found.append((effect, *told, np.zeros((0, 0))))
+    return seen_from(found, len(effects))
 
 
 def _undetectable(space: ResidualSpace, effect: Effect, times: float) -> Undetectable:
     sizes = np.diag([p.prior_sigma for p in effect.parameters])
-    hides = max(distortion(space, space.signature(effect) @ size) for size in sizes)
+    hides = round(max(distortion(space, space.signature(effect) @ size) for size in sizes), DIGITS)
     size = f"only at {times:.0f} times a bad but plausible size" if np.isfinite(times) else "at no size"
     reason = f"absorbed by poses, targets and instrument parameters: it would show {size}"
     seen = times if np.isfinite(times) else None

@@ -153,15 +153,13 @@ class Cards:
                 chance[group.members] = simulated_evidence(turn @ trials, strength)
         return values, self.family_evidence(chance)
 
-    def left(self) -> list[list[tuple[Effect, Floats, Floats]]]:
-        """By family, constants apart: each card, products (k, k) of its scaled signatures, whole and what is left."""
-        found: list[list[tuple[Effect, Floats, Floats]]] = [[] for _ in self.families]
-        at = {int(i): (group, k) for group in self.groups for k, i in enumerate(group.members)}
-        for i, effect in enumerate(self.effects):
-            group, k = at[i]
+    def by_family(self) -> list[list[Effect]]:
+        """Effects of each family, constants of the ordinary calibration apart."""
+        found: list[list[Effect]] = [[] for _ in self.families]
+        for family, effect in zip(self.family.tolist(), self.effects, strict=True):
             assert isinstance(effect, Effect)
-            found[self.family[i]].append((effect, group.own[k], group.gram[k]))
-        return [family for family in found if type(family[0][0]) not in ORDINARY]
+            found[family].append(effect)
+        return [family for family in found if type(family[0]) not in ORDINARY]
 
     def family_evidence(self, values: Floats) -> Floats:
         """Log evidence (families, ...) with places and shapes averaged, of that of each card (h, ...)."""

@@ -13,6 +13,7 @@ from ltsim.adjustment.known import SCALED, KnownTest
 from ltsim.adjustment.occupations import mend_tripods
 from ltsim.adjustment.refit import Refit
 from ltsim.adjustment.residual_space import ResidualSpace
+from ltsim.adjustment.singular import refusing_singular
 from ltsim.adjustment.stated import without
 from ltsim.arrays import Bools
 from ltsim.calibration.evidence import log_sum_exp
@@ -60,6 +61,7 @@ LEAST_GAIN = 2.0
 """Log evidence of a further finding: odds of 7 to 1 that there is one."""
 
 
+@refusing_singular
 @in_one_thread
 def diagnose(
     recording: Recording,

@@ -25,6 +25,25 @@ from ltsim.calibration.evidence import LOG_WEIGHTS, SIZES, by_size, forms_of, lo
 from ltsim.effects.signature import Tunable
 from ltsim.recording.recording import OBSERVABLES
 
+TIE, SCREENED_TIE = 1e-6, 1e-4
+"""[log evidence] Values that differ by less are equal: double precision, and single, round differently by the order of
+a sum, which a matrix library chooses by the processor. A choice between them must not follow the rounding.
+"""
+
+
+def best_of(values: Floats) -> int:
+    """Index of the largest value; of equal ones, as along a plateau, that in their middle."""
+    best = np.flatnonzero(values >= np.max(values) - TIE)
+    return int(best[(len(best) - 1) // 2])
+
+
+def ranked(values: Floats, tie: float = TIE) -> Ints:
+    """Indices by falling value; values that are equal to their neighbours within `tie` in their given order."""
+    falling = np.nan_to_num(-values)
+    order = np.argsort(falling, kind="stable")
+    group = np.cumsum(np.diff(falling[order]) > tie)
+    return order[np.lexsort((order, np.append(0, group)[: len(order)]))]
+
 
 def shares(logs: Floats) -> Floats:
     """Probabilities (k,) of what has such logarithms."""

@@ -12,7 +12,7 @@ import numpy as np
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.arrays import Floats, Ints
 from ltsim.calibration.evidence import log_sum_exp
-from ltsim.diagnosis.evidence import evidence_of, evidence_with
+from ltsim.diagnosis.evidence import TIE, best_of, evidence_of, evidence_with
 from ltsim.diagnosis.hypotheses import Found
 from ltsim.effects.signature import Tunable
 from ltsim.laws.carriers import CARRIERS
@@ -86,8 +86,8 @@ class Exact:
             moving = []
             for (i, some), found in zip(near.items(), np.split(logs, edges), strict=True):
                 means[i] = log_sum_exp(np.append(found, values[i])) - np.log(len(found) + 1)
-                top = int(np.argmax(found))
-                if found[top] > values[i]:
+                top = best_of(found)
+                if found[top] > values[i] + TIE:
                     best[i], values[i] = some[top], found[top]
                     moving.append(i)
         return list(zip(best, means.tolist(), strict=True))

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from ltsim.calibration.evidence import log_sum_exp
-from ltsim.diagnosis.evidence import evidence_with
+from ltsim.diagnosis.evidence import TIE, best_of, evidence_with
 from ltsim.diagnosis.exact import Exact
 from ltsim.diagnosis.hypotheses import Found, Hypothesis
 from ltsim.diagnosis.prior import FORMS, OWN_WAY, PIECES
@@ -33,7 +33,7 @@ def in_all_forms(exact: Exact, law: Law, log_prior: float, base: Found, *, piece
     for name in {h.name: None for h in tried}:
         alike = [h for h in tried if h.name == name]
         total = float(log_sum_exp(np.array([h.value for h in alike])))
-        found.append(replace(max(alike, key=lambda h: h.value), value=total))
+        found.append(replace(alike[best_of(np.array([h.value for h in alike]))], value=total))
     return found
 
 
@@ -50,7 +50,7 @@ def _forms(exact: Exact, law: Law, prior: float, base: Found) -> list[Hypothesis
     for (share, scales), (gram, score) in zip(several, moments, strict=True):
         spreads = np.stack([one.spread for one in scales])
         logs = evidence_with(gram, score[None], spreads)
-        found.append((share, scales[int(np.argmax(logs))], float(log_sum_exp(logs) - np.log(len(logs)))))
+        found.append((share, scales[best_of(logs)], float(log_sum_exp(logs) - np.log(len(logs)))))
     return [Hypothesis(best, share, value + share, name_of(best)) for share, best, value in found]
 
 
@@ -70,9 +70,9 @@ def _in_pieces(exact: Exact, law: Law, prior: float, base: Found) -> list[Hypoth
         free = [i for i in range(len(atoms)) if i not in chosen]
         some = np.stack([places[:, [*chosen, i]].ravel() for i in free])
         values[free] = evidence_with(gram[some[:, :, None], some[:, None, :]], score[some], spread[some])
-        chosen.append(int(np.argmax(values)))
+        chosen.append(best_of(values))
         value = float(log_sum_exp(values)) - len(chosen) * price
-        if value > best:
+        if value > best + TIE:
             best, taken = value, len(chosen)
     found, value = exact.uphill([law.in_pieces([atoms[i] for i in sorted(chosen[:taken])])], base)[0]
     prior -= taken * price

@@ -12,6 +12,7 @@ import numpy as np
 from ltsim.adjustment.residual_space import VISIBLE, orthonormal
 from ltsim.arrays import Floats, Ints
 from ltsim.calibration.evidence import LOG_WEIGHTS, SIZES, log_sum_exp
+from ltsim.diagnosis.evidence import best_of
 from ltsim.diagnosis.prior import OUTSIDE, SECOND_ALIKE
 from ltsim.effects import find_effect
 from ltsim.effects.signature import Tunable
@@ -219,7 +220,7 @@ def _over_sizes(found: Found) -> float:
             tried = np.tile(best, (len(SIZES), 1))
             tried[:, i] = every
             values = evidence(tried)
-            best[i] = int(np.argmax(values))
+            best[i] = best_of(values)
             near[i] = every[values > values.max() - NEGLIGIBLE]
     return float(log_sum_exp(evidence(np.array(list(product(*near))))))
 

@@ -17,7 +17,7 @@ import scipy.sparse as sp
 
 from ltsim.arrays import Floats, Ints, Singles
 from ltsim.calibration.evidence import by_size, forms_of, log_sum_exp
-from ltsim.diagnosis.evidence import simulated_total
+from ltsim.diagnosis.evidence import SCREENED_TIE, simulated_total
 from ltsim.diagnosis.probe import Probe
 from ltsim.laws.carriers import Carrier
 from ltsim.laws.drivers import Driver
@@ -123,7 +123,7 @@ class Panel:
         found = [self._at(probe, slice(i, min(i + step, count))) for i in range(0, count, step)]
         values = np.concatenate([values for values, _ in found], axis=2).reshape(len(self.places), -1)
         null = log_sum_exp(np.stack([null for _, null in found]))
-        best = np.argsort(-values, axis=1)[:, :MOST_HITS]
+        best = np.argsort(-np.round(values / SCREENED_TIE), axis=1, kind="stable")[:, :MOST_HITS]
         hits = [
             Hit(self.carriers[i // count], self.drivers[i % count], place, v, prior)
             for place, prior, some, here in zip(self.places, self.log_prior.tolist(), best, values, strict=True)

@@ -21,7 +21,7 @@ from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.arrays import Floats, Ints
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.diagnosis.cards import ORDINARY, Cards, card_hypotheses
-from ltsim.diagnosis.evidence import posterior
+from ltsim.diagnosis.evidence import SCREENED_TIE, TIE, best_of, posterior, ranked
 from ltsim.diagnosis.exact import Exact
 from ltsim.diagnosis.forms import in_all_forms
 from ltsim.diagnosis.hypotheses import Found, Hypothesis, Ranking, alike
@@ -139,16 +139,16 @@ class Searcher:
     def _rank(self, base: Found) -> Ranking:
         values, families, hits, _, _ = self._screened(base) if base.members else self.first
         entries = self._laws(hits, base)
-        for i, family in enumerate(np.argsort(-families)):
+        for i, family in enumerate(ranked(families, SCREENED_TIE)):
             entries.append(self._card(int(family), values, float(families[family]), base, refine=i < self._most))
         entries = [replace(h, value=h.value + alike(h, base.members)) for h in entries]
-        entries.sort(key=lambda h: -h.value)
+        entries = [entries[i] for i in ranked(np.array([h.value for h in entries]))]
         return Ranking(tuple(entries), float(log_sum_exp(np.array([h.value for h in entries]))))
 
     def _card(self, family: int, values: Floats, total: float, base: Found, *, refine: bool) -> Hypothesis:
         """The best of a family of cards, with the evidence of the family; computed exactly if it is to be refined."""
         members = np.flatnonzero(self.cards.family == family)
-        members = members[np.argsort(-values[members])]
+        members = members[ranked(values[members], SCREENED_TIE)]
         prior = self._of_a_card - float(np.log(len(members)))
         best = Hypothesis(self.cards.effects[members[0]], prior, total, self.cards.families[family])
         if not refine:
@@ -194,19 +194,19 @@ class Searcher:
 
         logs = tried(u)
         for _ in range(ZOOMS):
-            top = int(np.argmax(logs))
+            top = best_of(logs)
             near = u[max(top - 1, 0) : top + 2]
             more = np.setdiff1d(np.linspace(near[0], near[-1], FINER), u)
             order = np.argsort(np.concatenate([u, more]))
             u, logs = np.concatenate([u, more])[order], np.concatenate([logs, tried(more)])[order]
-        best = effect.reshaped(**{shape.name: between(shape, low, high, float(u[np.argmax(logs)]))})
+        best = effect.reshaped(**{shape.name: between(shape, low, high, float(u[best_of(logs)]))})
         height = np.exp(logs - logs.max())
         return best, float(logs.max() + np.log(max(np.trapezoid(height, u), 1e-300)))
 
     def _laws(self, hits: Sequence[Hit], base: Found) -> list[Hypothesis]:
         """Laws worth a second look; the first ones exactly, with the shortest formulas that fit as well."""
         found, seen = [], set[tuple[object, ...]]()
-        hits = sorted(hits, key=lambda h: -h.value)[:MOST_LAWS]
+        hits = [hits[i] for i in ranked(np.array([h.value for h in hits]), SCREENED_TIE)[:MOST_LAWS]]
         for hit in hits:
             place, driver = hit.place, hit.driver.about(hit.place.targets)
             law = Law(place.stations, place.targets, hit.carrier, driver, place.instruments)
@@ -285,7 +285,7 @@ class Searcher:
             ranking, least = self.rank(best), threshold + best.misfit
             if ranking.total < least and (depth or not something):
                 break
-            grown = max((self.with_members((*best.members, h)) for h in ranking.entries[:3]), key=lambda s: s.score)
+            grown = _best([self.with_members((*best.members, h)) for h in ranking.entries[:3]])
             grown = self.reexamined(grown) if again and not self.large else grown
             if depth and grown.score < best.score + threshold:
                 break
@@ -317,10 +317,16 @@ class Searcher:
                     others = tuple(h for i, h in enumerate(found.members) if i not in some)
                     rest = self.with_members(others)
                     made = [self.with_members((*others, h)) for h in self.rank(rest).entries[: 2 if others else 6]]
-                    found = max([found, *made, *([rest] if others else [])], key=lambda s: s.score)
+                    found = _best([found, *made, *([rest] if others else [])])
             if found.score <= before + 1e-6:
                 break
         return found
+
+
+def _best(sets: Sequence[Found]) -> Found:
+    """The set with the largest score; of equal ones the first."""
+    most = max(found.score for found in sets)
+    return next(found for found in sets if found.score >= most - TIE)
 
 
 def _promising(best: float) -> float:

@@ -17,6 +17,7 @@ from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.gross import mended, mistakes
 from ltsim.adjustment.moving import WITNESSES, EvenMotion, by_runs
 from ltsim.adjustment.reliability import surprise
+from ltsim.adjustment.singular import refusing_singular
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.effects.index_drift import IndexDrift
 from ltsim.effects.motions import StationMotion
@@ -205,6 +206,7 @@ def write_check(check: Check, folder: Path, further: Mapping[str, str]) -> Check
     return write_result(folder, check_file(check), {TWO_FACE.file: two_face_csv(check), **further})
 
 
+@refusing_singular
 def _set_up(whole: Recording, station: int, family: Family, mpe: tuple[float, float] | None) -> SetUp:
     at = np.flatnonzero(whole.station == station)
     recording, rows, name = whole.select(at), at + 1, whole.stations[station]

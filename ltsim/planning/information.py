@@ -42,6 +42,8 @@ class LayoutInformation:
     def of(cls, survey: Survey, construction: Construction | None = None) -> LayoutInformation:
         """The information of a survey, by default for the 16 misalignment parameters; NetworkError for an open one."""
         built = construction or misalignment()
+        if not survey.seen.size:
+            raise NetworkError("no station sees a target")
         unseen = np.flatnonzero(~survey.seen.any(axis=0))
         if len(unseen):
             raise NetworkError(f"target {survey.target_names[unseen[0]]} is seen from no station")

@@ -1,14 +1,13 @@
 """Bounded reading of files, the numbers and names in them, and writing without leaving half a file."""
 
-import os
 import re
-import tempfile
 import textwrap
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from ltsim.errors import RecordError
+from ltsim.storage import write_files
 
 MAX_BYTES = 32 * 1024 * 1024
 MAX_LINES = 500_000
@@ -166,41 +165,15 @@ def as_title(text: str) -> str:
 
 
 def write_texts(folder: Path, texts: Mapping[str, str | bytes]) -> None:
-    """Write files into `folder` (a name may lead through a folder): all to temporary siblings first, then each moved.
+    """Write files into `folder` (a name may lead through a folder), all or none, as `ltsim.storage.write_files`.
 
-    What a link leads to is replaced, the link stays; a device or a pipe is written to.
-
-    Raises RecordError when the folder cannot be made or written to; nothing half-written stays behind.
+    Raises RecordError when the folder cannot be made or written to, or a link leads out of it.
     """
-    waiting: list[tuple[str, Path]] = []
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for name, text in texts.items():
-            place = Path(os.path.realpath(folder / name))
-            place.parent.mkdir(exist_ok=True)
-            content = text.encode() if isinstance(text, str) else text
-            if is_device(place):
-                place.write_bytes(content)
-                continue
-            handle, temporary = tempfile.mkstemp(prefix=f".{place.name}.", dir=place.parent)
-            waiting.append((temporary, place))
-            with os.fdopen(handle, "wb") as stream:
-                stream.write(content)
-            os.chmod(temporary, 0o644)
-        while waiting:
-            os.replace(*waiting[0])
-            waiting.pop(0)
+        write_files(folder, {name: t.encode() if isinstance(t, str) else t for name, t in texts.items()})
     except (OSError, UnicodeEncodeError) as problem:
         reason = getattr(problem, "strerror", None) or "text that UTF-8 cannot hold"
         raise RecordError(f"cannot be written ({reason})", file=folder) from None
-    finally:
-        for temporary, _ in waiting:
-            Path(temporary).unlink(missing_ok=True)
-
-
-def is_device(path: Path) -> bool:
-    """Whether a path leads to something that is neither a file nor a folder: a device, a pipe."""
-    return path.exists() and not path.is_file() and not path.is_dir()
 
 
 def write_text(path: Path, text: str | bytes) -> None:

@@ -6,6 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
+from ltsim.adjustment.singular import refusing_singular
 from ltsim.arrays import Bools, Floats
 from ltsim.calibration.result import frame_of
 from ltsim.recording.recording import Recording
@@ -129,6 +130,7 @@ class Evaluation(Result):
         )
 
 
+@refusing_singular
 @in_one_thread
 def evaluate_tasks(recording: Recording, tasks: Tasks) -> Evaluation:
     """Tasks on a recording: results, uncertainty by propagation and by Monte Carlo; errors as of `lt.uncertainty`."""

@@ -11,7 +11,7 @@ import trimesh
 from ltsim.campaigns.campaign import run_campaign
 from ltsim.campaigns.results import Results
 from ltsim.campaigns.store import Store
-from ltsim.errors import SetupError
+from ltsim.errors import LtsimError, SetupError
 from ltsim.randomness import stream
 from ltsim.simulation.scenario import load_scenario, scenario_to_toml
 from ltsim.simulation.sections import Obstacle
@@ -123,3 +123,32 @@ def test_a_manifest_without_cells_is_a_sentence(file: Path, tmp_path: Path) -> N
     (out / "manifest.json").write_text(json.dumps(manifest))
     with pytest.raises(SetupError, match="cells: Field required"):
         Results(out)
+
+
+def test_a_line_of_digests_that_was_cut_is_repaired(file: Path, tmp_path: Path) -> None:
+    """A process that is killed while it notes a shard leaves half a line; the next line would be joined to it."""
+    out, few = tmp_path / "out", FILE.replace("trials = 600", "trials = 300").replace("[1.0, 2.0]", "[1.0]")
+    file.write_text(few)
+    run_campaign(file, out)
+    digests = out / "rows.sha256"
+    whole = digests.read_text()
+    assert whole.count("\n") == 2
+    for cut in (whole[:-20], whole[:100], whole[:-1], whole + "abc", whole + whole, "\x00" + whole):
+        digests.write_text(cut)
+        assert run_campaign(file, out, resume=True).kept == 2
+        assert sorted(digests.read_text().splitlines()) == sorted(whole.splitlines())
+        assert Store(out).digests().keys() == {f"rows/cell-0000/shard-00000{k}.parquet" for k in (0, 1)}
+    assert not [p for p in out.rglob(".ltsim-*")]
+
+
+@pytest.mark.parametrize("name", ["rows", "rows.sha256", "manifest.json"])
+def test_no_row_is_written_through_a_link_that_leaves_the_folder(name: str, file: Path, tmp_path: Path) -> None:
+    file.write_text(FILE.replace("trials = 600", "trials = 8"))
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "out").mkdir()
+    place = tmp_path / "elsewhere" / "mine"
+    place.mkdir() if name == "rows" else place.write_text("mine")
+    (tmp_path / "out" / name).symlink_to(place)
+    with pytest.raises(LtsimError):
+        run_campaign(file, tmp_path / "out")
+    assert list(place.iterdir()) == [] if name == "rows" else place.read_text() == "mine"

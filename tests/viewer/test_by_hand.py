@@ -20,7 +20,6 @@ from ltsim.planning.planner import sight_table
 from ltsim.planning.tolerances import judged
 from ltsim.scene.visibility import Reason
 from ltsim.viewer.board import Board
-from ltsim.viewer.server import BoardAccess
 from tests.pages.browser import find_browser
 from tests.planning.test_hall import HALL, points_csv
 from tests.viewer.tab import opened
@@ -110,28 +109,6 @@ def test_a_folder_of_a_plan_begins_where_the_plan_stands(hall: Path, tmp_path: P
     assert board.judged(board.hall()["stations"])["rms_um"] == pytest.approx(
         1e6 * planned["quality"]["targets"], rel=1e-4
     )
-
-
-def test_the_door_opens_to_the_word_alone(hall: Path, tmp_path: Path) -> None:
-    door = BoardAccess(Board.of(hall), tmp_path / "out")
-    own = json.dumps({"stations": door.board.hall()["stations"]}).encode()
-    for path in ("/", "/judged", "//judged", "/wrong/", "/wrong/judged", f"/{door.word}/nothing", f"/{door.word}x/"):
-        assert door.answer(path, own) is None
-
-    def said(name: str, body: bytes) -> dict:
-        found = door.answer(f"/{door.word}/{name}", body)
-        assert found is not None
-        assert found[0] == "application/json"
-        return json.loads(found[1])
-
-    assert said("judged", own)["points"]
-    for wrong in (b"", b"[1]", b'{"stations": [1, 2, 3]}', b'{"stations": [{"mm": [0, 0, 0], "yaw": 0}]}'):
-        assert said("judged", wrong)["problem"]
-        assert said("save", wrong)["problem"]
-    far = json.loads(own)
-    far["stations"][0]["mm"][0] = float("nan")
-    assert "places in millimetres" in said("judged", json.dumps(far).encode())["problem"]
-    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize(

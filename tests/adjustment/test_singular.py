@@ -1,0 +1,63 @@
+"""Networks whose equations are singular are refused in one sentence that names what is undetermined."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import ltsim as lt
+from ltsim.adjustment.singular import refusing_singular
+from ltsim.errors import NetworkError
+from ltsim.recording.recording import Recording
+from tests.campaigns.workshop import workshop
+
+
+@pytest.fixture(scope="module")
+def recording() -> Recording:
+    return workshop()[0]
+
+
+@pytest.mark.parametrize("verb", [lt.adjust, lt.calibrate, lt.diagnose, lt.evaluate], ids=lambda verb: verb.__name__)
+@pytest.mark.parametrize("gauge", [True, False])
+def test_elevations_alone_are_refused(verb: object, gauge: bool, recording: Recording) -> None:
+    if not gauge:
+        recording = recording.replace(setup=recording.setup.model_copy(update={"gauge": None}))
+    readings = recording.readings.copy()
+    readings[:, :2] = np.nan
+    with pytest.raises(NetworkError, match="elevations alone"):
+        verb(recording.with_readings(readings))  # type: ignore[operator]
+
+
+def test_a_factorisation_that_fails_names_the_weakest_station_and_target(recording: Recording) -> None:
+    @refusing_singular
+    def broken(recording: Recording) -> None:
+        np.linalg.eigvalsh(np.full((3, 3), np.nan))
+
+    readings = recording.readings.copy()
+    readings[recording.station == 1, 1:] = np.nan
+    readings[recording.target == 4, 0] = np.nan
+    with pytest.raises(NetworkError) as refused:
+        broken(recording.with_readings(readings))
+    assert f"station {recording.stations[1]} has 2" in str(refused.value)
+    assert f"target {recording.targets[4]} has" in str(refused.value)
+
+
+def test_a_known_length_of_targets_in_one_place_is_no_fault(recording: Recording) -> None:
+    """Targets in one horizontal plane against a gauge: a contradiction beyond any surprise is told, or refused."""
+    readings = recording.readings.copy()
+    readings[:, 2] = 0.0
+    for verb in (lt.adjust, lt.check):
+        try:
+            verb(recording.with_readings(readings))
+        except NetworkError as refused:
+            assert str(refused)
+
+
+def test_a_range_of_zero_is_a_sentence_of_every_verb(recording: Recording) -> None:
+    readings = recording.readings.copy()
+    readings[3, 0] = 0.0
+    for verb in (lt.adjust, lt.check):
+        try:
+            verb(recording.with_readings(readings))
+        except NetworkError as refused:
+            assert "singular" in str(refused)
