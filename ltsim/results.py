@@ -2,7 +2,7 @@
 
 A `Column` says name, meaning, unit and form; a `Table` of columns, filled with rows, is the CSV file (written and read
 back), the rows of JSON, the data frame, the text of a terminal, the table of a notebook and that of a page. A `Result`
-is what a verb gives: a few lines, tables, a picture; equal where its values are, copied, pickled, saved and loaded.
+is what a verb gives: a few lines, tables, a picture; equal where its values are, copied and pickled.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from ltsim.chances import p_text
 from ltsim.drawing import pictures
 from ltsim.errors import ModelError, RecordError, missing_extra, unknown_name
 from ltsim.notation import NONE, aligned, decimals, number, with_sigma
-from ltsim.saved import Valued, save
 from ltsim.units import BY_ENDING, unit_of_key
+from ltsim.values import Valued
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -301,7 +301,7 @@ class Table(Valued):
 class Result(Valued):
     """What a verb gives: `_lines` and `_tables` are what each kind of result says; all else is here.
 
-    It is equal to another of its kind where all values are, arrays among them; it can be copied, pickled and saved.
+    It is equal to another of its kind where all values are, arrays among them; it can be copied and pickled.
     """
 
     def _lines(self) -> list[str]:
@@ -344,10 +344,6 @@ class Result(Valued):
     def to_dataframe(self, table: str | None = None) -> pd.DataFrame:
         """One of the result's tables as a data frame; raises ModelError as `table`, SetupError without pandas."""
         return self.table(table).frame()
-
-    def save(self, path: str | Path) -> None:
-        """Write the whole result to one file that `ltsim.read` gives back without loss; raises RecordError."""
-        save(self, Path(path))
 
     def plot(self) -> Figure:
         """The picture of the result, a matplotlib figure; raises ModelError for what has none."""

@@ -33,9 +33,9 @@ from ltsim.errors import RecordError, SetupError
 from ltsim.recording import Recording, write as write_recording
 from ltsim.recording.files import shown
 from ltsim.recording.setup import Finite
-from ltsim.saved import Valued
 from ltsim.simulation.truth import Truth
 from ltsim.units import FACTOR
+from ltsim.values import Valued
 
 NOISELESS = 1e-4
 """Share of a stated variance under which the error is the prior's, not the noise's."""
