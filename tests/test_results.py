@@ -63,7 +63,7 @@ def test_a_table_is_written_and_read_back():
     assert again.csv() == text
     with pytest.raises(RecordError, match="row 1, column x_mm: 'one' is no number"):
         POINTS.parsed(text.replace("1000.123490", "one"))
-    with pytest.raises(RecordError, match="there is no column moved"):
+    with pytest.raises(RecordError, match="the column moved is missing"):
         POINTS.parsed(text.replace("moved", "went"))
 
 

@@ -5,6 +5,7 @@ import gc
 import os
 import sys
 import traceback
+import warnings
 from collections.abc import Callable, Sequence
 from importlib import import_module
 from typing import Annotated, Any
@@ -173,4 +174,7 @@ def _refuse(message: str) -> int:
 def main() -> None:
     """Entry point of the installed command."""
     gc.set_threshold(50_000, 10, 10)  # what is loaded and drawn stays: a tenth of a page's time looked for rings in it
+    if not sys.warnoptions:  # warnings of libraries tell a user nothing; they are for developers, with `python -W`
+        warnings.simplefilter("ignore")
+        os.environ.setdefault("PYTHONWARNINGS", "ignore")  # of the processes that work for this one
     sys.exit(run(sys.argv[1:]))

@@ -12,6 +12,7 @@ import numpy as np
 
 from ltsim.arrays import Floats, Ints
 from ltsim.errors import RecordError
+from ltsim.limits import FIELDS
 from ltsim.recording.conventions import NO_HINTS, Hints
 from ltsim.recording.differences import check_differences
 from ltsim.recording.files import FilePlace, is_not_finite, is_number, read_lines, shown, write_texts
@@ -30,7 +31,7 @@ from ltsim.recording.settings import read_setup, setup_from, setup_to_toml
 from ltsim.recording.setup import Setup
 from ltsim.recording.slips import check_degrees
 from ltsim.recording.specification import overruled
-from ltsim.recording.tables.sheets import MAX_FIELDS, Row, is_folder
+from ltsim.recording.tables.sheets import Row, is_folder
 from ltsim.results import guarded, plain
 from ltsim.units import DEGREE, FACTOR, MILLIMETRE, NAMED
 
@@ -85,8 +86,8 @@ def _table(path: Path, *, growing: bool) -> list[list[str]]:
     try:
         for fields in csv.reader(lines, strict=True):
             if any(field.strip() for field in fields):
-                if len(fields) > MAX_FIELDS:
-                    raise FilePlace(path, len(rows)).wrong(f"{len(fields)} columns, expected at most {MAX_FIELDS}")
+                if len(fields) > FIELDS:
+                    raise FilePlace(path, len(rows)).wrong(f"{len(fields)} columns, expected at most {FIELDS}")
                 rows.append([field.strip() for field in fields])
                 Row(len(rows) - 1, tuple(fields)).check_width(len(rows[0]), path)
     except csv.Error as problem:

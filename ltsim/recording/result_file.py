@@ -9,7 +9,8 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, TypeVar
 
@@ -17,9 +18,11 @@ import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, FiniteFloat, ValidationError
 
 from ltsim.errors import RecordError
+from ltsim.limits import JSON_VALUES
 from ltsim.recording.coordinates import Coordinates
 from ltsim.recording.files import read_bytes, read_text, shown, write_texts
 from ltsim.recording.recording import Recording
+from ltsim.results import LARGEST
 
 STEP = 1e-6
 """[m, rad] to which readings are rounded in a digest: writing and reading a recording keeps it."""
@@ -148,21 +151,23 @@ def read_result(path: Path, model: type[File]) -> File:
 def read_json(file: Path, kind: str) -> dict[str, Any]:
     """The object in a JSON file; `kind` is what the file should be.
 
-    Raises RecordError when it holds something else, or a number that is not finite.
+    Raises RecordError when it holds something else, more values than are read, or a number beyond `LARGEST`.
     """
 
-    def number(text: str) -> float:
-        value = float(text)
-        if not math.isfinite(value):
-            raise RecordError(f"holds the number {shown(text)}, expected finite ones", file=file)
+    def checked_number(text: str, kind: Callable[[str], float]) -> float:
+        value = kind(text) if len(text) <= 400 else math.inf
+        if not abs(value) <= LARGEST:
+            raise RecordError(f"holds the number {shown(text)}, expected at most {LARGEST:g} in size", file=file)
         return value
 
+    decimal, whole = (partial(checked_number, kind=kind) for kind in (float, int))
+    text = read_text(file)
+    if text.count(",") + text.count("[") + text.count("{") > JSON_VALUES:
+        raise RecordError(f"holds more than {JSON_VALUES} values, the most that is read", file=file)
     try:
-        content = json.loads(read_text(file), parse_float=number, parse_constant=number)
+        content = json.loads(text, parse_float=decimal, parse_constant=decimal, parse_int=whole)
     except (json.JSONDecodeError, RecursionError):
         raise RecordError(f"is not JSON; expected a {kind}", file=file) from None
-    except ValueError:
-        raise RecordError("holds a number of thousands of digits, expected finite ones", file=file) from None
     if not isinstance(content, dict):
         raise RecordError(f"holds no JSON object; expected a {kind}", file=file)
     return content

@@ -7,6 +7,8 @@ import json
 import os
 import pickle
 import re
+import subprocess
+import sys
 import zipfile
 from pathlib import Path
 
@@ -43,6 +45,7 @@ ALLOWED = {
     "ltsim/cli/options.py": {"literal_eval": "defaults in the source of the package itself, for the help"},
     "ltsim/campaigns/scoring.py": {"run": "the program that the user names as --calibrator; no file can name it"},
     "ltsim/campaigns/campaign.py": {"run": "`git rev-parse HEAD`, fixed words, in the folder of the package"},
+    "ltsim/scene/cad_process.py": {"run": "this interpreter with a fixed program; a file's path is an argument"},
     "ltsim/values.py": {"__reduce__": "parts of an object in memory, to compare them"},
 }
 """Calls of these names with the reason why no file decides what they do."""
@@ -175,3 +178,43 @@ def test_reading_a_file_that_names_code_runs_none(kind: str, suffix: str, tmp_pa
         lt.read(file)
     assert "\n" not in str(told.value)
     assert not made.exists()
+
+
+SPY = "import os, sys; open(os.environ['MARK'], 'a').write(__file__ + chr(10))\n"
+WORK = """
+from ltsim.workers import parallel
+if __name__ == "__main__":
+    print(list(parallel(round, ((1.4,), (2.6,), (3.2,)), 2)))
+"""
+
+
+def test_a_working_folder_that_holds_modules_runs_none(tmp_path: Path) -> None:
+    """Neither this process nor its workers take a module from the folder that they stand in."""
+    here, mark = tmp_path / "here", tmp_path / "mark"
+    here.mkdir()
+    for name in ("numpy", "joblib", "scipy", "numba", "sitecustomize", "ltsim"):
+        (here / f"{name}.py").write_text(SPY)
+    (tmp_path / "work.py").write_text(WORK)
+    environment = {**os.environ, "MARK": str(mark)}
+    done = subprocess.run(
+        [sys.executable, str(tmp_path / "work.py")],
+        cwd=here, env=environment, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.stdout == "[1, 3, 3]\n", done.stderr
+    assert not mark.exists(), mark.read_text()
+
+
+def test_compiled_code_of_a_working_folder_is_not_loaded(tmp_path: Path) -> None:
+    """Numba reads its settings from the working folder at every compilation, a folder of pickled code among them."""
+    pytest.importorskip("numba", reason="kernels need the extra 'campaigns'")
+    (tmp_path / ".numba_config.yaml").write_text(f"cache_dir: {tmp_path / 'cache'}\n")
+    code = (
+        "import ltsim.campaigns.compiled as c, numba;"
+        "numba.core.config.reload_config(); print(repr(numba.config.CACHE_DIR))"
+    )
+    environment = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"}
+    done = subprocess.run(
+        [sys.executable, "-P", "-c", code],
+        cwd=tmp_path, env=environment, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.stdout == "''\n", done.stderr

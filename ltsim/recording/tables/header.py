@@ -2,6 +2,7 @@
 
 import re
 import unicodedata
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -116,7 +117,18 @@ def columns_of(fields: Sequence[str]) -> list[TableColumn]:
             one = replace(one, role="", face=0)
         taken.add((one.role, one.face))
         kept.append(one)
-    return kept
+    return distinct_titles(kept)
+
+
+def distinct_titles(columns: Sequence[TableColumn]) -> list[TableColumn]:
+    """Columns with a number behind each title that an earlier column has: titles are the keys of further columns."""
+    before: Counter[str] = Counter()
+    found = []
+    for column in columns:
+        before[column.title] += 1
+        again = column.title and before[column.title] > 1
+        found.append(replace(column, title=f"{column.title} ({before[column.title]})") if again else column)
+    return found
 
 
 def _kinds_in(columns: Sequence[TableColumn]) -> int:
