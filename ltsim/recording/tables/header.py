@@ -5,6 +5,7 @@ import unicodedata
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 from ltsim.errors import RecordError
 from ltsim.recording.files import shown
@@ -73,6 +74,8 @@ ALLOWED = {
 WEAK = ("nr", "nummer", "no")
 """Words that name the target where no other word does."""
 MAPPED = tuple(dict.fromkeys((*WORDS, *SIGMA_OF.values())))
+LONGEST_TITLE = 80
+"""Characters of a cell that can name a column."""
 _BRACKET = re.compile(r"(.*?)\s*[\[({]\s*([^\])}]*?)\s*[\])}]?\s*")
 _FACED = re.compile(r"(.*?)[\s._-]*(?:(?:face|lage|f|l)[\s._-]*)?(1|2|ii|i)", re.IGNORECASE)
 _SIGMAS = (re.compile(r"(?:sigma|stddev|std|sd|s)([a-z]+)"), re.compile(r"([a-z]+?)(?:error|err|sigma|stddev|std|sd)"))
@@ -146,8 +149,11 @@ def names_places(columns: Sequence[TableColumn]) -> bool:
     return {"target", *PLACE} <= {column.role for column in columns}
 
 
+@lru_cache(maxsize=8192)
 def words_of(title: str) -> tuple[str, str]:
     """The words of a header without marks and accents, and its unit ('' where it states none)."""
+    if len(title) > LONGEST_TITLE:
+        return "", ""
     name, unit = _titled(title)
     if not unit:
         parts = re.split(r"[\s_]+", title.strip())
