@@ -12,10 +12,11 @@ from ltsim.errors import RecordError
 from ltsim.limits import FILE_BYTES, LINE_CHARACTERS, LINES, MIB
 
 MAX_NAME = 100
+LONGEST_NUMBER = 40
 MAX_TEXT, TITLE = 500, 120
 UTF8, UTF16 = b"\xef\xbb\xbf", (b"\xff\xfe", b"\xfe\xff")
 _OPEN = frozenset(b"\x81\x8d\x8f\x90\x9d")  # bytes without a meaning in Windows-1252
-_NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?", re.ASCII)
+NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?", re.ASCII)
 _NOT_FINITE = re.compile(r"[+-]?(?:nan|inf|infinity)", re.IGNORECASE)
 _FORBIDDEN = re.compile(r"[<>/\\]")
 
@@ -89,7 +90,7 @@ def universal(text: str) -> str:
 
 def is_number(text: str) -> bool:
     """Whether `text` is a decimal number in plain ASCII."""
-    return len(text) <= 40 and _NUMBER.fullmatch(text) is not None
+    return len(text) <= LONGEST_NUMBER and NUMBER.fullmatch(text) is not None
 
 
 def is_not_finite(text: str) -> bool:
@@ -103,7 +104,7 @@ def shown(text: str, length: int = 40) -> str:
     return clean if len(clean) <= length else clean[:length] + "..."
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class FilePlace:
     """A place in a file. What it holds is checked here, and whatever is wrong there is told with it."""
 

@@ -34,7 +34,7 @@ GON_CIRCLE = 400
 _STATION = re.compile(r"#?\s*([^\W\d_]+)\s*[:=;,\t ]\s*(\S.*)")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Printed:
     """One pointing as its row prints it: numbers by role in the units of their columns, those that are not empty."""
 

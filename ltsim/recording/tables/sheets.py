@@ -19,7 +19,7 @@ SEPARATORS = ("\t", ";", ",", " ")
 SAMPLE = 400
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Row:
     """Fields of one line; a line that begins with # is a comment."""
 
