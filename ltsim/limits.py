@@ -40,7 +40,7 @@ XML_DEPTH = 64
 TAG_ATTRIBUTES = 1_000
 """Attributes of one tag, all of which the parser holds before it gives the tag."""
 
-WORKBOOK_BYTES = 24 * MIB
+WORKBOOK_BYTES = 16 * MIB
 """[bytes] Size that all parts of a workbook unpack to, told by their headers and held to while they are unpacked: a
 cell takes 30 bytes there and 30 us of all that reads it."""
 WORKBOOK_PARTS = 1_000

@@ -15,7 +15,16 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar, TypeVar
 
 import numpy as np
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, FiniteFloat, ValidationError
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    FiniteFloat,
+    GetCoreSchemaHandler,
+    ValidationError,
+)
+from pydantic_core import CoreSchema
 
 from ltsim.errors import RecordError
 from ltsim.limits import JSON_VALUES
@@ -41,10 +50,30 @@ Known = Annotated[FiniteFloat | None, BeforeValidator(known)]
 Vector = tuple[Finite, Finite, Finite]
 
 
+def _fail_fast(schema: Any) -> None:
+    """Let every list below a schema end at its first wrong entry, in place."""
+    if isinstance(schema, list | tuple):
+        for part in schema:
+            _fail_fast(part)
+    elif isinstance(schema, dict):
+        if schema.get("type") in ("list", "tuple"):
+            schema["fail_fast"] = True
+        for key, part in schema.items():
+            if key not in ("metadata", "serialization"):
+                _fail_fast(part)
+
+
 class Entry(BaseModel):
     """A table of a result file: values cannot change, and keys that a later version adds are ignored."""
 
     model_config = ConfigDict(extra="ignore", frozen=True, populate_by_name=True, use_attribute_docstrings=True)
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """The usual schema, which ends at the first wrong entry of a list: each error of a million takes 500 bytes."""
+        schema = handler(source)
+        _fail_fast(schema)
+        return schema
 
 
 class SourceEntry(Entry):
