@@ -10,7 +10,6 @@ from ltsim.recording import Hints, Recording, read as read_recording, write as w
 from ltsim.recording.exchange import RecordingSource, is_recording
 from ltsim.recording.native import OBSERVATIONS
 from ltsim.recording.result_file import read_json, read_result
-from ltsim.saved import is_saved, load
 
 if TYPE_CHECKING:
     from ltsim.calibration.calibration import Calibration
@@ -20,7 +19,9 @@ if TYPE_CHECKING:
 
 
 def read(path: str | Path, *, format: str | None = None, hints: Hints | None = None) -> Any:  # noqa: A002
-    """Read a recording in any format, or a result: what `save` kept, or what a command or `lt.write` wrote.
+    """Recording in any format, or result that a command or `lt.write` wrote.
+
+    A file is data: it is checked against the model of its format, and nothing that it names is imported or run.
 
     Parameters
     ----------
@@ -49,14 +50,11 @@ def read(path: str | Path, *, format: str | None = None, hints: Hints | None = N
     >>> lt.write(recording, "my-recording")
     >>> lt.read("my-recording")
     Recording: The paper's workshop: 140 pointings, 5 stations, 28 targets, face 1 only, 6 known lengths
-    >>> criteria = lt.evaluate(recording)
-    >>> criteria.save("criteria.lt")
-    >>> lt.read("criteria.lt") == criteria
-    True
+    >>> lt.write(lt.calibrate(recording), "my-calibration")
+    >>> len(lt.read("my-calibration").names)
+    16
     """
     place = Path(path)
-    if format is None and place.is_file() and is_saved(place):
-        return load(place)
     result = _result_file(place) if format is None else None
     if result is not None:
         return _read_result(result)

@@ -2,7 +2,7 @@
 
 A `Column` says name, meaning, unit and form; a `Table` of columns, filled with rows, is the CSV file (written and read
 back), the rows of JSON, the data frame, the text of a terminal, the table of a notebook and that of a page. A `Result`
-is what a verb gives: a few lines, tables, a picture; equal where its values are, copied, pickled, saved and loaded.
+is what a verb gives: a few lines, tables, a picture; equal where its values are, copied and pickled.
 """
 
 from __future__ import annotations
@@ -22,16 +22,19 @@ from pydantic import BaseModel
 from ltsim.arrays import Floats
 from ltsim.chances import p_text
 from ltsim.drawing import pictures
-from ltsim.errors import ModelError, RecordError, missing_extra, unknown_name
+from ltsim.errors import ModelError, RecordError, missing_extra, printable, unknown_name
+from ltsim.limits import LINES
 from ltsim.notation import NONE, aligned, decimals, number, with_sigma
-from ltsim.saved import Valued, save
 from ltsim.units import BY_ENDING, unit_of_key
+from ltsim.values import Valued
 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
 FORMULA = ("=", "+", "-", "@", "'")
+LARGEST = 1e100
+"""Size of a number in a file of results: squares of what is larger overflow, and no result comes near."""
 MOST_SHOWN = 12
 """Rows of a table that a notebook shows."""
 Kind = Literal["text", "number", "flag", "chance"]
@@ -236,11 +239,15 @@ class Table(Valued):
         RecordError
             When a column is missing or a cell holds no number where one should be.
         """
-        reader = csv.DictReader(io.StringIO(text), restval="")
-        missing = [name for name in self.header if name not in (reader.fieldnames or ())]
-        if missing:
-            raise RecordError(f"there is no column {missing[0]}; expected {','.join(self.header)}", file=file)
+        if text.count("\n") > LINES:
+            raise RecordError(f"has more than {LINES} lines, the most that is read", file=file)
+        reader = csv.DictReader(io.StringIO(text, newline=None), restval="")
         try:
+            names = list(reader.fieldnames or ())
+            missing = [name for name in self.header if names.count(name) != 1]
+            if missing:
+                what = "is there twice" if missing[0] in names else "is missing"
+                raise RecordError(f"the column {missing[0]} {what}; expected {','.join(self.header)}", file=file)
             rows = list(reader)
         except csv.Error as problem:
             raise RecordError(f"is not CSV ({problem})", file=file) from None
@@ -301,7 +308,7 @@ class Table(Valued):
 class Result(Valued):
     """What a verb gives: `_lines` and `_tables` are what each kind of result says; all else is here.
 
-    It is equal to another of its kind where all values are, arrays among them; it can be copied, pickled and saved.
+    It is equal to another of its kind where all values are, arrays among them; it can be copied and pickled.
     """
 
     def _lines(self) -> list[str]:
@@ -345,10 +352,6 @@ class Result(Valued):
         """One of the result's tables as a data frame; raises ModelError as `table`, SetupError without pandas."""
         return self.table(table).frame()
 
-    def save(self, path: str | Path) -> None:
-        """Write the whole result to one file that `ltsim.read` gives back without loss; raises RecordError."""
-        save(self, Path(path))
-
     def plot(self) -> Figure:
         """The picture of the result, a matplotlib figure; raises ModelError for what has none."""
         figure: Figure = pictures("plots").figure_of(self)
@@ -376,9 +379,12 @@ def _value(column: Column, cell: str, file: object, row: int) -> Any:
     if column.kind == "flag":
         return cell == "True"
     try:
-        return float(cell or "nan")
+        value = float(cell or "nan")
     except ValueError:
-        raise RecordError(f"'{cell[:40]}' is no number", file=file, row=row, column=column.name) from None
+        value = math.inf
+    if abs(value) > LARGEST:
+        raise RecordError(f"'{printable(cell[:40])}' is no number", file=file, row=row, column=column.name)
+    return value
 
 
 def by_row(rows: Sequence[Mapping[str, Any]]) -> Columns:

@@ -19,6 +19,8 @@ LOOK = 0.3
 """[s] between two looks how far the work is."""
 WATCH = 1.0
 """[s] between two looks whether the parent is there."""
+SAFE_PATH = "PYTHONSAFEPATH"
+"""Variable of the environment that keeps Python from putting the working folder on its path."""
 Result = TypeVar("Result")
 
 
@@ -49,11 +51,26 @@ def parallel(
     with parallel_config(backend="loky", inner_max_num_threads=1, **watching):
         pool = Parallel(n_jobs=min(jobs, MOST), return_as=how, batch_size=batch)
     try:
-        yield from pool(delayed(function)(*arguments) for arguments in calls)
+        with _safe_path():
+            yield from pool(delayed(function)(*arguments) for arguments in calls)
     except TerminatedWorkerError:
         raise WorkerError(
             f"a worker process was ended from outside, perhaps for want of memory; take fewer {option('jobs')}"
         ) from None
+
+
+@contextmanager
+def _safe_path() -> Iterator[None]:
+    """Let processes begin without the working folder on their path: a `numpy.py` there would run in place of numpy."""
+    before = os.environ.get(SAFE_PATH)
+    os.environ[SAFE_PATH] = "1"
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ[SAFE_PATH]
+        else:
+            os.environ[SAFE_PATH] = before
 
 
 @dataclass(frozen=True)

@@ -195,8 +195,6 @@ def test_an_effect_of_a_class_of_ones_own_is_fitted(recording):
 
 def test_results_are_read_back_whatever_wrote_them(recording, tmp_path: Path):
     calibration = lt.calibrate(recording, advise=False)
-    calibration.save(tmp_path / "mine.lt")
-    assert lt.read(tmp_path / "mine.lt") == calibration
     lt.write(calibration, tmp_path / "folder")
     assert lt.read(tmp_path / "folder").names == calibration.names
     truth = lt.simulate("paper-workshop").truth

@@ -25,7 +25,7 @@ from ltsim.errors import RecordError, option
 from ltsim.model.construction import Construction
 from ltsim.remedies.undetermined import SILENT
 from ltsim.results import Columns, Result
-from ltsim.saved import Valued
+from ltsim.values import Valued
 
 RESOLVED = 1e-12
 """Relative eigenvalue under which a covariance is singular by construction, and least variance in prior variances."""

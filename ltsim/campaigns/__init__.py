@@ -1,5 +1,7 @@
 """Campaigns: many trials over a grid of settings, run fast, kept safely, summarised by queries."""
 
+import os
+
 from ltsim.errors import require
 
 PACKAGES = ("duckdb", "numba", "pyarrow")
@@ -9,3 +11,9 @@ PACKAGES = ("duckdb", "numba", "pyarrow")
 def require_packages() -> None:
     """Raise SetupError, saying what to install, where a package is missing that campaigns need."""
     require(PACKAGES, "campaigns", "campaigns")
+
+
+# Numba reads a `.numba_config.yaml` in the working folder, which may be somebody else's, at every compilation. It may
+# name a folder of compiled code, which is unpickled, or a library to load. What the environment says goes before it.
+for _name in ("NUMBA_CACHE_DIR", "NUMBA_CACHE_LOCATOR_CLASSES", "NUMBA_CUDA_DRIVER"):
+    os.environ.setdefault(_name, "")

@@ -107,11 +107,16 @@ def errors_of(share: str) -> tuple[str, str, str]:
     return f"{prefix}error_raw_um", f"{prefix}error_calibrated_um", f"{prefix}error_true_parameters_um"
 
 
+def identifier(name: str) -> str:
+    """A column's name as SQL takes it, whatever characters a file gave it."""
+    return '"' + name.replace('"', '""') + '"'
+
+
 def terms_of(statistic: str) -> tuple[str, ...]:
     """SQL of what is averaged: a column; of a share the mean square that was removed, and that which could be."""
     if statistic not in SHARES:
-        return (f'"{statistic}"',)
-    raw, calibrated, perfect = (f'"{name}"::DOUBLE ^ 2' for name in errors_of(statistic))
+        return (identifier(statistic),)
+    raw, calibrated, perfect = (f"{identifier(name)}::DOUBLE ^ 2" for name in errors_of(statistic))
     return f"({raw} - {calibrated})", f"({raw} - {perfect})"
 
 

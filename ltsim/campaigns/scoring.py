@@ -13,7 +13,7 @@ A parameter without a sigma can be held against a tolerance only.
 
 from __future__ import annotations
 
-import json
+import os
 import shlex
 import subprocess
 from collections.abc import Callable, Mapping, Sequence
@@ -32,10 +32,12 @@ from ltsim.campaigns.schema import Errors
 from ltsim.errors import RecordError, SetupError
 from ltsim.recording import Recording, write as write_recording
 from ltsim.recording.files import shown
+from ltsim.recording.result_file import read_json
 from ltsim.recording.setup import Finite
-from ltsim.saved import Valued
 from ltsim.simulation.truth import Truth
 from ltsim.units import FACTOR
+from ltsim.values import Valued
+from ltsim.workers import SAFE_PATH
 
 NOISELESS = 1e-4
 """Share of a stated variance under which the error is the prior's, not the noise's."""
@@ -80,15 +82,16 @@ def estimates_by(calibrator: Calibrator, recording: Recording, where: str) -> di
         write_recording(recording, folder)
         filled = [word.replace(RECORDING, str(folder)).replace(OUT, str(out)) for word in words]
         try:
-            done = subprocess.run(filled, stdout=subprocess.DEVNULL, check=False)
+            own = {name: value for name, value in os.environ.items() if name != SAFE_PATH}  # that of our processes
+            done = subprocess.run(filled, stdout=subprocess.DEVNULL, check=False, env=own)
         except OSError as problem:
             raise SetupError(f"--calibrator: {shown(words[0])} cannot be started ({problem.strerror})") from None
         if done.returncode:
             return None
         try:
-            content = json.loads((out / "calibration.json" if out.is_dir() else out).read_text(encoding="utf-8"))
+            content = read_json(out / "calibration.json" if out.is_dir() else out, "list of parameters")
             listed = {e["name"]: [e["value"], e.get("sigma"), e["unit"]] for e in content["parameters"]}
-        except (OSError, ValueError, KeyError, TypeError) as problem:
+        except (RecordError, OSError, KeyError, TypeError) as problem:
             raise RecordError(f"no list of parameters with name, value and unit ({problem!r})", file=where) from None
         return _checked(listed, where)
 

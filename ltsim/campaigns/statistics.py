@@ -22,6 +22,7 @@ from ltsim.campaigns.schema import (
     SHARES,
     column_of,
     errors_of,
+    identifier,
     summary_table,
     terms_of,
 )
@@ -31,7 +32,13 @@ from ltsim.errors import ModelError, SetupError, unknown_name
 from ltsim.results import Columns, Table, by_row
 
 NORMAL_95 = 1.959963984540054
-MEMORY = "1GB"
+CONNECTION: dict[str, Any] = {
+    "memory_limit": "1GB",
+    "threads": 1,
+    "autoinstall_known_extensions": False,
+    "autoload_known_extensions": False,
+}
+"""Settings of the database: no extension is fetched or loaded, whatever a query or a file names."""
 MOST_EXACT = 50_000_000
 """Rows whose quantiles are exact: these take all values of a column at once; of more they come from a t-digest."""
 IMPROVEMENTS = ("distance", "coordinate")
@@ -126,7 +133,7 @@ class Statistics:
         if not shards:
             raise SetupError(f"{folder}: no shard of this campaign is finished yet")
         # One thread: sums keep their order, and tables their last digit.
-        self._base = duckdb.connect(config={"memory_limit": MEMORY, "threads": 1})
+        self._base = duckdb.connect(config=CONNECTION)
         source = f"read_parquet([{', '.join(map(literal, shards))}], union_by_name = true)"
         try:
             store.verify(shards, {cell.cell: cell.mark for cell in self.manifest.cells})
@@ -149,7 +156,7 @@ class Statistics:
     def _hold_cells(self) -> None:
         """Table `cells`, in the types that the rows have; not through Arrow, which imports pandas for any list."""
         cells = self._cells()
-        own = "".join(f', "{factor.name}"' for factor in self.factors)
+        own = "".join(f", {identifier(factor.name)}" for factor in self.factors)
         self._base.execute(f"CREATE TABLE cells AS SELECT cell, method AS label{own} FROM rows LIMIT 0")
         places = ", ".join("?" * len(cells))
         self._base.executemany(f"INSERT INTO cells VALUES ({places})", [*zip(*cells.values(), strict=True)])
@@ -207,7 +214,7 @@ class Statistics:
     def _quoted(self, column: str) -> str:
         if column not in self.columns:
             raise unknown_name("column of these rows", column, self.columns)
-        return f'"{column}"'
+        return identifier(column)
 
     def half(self, count: int, deviation: float) -> float:
         """Half of the 95 % interval of a mean, or of a ratio of means, from the deviation of what is averaged."""

@@ -8,7 +8,6 @@ wrote itself and nobody changed. An option or argument that names such a place h
 from __future__ import annotations
 
 import errno
-import json
 import os
 import re
 from collections.abc import Callable, Iterable
@@ -189,14 +188,16 @@ def _refuse_foreign(folder: Path) -> None:
 
 def _answered_for(file: Path) -> set[str]:
     """A file that says it is ltsim's, with those that it says were written beside it."""
+    from ltsim.recording.result_file import read_json
+
     try:
         with file.open("rb") as stream:
             if not OWN.search(stream.read(HEAD).decode("latin-1")):
                 return set()
-        beside = json.loads(file.read_text(encoding="utf-8")).get("files", ()) if file.suffix == ".json" else ()
-    except (OSError, ValueError):
+        beside = read_json(file, "result").get("files") if file.suffix == ".json" else None
+    except (OSError, RecordError):
         return set()
-    return {file.name, *beside}
+    return {file.name, *(beside if isinstance(beside, dict) else ())}
 
 
 def _refuse(folder: Path, taken: list[str]) -> None:

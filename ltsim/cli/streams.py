@@ -32,6 +32,7 @@ def prepare() -> None:
             stream.reconfigure(errors="backslashreplace")
     if not sys.warnoptions:
         warnings.simplefilter("ignore")
+        os.environ.setdefault("PYTHONWARNINGS", "ignore")  # of the processes that work for this one
         os.environ["PYTHONWARNINGS"] = "ignore"  # of processes that work for this one
 
 

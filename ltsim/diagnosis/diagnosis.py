@@ -24,8 +24,8 @@ from ltsim.recording.recording import Recording
 from ltsim.recording.result_file import SourceEntry
 from ltsim.remedies.detectability import MinimalSize
 from ltsim.results import Columns, Result, Table, by_entry, by_row
-from ltsim.saved import Valued
 from ltsim.units import FACTOR
+from ltsim.values import Valued
 
 
 @dataclass(frozen=True)

@@ -26,8 +26,8 @@ from ltsim.recording.recording import Recording
 from ltsim.recording.reflectors import require_one_radius
 from ltsim.recording.result_file import Entry, Known, ResultFile
 from ltsim.results import Column, Result, Table, numbers, texts
-from ltsim.saved import Valued
 from ltsim.units import MICROMETRE
+from ltsim.values import Valued
 
 MOST_PLACES = 20_000_000
 """Stations times targets whose clouds (0.5 GB then) are compared."""

@@ -41,8 +41,8 @@ from ltsim.recording.exchange import RecordingSource, recording_of
 from ltsim.recording.recording import Recording
 from ltsim.recording.result_file import SourceEntry, write_result
 from ltsim.results import Columns, Result
-from ltsim.saved import Valued
 from ltsim.units import ARCSECOND, MICROMETRE
+from ltsim.values import Valued
 
 LEVEL = 0.01
 MOST_GROSS = 0.1

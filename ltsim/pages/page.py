@@ -1,7 +1,6 @@
 """The page a person reads: one HTML file that opens offline, the answer first, what to do next."""
 
 import importlib.metadata
-import json
 import platform
 import re
 from collections import Counter
@@ -20,7 +19,7 @@ from ltsim.pages.sections.network import TRUTH, recording_section
 from ltsim.pages.words import natural, typeset
 from ltsim.recording import read
 from ltsim.recording.native import OBSERVATIONS, SETUP
-from ltsim.recording.result_file import digest_of
+from ltsim.recording.result_file import digest_of, read_json
 from ltsim.recording.settings import read_setup
 from ltsim.recording.setup import About
 
@@ -178,8 +177,8 @@ def _digest(part: PagePart) -> str:
     try:
         if part.kind == OBSERVATIONS:
             return digest_of(read(part.folder))
-        named = json.loads((part.folder / part.kind).read_text(encoding="utf-8"))["recording"]["digest"]
-    except (LtsimError, ValueError, KeyError, TypeError, OSError):
+        named = read_json(part.folder / part.kind, "result")["recording"]["digest"]
+    except (LtsimError, KeyError, TypeError, OSError):
         return ""
     return str(named)
 

@@ -66,6 +66,7 @@ _SETTINGS: dict[Any, Any] = {
     "legend.fontsize": 8.0,
     "text.color": INK,
     "text.parse_math": False,
+    "text.usetex": False,  # a matplotlibrc in the working folder may ask for a program of TeX
     "lines.linewidth": 1.4,
     "svg.fonttype": "none",
     "svg.hashsalt": "ltsim",

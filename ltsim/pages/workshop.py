@@ -14,12 +14,12 @@ from ltsim.model.construction import stated_construction
 from ltsim.recording.recording import Recording
 from ltsim.recording.setup import Limits, Setup
 from ltsim.remedies.remedy import FloorPlan
-from ltsim.saved import Valued
 from ltsim.scene.cad import read_mesh, size_question
 from ltsim.scene.visibility import Reason, Visibility, cone_opening, shadow_radius
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.workshop import Layout, obstacles_of, planned, visibility_of
 from ltsim.units import DEGREE, MILLIMETRE
+from ltsim.values import Valued
 
 SECOND_OPENING = 110.0 * DEGREE
 """The other reading of the paper's shadow cone (section 2.3.2)."""

@@ -17,11 +17,11 @@ from ltsim.planning.survey import Survey
 from ltsim.planning.tolerances import Demands, Kept, every_loss, judged
 from ltsim.planning.workshop import fixed_of, objective_of, site_of, survey_of
 from ltsim.results import Columns, Result
-from ltsim.saved import Valued
 from ltsim.scene.visibility import Visibility, aimed_normals, visibility
 from ltsim.simulation.physics import planned_construction
 from ltsim.simulation.scenario import Scenario
 from ltsim.units import MILLIMETRE
+from ltsim.values import Valued
 
 
 @dataclass(frozen=True)

@@ -14,9 +14,9 @@ from ltsim.errors import SetupError
 from ltsim.notation import listing
 from ltsim.planning.floor import Area, KeepOut, may_stand, over
 from ltsim.planning.survey import Survey
-from ltsim.saved import Valued
 from ltsim.scene.meshes import Obstacles
 from ltsim.scene.visibility import SightLimits, narrowest_cone, visibility
+from ltsim.values import Valued
 
 FEWEST = 3
 """Targets in sight that a station needs."""

@@ -10,7 +10,7 @@ from pydantic import ValidationError
 from ltsim.errors import RecordError, unknown_name
 from ltsim.recording import coordinates, native
 from ltsim.recording.conventions import NO_HINTS, Hints, contradictions
-from ltsim.recording.files import decoded
+from ltsim.recording.files import decoded, universal
 from ltsim.recording.formats import cern_lgc, gama, gama_writer, gsi, openindy, polar_text, spatialanalyzer
 from ltsim.recording.recording import Recording
 from ltsim.recording.settings import sentence
@@ -126,7 +126,7 @@ def recognised(path: Path) -> Format:
     if path.is_file():
         try:
             with path.open("rb") as stream:
-                head = decoded(stream.read(HEAD)).replace("\r\n", "\n")
+                head = universal(decoded(stream.read(HEAD)))
         except OSError as problem:
             raise RecordError(f"cannot be read ({problem.strerror})", file=path) from None
     fitting = [f for f in FORMATS if f.recognises(path, head)]

@@ -7,28 +7,27 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ltsim.errors import RecordError
+from ltsim.limits import FILE_BYTES, LINE_CHARACTERS, LINES, MIB
 from ltsim.storage import write_files
 
-MAX_BYTES = 32 * 1024 * 1024
-MAX_LINES = 500_000
-MAX_LINE = 20_000
 MAX_NAME = 100
+LONGEST_NUMBER = 40
 MAX_TEXT, TITLE = 500, 120
 UTF8, UTF16 = b"\xef\xbb\xbf", (b"\xff\xfe", b"\xfe\xff")
 _OPEN = frozenset(b"\x81\x8d\x8f\x90\x9d")  # bytes without a meaning in Windows-1252
-_NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?", re.ASCII)
+NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?", re.ASCII)
 _NOT_FINITE = re.compile(r"[+-]?(?:nan|inf|infinity)", re.IGNORECASE)
 _FORBIDDEN = re.compile(r"[<>/\\]")
 
 
-def read_bytes(path: Path) -> bytes:
-    """The content of a file of at most `MAX_BYTES`.
+def read_bytes(path: Path, most: int = FILE_BYTES) -> bytes:
+    """The content of a file of at most `most` bytes.
 
     Raises RecordError when it is missing, a folder, unreadable, empty or too large.
     """
     try:
         with path.open("rb") as stream:
-            content = stream.read(MAX_BYTES + 1)
+            content = stream.read(most + 1)
     except FileNotFoundError:
         raise RecordError("there is no such file", file=path) from None
     except IsADirectoryError:
@@ -36,8 +35,8 @@ def read_bytes(path: Path) -> bytes:
     except (OSError, ValueError) as problem:
         reason = getattr(problem, "strerror", None) or "not a usable path"
         raise RecordError(f"cannot be read ({reason})", file=path) from None
-    if len(content) > MAX_BYTES:
-        raise RecordError(f"is larger than {MAX_BYTES >> 20} MiB, the most that is read", file=path)
+    if len(content) > most:
+        raise RecordError(f"is larger than {most // MIB} MiB, the most that is read", file=path)
     if not content.strip():
         raise RecordError("is empty", file=path)
     return content
@@ -50,9 +49,9 @@ def decoded(content: bytes) -> str:
     return content.removeprefix(UTF8).decode("latin-1")
 
 
-def read_text(path: Path, *, liberal: bool = False) -> str:
-    """The text of a file in UTF-8 or UTF-16; `liberal` takes what is neither for Windows-1252."""
-    content = read_bytes(path)
+def read_text(path: Path, *, liberal: bool = False, most: int = FILE_BYTES) -> str:
+    """Text of a file of at most `most` bytes in UTF-8 or UTF-16; `liberal` takes what is neither for Windows-1252."""
+    content = read_bytes(path, most)
     if content.startswith(UTF16):
         content = decoded(content).encode()
     elif b"\x00" in content[1:2] and liberal:
@@ -69,20 +68,28 @@ def read_text(path: Path, *, liberal: bool = False) -> str:
 
 
 def read_lines(path: Path, *, liberal: bool = False) -> list[str]:
-    """The lines of a text file, without line breaks; at most `MAX_LINES`, none longer than `MAX_LINE`."""
-    text = read_text(path, liberal=liberal)
-    if text.count("\n") > MAX_LINES:
-        raise RecordError(f"has more than {MAX_LINES} lines, the most that is read", file=path)
+    """Lines of a text file without line breaks, which are those of Unix, Windows or the old Macintosh.
+
+    Raises RecordError for more than `LINES` of them, or one of more than `LINE_CHARACTERS`.
+    """
+    text = universal(read_text(path, liberal=liberal))
+    if text.count("\n") > LINES:
+        raise RecordError(f"has more than {LINES} lines, the most that is read", file=path)
     lines = text.split("\n")
     for i, line in enumerate(lines):
-        if len(line) > MAX_LINE:
-            raise RecordError(f"line {i + 1} is longer than {MAX_LINE} characters", file=path)
-    return [line.rstrip("\r") for line in lines]
+        if len(line) > LINE_CHARACTERS:
+            raise RecordError(f"line {i + 1} is longer than {LINE_CHARACTERS} characters", file=path)
+    return lines
+
+
+def universal(text: str) -> str:
+    """Text whose lines all end as those of Unix do."""
+    return re.sub("\r+\n|\r", "\n", text) if "\r" in text else text
 
 
 def is_number(text: str) -> bool:
     """Whether `text` is a decimal number in plain ASCII."""
-    return len(text) <= 40 and _NUMBER.fullmatch(text) is not None
+    return len(text) <= LONGEST_NUMBER and NUMBER.fullmatch(text) is not None
 
 
 def is_not_finite(text: str) -> bool:
@@ -96,7 +103,7 @@ def shown(text: str, length: int = 40) -> str:
     return clean if len(clean) <= length else clean[:length] + "..."
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class FilePlace:
     """A place in a file. What it holds is checked here, and whatever is wrong there is told with it."""
 

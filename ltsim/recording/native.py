@@ -12,9 +12,19 @@ import numpy as np
 
 from ltsim.arrays import Floats, Ints
 from ltsim.errors import RecordError
+from ltsim.limits import FIELDS
 from ltsim.recording.conventions import NO_HINTS, Hints
 from ltsim.recording.differences import check_differences
-from ltsim.recording.files import FilePlace, is_not_finite, is_number, read_lines, shown, write_texts
+from ltsim.recording.files import (
+    LONGEST_NUMBER,
+    NUMBER,
+    FilePlace,
+    is_not_finite,
+    is_number,
+    read_lines,
+    shown,
+    write_texts,
+)
 from ltsim.recording.lengths import KnownLengths
 from ltsim.recording.pointings import indices
 from ltsim.recording.recording import (
@@ -30,7 +40,7 @@ from ltsim.recording.settings import read_setup, setup_from, setup_to_toml
 from ltsim.recording.setup import Setup
 from ltsim.recording.slips import check_degrees
 from ltsim.recording.specification import overruled
-from ltsim.recording.tables.sheets import MAX_FIELDS, Row, is_folder
+from ltsim.recording.tables.sheets import Row, is_folder
 from ltsim.results import guarded, plain
 from ltsim.units import DEGREE, FACTOR, MILLIMETRE, NAMED
 
@@ -84,11 +94,13 @@ def _table(path: Path, *, growing: bool) -> list[list[str]]:
     rows: list[list[str]] = []
     try:
         for fields in csv.reader(lines, strict=True):
-            if any(field.strip() for field in fields):
-                if len(fields) > MAX_FIELDS:
-                    raise FilePlace(path, len(rows)).wrong(f"{len(fields)} columns, expected at most {MAX_FIELDS}")
-                rows.append([field.strip() for field in fields])
-                Row(len(rows) - 1, tuple(fields)).check_width(len(rows[0]), path)
+            cells = [field.strip() for field in fields]
+            if any(cells):
+                if len(cells) > FIELDS:
+                    raise FilePlace(path, len(rows)).wrong(f"{len(cells)} columns, expected at most {FIELDS}")
+                rows.append(cells)
+                if len(cells) != len(rows[0]):
+                    Row(len(rows) - 1, tuple(cells)).check_width(len(rows[0]), path)
     except csv.Error as problem:
         raise FilePlace(path, len(rows)).wrong(f"is not CSV here ({problem})") from None
     if len(rows) < 2:
@@ -101,7 +113,7 @@ def parse(rows: list[list[str]], setup: Setup, folder: Path, *, growing: bool = 
     file = folder / OBSERVATIONS
     header = rows[0]
     _check_header(header, file)
-    columns = {name: [plain(row[i]) for row in rows[1:]] for i, name in enumerate(header)}
+    columns = {name: list(map(plain, column)) for name, column in zip(header, zip(*rows[1:], strict=True), strict=True)}
     stations, station = indices(columns["station"], "station", file)
     targets, target = indices(columns["target"], "target", file)
     count = len(rows) - 1
@@ -160,24 +172,31 @@ def _check_header(header: Sequence[str], file: Path) -> None:
 
 def _whole(column: list[str], where: FilePlace, bounds: tuple[int, int]) -> Ints:
     low, high = bounds
-    for i, text in enumerate(column):
+    numbers: dict[str, int] = {}
+    for text in dict.fromkeys(column):
         if not (text.isascii() and text.isdigit() and len(text) < 8 and low <= int(text) <= high):
             wanted = f"{low} or {high}" if high == low + 1 else f"a whole number from {low}"
-            raise replace(where, row=i + 1).wrong(f"found '{shown(text)}', expected {wanted}")
-    return np.array([int(text) for text in column], dtype=np.int64)
+            raise replace(where, row=column.index(text) + 1).wrong(f"found '{shown(text)}', expected {wanted}")
+        numbers[text] = int(text)
+    return np.array([numbers[text] for text in column], dtype=np.int64)
 
 
 def _floats(column: list[str], where: FilePlace, *, optional: bool = True) -> Floats:
     """A column of numbers within the bounds of its name; empty cells are NaN where that is allowed."""
     low, high = BOUNDS.get(where.column or "", (-1e15, 1e15))
     values = np.full(len(column), np.nan)
-    for i, text in enumerate(column):
-        if text or not optional:
-            here = replace(where, row=i + 1)
-            values[i] = here.number(text, limit=1e15)
-            if not low <= values[i] <= high:
-                hint = " (it looks like gon)" if where.column == "elevation_deg" and 270 < values[i] < 400 else ""
-                raise here.wrong(f"found {shown(text)}, expected a value from {low:g} to {high:g}{hint}")
+    filled = [i for i, text in enumerate(column) if text or not optional]
+    texts = [column[i] for i in filled]
+    if max(map(len, texts), default=0) <= LONGEST_NUMBER and all(map(NUMBER.fullmatch, texts)):
+        values[filled] = list(map(float, texts))
+        if np.all((values[filled] >= low) & (values[filled] <= high)):
+            return values
+    for i in filled:  # to name the first that is wrong
+        here = replace(where, row=i + 1)
+        values[i] = here.number(column[i], limit=1e15)
+        if not low <= values[i] <= high:
+            hint = " (it looks like gon)" if where.column == "elevation_deg" and 270 < values[i] < 400 else ""
+            raise here.wrong(f"found {shown(column[i])}, expected a value from {low:g} to {high:g}{hint}")
     return values
 
 
@@ -309,13 +328,12 @@ def table_of(recording: Recording) -> list[list[str]]:
 
 def _texts(values: Floats, unit: float = 1.0, digits: int | None = None) -> list[str]:
     """Values in `unit`: `digits` decimals where they say it exactly, otherwise all digits; empty for NaN."""
-    return [_text(float(value), unit, digits) for value in values]
-
-
-def _text(value: float, unit: float, digits: int | None) -> str:
-    if not np.isfinite(value):
-        return ""
-    if digits is None:
-        return repr(value / unit)
-    short = f"{value / unit:.{digits}f}"
-    return short if float(short) * unit == value else repr(value / unit)
+    there = np.isfinite(values)
+    numbers = (values[there] / unit).tolist()
+    texts = list(map(repr, numbers))
+    if digits is not None:
+        short = [f"{number:.{digits}f}" for number in numbers]
+        exact = np.array(list(map(float, short))) * unit == values[there]
+        texts = [few if same else all_ for few, all_, same in zip(short, texts, exact.tolist(), strict=True)]
+    filled = iter(texts)
+    return [next(filled) if finite else "" for finite in there.tolist()]

@@ -26,7 +26,7 @@ Kind = Literal["distance", "azimuth", "elevation"]
 _UNIT = dict(zip(OBSERVABLES, SIGMA_UNITS, strict=True))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Pointing:
     """One row: names, face, range [m], azimuth and elevation [rad] (NaN: not measured), time [s]."""
 

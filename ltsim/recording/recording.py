@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from ltsim.arrays import Bools, Floats, Ints
+from ltsim.errors import ModelError
 from ltsim.recording.setup import Gauge, Instrument, Noise, Setup, Station, Target
 from ltsim.results import Columns, Result
 from ltsim.units import ARCSECOND, DEGREE, MILLIMETRE, PPM
@@ -81,6 +82,16 @@ class Recording(Result):
     """What a reader decided about an ambiguous file, skipped or left out: one sentence each."""
     sources: tuple[str, ...] = ()
     """File and line that each row was read from; empty for a native recording, whose rows are those of its table."""
+
+    def __post_init__(self) -> None:
+        """Raise ModelError for times that are not finite: every order and every drift rests on them."""
+        wrong = np.flatnonzero(~np.isfinite(np.asarray(self.time, dtype=np.float64)))
+        if len(wrong):
+            row, value = int(wrong[0]) + 1, self.time[wrong[0]]
+            raise ModelError(
+                f"the time of row {row} is {value}, expected finite seconds; of a recording without a clock give "
+                "time=np.arange(n) and has_clock=False"
+            )
 
     def __len__(self) -> int:
         return len(self.station)

@@ -9,17 +9,29 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, TypeVar
 
 import numpy as np
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, FiniteFloat, ValidationError
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    FiniteFloat,
+    GetCoreSchemaHandler,
+    ValidationError,
+)
+from pydantic_core import CoreSchema
 
 from ltsim.errors import RecordError
+from ltsim.limits import JSON_VALUES
 from ltsim.recording.coordinates import Coordinates
 from ltsim.recording.files import read_bytes, read_text, shown, write_texts
 from ltsim.recording.recording import Recording
+from ltsim.results import LARGEST
 
 STEP = 1e-6
 """[m, rad] to which readings are rounded in a digest: writing and reading a recording keeps it."""
@@ -38,10 +50,30 @@ Known = Annotated[FiniteFloat | None, BeforeValidator(known)]
 Vector = tuple[Finite, Finite, Finite]
 
 
+def _fail_fast(schema: Any) -> None:
+    """Let every list below a schema end at its first wrong entry, in place."""
+    if isinstance(schema, list | tuple):
+        for part in schema:
+            _fail_fast(part)
+    elif isinstance(schema, dict):
+        if schema.get("type") in ("list", "tuple"):
+            schema["fail_fast"] = True
+        for key, part in schema.items():
+            if key not in ("metadata", "serialization"):
+                _fail_fast(part)
+
+
 class Entry(BaseModel):
     """A table of a result file: values cannot change, and keys that a later version adds are ignored."""
 
     model_config = ConfigDict(extra="ignore", frozen=True, populate_by_name=True, use_attribute_docstrings=True)
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """The usual schema, which ends at the first wrong entry of a list: each error of a million takes 500 bytes."""
+        schema = handler(source)
+        _fail_fast(schema)
+        return schema
 
 
 class SourceEntry(Entry):
@@ -148,21 +180,23 @@ def read_result(path: Path, model: type[File]) -> File:
 def read_json(file: Path, kind: str) -> dict[str, Any]:
     """The object in a JSON file; `kind` is what the file should be.
 
-    Raises RecordError when it holds something else, or a number that is not finite.
+    Raises RecordError when it holds something else, more values than are read, or a number beyond `LARGEST`.
     """
 
-    def number(text: str) -> float:
-        value = float(text)
-        if not math.isfinite(value):
-            raise RecordError(f"holds the number {shown(text)}, expected finite ones", file=file)
+    def checked_number(text: str, kind: Callable[[str], float]) -> float:
+        value = kind(text) if len(text) <= 400 else math.inf
+        if not abs(value) <= LARGEST:
+            raise RecordError(f"holds the number {shown(text)}, expected at most {LARGEST:g} in size", file=file)
         return value
 
+    decimal, whole = (partial(checked_number, kind=kind) for kind in (float, int))
+    text = read_text(file)
+    if text.count(",") + text.count("[") + text.count("{") > JSON_VALUES:
+        raise RecordError(f"holds more than {JSON_VALUES} values, the most that is read", file=file)
     try:
-        content = json.loads(read_text(file), parse_float=number, parse_constant=number)
+        content = json.loads(text, parse_float=decimal, parse_constant=decimal, parse_int=whole)
     except (json.JSONDecodeError, RecursionError):
         raise RecordError(f"is not JSON; expected a {kind}", file=file) from None
-    except ValueError:
-        raise RecordError("holds a number of thousands of digits, expected finite ones", file=file) from None
     if not isinstance(content, dict):
         raise RecordError(f"holds no JSON object; expected a {kind}", file=file)
     return content

@@ -13,10 +13,17 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from ltsim.errors import ModelError, RecordError, as_setup_error
-from ltsim.recording.files import FilePlace, read_text, shown
+from ltsim.limits import TOML_BYTES, TOML_DEPTH, TOML_KEYS, TOML_VALUES
+from ltsim.recording.files import FilePlace, read_text, shown, universal
 from ltsim.recording.setup import Instrument, Setup
 
 Settings = TypeVar("Settings", bound=BaseModel)
+_TOML = re.compile(
+    r'"""(?:[^"\\]++|\\.|"{1,2}(?!"))*+"{3,5}|"(?:[^"\\\n]++|\\.)*+"|#[^\n]*+|[][{}=,.\n]'
+    r"|'''(?:[^']++|'{1,2}(?!'))*+'{3,5}|'[^'\n]*+'",
+    re.DOTALL,
+)
+"""Strings and comments of TOML as wholes, and the characters that make its structure."""
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
 _COMPLETE = ("\n", '"', "'", "]", "}", "true", "false")
 
@@ -28,16 +35,46 @@ def read_setup(path: Path) -> Setup:
 
 def read_toml(path: Path, kind: str) -> dict[str, Any]:
     """The tables of a TOML file; `kind` is what the file should be (raises RecordError)."""
-    text = read_text(path)
+    text = universal(read_text(path, most=TOML_BYTES))
     if not text.endswith(_COMPLETE) and not text.splitlines()[-1].lstrip().startswith("#"):
         message = "has no line break after its last value and may be cut there; end the line if it is whole"
         raise RecordError(message, file=path)
+    check_toml(text, path)
     try:
-        return tomllib.loads(text.replace("\r\n", "\n"))
+        return tomllib.loads(text)
     except (tomllib.TOMLDecodeError, ValueError) as problem:
         raise RecordError(f"is not TOML: {_one_line(problem)}", file=path) from None
     except RecursionError:
         raise RecordError(f"is nested too deeply to be a {kind}", file=path) from None
+
+
+def check_toml(text: str, file: object) -> None:
+    """Raise RecordError for a text of more keys or deeper tables than the limits, before it is parsed.
+
+    Strings and comments are passed over as the parser passes over them; a key's parts and the brackets around it count
+    as its depth.
+    """
+    keys = values = brackets = parts = line = 0
+    for token in _TOML.finditer(text):
+        mark = token[0]
+        values += mark in "=[{,"
+        keys += mark in "={" or (mark == "[" and token.start() == line)
+        if mark in "[{":
+            brackets, parts = brackets + 1, 0
+        elif mark in "]}":
+            brackets = max(brackets - 1, 0)
+        elif mark == ".":
+            parts += 1
+        elif mark in "\n=,":
+            line, parts = token.end() if mark == "\n" else line, 0
+        if brackets + parts > TOML_DEPTH:
+            row = text.count("\n", 0, token.start()) + 1
+            raise FilePlace(file, row).wrong(
+                f"tables or keys are nested deeper than {TOML_DEPTH}, the most that is read"
+            )
+        if keys > TOML_KEYS or values > TOML_VALUES:
+            most = f"{TOML_KEYS} keys and tables or {TOML_VALUES} values"
+            raise RecordError(f"holds more than {most}, the most that is read", file=file)
 
 
 def setup_from(data: Mapping[str, Any], file: object) -> Setup:

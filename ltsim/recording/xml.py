@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,19 +15,70 @@ from defusedxml.ElementTree import DefusedXMLParser
 
 from ltsim.arrays import Floats, Ints
 from ltsim.errors import RecordError
+from ltsim.limits import TAG_ATTRIBUTES, XML_ATTRIBUTES, XML_DEPTH, XML_TAGS
 from ltsim.recording.files import FilePlace, read_bytes, shown
 
+_LONG_TAG = re.compile(rb"<[^<]{4096,}+")
+"""From one tag to the next, where there is room for too many attributes."""
 LINE = "{ltsim}line"
 """An attribute that no file can set: its namespace is none, and what a file says is overwritten."""
 
 
 class _Numbered(TreeBuilder):
-    """Elements that know the line they begin in."""
+    """Elements that know the line they begin in, inside each other no deeper than the limit."""
 
-    parser: Any = None
+    def __init__(self, file: Path) -> None:
+        super().__init__()
+        self.parser: Any = None
+        self._depth = _Depth(file)
 
     def start(self, tag: Any, attrs: Any, /) -> Element:
+        self._depth.start(tag, attrs)
         return super().start(tag, {**attrs, LINE: str(self.parser.parser.CurrentLineNumber)})
+
+    def end(self, tag: Any, /) -> Element:
+        self._depth.end(tag)
+        return super().end(tag)
+
+
+class _Depth:
+    """Target of a parser that builds nothing: it raises RecordError where elements are too deep inside each other."""
+
+    def __init__(self, file: Path) -> None:
+        self._file, self._depth = file, 0
+
+    def start(self, _tag: Any, _attributes: Any) -> None:
+        self._depth += 1
+        if self._depth > XML_DEPTH:
+            raise RecordError(f"nests elements deeper than {XML_DEPTH}, the most that is read", file=self._file)
+
+    def end(self, _tag: Any) -> None:
+        self._depth -= 1
+
+    def close(self) -> None:
+        """Nothing was built."""
+
+
+def check_tags(content: bytes, file: Path) -> None:
+    """Raise RecordError where one tag of a text in XML may hold more attributes than the limit.
+
+    No attribute holds a `<`, so all attributes of a tag stand before the next one.
+    """
+    if any(match[0].count(b"=") > TAG_ATTRIBUTES for match in _LONG_TAG.finditer(content)):
+        raise RecordError(f"holds a tag with more than {TAG_ATTRIBUTES} attributes, the most that is read", file=file)
+
+
+def check_part(content: bytes, file: Path) -> None:
+    """Raise RecordError for XML that a library is to read: entities, depth, attributes of a tag, or another encoding.
+
+    Raises ParseError where it is not well formed.
+    """
+    if b"\x00" in content:
+        raise RecordError("holds a part that is not UTF-8", file=file)
+    check_tags(content, file)
+    parser = DefusedXMLParser(target=_Depth(file))
+    parser.feed(content)
+    parser.close()
 
 
 def parse(path: Path) -> Node:
@@ -35,8 +87,12 @@ def parse(path: Path) -> Node:
     Raises RecordError when it is not well formed (cut, badly encoded), or declares entities.
     """
     content = read_bytes(path)
+    if content.count(b"<") > XML_TAGS or content.count(b"=") > XML_ATTRIBUTES:
+        most = f"{XML_TAGS} tags or {XML_ATTRIBUTES} attributes"
+        raise RecordError(f"holds more than {most}, the most that is read", file=path)
+    check_tags(content, path)
     try:
-        builder = _Numbered()
+        builder = _Numbered(path)
         builder.parser = parser = DefusedXMLParser(target=builder)  # without entities and external references
         parser.feed(content)
         root = parser.close()

@@ -37,7 +37,7 @@ from ltsim.remedies.remedy import (
     returns,
 )
 from ltsim.results import Columns, Result
-from ltsim.saved import Valued
+from ltsim.values import Valued
 
 DECISIVE = 10.0
 """Expected difference of chi-square from which two explanations count as told apart."""

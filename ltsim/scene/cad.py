@@ -4,30 +4,23 @@ glTF states metres and y up; STEP and IGES state their unit; STL, OBJ and PLY st
 with z up. What a file was taken for is told, and a body of an unlikely size or place is a question, not a body.
 """
 
-import os
 import re
-import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
-from io import BytesIO
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from ltsim.arrays import Floats
-from ltsim.errors import SetupError, require
+from ltsim.errors import SetupError, installed, require
+from ltsim.limits import CAD_BYTES, MIB
+from ltsim.recording.files import shown
+from ltsim.scene.cad_process import EXACT, FACETS, triangles_in
 from ltsim.units import FACTOR
 
 GLTF = (".glb", ".gltf")
-EXACT = (".step", ".stp", ".iges", ".igs")
-SUFFIXES = (".stl", ".obj", ".ply", *GLTF, *EXACT)
+SUFFIXES = (*FACETS, *GLTF, *EXACT)
 WORDS = {"mm": "millimetres", "m": "metres", "in": "inches"}
-MAX_BYTES = 512 * 1024 * 1024
-DEVIATION = 1.0
-"""[mm] that a triangle may lie off an exact surface: enough to know what hides what."""
 SMALL = FACTOR["mm"] / FACTOR["in"]
 """Of the room's length: a body that is shorter may be one whose numbers are inches."""
 BEYOND = 0.05
@@ -76,8 +69,8 @@ def read_mesh(path: Path, unit: str | None = None, up: str | None = None) -> Cad
     own = "" if suffix in EXACT else unit or ("m" if suffix in GLTF else "mm")
     try:
         found = path.stat()
-        if found.st_size > MAX_BYTES:
-            raise SetupError(f"{path}: is larger than {MAX_BYTES >> 20} MiB, the most that is read")
+        if found.st_size > CAD_BYTES:
+            raise SetupError(f"{path}: is larger than {CAD_BYTES // MIB} MiB, the most that is read")
         triangles = _triangles(path, found.st_mtime_ns, FACTOR[own or "m"], turned)
     except OSError as problem:
         raise SetupError(f"{path}: cannot be read ({problem.strerror or 'not a usable file'})") from None
@@ -100,54 +93,18 @@ def _triangles(path: Path, _changed: int, factor: float, up: str) -> Floats:
 def _as_written(path: Path) -> Floats:
     """Triangles (m, 3, 3) in the numbers and axes of a file, of an exact one [m]."""
     require(("trimesh",), "CAD files", "cad")
-    import trimesh  # a third of a second that few need
-
-    suffix, content = path.suffix.lower(), path.read_bytes()
-    if suffix in EXACT:
-        content, suffix = _as_glb(path, content), ".glb"
-    if suffix == ".gltf" and (others := re.findall(rb'"uri"\s*:\s*"(?!data:)([^"]*)"', content)):
-        raise SetupError(
-            f"{path}: keeps its surfaces in other files ({others[0].decode(errors='replace')}); export it as .glb, or "
-            "as .gltf with everything in it"
-        )
-    try:
-        loaded: Any = trimesh.load(BytesIO(content), file_type=suffix[1:], force="mesh", skip_materials=True)
-        triangles: Floats = np.array(loaded.triangles, dtype=np.float64)
-    except Exception as problem:  # readers of all these formats raise whatever they meet
-        raise SetupError(f"{path}: is not a whole {path.suffix[1:]} file ({type(problem).__name__})") from None
-    if not len(triangles) or not np.all(np.isfinite(triangles)):
-        raise SetupError(f"{path}: holds no surface of triangles with finite coordinates")
-    return triangles
-
-
-def _as_glb(path: Path, content: bytes) -> bytes:
-    """The GLB file, in metres and in the axes of the CAD, of a STEP or IGES file by OpenCASCADE; empty for none."""
-    try:
-        import cascadio
-    except ImportError:
+    suffix = path.suffix.lower()
+    if suffix in EXACT and not installed("cascadio"):
         raise SetupError(
             f'{path}: holds exact surfaces, which needs the library cascadio: pip install "ltsim[step]", or export it '
             "from the CAD system as STL, OBJ or GLB"
-        ) from None
-    kind = cascadio.FileType.STEP if path.suffix.lower() in EXACT[:2] else cascadio.FileType.IGES
-    with _unheard():
-        found: bytes = cascadio.to_glb_bytes(content, kind, tol_linear=DEVIATION)
-    return found
-
-
-@contextmanager
-def _unheard() -> Iterator[None]:
-    """OpenCASCADE writes what it thinks of a file to the terminal, below Python; it goes nowhere."""
-    kept = [os.dup(1), os.dup(2)]
-    with tempfile.TemporaryFile() as nowhere:
-        try:
-            for number in (1, 2):
-                os.dup2(nowhere.fileno(), number)
-            yield
-        finally:
-            for number, own in zip((1, 2), kept, strict=True):
-                os.dup2(own, number)
-                os.close(own)
+        )
+    if suffix == ".gltf" and (others := re.findall(rb'"uri"\s*:\s*"(?!data:)([^"]*)"', path.read_bytes())):
+        raise SetupError(
+            f"{path}: keeps its surfaces in other files ({shown(others[0].decode(errors='replace'))}); export it as "
+            ".glb, or as .gltf with everything in it"
+        )
+    return triangles_in(path)
 
 
 def extent(triangles: Floats) -> str:

@@ -21,9 +21,9 @@ from ltsim.recording.result_file import read_json
 from ltsim.recording.settings import checked
 from ltsim.recording.setup import Finite, TomlSection, Vector
 from ltsim.results import Columns, Result
-from ltsim.saved import Valued
 from ltsim.simulation.sections import PlacedEffect
 from ltsim.units import FACTOR, MILLIMETRE
+from ltsim.values import Valued
 
 
 @dataclass(frozen=True)

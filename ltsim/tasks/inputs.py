@@ -19,9 +19,9 @@ from ltsim.errors import ModelError, SetupError, unknown_name
 from ltsim.model.construction import ideal, stated_construction
 from ltsim.recording.recording import OBSERVABLES, Recording
 from ltsim.recording.reflectors import smrs_of
-from ltsim.saved import Valued
 from ltsim.tasks.spec import Tasks, TypeB
 from ltsim.units import MILLIMETRE
+from ltsim.values import Valued
 
 SPREAD = {"normal": 1.0, "rectangular": 1 / np.sqrt(3), "triangular": 1 / np.sqrt(6), "arcsine": 1 / np.sqrt(2)}
 """Standard deviation of each distribution of unit size (a normal's size is its standard deviation)."""

@@ -9,10 +9,10 @@ import numpy as np
 from ltsim.arrays import Floats, Ints
 from ltsim.errors import ModelError, NetworkError, unknown_name
 from ltsim.geometry.alignment import best_fit
-from ltsim.saved import Valued
 from ltsim.tasks.features import Feature, fit
 from ltsim.tasks.spec import Task
 from ltsim.units import DEGREE, MILLIMETRE, PPM
+from ltsim.values import Valued
 
 STEP = 1e-5
 """[m] Half the step of the central differences: rounding and curvature are both far below a nanometre."""

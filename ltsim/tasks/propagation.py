@@ -19,10 +19,10 @@ from ltsim.adjustment import adjust
 from ltsim.arrays import Bools, Floats
 from ltsim.geometry.expansion import Expansion
 from ltsim.randomness import stream
-from ltsim.saved import Valued
 from ltsim.tasks.inputs import Inputs
 from ltsim.tasks.measurands import Measurand
 from ltsim.tasks.spec import MonteCarlo, PartExpansion
+from ltsim.values import Valued
 
 CHECKS = 8
 CURVED = 0.05

@@ -1,7 +1,9 @@
-"""The results of campaigns and recoveries as values: on named axes, through a pool of processes, into a file."""
+"""The results of campaigns and recoveries as values: on named axes, through a pool of processes."""
 
 from __future__ import annotations
 
+import json
+import shutil
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
@@ -105,7 +107,7 @@ def described(result: Any) -> tuple[str, list[str]]:
     return repr(result), result.to_dataframe().columns.to_list()
 
 
-def test_results_go_through_a_pool_of_processes_and_into_a_file(sweep: Any, tmp_path: Path) -> None:
+def test_results_go_through_a_pool_of_processes(sweep: Any) -> None:
     recording, _ = lt.simulate("paper-workshop", seed=3)
     calibration = lt.calibrate(recording)
     recovery = lt.recover("paper-workshop-re-aimed", trials=2)
@@ -114,9 +116,7 @@ def test_results_go_through_a_pool_of_processes_and_into_a_file(sweep: Any, tmp_
         assert list(pool.map(described, results)) == [described(result) for result in results]
         (again,) = pool.map(lt.calibrate, [recording])
     assert np.array_equal(again.values, calibration.values)
-    for result in (sweep, recovery):
-        result.save(tmp_path / "kept.lt")
-        assert lt.read(tmp_path / "kept.lt") == result
+    assert lt.campaign(sweep.folder) == sweep
 
 
 def test_methods_are_compared_on_one_recording_as_the_campaign_compares_them_in_its_row(sweep: Any) -> None:
@@ -166,3 +166,16 @@ def test_the_page_has_the_noise_floor_beside_each_error_and_says_what_its_statis
     meanings = listed.text.splitlines()
     assert len(meanings) == len([c for c in sweep.columns if ":" not in c])
     assert all(line.partition("]: ")[2] for line in meanings)
+
+
+def test_names_in_a_campaign_folder_are_no_sql(sweep: Any, tmp_path: Path) -> None:
+    folder, made = tmp_path / "sweep", tmp_path / "made"
+    shutil.copytree(sweep.folder, folder)
+    manifest = json.loads((folder / "manifest.json").read_text())
+    name = manifest["factors"][0]["name"]
+    hostile = f"{name}\" FROM rows; COPY (SELECT 1) TO '{made}'; --"
+    text = (folder / "manifest.json").read_text().replace(f'"{name}"', json.dumps(hostile))
+    (folder / "manifest.json").write_text(text)
+    with pytest.raises(SetupError, match="cannot be read"):
+        lt.campaign(folder)
+    assert not made.exists()

@@ -248,7 +248,7 @@ def test_one_reading_on_the_wrong_face_is_kept(folder: Path) -> None:
         ("[gauge]", "[targets.T1]\nnormal = [0, 0, 1]\n\n[gauge]", "did you mean nest_normal"),
         ("[gauge]", '[targets."a/b"]\n\n[gauge]', "holds '/'"),
         ("[gauge]", "[gauge", "is not TOML"),
-        ("[gauge]", "x = " + "[" * 5000 + "\n[gauge]", "nested too deeply"),
+        ("[gauge]", "x = " + "[" * 5000 + "\n[gauge]", "nested deeper than 32"),
         ("[gauge]", "x = " + "9" * 6000 + "\n[gauge]", "TOML"),
     ],
 )

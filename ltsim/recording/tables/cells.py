@@ -13,6 +13,8 @@ FACES = {
     **dict.fromkeys(("2", "2.0", "ii", "f2", "face2", "b", "back", "reverse", "r", "right", "rechts", "cr"), 2),
 }
 DAY = timedelta(days=1)
+LONGEST = 60
+"""Characters of a cell that can be a number or an angle."""
 _SEXAGESIMAL = re.compile(
     r"([+-]?)(\d{1,3})\s*(?:°|d|:|-|\s)\s*(\d{1,2})\s*(?:'|′|’|m|:|-|\s)\s*(\d{1,2}(?:[.,]\d+)?)\s*(?:\"|″|”|''|s)?"
 )
@@ -47,7 +49,7 @@ def grouping_of(rows: Iterable[Sequence[str]], file: object) -> str:
 
 def is_value(text: str) -> bool:
     """Whether a cell is a number or an angle in degrees, minutes and seconds."""
-    return is_number(plain(text)) or _SEXAGESIMAL.fullmatch(text.strip()) is not None
+    return len(text) <= LONGEST and (is_number(plain(text)) or _SEXAGESIMAL.fullmatch(text.strip()) is not None)
 
 
 def value(text: str, grouping: str = "") -> Decimal | None:
@@ -56,6 +58,8 @@ def value(text: str, grouping: str = "") -> Decimal | None:
     `grouping` is that of its sheet, by `grouping_of`.
     """
     text = text.strip()
+    if len(text) > LONGEST:
+        return None
     number = plain(text.replace(grouping, "") if grouping and _GROUPED[grouping].fullmatch(text) else text)
     if is_number(number):
         return Decimal(number)

@@ -2,8 +2,10 @@
 
 import re
 import unicodedata
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 from ltsim.errors import RecordError
 from ltsim.recording.files import shown
@@ -72,6 +74,8 @@ ALLOWED = {
 WEAK = ("nr", "nummer", "no")
 """Words that name the target where no other word does."""
 MAPPED = tuple(dict.fromkeys((*WORDS, *SIGMA_OF.values())))
+LONGEST_TITLE = 80
+"""Characters of a cell that can name a column."""
 _BRACKET = re.compile(r"(.*?)\s*[\[({]\s*([^\])}]*?)\s*[\])}]?\s*")
 _FACED = re.compile(r"(.*?)[\s._-]*(?:(?:face|lage|f|l)[\s._-]*)?(1|2|ii|i)", re.IGNORECASE)
 _SIGMAS = (re.compile(r"(?:sigma|stddev|std|sd|s)([a-z]+)"), re.compile(r"([a-z]+?)(?:error|err|sigma|stddev|std|sd)"))
@@ -116,7 +120,18 @@ def columns_of(fields: Sequence[str]) -> list[TableColumn]:
             one = replace(one, role="", face=0)
         taken.add((one.role, one.face))
         kept.append(one)
-    return kept
+    return distinct_titles(kept)
+
+
+def distinct_titles(columns: Sequence[TableColumn]) -> list[TableColumn]:
+    """Columns with a number behind each title that an earlier column has: titles are the keys of further columns."""
+    before: Counter[str] = Counter()
+    found = []
+    for column in columns:
+        before[column.title] += 1
+        again = column.title and before[column.title] > 1
+        found.append(replace(column, title=f"{column.title} ({before[column.title]})") if again else column)
+    return found
 
 
 def _kinds_in(columns: Sequence[TableColumn]) -> int:
@@ -134,8 +149,11 @@ def names_places(columns: Sequence[TableColumn]) -> bool:
     return {"target", *PLACE} <= {column.role for column in columns}
 
 
+@lru_cache(maxsize=8192)
 def words_of(title: str) -> tuple[str, str]:
     """The words of a header without marks and accents, and its unit ('' where it states none)."""
+    if len(title) > LONGEST_TITLE:
+        return "", ""
     name, unit = _titled(title)
     if not unit:
         parts = re.split(r"[\s_]+", title.strip())

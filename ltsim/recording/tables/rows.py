@@ -9,7 +9,7 @@ from decimal import Decimal
 
 from ltsim.errors import RecordError
 from ltsim.recording.conventions import Hints
-from ltsim.recording.files import FilePlace, shown
+from ltsim.recording.files import MAX_TEXT, FilePlace, shown
 from ltsim.recording.tables import cells
 from ltsim.recording.tables.header import (
     DISTANCE,
@@ -31,10 +31,10 @@ POSITIONS = ("station", "target", "azimuth", "vertical", "distance")
 """Roles of a table without a header whose lines are names and three numbers."""
 GON_CIRCLE = 400
 """A number beyond the circle with the most units is no angle."""
-_STATION = re.compile(r"#?\s*([^\W\d_]+)\s*[:=;,\t ]\s*(\S.*?)[\s;,]*")
+_STATION = re.compile(r"#?\s*([^\W\d_]+)\s*[:=;,\t ]\s*(\S.*)")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Printed:
     """One pointing as its row prints it: numbers by role in the units of their columns, those that are not empty."""
 
@@ -119,8 +119,10 @@ def header_of(row: Row, hints: Hints, file: object = None) -> list[TableColumn] 
     """The columns that a row names as a header; None where it is none."""
     if hints.columns is not None:
         return mapped(row.fields, hints.columns, file) if any(row.fields) else None
+    if any(map(cells.is_value, row.fields)):
+        return None
     columns = columns_of(row.fields)
-    return columns if is_header(columns) and not row.values else None
+    return columns if is_header(columns) else None
 
 
 def header_at(sheet: Sheet, hints: Hints) -> int | None:
@@ -185,7 +187,8 @@ class _SheetReader:
 
     def _other(self, row: Row) -> None:
         """A line that is no pointing: it names the station of a block, or is left out."""
-        found = _STATION.fullmatch(" ".join(field for field in row.fields if field))
+        line = " ".join(field for field in row.fields if field).rstrip(" \t;,")
+        found = _STATION.fullmatch(line) if len(line) <= MAX_TEXT else None
         if found is not None and role_of(found.group(1)) == "station":
             self.station = found.group(2)
         elif not row.comment:

@@ -12,7 +12,7 @@ import numpy as np
 
 from ltsim.arrays import Floats
 from ltsim.notation import listing
-from ltsim.recording.files import shown
+from ltsim.recording.files import MAX_NAME, shown
 from ltsim.recording.pointings import numbered
 from ltsim.recording.recording import OCCUPATION_COLUMNS
 from ltsim.recording.setup import EXACT_LEVEL_ARCSEC, Setup, Station
@@ -61,6 +61,8 @@ def common_names(sightings: Sequence[tuple[str, str]]) -> tuple[list[str], list[
 
 def _without(station: str, target: str) -> str:
     """The name of a target without that of its set-up; empty where it does not hold it."""
+    if len(target) > MAX_NAME:  # which is refused later
+        return ""
     found = re.fullmatch(rf"{re.escape(station)}[\s._:/-]+(.+)|(.+?)[\s._:/-]+{re.escape(station)}", target)
     return (found[1] or found[2]) if found else ""
 

@@ -1,30 +1,25 @@
 """From a file to rows of text: encoding, separator, quotes, comments, sheets of a workbook."""
 
 import csv
-import io
-import zipfile
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from datetime import date, datetime, time
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 from ltsim.errors import RecordError
-from ltsim.recording.files import MAX_BYTES, MAX_LINES, FilePlace, is_number, read_bytes, read_lines, shown
+from ltsim.limits import FIELDS
+from ltsim.recording.files import FilePlace, is_number, read_lines, shown
 from ltsim.recording.tables.cells import grouping_of, is_value
+from ltsim.recording.tables.workbook import workbook_cells
 
 SUFFIXES = (".csv", ".tsv", ".txt", ".dat", ".asc", ".xlsx")
 WORKBOOK = b"PK\x03\x04"
 SEPARATORS = ("\t", ";", ",", " ")
 SAMPLE = 400
-MAX_FIELDS = 500
-MAX_CELLS = 3_000_000
-_MOMENTS = (datetime, date, time)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Row:
     """Fields of one line; a line that begins with # is a comment."""
 
@@ -121,8 +116,8 @@ def _rows(lines: Sequence[str], file: Path) -> Iterator[Row]:
         says_separator = len(line) == 5 and line.lower().startswith("sep=")  # exports of some spreadsheets
         if text.strip() and not says_separator:
             fields = _split(text, separator)
-            if len(fields) > MAX_FIELDS:
-                raise FilePlace(file, i + 1).wrong(f"{len(fields)} fields, expected at most {MAX_FIELDS}")
+            if len(fields) > FIELDS:
+                raise FilePlace(file, i + 1).wrong(f"{len(fields)} fields, expected at most {FIELDS}")
             yield Row(i + 1, fields, comment)
 
 
@@ -171,65 +166,30 @@ def _split(line: str, separator: str) -> tuple[str, ...]:
 def table_rows(path: Path) -> tuple[list[str], list[tuple[int, dict[str, str]]]]:
     """The header of a small table that a person wrote, and its rows by column, each with its line.
 
-    Raises RecordError when a row has more or fewer cells than the header.
+    Raises RecordError when a column is there twice, or a row has more or fewer cells than the header.
     """
-    header, *rows = [row for row in text_sheet(path).rows if not row.comment]
+    lines = [row for row in text_sheet(path).rows if not row.comment]
+    if not lines:
+        raise RecordError("holds comments only, expected a header and rows", file=path)
+    header, *rows = lines
+    twice = next((name for name in header.fields if header.fields.count(name) > 1), None)
+    if twice is not None:
+        raise FilePlace(path, header.line).wrong("this column appears twice in the header", shown(twice))
     for row in rows:
         row.check_width(len(header.fields), path)
     return list(header.fields), [(r.line, dict(zip(header.fields, r.fields, strict=True))) for r in rows]
 
 
 def _workbook(file: Path) -> list[Sheet]:
-    """The sheets of a workbook (xlsx) that hold something.
-
-    Raises RecordError for what is no workbook, is damaged, unpacks to too much, or lacks the library that reads
-    workbooks.
-    """
-    try:
-        from openpyxl import load_workbook
-    except ImportError:
-        message = 'is a workbook, which needs the library openpyxl: pip install "ltsim[xlsx]", or save it as CSV'
-        raise RecordError(message, file=file) from None
-    packed = io.BytesIO(read_bytes(file))  # of a damaged file the library would leave its own handle open
-    try:
-        _check_size(file, packed)
-        book = load_workbook(packed, read_only=True, data_only=True)
-        try:
-            found = [Sheet(file, tuple(_rows_of(book[name], file)), name) for name in book.sheetnames]
-        finally:
-            book.close()
-    except RecordError:
-        raise
-    except OSError as problem:
-        raise RecordError(f"cannot be read ({problem.strerror or 'damaged'})", file=file) from None
-    except Exception as problem:  # the library raises whatever its parts raise
-        what = f"is no workbook that can be read ({type(problem).__name__}): it is damaged; save it again, or as CSV"
-        raise RecordError(what, file=file) from None
-    return [sheet for sheet in found if sheet.rows]
+    """Sheets of a workbook (xlsx) that hold something, each named; raises RecordError."""
+    return [
+        Sheet(file, rows, name)
+        for name, cells in workbook_cells(file)
+        if (rows := tuple(_row(*line) for line in cells))
+    ]
 
 
-def _check_size(file: Path, packed: io.BytesIO) -> None:
-    """Raise RecordError where a workbook unpacks to more than a recording ever holds."""
-    with zipfile.ZipFile(packed) as parts:
-        for part in parts.infolist():
-            if part.file_size > MAX_BYTES:
-                raise RecordError(f"unpacks to more than {MAX_BYTES >> 20} MiB a sheet, the most read", file=file)
-            if part.filename.endswith("sharedStrings.xml") and parts.read(part).count(b"<si") > MAX_LINES:
-                raise RecordError(f"holds more than {MAX_LINES} texts, more than is read", file=file)
-
-
-def _rows_of(sheet: Any, file: Path) -> Iterator[Row]:
-    """Rows that hold something, dates in ISO form, numbers with their shortest digits."""
-    sheet.reset_dimensions()  # what the file says of them need not be so
-    count = 0
-    for i, cells in enumerate(sheet.iter_rows(values_only=True)):
-        count += len(cells)
-        if i >= MAX_LINES or count > MAX_CELLS:
-            what = f"holds a sheet up to row {i + 1}, more than is read; delete the cells far away from the table"
-            raise RecordError(what, file=file)
-        fields = ["" if c is None else c.isoformat() if isinstance(c, _MOMENTS) else str(c).strip() for c in cells]
-        while fields and not fields[-1]:
-            fields.pop()
-        if fields:
-            comment = fields[0].startswith("#") and not fields[0].startswith(("#REF!", "#N/A", "#VALUE!", "#DIV/0!"))
-            yield Row(i + 1, (fields[0].lstrip("# ") if comment else fields[0], *fields[1:]), comment)
+def _row(line: int, fields: Sequence[str]) -> Row:
+    """Row of a workbook; an error value of a spreadsheet is no comment."""
+    comment = fields[0].startswith("#") and not fields[0].startswith(("#REF!", "#N/A", "#VALUE!", "#DIV/0!"))
+    return Row(line, (fields[0].lstrip("# ") if comment else fields[0], *fields[1:]), comment)

@@ -1,0 +1,144 @@
+"""Triangles of a CAD file by the libraries that read it, which trust what a file says of itself.
+
+A few bytes of such a file may stand for any number of triangles (instances of a body, polygons of many corners, exact
+surfaces), and a damaged one may end the process. What can grow is therefore read in a process of its own with bounded
+memory and time; only its triangles come back.
+"""
+
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ltsim.arrays import Floats
+from ltsim.errors import SetupError
+from ltsim.limits import CAD_MEMORY, CAD_SECONDS, FILE_BYTES, MIB, SMALL_CAD_BYTES, TRIANGLES
+from ltsim.recording.files import shown
+
+EXACT = (".step", ".stp", ".iges", ".igs")
+FACETS = (".stl", ".obj", ".ply")
+DEVIATION = 1.0
+"""[mm] that a triangle may lie off an exact surface: enough to know what hides what."""
+_START = "from ltsim.scene.cad_process import main; main()"
+_REFUSED = 3
+"""Exit status of a process whose library raised an error, named on standard error."""
+
+
+def triangles_in(path: Path) -> Floats:
+    """Triangles (m, 3, 3) in the numbers and axes of a file, of an exact one [m]; raises SetupError."""
+    content = path.read_bytes()
+    suffix = path.suffix.lower()
+    if suffix == ".stl":
+        _check_count(path, facets_of_stl(content))
+    if suffix == ".stl" or (suffix in FACETS and len(content) <= SMALL_CAD_BYTES):
+        try:
+            found = loaded(content, suffix)
+        except Exception as problem:  # readers of all these formats raise whatever they meet
+            raise _not_whole(path, type(problem).__name__) from None
+    else:
+        found = _elsewhere(path, len(content))
+    _check_count(path, len(found))
+    if not len(found) or not np.all(np.isfinite(found)):
+        raise SetupError(f"{path}: holds no surface of triangles with finite coordinates")
+    return found
+
+
+def facets_of_stl(content: bytes) -> int:
+    """Number of facets of an STL file, at most: by its length where it is binary, else by its words."""
+    count = (len(content) - 84) // 50
+    if len(content) >= 84 and int.from_bytes(content[80:84], "little") == count:
+        return count
+    return content.lower().count(b"vertex") // 3
+
+
+def _check_count(path: Path, count: int) -> None:
+    if count > TRIANGLES:
+        raise SetupError(
+            f"{path}: holds {count} triangles, at most {TRIANGLES} are read; export it with a coarser mesh"
+        )
+
+
+def _not_whole(path: Path, reason: str) -> SetupError:
+    return SetupError(f"{path}: is not a whole {path.suffix[1:]} file ({shown(reason)})")
+
+
+def _elsewhere(path: Path, size: int) -> Floats:
+    """Triangles read in a process of its own; raises SetupError where it refuses, crashes or needs too much."""
+    share = max(1.0, size / FILE_BYTES)
+    limits = [str(int(share * CAD_MEMORY)), str(int(share * CAD_SECONDS))]
+    words = [sys.executable, "-P", "-c", _START, str(path.resolve()), *limits]
+    single = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+    done = subprocess.run(words, capture_output=True, check=False, env={**os.environ, **single})
+    if done.returncode == _REFUSED:
+        reason = done.stderr.decode(errors="replace").strip()
+        if reason != MemoryError.__name__:
+            raise _not_whole(path, reason)
+    if done.returncode:
+        most = f"{share * CAD_MEMORY / MIB:.0f} MiB and {share * CAD_SECONDS:.0f} s"
+        what = f"cannot be read within {most} of memory and time, or is damaged"
+        raise SetupError(f"{path}: {what}; export it as STL with a coarser mesh")
+    return np.frombuffer(done.stdout, dtype=np.float64).reshape(-1, 3, 3)
+
+
+def main() -> None:
+    """Write the triangles of the file in the first argument to standard output, within the memory and time given."""
+    path, memory, seconds = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
+    limit_to(memory, seconds)
+    try:
+        with path.open("rb") as stream, silenced():
+            found = loaded(stream.read(), path.suffix.lower())
+        if len(found) > TRIANGLES:
+            raise MemoryError
+    except Exception as problem:  # whatever the libraries raise
+        sys.stderr.write(type(problem).__name__)
+        sys.exit(_REFUSED)
+    sys.stdout.buffer.write(np.ascontiguousarray(found).tobytes())
+
+
+def limit_to(memory: int, seconds: int) -> None:
+    """Bound what this process may take beyond its libraries [bytes] and its processor time [s], where systems can."""
+    with suppress(ImportError, ValueError, OSError):
+        import resource
+
+        import trimesh  # noqa: F401  # its libraries reserve 300 MB of addresses, of which they use a third
+
+        resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds))
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+        status = Path("/proc/self/status").read_text(encoding="ascii")
+        reserved = next(int(line.split()[1]) * 1024 for line in status.splitlines() if line.startswith("VmData"))
+        resource.setrlimit(resource.RLIMIT_DATA, (reserved + memory, reserved + memory))
+
+
+def loaded(content: bytes, suffix: str) -> Floats:
+    """Triangles (m, 3, 3) of a file's content by its suffix; raises whatever the libraries raise."""
+    import trimesh  # a third of a second that few need
+
+    if suffix in EXACT:
+        import cascadio
+
+        kind = cascadio.FileType.STEP if suffix in EXACT[:2] else cascadio.FileType.IGES
+        content, suffix = cascadio.to_glb_bytes(content, kind, tol_linear=DEVIATION), ".glb"
+    mesh: Any = trimesh.load(BytesIO(content), file_type=suffix[1:], force="mesh", skip_materials=True)
+    return np.array(mesh.triangles, dtype=np.float64)
+
+
+@contextmanager
+def silenced() -> Iterator[None]:
+    """Standard output and error of libraries below Python go nowhere."""
+    before = [os.dup(1), os.dup(2)]
+    with tempfile.TemporaryFile() as nowhere:
+        try:
+            for number in (1, 2):
+                os.dup2(nowhere.fileno(), number)
+            yield
+        finally:
+            for number, stream in zip((1, 2), before, strict=True):
+                os.dup2(stream, number)
+                os.close(stream)
