@@ -23,7 +23,7 @@ from ltsim.effects.range_mode import RangeMode
 from ltsim.effects.signature import Signature
 from ltsim.effects.verbs import names
 from ltsim.errors import ConvergenceError, NetworkError
-from ltsim.identification import Selection, identified, tests_of
+from ltsim.identification import Selection, identified, outcomes
 from ltsim.identification.fit import changed_recording
 from ltsim.identification.tests import sentence_of
 from ltsim.model.construction import Construction, ideal, stated_construction
@@ -88,7 +88,7 @@ def calibrate_network(
         else:
             freed = further
     calibration = replace(_calibration(recording, found, "network", advise=advise, robust=robust), effects=fits)
-    calibration = replace(calibration, tests=() if selection is None else tests_of(selection))
+    calibration = replace(calibration, tests=() if selection is None else outcomes(selection))
     if weigh:
         wider = WIDE if chosen.free else None
         worth, weighed = correction_of(found, calibration.names, informed=informed, wider=wider)
@@ -141,7 +141,7 @@ def adjust(
     selection = identified(seen)
     found = _adjusted(seen, ideal(), robust, _grouping(noise_from_data), chosen, selection=selection)
     calibration = _calibration(seen, found, "adjustment", advise=False, robust=robust)
-    return replace(calibration, tests=() if selection is None else tests_of(selection))
+    return replace(calibration, tests=() if selection is None else outcomes(selection))
 
 
 def _adapted(

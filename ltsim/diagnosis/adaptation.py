@@ -12,7 +12,7 @@ from ltsim.adjustment.snooping import LARGEST_ERROR
 from ltsim.arrays import Bools
 from ltsim.diagnosis.findings import place_of
 from ltsim.diagnosis.schema import Equivalent, Estimate, Evidence, Finding
-from ltsim.identification import Selection, Test, tests_of
+from ltsim.identification import Selection, Test, outcomes
 from ltsim.identification.hypothesis import Hypothesis, NoiseFactor, Omission, Shift
 from ltsim.model.construction import Construction
 from ltsim.recording.recording import OBSERVABLES, Recording
@@ -62,7 +62,7 @@ def adapted(
     baseline = adjust(clean, construction, effects=fit.effects, sigma=clean.sigma(), use=use, start=start)
     places = {(h.kind, h.stations, h.targets) for h in causes}
     tests = [
-        t for t in tests_of(selection) if t.kind == "outlier" or (t.kind, t.where.stations, t.where.targets) in places
+        t for t in outcomes(selection) if t.kind == "outlier" or (t.kind, t.where.stations, t.where.targets) in places
     ]
     return baseline, use, [finding_of(test) for test in tests]
 

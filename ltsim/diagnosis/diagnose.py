@@ -40,7 +40,7 @@ from ltsim.diagnosis.words import LIKELY, summarise
 from ltsim.effects.noise_level import NoiseLevel
 from ltsim.effects.signature import Tunable
 from ltsim.errors import RecordError
-from ltsim.identification import Selection, identified, tests_of
+from ltsim.identification import Selection, identified, outcomes
 from ltsim.laws.carriers import VARIED, constants_in
 from ltsim.laws.law import Law
 from ltsim.model.construction import Construction, stated_construction
@@ -322,7 +322,7 @@ def _told(
         targets=averaged_targets(case.searcher, found, explained.rankings, explained.refit),
         baseline=baseline,
         adjusted=adjusted,
-        tests=() if selection is None else tests_of(selection),
+        tests=() if selection is None else outcomes(selection),
     )
 
 

@@ -35,7 +35,7 @@ from ltsim.fieldcheck.words import (
     instrument_sentence,
     target_sentence,
 )
-from ltsim.identification import Test, identified, tests_of
+from ltsim.identification import Test, identified, outcomes
 from ltsim.model.construction import Construction, stated_construction
 from ltsim.recording.exchange import RecordingSource, recording_of
 from ltsim.recording.recording import Recording
@@ -146,7 +146,7 @@ def check(recording: RecordingSource, *, level: float = LEVEL, mpe: tuple[float,
     """
     whole = recording_of(recording)
     selection = identified(whole)
-    causes = () if selection is None else tests_of(selection)
+    causes = () if selection is None else outcomes(selection)
     corrected = whole if selection is None else selection.fit.corrected(whole)
     family = Family(level, 2 * TESTS * max(len(whole.stations), 1))
     every = range(len(whole.stations))

@@ -14,4 +14,4 @@ identification and adaptation of model errors. Kass and Raftery, Bayes factors, 
 from ltsim.identification.fit import Fit as Fit, Network as Network
 from ltsim.identification.hypothesis import Hypothesis as Hypothesis
 from ltsim.identification.selection import Selection as Selection, identified as identified, select as select
-from ltsim.identification.tests import Test as Test, tests_of as tests_of
+from ltsim.identification.tests import Test as Test, outcomes as outcomes

@@ -88,7 +88,7 @@ NEAR = 60e-6
 """[m] How near such a size an offset must be, where its own uncertainty is less."""
 
 
-def tests_of(selection: Selection) -> tuple[Test, ...]:
+def outcomes(selection: Selection) -> tuple[Test, ...]:
     """The tests of a selection: accepted hypotheses, the surest first, then outliers."""
     fit = selection.fit
     return (*(_accepted(fit, choice) for choice in selection.choices), *_outliers(fit))

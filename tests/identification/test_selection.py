@@ -15,7 +15,7 @@ from ltsim.arrays import Floats
 from ltsim.effects.motions import exact_station_change, exact_target_change
 from ltsim.geometry.alignment import robust_align
 from ltsim.geometry.rotations import about_z
-from ltsim.identification import Network, Selection, select, tests_of
+from ltsim.identification import Network, Selection, select, outcomes
 from ltsim.identification.evidence import LOG_RANGE, occam, occam_of_variance, variance_factor
 from ltsim.identification.fit import changed_recording
 from ltsim.model.construction import misalignment
@@ -68,7 +68,7 @@ def test_an_offset_of_all_distances_to_a_target(size: float) -> None:
     wrong = shifted(recording, recording.target == 7, 0, size)
     selection = identified(wrong)
     assert the_one(selection) == ("constant-offset", (), ("T08",))
-    (test,) = [t for t in tests_of(selection) if t.accepted and t.kind != "outlier"]
+    (test,) = [t for t in outcomes(selection) if t.accepted and t.kind != "outlier"]
     assert test.unit == "mm"
     assert test.estimate == pytest.approx(1e3 * size, abs=0.05)
     assert ("0.5 inch" in test.sentence) == (size == 12.7e-3)
@@ -110,7 +110,7 @@ def test_a_station_that_moved_in_mid_work(size: float) -> None:
     change = exact_station_change(sightings_of(recording, truth.state), motion)
     selection = identified(recording.with_readings(recording.readings + change))
     assert the_one(selection) == ("station-bump", ("S2",), ())
-    (test,) = [t for t in tests_of(selection) if t.kind == "station-bump"]
+    (test,) = [t for t in outcomes(selection) if t.kind == "station-bump"]
     assert test.estimate == pytest.approx(1e3 * size, abs=0.1)
     middle = len(rows) // 2
     assert f"between rows {rows[middle - 1] + 1} and {rows[middle] + 1}" in test.sentence
@@ -149,7 +149,7 @@ def test_one_bad_reading_is_an_outlier_and_no_cause(size: float) -> None:
     recording, _ = hall()
     selection = identified(shifted(recording, 40, 0, size))
     assert selection.choices == ()
-    (test,) = [t for t in tests_of(selection) if 41 in t.rows]
+    (test,) = [t for t in outcomes(selection) if 41 in t.rows]
     assert test.kind == "outlier"
     assert test.estimate == pytest.approx(1e3 * size, abs=0.1)
 
@@ -163,7 +163,7 @@ def test_noise_other_than_declared(factor: float) -> None:
     instrument = recording.setup.instrument.model_copy(update={"noise": other})
     selection = identified(recording.replace(setup=recording.setup.model_copy(update={"instrument": instrument})))
     assert the_one(selection) == ("noise-level", (), ())
-    (test,) = [t for t in tests_of(selection) if t.kind == "noise-level"]
+    (test,) = [t for t in outcomes(selection) if t.kind == "noise-level"]
     assert test.estimate == pytest.approx(factor, rel=0.1)
     assert not selection.displaces
 
