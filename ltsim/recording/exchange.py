@@ -9,7 +9,7 @@ from pydantic import ValidationError
 
 from ltsim.errors import RecordError, unknown_name
 from ltsim.recording import coordinates, native
-from ltsim.recording.conventions import NO_HINTS, Hints, contradictions
+from ltsim.recording.conventions import NO_HINTS, Hints, contradictions, pace
 from ltsim.recording.files import decoded
 from ltsim.recording.formats import cern_lgc, gama, gama_writer, gsi, openindy, polar_text, spatialanalyzer
 from ltsim.recording.recording import Recording
@@ -97,7 +97,7 @@ def read(path: str | Path, *, format: str | None = None, hints: Hints | None = N
         found = chosen.read(path, hints)
     except ValidationError as problem:
         raise RecordError(sentence(problem.errors()[0], Setup), file=path) from None
-    return found.replace(notes=(*found.notes, *contradictions(found)))
+    return found.replace(notes=(*found.notes, *contradictions(found), *pace(found)))
 
 
 def is_recording(path: Path) -> bool:

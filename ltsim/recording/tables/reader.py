@@ -20,7 +20,8 @@ from ltsim.recording.tables.meaning import Meaning, readings_of, sigmas_of_place
 from ltsim.recording.tables.rows import PointingTable, Printed, header_of, table_of
 from ltsim.recording.tables.setups import common_names, heights_not_applied, occupied, over_marks, split_rounds
 from ltsim.recording.tables.sheets import SUFFIXES, WORKBOOK, is_folder, rows_of_head, sheets_of
-from ltsim.units import FACTOR, MILLIMETRE, ratio
+from ltsim.recording.tables.times import times_of, with_clock
+from ltsim.units import MILLIMETRE, ratio
 
 SETUP = "setup.toml"
 MOST_SHOWN = 3
@@ -46,7 +47,7 @@ def recognises(path: Path, head: str) -> bool:
 
 def read(path: Path, hints: Hints = NO_HINTS, *, positional: bool = False) -> Recording:
     """Read a table; `positional` takes lines of names and three numbers without a header. Raises RecordError."""
-    table = table_of(sheets_of(path), hints, path, positional=positional)
+    table = with_clock(table_of(sheets_of(path), hints, path, positional=positional))
     renamed, named = common_names([(p.station, p.target) for p in table.pointings])
     table.pointings = [replace(p, target=name) for p, name in zip(table.pointings, renamed, strict=True)]
     table.notes += named
@@ -66,7 +67,7 @@ def assembled(
     rounds = split_rounds(table, readings)
     setup, over = over_marks(table, setup)
     faces, reduced = _faces(table, readings)
-    times, started, timed = _times(table, hints)
+    times, started, timed = times_of(table, hints)
     if started and not setup.started:
         setup = setup.model_copy(update={"started": started})
     covariates, labels, kept = _further(table, meaning)
@@ -122,32 +123,6 @@ def _faces(table: PointingTable, readings: Floats) -> tuple[list[int], list[str]
     return faces, ["readings of face 2 were reduced to face 1 and are turned back to what the circles showed"]
 
 
-def _times(table: PointingTable, hints: Hints) -> tuple[list[float], str, list[str]]:
-    """Time [s] of each pointing, the moment of 0 where it is known, and notes; NaN where times cannot be read."""
-    column = table.column(("time",)) or table.column(("date",))
-    texts = [p.moment for p in table.pointings]
-    nothing = [NAN] * len(texts)
-    if column is None or not any(texts):
-        return nothing, "", []
-    by_rows = "the order of the rows is taken as time"
-    if not all(texts):
-        return nothing, "", [f"column '{shown(column.title)}' is empty in places: {by_rows}"]
-    numbers = [cells.value(text) for text in texts]
-    if all(number is not None for number in numbers):
-        factor = FACTOR[column.unit or "s"]
-        return [float(number) * factor for number in numbers if number is not None], "", []
-    found, start = cells.moments(texts, hints.date)
-    if found is None and start:
-        message = f"'{shown(texts[0])}' may be day and month or month and day; say which: --hint date=dmy or date=mdy"
-        raise table.pointings[0].where.wrong(message, shown(column.title))
-    if found is None:
-        unknown = f"column '{shown(column.title)}' holds no time that is known here ('{shown(texts[0])}')"
-        return nothing, "", [f"{unknown}: {by_rows}"]
-    if not any(":" in text for text in texts):
-        return nothing, "", [f"column '{shown(column.title)}' holds days without a clock: {by_rows}"]
-    return found, start, []
-
-
 def _further(table: PointingTable, meaning: Meaning) -> tuple[list[dict[str, float]], list[dict[str, str]], list[str]]:
     """Further columns of each pointing: numbers as covariates, texts as labels, and what is said of them.
 
@@ -179,7 +154,7 @@ def _unit(column: TableColumn, meaning: Meaning) -> str:
 def _factor(column: TableColumn, pointings: Sequence[Printed], meaning: Meaning) -> float | None:
     """What the numbers of a column are multiplied by; None for a column of text."""
     texts = [(p.further.get(column.title, ""), p.grouping) for p in pointings]
-    numeric = any(t for t, _ in texts) and all(cells.value(t, grouping) is not None for t, grouping in texts if t)
+    numeric = any(t for t, _ in texts) and all(cells.quantity(t, grouping) is not None for t, grouping in texts if t)
     if not numeric:
         return None
     wanted = column.role.rpartition("_")[2]
@@ -191,7 +166,7 @@ def _factor(column: TableColumn, pointings: Sequence[Printed], meaning: Meaning)
 
 def _number(p: Printed, title: str) -> float:
     text = p.further[title]
-    number = cells.value(text, p.grouping) if text else None
+    number = cells.quantity(text, p.grouping) if text else None
     return NAN if number is None else float(number)
 
 

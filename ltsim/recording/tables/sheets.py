@@ -227,9 +227,16 @@ def _rows_of(sheet: Any, file: Path) -> Iterator[Row]:
         if i >= MAX_LINES or count > MAX_CELLS:
             what = f"holds a sheet up to row {i + 1}, more than is read; delete the cells far away from the table"
             raise RecordError(what, file=file)
-        fields = ["" if c is None else c.isoformat() if isinstance(c, _MOMENTS) else str(c).strip() for c in cells]
+        fields = [_text(cell) for cell in cells]
         while fields and not fields[-1]:
             fields.pop()
         if fields:
             comment = fields[0].startswith("#") and not fields[0].startswith(("#REF!", "#N/A", "#VALUE!", "#DIV/0!"))
             yield Row(i + 1, (fields[0].lstrip("# ") if comment else fields[0], *fields[1:]), comment)
+
+
+def _text(cell: object) -> str:
+    """A cell of a workbook; a day without a clock as a date alone."""
+    if isinstance(cell, datetime) and cell.time() == time():
+        cell = cell.date()
+    return "" if cell is None else cell.isoformat() if isinstance(cell, _MOMENTS) else str(cell).strip()
