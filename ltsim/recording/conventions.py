@@ -67,7 +67,6 @@ class Hints:
 
 
 NO_HINTS = Hints()
-NO_NOISE = "the file states no noise: that of the default instrument is taken, edit setup.toml to state it"
 
 
 @dataclass(frozen=True)

@@ -17,9 +17,10 @@ import numpy as np
 from ltsim.errors import RecordError
 from ltsim.recording.conventions import NO_HINTS, Hints
 from ltsim.recording.files import FilePlace, read_lines, shown
+from ltsim.recording.kinds import LIKE_TOTAL_STATION, TOTAL_STATION
 from ltsim.recording.pointings import NAN, Pointing, numbered, recording_of, settled_heights
 from ltsim.recording.recording import HEIGHT_COLUMNS, KIND_COLUMN, Recording
-from ltsim.recording.setup import Instrument, Noise, Setup, Station, Target, Vector
+from ltsim.recording.setup import Setup, Station, Target, Vector
 from ltsim.units import DEGREE, GON, MILLIMETRE
 
 _WORD = re.compile(r"(\d\d)(.{4})([+-])(.{16}|.{8})", re.ASCII)
@@ -27,8 +28,7 @@ _PPM = re.compile(r"51.{4}[+-]\d{4,8}[+-]\d{3,7}", re.ASCII)
 LENGTH = {"0": 1e-3, "1": 0.3048e-3, "6": 1e-4, "7": 0.3048e-4, "8": 1e-5, ".": 1e-3}
 ANGLE = {"2": 1e-5 * GON, "3": 1e-5 * DEGREE, "5": 1e-4 * 2 * np.pi / 6400}
 """Units of the data by the last character of the information; an angle of unit 4 is in degrees, minutes, seconds."""
-NOISE = Noise(distance_mm=1.0, distance_ppm=1.5, azimuth_arcsec=1.0, elevation_arcsec=1.0)
-NO_NOISE = "GSI states no noise: 1 mm + 1.5 ppm and 1 arcsec of a total station are taken, edit setup.toml to state it"
+NO_NOISE = LIKE_TOTAL_STATION.format(reason="it is a GSI file")
 
 
 @dataclass
@@ -190,7 +190,7 @@ def _finished(file: _GsiFile) -> Recording:
         )
     setup = Setup(
         title=file.path.stem,
-        instrument=Instrument(noise=NOISE, corrected=True),
+        instrument=TOTAL_STATION,
         stations=stations,
         targets={name: Target(height_mm=height) for name, height in heights.items()},
     )

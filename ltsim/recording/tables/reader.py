@@ -8,20 +8,21 @@ import numpy as np
 
 from ltsim.arrays import Floats
 from ltsim.geometry.polar import to_face
-from ltsim.recording.conventions import NO_HINTS, NO_NOISE, Hints, poses_of
+from ltsim.recording.conventions import NO_HINTS, Hints, poses_of
 from ltsim.recording.files import MAX_TEXT, shown
 from ltsim.recording.pointings import NAN, Pointing, recording_of, states_noise
-from ltsim.recording.recording import HEIGHT_COLUMNS, KIND_COLUMN, OCCUPATION_COLUMNS, Recording
+from ltsim.recording.recording import HEIGHT_COLUMNS, KIND_COLUMN, OCCUPATION_COLUMNS, SIGMA_COLUMNS, Recording
 from ltsim.recording.settings import read_setup
 from ltsim.recording.setup import Setup
 from ltsim.recording.tables import cells
 from ltsim.recording.tables.header import ALLOWED, TableColumn, names_places
+from ltsim.recording.tables.instruments import instrument_of, is_total_station
 from ltsim.recording.tables.meaning import Meaning, readings_of, sigmas_of_places
 from ltsim.recording.tables.rows import PointingTable, Printed, header_of, table_of
-from ltsim.recording.tables.setups import common_names, heights_not_applied, occupied, over_marks, split_rounds
+from ltsim.recording.tables.setups import common_names, heights_not_applied, occupied, over_marks, split_occupations
 from ltsim.recording.tables.sheets import SUFFIXES, WORKBOOK, is_folder, rows_of_head, sheets_of
 from ltsim.recording.tables.times import times_of, with_clock
-from ltsim.units import MILLIMETRE, ratio
+from ltsim.units import ARCSECOND, MILLIMETRE, ratio
 
 SETUP = "setup.toml"
 MOST_SHOWN = 3
@@ -51,12 +52,18 @@ def read(path: Path, hints: Hints = NO_HINTS, *, positional: bool = False) -> Re
     renamed, named = common_names([(p.station, p.target) for p in table.pointings])
     table.pointings = [replace(p, target=name) for p, name in zip(table.pointings, renamed, strict=True)]
     table.notes += named
-    setup, notes = _setup(path, hints)
-    poses = poses_of(setup, tuple(dict.fromkeys(p.station for p in table.pointings)))
+    setup = _setup(path, hints)
+    poses = poses_of(setup or Setup(), tuple(dict.fromkeys(p.station for p in table.pointings)))
     meaning, readings = readings_of(table, poses, hints, path)
-    found = assembled(table, meaning, readings, setup, hints, path)
-    stated = states_noise(found)
-    return found.replace(notes=(*found.notes, *(note for note in notes if not (stated and note == NO_NOISE))))
+    if setup is not None:
+        recording = assembled(table, meaning, readings, setup, hints, path)
+        return recording.replace(
+            notes=(f"noise and what else is known are read from {_setup_file(path, hints)}", *recording.notes)
+        )
+    instrument, noise = instrument_of(is_total_station(table, meaning, readings))
+    setup = Setup(title=path.stem[:MAX_TEXT], instrument=instrument)
+    recording = assembled(table, meaning, readings, setup, hints, path)
+    return recording if states_noise(recording) else recording.replace(notes=(noise, *recording.notes))
 
 
 def assembled(
@@ -64,13 +71,15 @@ def assembled(
 ) -> Recording:
     """The recording of a table whose readings (n, 3) are understood, in the order of its pointings."""
     sigmas = sigmas_of_places(table, readings, meaning.length_unit)
-    rounds = split_rounds(table, readings)
-    setup, over = over_marks(table, setup)
+    covariates, labels, kept = _further(table, meaning)
+    turns = np.array([values.get(SIGMA_COLUMNS[1], NAN) for values in covariates]) * ARCSECOND
+    same_place, rounds = split_occupations(table, readings, turns)
+    upright = bool(is_total_station(table, meaning, readings)) and table.column(("elevation",)) is None
+    setup, over = over_marks(table, setup, readings, rounds=same_place, levelled=upright)
     faces, reduced = _faces(table, readings)
     times, started, timed = times_of(table, hints)
     if started and not setup.started:
         setup = setup.model_copy(update={"started": started})
-    covariates, labels, kept = _further(table, meaning)
     height = np.array([[values.get(name, NAN) for name in HEIGHT_COLUMNS] for values in covariates]) * MILLIMETRE
     unused = heights_not_applied(table, readings, height)
     if unused:
@@ -100,14 +109,16 @@ def assembled(
     return recording_of(pointings, setup, notes=[note for notes in said for note in notes], file=file)
 
 
-def _setup(path: Path, hints: Hints) -> tuple[Setup, list[str]]:
-    """What is known beside the table: the file named, or a `setup.toml` in the same folder."""
-    beside = (path if path.is_dir() else path.parent) / SETUP
-    if hints.setup is None and not beside.is_file():
-        return Setup(title=path.stem[:MAX_TEXT]), [NO_NOISE]
-    file = hints.setup or beside
-    file = file / SETUP if file.is_dir() else file
-    return read_setup(file), [f"noise and what else is known are read from {file}"]
+def _setup_file(path: Path, hints: Hints) -> Path:
+    """The file named for noise and gauge, or a `setup.toml` in the same folder."""
+    file = hints.setup or (path if path.is_dir() else path.parent) / SETUP
+    return file / SETUP if file.is_dir() else file
+
+
+def _setup(path: Path, hints: Hints) -> Setup | None:
+    """What a file states of noise and set-ups in addition to the table; None where there is none."""
+    file = _setup_file(path, hints)
+    return read_setup(file) if hints.setup is not None or file.is_file() else None
 
 
 def _faces(table: PointingTable, readings: Floats) -> tuple[list[int], list[str]]:
