@@ -10,6 +10,8 @@ follow, as SpatialAnalyzer writes them.
 matrix [mm^2], its header and first column the coordinates as ``TARGET.x``), or adjustment results of gama-local (XML).
 """
 
+import csv
+import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -329,6 +331,16 @@ def _from_list(path: Path) -> Coordinates:
     common = f"{path.name} states no covariance between points ({beside.name})"
     note = f"{common}: what all have in common counts as their own"
     return Coordinates(path.stem, found.names, axes, points, covariance, (*found.notes, note))
+
+
+def covariance_text(coordinates: Sequence[str], covariance: Floats) -> str:
+    """The content of ``NAME.covariance.csv``: a covariance [m^2] of coordinates such as ``TARGET.x``, in mm^2."""
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(["", *coordinates])
+    for name, row in zip(coordinates, covariance / MILLIMETRE**2, strict=True):
+        writer.writerow([name, *(f"{entry:.12g}" for entry in row.tolist())])
+    return stream.getvalue()
 
 
 def _matrix(path: Path, wanted: Sequence[str]) -> Floats:

@@ -29,7 +29,7 @@ WORDS = {
     "station": "station stn st setup standpunkt stp stand standort stationname stationid from fromstn fromstation von "
     "instrument tracker stationsname setupname",
     "target": "target point pt name punkt pkt punktnummer punktname pnr pointname pointid pointnumber targetname "
-    "targetid id to tostn tostation nach reflector smr zielpunkt ziel nest nr nummer no",
+    "targetid feature featurename id to tostn tostation nach reflector smr zielpunkt ziel nest nr nummer no",
     "face": "face f lage kreislage circlelage visierlage",
     "repeat": "repeat repetition rep wiederholung",
     "round": "round obsset satz setnumber satznummer",
@@ -42,9 +42,9 @@ WORDS = {
     "distance": "distance dist d sd slopedist slopedistance slope range r schragdistanz schraegdistanz schragstrecke "
     "schraegstrecke strecke distanz raumstrecke distance3d sdist",
     "flat": "hd horizontaldistance horizontaldist horizontalstrecke horizontaldistanz hdist",
-    "x": "x e east easting rechtswert rw ost ostwert xcoordinate xkoordinate",
-    "y": "y n north northing hochwert hw nord nordwert ycoordinate ykoordinate",
-    "z": "z h height hohe hoehe zcoordinate zkoordinate",
+    "x": "x xactual actualx xmeas measx xist istx e east easting rechtswert rw ost ostwert xcoordinate xkoordinate",
+    "y": "y yactual actualy ymeas measy yist isty n north northing hochwert hw nord nordwert ycoordinate ykoordinate",
+    "z": "z zactual actualz zmeas measz zist istz h height hohe hoehe zcoordinate zkoordinate",
     SIGMA: "sigma stddev std sigmaxyz",
     "time": "time zeit timestamp zeitstempel zeitpunkt datetime utc uhrzeit clock clocktime times measuredat",
     "date": "date datum day",
@@ -70,7 +70,7 @@ ALLOWED = {
     "relative_humidity_pct": ("%",),
 }
 """Units of a role; a column in another unit has not that role."""
-WEAK = ("nr", "nummer", "no")
+WEAK = ("nr", "nummer", "no", "id")
 """Words that name the target where no other word does."""
 MAPPED = tuple(dict.fromkeys((*WORDS, *SIGMA_OF.values())))
 _BRACKET = re.compile(r"(.*?)\s*[\[({]\s*([^\])}]*?)\s*[\])}]?\s*")
