@@ -59,6 +59,8 @@ class Points:
     """(n,) texts of each further column by its header."""
     lines: tuple[int, ...] = ()
     """(n,) line of the file that each stands in."""
+    contradictory: int = 0
+    """Rows that list a point of the same name with other coordinates, and are left out."""
 
     @property
     def sigma(self) -> Floats:
@@ -178,7 +180,8 @@ class _List:
         further = [c for c in self.columns if c.is_further and c.role not in self.numbers]
         texts = {c.title: tuple(row.cell(c.place) for row, _ in kept.values()) for c in further}
         lines = tuple(row.line for row, _ in kept.values())
-        return Points(tuple(kept), points, _covariance(numbers, len(kept)), (*notes, *said), texts, lines)
+        covariance = _covariance(numbers, len(kept))
+        return Points(tuple(kept), points, covariance, (*notes, *said), texts, lines, len(notes))
 
     def _values(self, row: Row) -> tuple[str, list[float]]:
         """Name and numbers of one row; NaN where a cell is empty."""

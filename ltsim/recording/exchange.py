@@ -20,6 +20,8 @@ from ltsim.recording.tables import reader as tables
 RecordingSource = Recording | str | Path
 """A recording, or a file or folder that holds one."""
 HEAD = 16_384
+LEAST_POSES = 2
+"""Contradictory rows of a list of points that make it one of positions of a moving target."""
 FOLDER = "folder with observations.csv and setup.toml"
 POLAR_TEXT = "plain text: station, target, azimuth, zenith or elevation, distance"
 POINT_LIST = "names and coordinates: no recording, said so"
@@ -53,8 +55,13 @@ def _are_points(path: Path, head: str) -> bool:
 
 
 def _refuse_points(path: Path, hints: Hints) -> Recording:
-    count = len(coordinates.read_points(path, strict=False).names)
+    found = coordinates.read_points(path, strict=False)
+    count = len(found.names)
     message = f"this is a list of {count} points without readings; it serves as nominal or known coordinates"
+    if found.contradictory >= max(count, LEAST_POSES):
+        names = "one name" if count == 1 else f"{count} names"
+        rows = f"{count + found.contradictory} positions under {names} ('{found.names[0]}')"
+        message = f"this is a table of {rows}: a target that moves (a robot, a T-MAC), and no list of points"
     more = "if one set-up measured them in its own axes, name it: --format table --hint station=NAME"
     raise RecordError(f"{message} ({more})", file=path)
 

@@ -52,7 +52,8 @@ def test_faces_noise_and_what_is_missing_are_counted() -> None:
 
 def test_convert_ends_with_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "a.csv").write_text(
-        "Station,Point,Hz [gon],ZA [gon],SD [m]\n" + "".join(f"A,P{i},{40.5 * i},98.5,{2.5 + i:.7f}\n" for i in range(8))
+        "Station,Point,Hz [gon],ZA [gon],SD [m]\n"
+        + "".join(f"A,P{i},{40.5 * i},98.5,{2.5 + i:.7f}\n" for i in range(8))
     )
     assert run(["convert", str(tmp_path / "a.csv"), str(tmp_path / "out")]) == 0
     printed = capsys.readouterr().out

@@ -138,3 +138,36 @@ def test_advice_suggests_only_what_the_values_allow(tmp_path: Path, text: str, s
     with pytest.raises(RecordError) as refused:
         read(tmp_path / "a.csv", format="table")
     assert says in str(refused.value)
+
+
+ROBOT = "X [mm],Y [mm],Z [mm],Target,Time Stamp\n" + "".join(
+    f"{700 + 40 * (i % 4)}.0{i % 3},{-3190 + 25 * (i % 4)}.000,{300 - 9 * (i % 4)}.000,RRR,'11.10.2022 15:{i:02d}:10\n"
+    for i in range(8)
+)
+
+
+def test_positions_of_a_moving_target_are_no_list_of_points(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(ROBOT)
+    with pytest.raises(RecordError, match=r"8 positions under one name \('RRR'\): a target that moves"):
+        read(tmp_path / "a.csv")
+
+
+@pytest.mark.parametrize("named", [True, False])
+def test_positions_of_one_set_up_are_targets_by_place(tmp_path: Path, named: bool) -> None:
+    text = ROBOT if named else ROBOT.replace("Target", "ball")
+    (tmp_path / "a.csv").write_text(text)
+    hints = Hints(station="L", columns=None if named else "x=1[mm],y=2[mm],z=3[mm]")
+    found = read(tmp_path / "a.csv", format="table", hints=hints)
+    assert found.stations == ("L",) and found.targets == ("pose-1", "pose-2", "pose-3", "pose-4")
+    assert found.repeat.max() == 2 and found.has_clock
+    assert any("its 8 rows are 4 positions of a target that moves" in note for note in found.notes)
+
+
+def test_set_ups_without_point_names_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(
+        "Station,Hz [gon],ZA [gon],D [m]\n" + "A,1.5,99.5,3.1\nA,7.5,99.0,3.2\nB,9,98.5,3.3\n"
+    )
+    with pytest.raises(
+        RecordError, match="names no points, and nothing tells which targets of its set-ups are the same"
+    ):
+        read(tmp_path / "a.csv")

@@ -18,6 +18,7 @@ from ltsim.recording.tables import cells
 from ltsim.recording.tables.header import ALLOWED, TableColumn, names_places
 from ltsim.recording.tables.instruments import instrument_of, is_total_station
 from ltsim.recording.tables.meaning import Meaning, readings_of, sigmas_of_places
+from ltsim.recording.tables.poses import named_by_place
 from ltsim.recording.tables.rows import PointingTable, Printed, header_of, table_of
 from ltsim.recording.tables.setups import common_names, heights_not_applied, occupied, over_marks, split_occupations
 from ltsim.recording.tables.sheets import SUFFIXES, WORKBOOK, is_folder, rows_of_head, sheets_of
@@ -48,7 +49,7 @@ def recognises(path: Path, head: str) -> bool:
 
 def read(path: Path, hints: Hints = NO_HINTS, *, positional: bool = False) -> Recording:
     """Read a table; `positional` takes lines of names and three numbers without a header. Raises RecordError."""
-    table = with_clock(table_of(sheets_of(path), hints, path, positional=positional))
+    table = named_by_place(with_clock(table_of(sheets_of(path), hints, path, positional=positional)), path)
     renamed, named = common_names([(p.station, p.target) for p in table.pointings])
     table.pointings = [replace(p, target=name) for p, name in zip(table.pointings, renamed, strict=True)]
     table.notes += named
