@@ -16,6 +16,7 @@ import numpy as np
 
 from ltsim.errors import RecordError
 from ltsim.recording.conventions import NO_HINTS, Hints
+from ltsim.recording.curvature import on_round_earth
 from ltsim.recording.files import FilePlace, read_lines, shown
 from ltsim.recording.kinds import LIKE_TOTAL_STATION, TOTAL_STATION
 from ltsim.recording.pointings import NAN, Pointing, numbered, recording_of, settled_heights
@@ -195,4 +196,4 @@ def _finished(file: _GsiFile) -> Recording:
         targets={name: Target(height_mm=height) for name, height in heights.items()},
     )
     left = [f"{file.skipped} blocks are no station or measurement and left out"] if file.skipped else []
-    return recording_of(pointings, setup, notes=[NO_NOISE, *left], file=file.path)
+    return on_round_earth(recording_of(pointings, setup, notes=[NO_NOISE, *left], file=file.path))

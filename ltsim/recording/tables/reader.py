@@ -9,6 +9,7 @@ import numpy as np
 from ltsim.arrays import Floats
 from ltsim.geometry.polar import to_face
 from ltsim.recording.conventions import NO_HINTS, Hints, poses_of
+from ltsim.recording.curvature import on_round_earth
 from ltsim.recording.files import MAX_TEXT, shown
 from ltsim.recording.pointings import NAN, Pointing, recording_of, states_noise
 from ltsim.recording.recording import HEIGHT_COLUMNS, KIND_COLUMN, OCCUPATION_COLUMNS, SIGMA_COLUMNS, Recording
@@ -107,7 +108,8 @@ def assembled(
             )
         )
     said = [table.notes, meaning.notes, rounds, over, reduced, timed, kept, unused, _left_out(table)]
-    return recording_of(pointings, setup, notes=[note for notes in said for note in notes], file=file)
+    recording = recording_of(pointings, setup, notes=[note for notes in said for note in notes], file=file)
+    return on_round_earth(recording)
 
 
 def _setup_file(path: Path, hints: Hints) -> Path:

@@ -186,15 +186,22 @@ def over_marks(
 
 
 def _closes(table: PointingTable, readings: Floats) -> bool:
-    """Whether lines seen to and fro between marks close in height without any heights, or none are measured."""
-    level = readings[:, 0] * np.cos(readings[:, 2])
+    """Whether lines seen to and fro between marks close in length, and in height where heights were measured.
+
+    By their median, without any heights of instruments and targets, on a round earth.
+    """
+    level = readings[:, 0] * np.cos(np.nan_to_num(readings[:, 2]))
     rises = readings[:, 0] * np.sin(readings[:, 2]) + level**2 / (2.0 * EARTH)
-    lines: dict[tuple[str, str], list[float]] = {}
-    for p, rise in zip(table.pointings, rises.tolist(), strict=True):
-        if np.isfinite(rise):
-            lines.setdefault((table.marks.get(p.station, p.station), p.target), []).append(rise)
-    misses = [np.mean(lines[a, b]) + np.mean(lines[b, a]) for a, b in lines if a < b and (b, a) in lines]
-    return not lines or (bool(misses) and float(np.median(np.abs(misses))) < CLOSES_M)
+    lines: dict[tuple[str, str], list[tuple[float, float]]] = {}
+    for p, length, rise in zip(table.pointings, level.tolist(), rises.tolist(), strict=True):
+        lines.setdefault((table.marks.get(p.station, p.station), p.target), []).append((length, rise))
+    mean = {line: np.mean(both, axis=0) for line, both in lines.items()}
+    misses = [mean[a, b] - mean[b, a] * [1.0, -1.0] for a, b in lines if a < b and (b, a) in lines]
+    if not misses:
+        return False
+    length, rise = np.abs(np.array(misses)).T
+    heights = rise[np.isfinite(rise)]
+    return float(np.median(length)) < CLOSES_M and (not len(heights) or float(np.median(heights)) < CLOSES_M)
 
 
 def occupied(table: PointingTable, one: Printed) -> dict[str, str]:
