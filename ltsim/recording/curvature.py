@@ -30,7 +30,7 @@ def on_round_earth(recording: Recording) -> Recording:
     drop = longest**2 / (2.0 * EARTH) / MILLIMETRE
     note = (
         f"levelled set-ups stand on a round earth: over the longest sight, {longest:.4g} m, a level surface leaves the "
-        f"plane by {drop:.2g} mm; coordinates are those of one plumb line (curved = false in setup.toml: parallel ones); "
+        f"plane by {drop:.2g} mm; coordinates are along one plumb line (curved = false in setup.toml: parallel); "
         f"refraction bends that sight by {REFRACTION[0] * drop:.2g} +- {REFRACTION[1] * drop:.2g} mm as a rule, which "
         "calibrate --with air-gradient estimates"
     )
