@@ -11,7 +11,7 @@ from ltsim.errors import RecordError, unknown_name
 from ltsim.recording import coordinates, native
 from ltsim.recording.conventions import NO_HINTS, Hints, contradictions, pace
 from ltsim.recording.files import decoded
-from ltsim.recording.formats import cern_lgc, gama, gama_writer, gsi, openindy, polar_text, spatialanalyzer
+from ltsim.recording.formats import cern_lgc, gama, gama_writer, gsi, openindy, polar_text, sdr, spatialanalyzer
 from ltsim.recording.recording import Recording
 from ltsim.recording.settings import sentence
 from ltsim.recording.setup import Setup
@@ -73,6 +73,7 @@ FORMATS: tuple[Format, ...] = (
     _of(gama, "gama-local", "input file of GNU Gama", ".gkf", ".xml", write=gama_writer.write),
     _of(openindy, "openindy", "OpenIndy project", ".xml"),
     _of(gsi, "gsi", "Leica GSI-8 and GSI-16", ".gsi"),
+    _of(sdr, "sdr", "Sokkia SDR20 and SDR33", ".sdr"),
     _of(polar_text, "polar-text", POLAR_TEXT, ".txt", ".dat", ".asc", write=polar_text.write),
     Format("point-list", POINT_LIST, (".txt", ".xyz", ".csv"), _are_points, _refuse_points),
     _of(tables, "table", TABLE, ".csv", ".tsv", ".txt", ".xlsx"),
