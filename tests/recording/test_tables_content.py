@@ -171,3 +171,28 @@ def test_set_ups_without_point_names_are_refused(tmp_path: Path) -> None:
         RecordError, match="names no points, and nothing tells which targets of its set-ups are the same"
     ):
         read(tmp_path / "a.csv")
+
+
+def test_headers_of_office_programs(tmp_path: Path) -> None:
+    """As Leica Infinity exports the observations of a total station."""
+    header = (
+        "Station ID;Point ID;Date/Time;Hz [gon];V [gon];Slope Dist. [m];Instrument Height [m];Target Height [m];Face"
+    )
+    rows = [
+        f"1000;{name};26.11.2026 08:{i:02d}:15;{hz};{v};{12.0105 + i:.4f};1.5520;{1.3 + 0.1 * (i % 2):.4f};{face}"
+        for i, (name, hz, v, face) in enumerate(
+            [
+                ("101", 10.5, 98.5, "I"),
+                ("101", 210.5001, 301.5, "II"),
+                ("102", 80.25, 101.25, "I"),
+                ("102", 280.25, 298.75, "II"),
+            ]
+        )
+    ]
+    (tmp_path / "a.csv").write_text("\n".join([header, *rows]) + "\n")
+    found = read(tmp_path / "a.csv")
+    assert found.stations == ("1000",) and found.targets == ("101", "102")
+    assert list(found.face) == [1, 2, 1, 2]
+    np.testing.assert_allclose(found.time, [0, 60, 120, 180])
+    np.testing.assert_allclose(found.heights()[0], 1.552)
+    np.testing.assert_allclose(found.covariates["target_height_mm"], [1300, 1400, 1300, 1400])
