@@ -66,7 +66,8 @@ ALIKE = (
 _SPELT = MappingProxyType(
     {
         "deg": "deg degree degrees ° grad° º", "gon": "gon gons grad grads g gr neugrad", "rad": "rad radian radians",
-        "dms": "dms ddmmss d_m_s °_'_\" °'\" dd_mm_ss", "arcsec": "arcsec arcseconds ″", "cc": "cc", "mgon": "mgon",
+        "dms": "dms ddmmss d_m_s °_'_\" °'\" dd_mm_ss d.ms d.mmss dd.mmss ddd.mmss ddd.mmssss",
+        "arcsec": "arcsec arcseconds ″", "cc": "cc", "mgon": "mgon",
         "urad": "urad µrad μrad", "mrad": "mrad", "mm": "mm millimeter millimeters millimetre millimetres",
         "m": "m meter meters metre metres", "in": "in inch inches zoll \"", "cm": "cm", "ft": "ft feet foot",
         "um": "um µm μm micron microns", "s": "s sec second seconds sek", "ms": "ms", "min": "min", "h": "h hr hours",

@@ -55,7 +55,7 @@ def predicted(truth: CellTruth, tasks: Tasks, dropped: str = "") -> tuple[Propag
     inputs = Inputs.of(truth.recording, told)
     measurands = [Measurand.of(task, inputs.targets, inputs.points) for task in told.task]
     names = [(m.task.name, o.name, o.unit, o.factor) for m in measurands for o in m.outputs]
-    return propagate(inputs, measurands, expansion_of(None)), names, inputs.adjustment.state.points
+    return propagate(inputs, measurands, expansion_of(None)), names, inputs.origin.state.points
 
 
 def table_of(case: str, errors: Floats, linear: Propagated, names: Names) -> list[Any]:

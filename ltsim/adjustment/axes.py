@@ -5,7 +5,7 @@ and every result that follows stand in them, by inner constraints over these tar
 touched.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 
@@ -17,6 +17,7 @@ from ltsim.adjustment.start import reached_network
 from ltsim.arrays import Floats
 from ltsim.errors import NetworkError, RecordError, option
 from ltsim.geometry.alignment import robust_align
+from ltsim.model.measurement import verticals
 from ltsim.recording.coordinates import read_points
 from ltsim.recording.files import shown
 from ltsim.recording.recording import Recording
@@ -44,7 +45,28 @@ def in_axes_of_points(recording: Recording, points: Mapping[str, Floats], source
     here = reached[[recording.targets.index(name) for name in common]]
     there = np.array([points[name] for name in common])
     _check_shape(here, there, source)
+    if recording.setup.curved:
+        recording = _with_verticals(recording, common, there)
     return _with_datum(recording, {name: points[name] for name in common}, source=source)
+
+
+def _with_verticals(recording: Recording, names: Sequence[str], there: Floats) -> Recording:
+    """The recording with the plumb lines of a sphere at its levelled stations in the axes of points `there` (k, 3) [m].
+
+    A plumb line says nothing of the axes of coordinates that stand anywhere on the sphere: the adjusted network, turned
+    to the points, says how its plumb lines lie there.
+    """
+    adjusted = adjust(recording)
+    at = np.array([recording.targets.index(name) for name in names])
+    determined = ~np.isin(np.array(names), adjusted.lost_targets)
+    turn, _ = robust_align(adjusted.state.points[at[determined]], there[determined])
+    lines = verticals(adjusted.recording) @ turn.T
+    stations = dict(recording.setup.stations)
+    for name, line in zip(recording.stations, lines.tolist(), strict=True):
+        station = recording.station_setup(name)
+        if station.levelled and station.vertical is None:
+            stations[name] = station.model_copy(update={"vertical": tuple(line)})
+    return recording.replace(setup=recording.setup.model_copy(update={"stations": stations}))
 
 
 def in_axes_of_three(recording: Recording, origin: str, x_axis: str, xy_plane: str) -> Recording:

@@ -307,3 +307,15 @@ def _nan_median(values: Floats) -> Floats:
     count = np.isfinite(values[:, :, 0]).sum(axis=1)
     at = np.arange(len(values))
     return 0.5 * (ordered[at, (count - 1) // 2] + ordered[at, count // 2])
+
+
+def flat_points(recording: Recording) -> Floats | None:
+    """Measured points (n, 3) with horizontal distances turned into slope ones; None where there is none."""
+    flat = recording.is_horizontal
+    if not flat.any():
+        return None
+    readings = recording.readings.copy()
+    if not np.isfinite(readings[:, 2]).any():
+        readings[flat, 2] = 0.0  # a network in plan has no elevations
+    readings[flat, 0] /= np.abs(np.cos(readings[flat, 2]))
+    return from_polar(readings)

@@ -216,13 +216,15 @@ def snooped(problem: NetworkProblem, state: State) -> tuple[NetworkProblem, Solu
     while True:
         kept = without_loose(replace(problem, use=problem.use & ~rejected), state)
         solution = solve(kept, state, cap=STEPS)
+        seen.add(rejected.tobytes())
         if solution.factor is None:  # Too much at once: what is left does not hold the network.
+            if not rejected.any():
+                return kept, solution
             size = np.where(rejected, _whitened(problem, state), -1.0)
             half = np.argsort(-size, axis=None)[: int(rejected.sum()) // 2]
             rejected = np.isin(np.arange(size.size), half).reshape(size.shape)
             continue
         state = solution.x
-        seen.add(rejected.tobytes())
         new = _retested(problem, kept, solution, rejected, limit)
         if np.array_equal(new, rejected):
             return kept, solution if solution.converged else solve(kept, state)

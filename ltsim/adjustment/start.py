@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from ltsim.adjustment.bearings import meeting_point, plan_of
+from ltsim.adjustment.bearings import Lines, loose_lines, meeting_point, plan_of
 from ltsim.adjustment.fitting import Sight, fit_point, fit_pose, multilaterate
-from ltsim.adjustment.frame import VERTICAL, Frame, Pairs, on_a_line, upright_alignment
+from ltsim.adjustment.frame import VERTICAL, Frame, Pairs, flat_points, on_a_line, upright_alignment
 from ltsim.arrays import Bools, Floats, Ints, grouped
 from ltsim.errors import NetworkError
 from ltsim.geometry.alignment import robust_align
@@ -32,26 +32,14 @@ def reached_network(recording: Recording) -> tuple[tuple[Floats, Floats, Floats]
     if not recording.measured[:, :2].any():
         message = "the recording holds elevations alone: horizontal positions and ranges are undetermined; "
         raise NetworkError(message + "measure azimuths or distances too")
-    pairs, frame = Pairs.of(recording, _flat_points(recording)), Frame.of(recording)
+    pairs, frame = Pairs.of(recording, flat_points(recording)), Frame.of(recording)
     grown = []
     for beginning in BEGINNINGS if frame.is_stated else BEGINNINGS[1:]:
         grown.append(Growth(recording, pairs, frame))
         grown[-1].run(beginning)
         if grown[-1].is_complete:
             break
-    return max(grown, key=lambda growth: growth.reach).result()
-
-
-def _flat_points(recording: Recording) -> Floats | None:
-    """Measured points (n, 3) with horizontal distances turned into slope ones; None where there is none."""
-    flat = recording.is_horizontal
-    if not flat.any():
-        return None
-    readings = recording.readings.copy()
-    if not np.isfinite(readings[:, 2]).any():
-        readings[flat, 2] = 0.0  # a network in plan has no elevations
-    readings[flat, 0] /= np.abs(np.cos(readings[flat, 2]))
-    return from_polar(readings)
+    return max(grown, key=lambda growth: growth.reach).result(grown[-1].loose)
 
 
 class Growth:
@@ -81,6 +69,7 @@ class Growth:
         self._located = np.full((targets, 3), np.nan)
         self._upright = self._anchored = self._planned = False
         self._tried: dict[int, int] = {}
+        self._loose: list[tuple[int, int]] = []
 
     def _by_pair(self, lift: Floats) -> Floats:
         pairs, recording = self._pairs, self._recording
@@ -348,35 +337,46 @@ class Growth:
             self._place(station, stated[station], about_z(float(np.angle(np.nansum(turns)))))
 
     def _begin_with_bearings(self) -> None:
-        """Begin with the plan that directions of upright stations put together between points known in plan."""
+        """Begin with the plan that directions of upright stations, and lengths in plan, put together."""
         recording, frame, marks = self._recording, self._frame, self._frame.marks
         rows = np.flatnonzero(frame.level[recording.station] & np.isfinite(self._front[:, 1]))
         if not len(rows) or np.isfinite(self._front[:, 2]).any():
             return
         stands = np.where(marks.target >= 0, marks.target, len(self._located) + marks.first)
         known = np.concatenate([frame.in_plan, frame.stations])[:, :2]
+        ranged = np.flatnonzero(np.isfinite(self._front[:, 0]))
+        lines = Lines(stands[recording.station[ranged]], recording.target[ranged], self._front[ranged, 0])
         station, end = recording.station[rows], recording.target[rows]
-        found = plan_of(station, stands[station], end, self._front[rows, 1], known)
+        found = plan_of(station, stands[station], end, self._front[rows, 1], known, lines)
         if found is None:
+            self._loose = loose_lines(station, stands[station], end, self._front[rows, 1], lines)
             return
-        self._begin_with_frame()
-        places, yaw = np.pad(found[0], ((0, 0), (0, 1))), found[1]
+        places, yaw, in_frame = np.pad(found[0], ((0, 0), (0, 1))), found[1], found[2]
+        if in_frame:
+            self._begin_with_frame()
         for one in np.flatnonzero(np.isfinite(yaw)).tolist():
             self._place(one, places[stands[one]] + marks.offset[one], about_z(float(yaw[one])))
         self._located = np.where(np.isnan(self._located), places[: len(self._located)], self._located)
-        self._anchored = self._upright = True
+        self._anchored, self._upright = in_frame, True
 
     # --- the end ---------------------------------------------------------------------------------------------------
 
-    def result(self) -> tuple[tuple[Floats, Floats, Floats], Bools]:
+    @property
+    def loose(self) -> str:
+        """Lines of the plan whose length nothing tells, in words."""
+        names = [*self._recording.targets, *self._recording.stations]
+        lines = listing([f"{names[a]}-{names[b]}" for a, b in self._loose])
+        return f"; in plan nothing tells the length of the lines {lines}" if lines else ""
+
+    def result(self, loose: str = "") -> tuple[tuple[Floats, Floats, Floats], Bools]:
         """Positions, rotations and targets, and the targets without a place; NetworkError as of `reached_network`."""
-        self._require_stations()
+        self._require_stations(loose)
         points = self._known()
         lost = np.asarray(np.isnan(points).any(axis=1))
         points = np.where(lost[:, None], points[~lost].mean(axis=0), points)
         return (self._frame.marks.on_marks(self._position, points), self._rotation, points), lost
 
-    def _require_stations(self) -> None:
+    def _require_stations(self, loose: str) -> None:
         """NetworkError with the names of the stations that have no place, or of the targets where none has one."""
         recording = self._recording
         if not self._joined.all():
@@ -390,8 +390,8 @@ class Growth:
             else:
                 what = f"shares only {most} targets with the rest of the network; at least three"
             raise NetworkError(
-                f"station {lost}: {what} are needed "
-                "(two between levelled stations, more where ranges or angles are missing), or rough coordinates of all"
+                f"station {lost}: {what} are needed (two between levelled stations, more where ranges or angles are "
+                f"missing), or rough coordinates of all{loose}"
             )
         if not self._have.any():
             raise NetworkError(

@@ -9,10 +9,20 @@ from scipy import special
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.doubt import doubts
 from ltsim.adjustment.reliability import FEW
+from ltsim.notation import listing
+from ltsim.recording.recording import OBSERVABLES, SIGMA_COLUMNS
 
 LEVEL = 0.05
 ONLY_A_FEW = 0.05
 """Share of readings up to which outliers are single errors and not the noise itself."""
+
+
+NOISE_KEYS = {
+    "distance": ("distance_mm", "distance_ppm"),
+    "azimuth": ("azimuth_arcsec",),
+    "elevation": ("elevation_arcsec",),
+}
+"""Keys of `[instrument.noise]` by observable."""
 
 
 class Agreement(Enum):
@@ -67,8 +77,11 @@ def _by_tests(adjustment: Adjustment, level: float) -> Verdict:
         sentence = f"Trust the stated noise: {shown} is smaller, but so few degrees of freedom prove little."
         return Verdict(Agreement.SMALLER_NOISE, sentence, False)
     if sigma0 < low:
-        sentence = f"Trust the estimated sigma0: {shown}, the stated noise is too large, and the w-test by it too "
-        return Verdict(Agreement.SMALLER_NOISE, f"{sentence}lenient; by the tau-test {_readings(by_tau)}.", True)
+        sentence = (
+            f"Trust the estimated sigma0: {shown}, the stated noise is too large, and the w-test by it too lenient; by "
+            f"the tau-test {_readings(by_tau)}. {noise_to_state(adjustment, level)}"
+        )
+        return Verdict(Agreement.SMALLER_NOISE, sentence.rstrip(), True)
     rest = chi2 - sum(o.w**2 for o in outliers)
     healed = dof > by_w and rest <= high**2 * (dof - by_w)
     if by_w and healed and by_w <= max(1, ONLY_A_FEW * int(adjustment.problem.use.sum())):
@@ -86,6 +99,34 @@ def _by_tests(adjustment: Adjustment, level: float) -> Verdict:
         f"out from the noise they show{_by_targets(adjustment)}."
     )
     return Verdict(Agreement.LARGER_NOISE, sentence, True)
+
+
+def noise_to_state(adjustment: Adjustment, level: float = LEVEL) -> str:
+    """What to write for the noise where readings scatter less than it says, in a sentence; empty where nothing is.
+
+    Observables are taken one by one: their residuals' sum of squares over their redundancy, below what chance leaves.
+    """
+    problem, recording = adjustment.problem, adjustment.recording
+    scaled, advice, by_row = adjustment.residuals / problem.sigma, [], []
+    for k, observable in enumerate(OBSERVABLES):
+        use = problem.use[:, k]
+        redundancy = float(adjustment.redundancy[use, k].sum())
+        square = float(np.sum(scaled[use, k] ** 2))
+        if redundancy < FEW or special.gammainc(0.5 * redundancy, 0.5 * square) > level / 2:
+            continue
+        factor = np.sqrt(square / redundancy)
+        if np.isfinite(recording.covariates.get(SIGMA_COLUMNS[k], np.full(len(recording), np.nan))[use]).all():
+            by_row.append(f"the sigmas of {observable} by {factor:.2g}")
+        elif len(recording.instruments) == 1:
+            noise = recording.setup.instrument_named(recording.instruments[0]).noise
+            advice += [
+                f"{key} to {factor * getattr(noise, key):.2g}" for key in NOISE_KEYS[observable] if getattr(noise, key)
+            ]
+        else:
+            by_row.append(f"the noise of {observable} by {factor:.2g}")
+    sentences = [f"Set {listing(advice, len(advice))} in [instrument.noise]." if advice else ""]
+    sentences.append(f"Multiply {listing(by_row, len(by_row))}." if by_row else "")
+    return " ".join(filter(None, sentences))
 
 
 def _by_targets(adjustment: Adjustment) -> str:

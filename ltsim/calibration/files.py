@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ltsim.adjustment.joint import COVARIANCE, covariance_csv
 from ltsim.arrays import Floats
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.schema import RESIDUALS, TARGETS, CalibrationFile, VerdictEntry
@@ -20,7 +21,7 @@ CalibrationSource = Calibration | str | Path
 
 
 def write_calibration(calibration: Calibration, folder: Path) -> CalibrationFile:
-    """Write `calibration.json`, `targets.csv` and, where the network is at hand, `residuals.csv` into a folder.
+    """Write `calibration.json` and `targets.csv` into a folder, of a network at hand residuals and covariance.
 
     Gives the content of the first.
 
@@ -32,6 +33,8 @@ def write_calibration(calibration: Calibration, folder: Path) -> CalibrationFile
     texts = {TARGETS.file: calibration.table("targets").csv()}
     if calibration.adjustment is not None:
         texts[RESIDUALS.file] = calibration.table("residuals").csv()
+        covariance = covariance_csv(calibration.adjustment)
+        texts |= {} if covariance is None else {COVARIANCE: covariance}
     return write_result(folder, calibration_file(calibration), texts)
 
 

@@ -35,7 +35,7 @@ def adjust(
 ) -> None:
     """Adjust the network of a recording without instrument parameters: targets, stations, outliers.
 
-    Writes calibration.json, targets.csv and residuals.csv to --out.
+    Writes calibration.json, targets.csv, targets.covariance.csv (joint) and residuals.csv to --out.
 
     Example: ltsim adjust my-recording --robust --noise-from-data --out adjusted
     """
@@ -51,7 +51,7 @@ def calibrate(
 ) -> None:
     """Find the instrument's parameters from a recording, with uncertainty, and say what it cannot tell.
 
-    Writes calibration.json, targets.csv and residuals.csv to --out.
+    Writes calibration.json, targets.csv, targets.covariance.csv (joint) and residuals.csv to --out.
 
     Example: ltsim calibrate my-recording --out my-calibration
     """
@@ -155,11 +155,12 @@ def _fitted(
     options: dict[str, Any],
 ) -> None:
     """Fit, write, show; a calibration replaces a calibration alone, an adjustment an adjustment."""
+    from ltsim.adjustment.joint import COVARIANCE
     from ltsim.calibration.files import calibration_file, write_calibration
     from ltsim.calibration.schema import RESIDUALS, TARGETS, CalibrationFile
 
     alone = verb is lt.adjust
-    names = (TARGETS.file, RESIDUALS.file)
+    names = (TARGETS.file, COVARIANCE, RESIDUALS.file)
     terminal.claim(CalibrationFile, *names, own=lambda found: (found.method == "adjustment") == alone)
     recording = reading.open(source, terminal)
     with terminal.progress("adjusting" if alone else "calibrating"):
@@ -212,7 +213,8 @@ def diagnose(
 ) -> int:
     """Say whether recording and model agree; where not: where, why, how sure, and what to measure next.
 
-    Writes diagnosis.json, targets.csv (adjusted with the findings modelled), residuals and the recording to --out.
+    Writes diagnosis.json, targets.csv (adjusted with the findings modelled), targets.covariance.csv (joint), residuals
+    and the recording to --out.
 
     Example: ltsim diagnose my-recording --out my-diagnosis && ltsim report my-diagnosis
     """

@@ -279,8 +279,12 @@ def uncertainty(
     return int(any(r.conformity is not None and r.conformity.judgement == "rejected" for r in content.results))
 
 
-def _recording(terminal: Terminal, tasks: Tasks, file: Path, seed: int, *, beside: bool) -> Recording:
-    """The recording of the tasks; a scenario is measured once, virtually."""
+def _recording(
+    terminal: Terminal, tasks: Tasks, file: Path, seed: int, *, beside: bool
+) -> Recording | Coordinates | Path:
+    """The recording of the tasks, or a list of coordinates; a scenario is measured once, virtually."""
+    from ltsim.recording.coordinates import holds_coordinates
+
     name = tasks.source
     place = file.parent / name if beside else Path(name)
     if name in builtin_names() or place.suffix == ".toml":
@@ -290,4 +294,6 @@ def _recording(terminal: Terminal, tasks: Tasks, file: Path, seed: int, *, besid
         return recording
     if not place.exists():
         raise SetupError(f"{file}: source names {place}, which is neither a recording nor a scenario")
+    if holds_coordinates(place):
+        return _listed(place, terminal)
     return ReadingOptions().open(place, terminal)

@@ -9,6 +9,7 @@ from ltsim.cli.options import FramedReading
 from ltsim.cli.places import ANYWHERE, Force, claim_file, claim_recording
 from ltsim.cli.terminal import Terminal
 from ltsim.recording import FORMATS, write
+from ltsim.recording.summary import summary
 
 WRITABLE = ", ".join(f.name for f in FORMATS if f.write is not None)
 
@@ -30,7 +31,7 @@ def convert(
 
     Tables of any dialect are read: a header names columns and units, --columns maps one that does not. What stays
     open is decided from the data and said, or asked for: answer with --hint. A setup.toml beside the file gives noise,
-    gauge and places.
+    gauge and places. A summary ends it: set-ups, rounds, faces, readings, heights, time span, noise, known values.
 
     Example: ltsim convert survey.csv my-recording --columns "target=Name,azimuth=Hz[gon]" --hint azimuth=clockwise
     """
@@ -38,6 +39,11 @@ def convert(
     recording = reading.of(source)
     terminal.notes(recording.notes)
     write(recording, destination, to)
-    terminal.answer({"pointings": len(recording), "notes": list(recording.notes)})
+    topics = summary(recording)
+    terminal.answer({"pointings": len(recording), "notes": list(recording.notes), "summary": topics})
     terminal.say(recording.headline)
+    width = max(map(len, topics))
+    terminal.say("\n".join(f"  {topic:{width}}  {words}" for topic, words in topics.items()))
+    assumed = f"{len(recording.notes)} notes above say what was decided" if recording.notes else "nothing"
+    terminal.say(f"  {'assumed':{width}}  {assumed}")
     terminal.say(f"written to {destination} ({to})")

@@ -49,8 +49,9 @@ def averaged_targets(searcher: Searcher, found: Found, rankings: Sequence[Rankin
         open_.append(np.sqrt(weights)[:, None, None] * (shifts - mean))
     apart = np.concatenate(open_)
     kept = (1.0 - _safe_share(fitted.adjustment, by_laws, apart)) * by_laws
-    covariance = fitted.adjustment.target_covariance + np.einsum("kti,ktj->tij", apart, apart)
-    return Targets(points - kept, covariance + kept[:, :, None] * kept[:, None, :])
+    spread = np.concatenate([apart, kept[None]])
+    covariance = fitted.adjustment.target_covariance + np.einsum("kti,ktj->tij", spread, spread)
+    return Targets(points - kept, covariance, spread)
 
 
 def _safe_share(adjusted: Adjustment, change: Floats, apart: Floats) -> float:

@@ -34,6 +34,8 @@ class Targets(Valued):
 
     points: Floats
     covariance: Floats
+    spread: Floats
+    """(k, T, 3) [m]: what other explanations would change, each by one standard deviation; part of the covariance."""
 
 
 @dataclass(frozen=True, repr=False)

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ltsim.adjustment.joint import COVARIANCE, covariance_csv
 from ltsim.calibration.schema import RESIDUALS
 from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.diagnosis.schema import BEFORE, TARGETS, DiagnosisFile
@@ -13,13 +14,21 @@ from ltsim.recording.result_file import write_result
 from ltsim.units import MILLIMETRE
 
 RECORDING = "recording"
-COMPANIONS = (TARGETS.file, RESIDUALS.file, BEFORE.file, f"{RECORDING}/{OBSERVATIONS}", f"{RECORDING}/{SETUP}")
+COMPANIONS = (
+    TARGETS.file,
+    COVARIANCE,
+    RESIDUALS.file,
+    BEFORE.file,
+    f"{RECORDING}/{OBSERVATIONS}",
+    f"{RECORDING}/{SETUP}",
+)
 
 
 def write_diagnosis(diagnosis: Diagnosis, folder: Path, recording: Recording | None = None) -> DiagnosisFile:
     """Write a diagnosis into a folder, with the recording it is of where that is given; the content of its JSON.
 
-    `targets.csv` holds the coordinates adjusted with the findings modelled, `residuals.csv` what is left then,
+    `targets.csv` holds the coordinates adjusted with the findings modelled, `targets.covariance.csv` their joint
+    covariance with what other explanations would change, `residuals.csv` what is left then,
     `residuals_before.csv` what the ordinary adjustment left, `recording/` the recording.
 
     Raises
@@ -32,6 +41,8 @@ def write_diagnosis(diagnosis: Diagnosis, folder: Path, recording: Recording | N
         RESIDUALS.file: diagnosis.table("residuals").csv(),
         BEFORE.file: diagnosis.table("residuals_before").csv(),
     }
+    covariance = covariance_csv(diagnosis.adjusted, diagnosis.targets.spread)
+    texts |= {} if covariance is None else {COVARIANCE: covariance}
     if recording is not None:
         copied = recording_texts(recording, folder / RECORDING)
         texts |= {f"{RECORDING}/{name}": text for name, text in copied.items()}

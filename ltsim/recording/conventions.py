@@ -39,6 +39,9 @@ CLEARLY = 10.0
 ALIKE = 1e-3
 """Part of a network's size by which a mirror image may miss it and still be one."""
 MOST_NOTES = 3
+QUICKEST_S, SLOWEST_S = 0.1, 7200.0
+"""[s] Median time from one target to the next that no instrument undercuts, and that no survey exceeds."""
+LEAST_STEPS = 8
 
 
 @dataclass(frozen=True)
@@ -64,7 +67,6 @@ class Hints:
 
 
 NO_HINTS = Hints()
-NO_NOISE = "the file states no noise: that of the default instrument is taken, edit setup.toml to state it"
 
 
 @dataclass(frozen=True)
@@ -255,6 +257,23 @@ def _vote(votes: list[int]) -> Azimuth | None:
     if not votes or min(votes) != max(votes):
         return None
     return "clockwise" if votes[0] else "counter-clockwise"
+
+
+def pace(recording: Recording) -> tuple[str, ...]:
+    """The question that a recording's clock raises: turning from one target to the next takes seconds to minutes."""
+    turned = (np.diff(recording.target) != 0) & (np.diff(recording.station) == 0)
+    steps = np.abs(np.diff(recording.time))[turned]
+    steps = steps[np.isfinite(steps)]
+    if not recording.has_clock or len(steps) < LEAST_STEPS:
+        return ()
+    step = float(np.median(steps))
+    if QUICKEST_S <= step <= SLOWEST_S:
+        return ()
+    span = float(np.nanmax(recording.time) - np.nanmin(recording.time))
+    return (
+        f"the {len(recording)} pointings take {span:.4g} s, {step:.3g} s from one target to the next: check the unit "
+        "of the time column (--columns says it, such as time=HEADER[h]); drifts in time depend on it",
+    )
 
 
 def contradictions(recording: Recording) -> tuple[str, ...]:

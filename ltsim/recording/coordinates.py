@@ -10,6 +10,8 @@ follow, as SpatialAnalyzer writes them.
 matrix [mm^2], its header and first column the coordinates as ``TARGET.x``), or adjustment results of gama-local (XML).
 """
 
+import csv
+import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -57,6 +59,8 @@ class Points:
     """(n,) texts of each further column by its header."""
     lines: tuple[int, ...] = ()
     """(n,) line of the file that each stands in."""
+    contradictory: int = 0
+    """Rows that list a point of the same name with other coordinates, and are left out."""
 
     @property
     def sigma(self) -> Floats:
@@ -176,7 +180,8 @@ class _List:
         further = [c for c in self.columns if c.is_further and c.role not in self.numbers]
         texts = {c.title: tuple(row.cell(c.place) for row, _ in kept.values()) for c in further}
         lines = tuple(row.line for row, _ in kept.values())
-        return Points(tuple(kept), points, _covariance(numbers, len(kept)), (*notes, *said), texts, lines)
+        covariance = _covariance(numbers, len(kept))
+        return Points(tuple(kept), points, covariance, (*notes, *said), texts, lines, len(notes))
 
     def _values(self, row: Row) -> tuple[str, list[float]]:
         """Name and numbers of one row; NaN where a cell is empty."""
@@ -329,6 +334,16 @@ def _from_list(path: Path) -> Coordinates:
     common = f"{path.name} states no covariance between points ({beside.name})"
     note = f"{common}: what all have in common counts as their own"
     return Coordinates(path.stem, found.names, axes, points, covariance, (*found.notes, note))
+
+
+def covariance_text(coordinates: Sequence[str], covariance: Floats) -> str:
+    """The content of ``NAME.covariance.csv``: a covariance [m^2] of coordinates such as ``TARGET.x``, in mm^2."""
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(["", *coordinates])
+    for name, row in zip(coordinates, covariance / MILLIMETRE**2, strict=True):
+        writer.writerow([name, *(f"{entry:.12g}" for entry in row.tolist())])
+    return stream.getvalue()
 
 
 def _matrix(path: Path, wanted: Sequence[str]) -> Floats:

@@ -9,9 +9,9 @@ from pydantic import ValidationError
 
 from ltsim.errors import RecordError, unknown_name
 from ltsim.recording import coordinates, native
-from ltsim.recording.conventions import NO_HINTS, Hints, contradictions
+from ltsim.recording.conventions import NO_HINTS, Hints, contradictions, pace
 from ltsim.recording.files import decoded, universal
-from ltsim.recording.formats import cern_lgc, gama, gama_writer, gsi, openindy, polar_text, spatialanalyzer
+from ltsim.recording.formats import cern_lgc, gama, gama_writer, gsi, openindy, polar_text, sdr, spatialanalyzer
 from ltsim.recording.recording import Recording
 from ltsim.recording.settings import sentence
 from ltsim.recording.setup import Setup
@@ -20,6 +20,8 @@ from ltsim.recording.tables import reader as tables
 RecordingSource = Recording | str | Path
 """A recording, or a file or folder that holds one."""
 HEAD = 16_384
+LEAST_POSES = 2
+"""Contradictory rows of a list of points that make it one of positions of a moving target."""
 FOLDER = "folder with observations.csv and setup.toml"
 POLAR_TEXT = "plain text: station, target, azimuth, zenith or elevation, distance"
 POINT_LIST = "names and coordinates: no recording, said so"
@@ -53,8 +55,13 @@ def _are_points(path: Path, head: str) -> bool:
 
 
 def _refuse_points(path: Path, hints: Hints) -> Recording:
-    count = len(coordinates.read_points(path, strict=False).names)
+    found = coordinates.read_points(path, strict=False)
+    count = len(found.names)
     message = f"this is a list of {count} points without readings; it serves as nominal or known coordinates"
+    if found.contradictory >= max(count, LEAST_POSES):
+        names = "one name" if count == 1 else f"{count} names"
+        rows = f"{count + found.contradictory} positions under {names} ('{found.names[0]}')"
+        message = f"this is a table of {rows}: a target that moves (a robot, a T-MAC), and no list of points"
     more = "if one set-up measured them in its own axes, name it: --format table --hint station=NAME"
     raise RecordError(f"{message} ({more})", file=path)
 
@@ -66,6 +73,7 @@ FORMATS: tuple[Format, ...] = (
     _of(gama, "gama-local", "input file of GNU Gama", ".gkf", ".xml", write=gama_writer.write),
     _of(openindy, "openindy", "OpenIndy project", ".xml"),
     _of(gsi, "gsi", "Leica GSI-8 and GSI-16", ".gsi"),
+    _of(sdr, "sdr", "Sokkia SDR20 and SDR33", ".sdr"),
     _of(polar_text, "polar-text", POLAR_TEXT, ".txt", ".dat", ".asc", write=polar_text.write),
     Format("point-list", POINT_LIST, (".txt", ".xyz", ".csv"), _are_points, _refuse_points),
     _of(tables, "table", TABLE, ".csv", ".tsv", ".txt", ".xlsx"),
@@ -97,7 +105,7 @@ def read(path: str | Path, *, format: str | None = None, hints: Hints | None = N
         found = chosen.read(path, hints)
     except ValidationError as problem:
         raise RecordError(sentence(problem.errors()[0], Setup), file=path) from None
-    return found.replace(notes=(*found.notes, *contradictions(found)))
+    return found.replace(notes=(*found.notes, *contradictions(found), *pace(found)))
 
 
 def is_recording(path: Path) -> bool:

@@ -1,5 +1,6 @@
 """Bounded reading of files, the numbers and names in them, and writing without leaving half a file."""
 
+import codecs
 import re
 import textwrap
 from collections.abc import Mapping
@@ -43,10 +44,13 @@ def read_bytes(path: Path, most: int = FILE_BYTES) -> bytes:
 
 
 def decoded(content: bytes) -> str:
-    """Text whose encoding only its byte-order mark tells; Latin-1 without one, a cut character replaced."""
+    """The text of the first bytes of a file: UTF-16 by its byte-order mark, UTF-8, or Latin-1; a cut character goes."""
     if content.startswith(UTF16):
         return content.decode("utf-16", errors="replace")
-    return content.removeprefix(UTF8).decode("latin-1")
+    try:
+        return codecs.getincrementaldecoder("utf-8-sig")().decode(content)
+    except UnicodeDecodeError:
+        return content.removeprefix(UTF8).decode("latin-1")
 
 
 def read_text(path: Path, *, liberal: bool = False, most: int = FILE_BYTES) -> str:

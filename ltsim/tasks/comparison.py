@@ -95,6 +95,8 @@ class Comparison(ResultFile, Result):
     """of the same test without the points that moved"""
     scale_ppm: Known = None
     """of the second epoch, where it was estimated"""
+    notes: tuple[str, ...] = ()
+    """What was assumed of the epochs: motions that they leave open, names that are exchanged."""
     displacements: tuple[Displacement, ...]
     """One a common point, in the order of the first recording."""
 
@@ -103,6 +105,7 @@ class Comparison(ResultFile, Result):
     def _lines(self) -> list[str]:
         return [
             self.sentence,
+            *self.notes,
             f"no motion at all: {p_is(self.p_value)}; without what moved: {p_is(self.p_value_after)}",
         ]
 

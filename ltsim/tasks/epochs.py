@@ -5,8 +5,10 @@ Each epoch is adjusted by itself; the second is brought onto the first by the ri
 by one: whichever explains most of what is left, until the rest is congruent; each is then tested beside the others.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
@@ -21,11 +23,13 @@ from ltsim.recording.coordinates import Coordinates
 from ltsim.recording.lengths import COEFFICIENT
 from ltsim.recording.result_file import SourceEntry
 from ltsim.recording.setup import Gauge
+from ltsim.tasks.assumed import datum_note, exchange_note, exchanged, open_motions
 from ltsim.tasks.comparison import Comparison, Gap, judged, rows_of
 from ltsim.tasks.inputs import CONTROL, LENGTHS, PRIORS, observed_sources, reach_of
 
 SPACE = np.arange(3)
-ALIGNING = 6
+ALIGNING = 30
+"""Rounds of the alignment by distances, which a third of the points may leave far."""
 STILL = 1e-9
 """Share of the extent by which a unit motion has to move points along the axes that are known."""
 
@@ -47,7 +51,7 @@ def compare(
     given = _in_common(first, second, same_instrument)
     one, other = (_Epoch.of(a, i, given) for a, i in zip((first, second), at, strict=True))
     sources = SourceEntry.of(first.recording), SourceEntry.of(second.recording)
-    return judged(_aligned(one, other, scaled, known), known & (stable is not None), level, sources)
+    return _compared(one, other, scaled, known, known & (stable is not None), level, sources)
 
 
 def compare_coordinates(
@@ -65,11 +69,36 @@ def compare_coordinates(
             f"the first list holds {first.axes} and the second {second.axes}; the axes have to be the same"
         )
     common = [name for name in first.names if name in second.names]
-    known = _frame("lists", common, stable, held=len(first.axes) if free or scaled else 0)
-    one, other = (_Epoch.listed(epoch, common, free) for epoch in (first, second))
-    gap = _aligned(one, other, scaled, known, first.along)
+    open_ = [np.eye(6) if free else open_motions(epoch) for epoch in (first, second)]
+    is_open = scaled or any(motions.shape[1] for motions in open_)
+    known = _frame("lists", common, stable, held=len(first.axes) if is_open else 0)
+    one, other = (_Epoch.listed(epoch, common, motions) for epoch, motions in zip((first, second), open_, strict=True))
+    count = 0 if free else max(motions.shape[1] for motions in open_)
+    notes = [datum_note(count)] if count else []
     sources = SourceEntry.listed(first), SourceEntry.listed(second)
-    return judged(gap, known & (stable is not None), level, sources)
+    held = known & (stable is not None)
+    return _compared(one, other, scaled, known, held, level, sources, first.along, notes)
+
+
+def _compared(
+    first: _Epoch,
+    second: _Epoch,
+    scaled: bool,
+    known: Bools,
+    held: Bools,
+    level: float,
+    sources: tuple[SourceEntry, SourceEntry],
+    axes: Ints = SPACE,
+    notes: Sequence[str] = (),
+) -> Comparison:
+    """The comparison of epochs of the same names; points whose names are exchanged are compared by place."""
+    gap = _aligned(first, second, scaled, known, axes)
+    result = judged(gap, held, level, sources)
+    order = exchanged(gap, [i for i, d in enumerate(result.displacements) if d.moved])
+    if order is not None:
+        result = judged(_aligned(first, second.reordered(order, len(axes)), scaled, known, axes), held, level, sources)
+        notes = [*notes, exchange_note(first.names, order)]
+    return result.model_copy(update={"notes": tuple(notes)})
 
 
 def _frame(kind: str, common: Sequence[str], stable: Sequence[str] | None, *, held: int) -> Bools:
@@ -107,12 +136,17 @@ class _Epoch:
         return cls(names, adjustment.state.points[at], reach.T @ reach, np.hstack(given), adjustment.problem.free)
 
     @classmethod
-    def listed(cls, found: Coordinates, common: Sequence[str], free: bool) -> Self:
-        """Points of a list."""
+    def listed(cls, found: Coordinates, common: Sequence[str], free: Floats) -> Self:
+        """Points of a list that leaves motions `free` (6, f)."""
         at = np.array([found.names.index(name) for name in common])
         rows = rows_of(at, len(found.axes))
-        open_ = np.eye(6) if free else np.zeros((6, 0))
-        return cls(common, found.points[at], found.covariance[np.ix_(rows, rows)], np.zeros((len(rows), 0)), open_)
+        return cls(common, found.points[at], found.covariance[np.ix_(rows, rows)], np.zeros((len(rows), 0)), free)
+
+    def reordered(self, order: Ints, axes: int) -> Self:
+        """The epoch with the place of point `order[i]` at point i."""
+        rows = rows_of(order, axes)
+        covariance = self.covariance[np.ix_(rows, rows)]
+        return replace(self, points=self.points[order], covariance=covariance, by_given=self.by_given[rows])
 
 
 def _in_common(first: Adjustment, second: Adjustment, same_instrument: bool) -> list[str]:

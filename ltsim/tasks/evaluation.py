@@ -9,6 +9,7 @@ import numpy as np
 from ltsim.adjustment.singular import refusing_singular
 from ltsim.arrays import Bools, Floats
 from ltsim.calibration.result import frame_of
+from ltsim.recording.coordinates import Coordinates
 from ltsim.recording.recording import Recording
 from ltsim.recording.result_file import SourceEntry
 from ltsim.results import Result, Table
@@ -76,15 +77,19 @@ class Evaluation(Result):
     @cached_property
     def content(self) -> UncertaintyFile:
         """The contents of uncertainty.json."""
-        found = self.inputs.adjustment
+        found = self.inputs.origin
+        if isinstance(found, Coordinates):
+            source, frame, sigma0 = SourceEntry.listed(found), "that of the list of coordinates", None
+        else:
+            source, frame, sigma0 = SourceEntry.of(found.recording), frame_of(found), found.sigma0
         return UncertaintyFile(
-            recording=SourceEntry.of(found.recording),
+            recording=source,
             title=self.tasks.title,
             source=self.tasks.source,
             coverage=self.tasks.monte_carlo.coverage,
             trials=self.drawn.trials,
-            frame=frame_of(found),
-            sigma0=found.sigma0,
+            frame=frame,
+            sigma0=sigma0,
             results=tuple(self._result(i, task, output) for i, (task, output) in enumerate(self.results)),
             correlation=tuple(tuple(row) for row in self.linear.correlation.tolist()),
             warnings=tuple(self.warnings),
@@ -132,9 +137,9 @@ class Evaluation(Result):
 
 @refusing_singular
 @in_one_thread
-def evaluate_tasks(recording: Recording, tasks: Tasks) -> Evaluation:
-    """Tasks on a recording: results, uncertainty by propagation and by Monte Carlo; errors as of `lt.uncertainty`."""
-    inputs = Inputs.of(recording, tasks)
+def evaluate_tasks(source: Recording | Coordinates, tasks: Tasks) -> Evaluation:
+    """Results of tasks with their uncertainty by propagation and by Monte Carlo; errors as of `lt.uncertainty`."""
+    inputs = Inputs.listed(source, tasks) if isinstance(source, Coordinates) else Inputs.of(source, tasks)
     measurands = tuple(Measurand.of(task, inputs.targets, inputs.points) for task in tasks.task)
     stretch = expansion_of(tasks.growth)
     linear = propagate(inputs, measurands, stretch)

@@ -17,6 +17,7 @@ from ltsim.effects.effect import Effect, NoiseEffect, by_displacement
 from ltsim.effects.verbs import effect_from
 from ltsim.errors import ModelError, SetupError, unknown_name
 from ltsim.model.construction import ideal, stated_construction
+from ltsim.recording.coordinates import Coordinates
 from ltsim.recording.recording import OBSERVABLES, Recording
 from ltsim.recording.reflectors import smrs_of
 from ltsim.tasks.spec import Tasks, TypeB
@@ -53,7 +54,8 @@ class Source(Valued):
 class Inputs(Valued):
     """Estimated points and what they depend on."""
 
-    adjustment: Adjustment
+    origin: Adjustment | Coordinates
+    """The adjusted network, or the list of coordinates with their covariance."""
     targets: tuple[str, ...]
     """The points that the tasks use."""
     points: Floats
@@ -74,7 +76,7 @@ class Inputs(Valued):
         construction = stated_construction(recording) if tasks.calibrate else ideal()
         found = adjust(recording, construction, robust=tasks.robust, datum=tasks.datum or None)
         found.solution.require_success()
-        names = tuple(dict.fromkeys(name for task in tasks.task for name in task.targets))
+        names = _used(tasks)
         for name in names:
             if name not in recording.targets:
                 raise unknown_name("target", name, recording.targets)
@@ -89,10 +91,36 @@ class Inputs(Valued):
         further += air_sources(found, reach, air) if told else []
         return cls(found, names, found.state.points[at], reach, (*observed, *further), told)
 
+    @classmethod
+    def listed(cls, found: Coordinates, tasks: Tasks) -> Self:
+        """The points of the tasks in a list of coordinates, which depend on its joint covariance alone.
+
+        Raises ModelError where a task asks for points or axes that the list lacks, or for sources that act on readings.
+        """
+        if tasks.type_b:
+            raise ModelError("a list of coordinates holds no readings: type_b acts on readings; give their recording")
+        if len(found.axes) < 3:
+            raise ModelError(f"the list holds {found.axes} alone; tasks need x, y and z")
+        names = _used(tasks)
+        for name in names:
+            if name not in found.names:
+                raise unknown_name("target", name, found.names)
+        at = np.array([found.names.index(name) for name in names])
+        rows = (3 * at[:, None] + np.arange(3)).ravel()
+        values, vectors = np.linalg.eigh(found.covariance[np.ix_(rows, rows)])
+        reach = (vectors * np.sqrt(np.maximum(values, 0.0))).T
+        source = Source(f"coordinates of {found.title}", "A", reach.T)
+        return cls(found, names, found.points[at], reach, (source,))
+
     @property
     def covariance(self) -> Floats:
         """Covariance (3 T, 3 T) [m^2] of the points from all sources."""
         return np.sum([source.covariance for source in self.sources], axis=0)
+
+
+def _used(tasks: Tasks) -> tuple[str, ...]:
+    """Names of the points that tasks use."""
+    return tuple(dict.fromkeys(name for task in tasks.task for name in task.targets))
 
 
 def reach_of(adjustment: Adjustment, at: Ints) -> Floats:

@@ -19,6 +19,7 @@ from ltsim.adjustment import adjust
 from ltsim.arrays import Bools, Floats
 from ltsim.geometry.expansion import Expansion
 from ltsim.randomness import stream
+from ltsim.recording.coordinates import Coordinates
 from ltsim.tasks.inputs import Inputs
 from ltsim.tasks.measurands import Measurand
 from ltsim.tasks.spec import MonteCarlo, PartExpansion
@@ -100,8 +101,13 @@ def propagate(inputs: Inputs, measurands: Sequence[Measurand], stretch: Expansio
 
 
 def curvature(inputs: Inputs, measurands: Sequence[Measurand], seed: int) -> Floats:
-    """Largest gap (k,) [SI] between exact and linear change of each result, adjusted anew with a few draws of noise."""
-    found = inputs.adjustment
+    """Largest gap (k,) [SI] between exact and linear change of each result, adjusted anew with a few draws of noise.
+
+    Zero for a list of coordinates: what made them is not at hand.
+    """
+    found = inputs.origin
+    if isinstance(found, Coordinates):
+        return np.zeros(sum(len(m.outputs) for m in measurands))
     recording, problem = found.recording, found.problem
     at = [recording.targets.index(name) for name in inputs.targets]
     used, count = problem.use, int(problem.use.sum())

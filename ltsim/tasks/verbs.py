@@ -18,13 +18,18 @@ from ltsim.tasks.spec import FORMAT, Tasks, load_tasks, tasks_from
 
 
 def uncertainty(
-    recording: RecordingSource, tasks: str | Path | Mapping[str, Any] | Tasks, *, seed: int | None = None
+    recording: RecordingSource | Coordinates,
+    tasks: str | Path | Mapping[str, Any] | Tasks,
+    *,
+    seed: int | None = None,
 ) -> Evaluation:
     """Say how well tasks (lengths, angles, features, ...) are known: by propagation and by Monte Carlo, with budgets.
 
     Parameters
     ----------
-    recording : Recording, str or Path
+    recording : Recording, Coordinates, str or Path
+        A recording, or a list of coordinates with their joint covariance, such as the `targets.csv` of `adjust` with
+        `targets.covariance.csv` in its folder.
     tasks : str, Path, mapping or Tasks
         A task file, or its tables (``task``, ``type_b``, ...); `format` and `source` may be left out of tables.
     seed : int, optional
@@ -54,7 +59,10 @@ def uncertainty(
         given = load_tasks(Path(tasks))
     if seed is not None:
         given = given.model_copy(update={"monte_carlo": given.monte_carlo.model_copy(update={"seed": seed})})
-    return evaluate_tasks(recording_of(recording), given)
+    listed = _coordinates_of(recording)
+    if listed is not None:
+        return evaluate_tasks(listed, given)
+    return evaluate_tasks(recording_of(recording), given)  # type: ignore[arg-type]
 
 
 def compare(

@@ -138,7 +138,7 @@ def test_a_line_of_digests_that_was_cut_is_repaired(file: Path, tmp_path: Path) 
         assert run_campaign(file, out, resume=True).kept == 2
         assert sorted(digests.read_text().splitlines()) == sorted(whole.splitlines())
         assert Store(out).digests().keys() == {f"rows/cell-0000/shard-00000{k}.parquet" for k in (0, 1)}
-    assert not [p for p in out.rglob(".ltsim-*")]
+    assert not list(out.rglob(".ltsim-*"))
 
 
 @pytest.mark.parametrize("name", ["rows", "rows.sha256", "manifest.json"])

@@ -15,7 +15,7 @@ from ltsim.arrays import Floats
 from ltsim.effects.motions import exact_station_change, exact_target_change
 from ltsim.geometry.alignment import robust_align
 from ltsim.geometry.rotations import about_z
-from ltsim.identification import Network, Selection, select, outcomes
+from ltsim.identification import Network, Selection, outcomes, select
 from ltsim.identification.evidence import LOG_RANGE, occam, occam_of_variance, variance_factor
 from ltsim.identification.fit import changed_recording
 from ltsim.model.construction import misalignment

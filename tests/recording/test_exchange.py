@@ -17,6 +17,7 @@ from tests.recording import (
     test_gsi,
     test_openindy,
     test_polar_text,
+    test_sdr,
     test_spatialanalyzer,
     test_tables,
 )
@@ -38,6 +39,7 @@ def files(tmp_path: Path) -> dict[str, Path]:
         "gama-local": test_gama.sample(tmp_path / "a-gama"),
         "openindy": test_openindy.project(tmp_path / "a-project"),
         "gsi": test_gsi.gsi(tmp_path / "a-gsi"),
+        "sdr": test_sdr.written(tmp_path / "a-sdr", test_sdr.book("33")),
         "polar-text": test_polar_text.printed(tmp_path / "a-text", workshop()),
         "point-list": points,
         "table": test_tables.english(tmp_path / "a-table"),
@@ -53,7 +55,7 @@ def test_formats_are_recognised_by_content(files: dict[str, Path]) -> None:
 
 
 @pytest.mark.parametrize(
-    "name", ["spatialanalyzer", "cern-lgc", "gsi", "polar-text", "table", "gama-local", "openindy"]
+    "name", ["spatialanalyzer", "cern-lgc", "gsi", "sdr", "polar-text", "table", "gama-local", "openindy"]
 )
 def test_pointings_know_their_lines(name: str, files: dict[str, Path]) -> None:
     """Lines of the file on which the target of a pointing stands; OpenIndy's observations begin on it."""

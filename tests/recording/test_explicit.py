@@ -55,7 +55,7 @@ def test_heights_and_sigmas_of_every_row_are_read(tmp_path: Path) -> None:
     said = "\n".join(found.notes)
     assert "distances taken as m: 'fromhgt' beside them holds heights of metres" in said
     assert "'date' holds days without a clock" in said
-    assert "the circle was turned between rounds: 3 rounds" in said
+    assert "3 occupations of 2 marks, by day, are set-ups of their own" in said
     assert "states no noise" not in said
     assert found.stations == ("A", "A#2", "B")
     assert [found.station_setup(name).over for name in found.stations] == ["A", "A", "B"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ from ltsim.recording.coordinates import Coordinates, read_coordinates
 from ltsim.recording.result_file import read_result
 from ltsim.tasks.comparison import Comparison
 from ltsim.tasks.epochs import compare_coordinates
+from tests.networks import network as small_network
 
 POINTS = ("901", "902", "903", "904", "905")
 
@@ -119,6 +121,72 @@ def test_free_networks_are_compared_whatever_their_frames(axes: str) -> None:
     moved = compare_coordinates(network(axes, 0), network(axes, 1, shift, turned=turned), free=True)
     assert moved.moved == ("P4",)
     assert moved.displacements[0].own_chi2 is None
+
+
+@pytest.mark.parametrize("axes", ["xyz", "xy", "z"])
+def test_a_covariance_without_a_datum_is_recognised(axes: str) -> None:
+    """A free network's covariance has a rank defect: the epochs are aligned as by `free`, and it is said."""
+    shift = np.zeros((10, 3))
+    shift[4, "xyz".index(axes[0])] = 0.01
+    pair = network(axes, 0), network(axes, 1, shift, turned=len(axes) > 1)
+    plain, free = compare_coordinates(*pair), compare_coordinates(*pair, free=True)
+    assert plain.dof == free.dof
+    assert plain.moved == free.moved == ("P4",)
+    np.testing.assert_allclose(plain.displacements[4].sigma_um, free.displacements[4].sigma_um, rtol=1e-6)
+    assert len(plain.notes) == 1 and "motions of the whole network open" in plain.notes[0]
+    assert not free.notes
+    assert not compare_coordinates(crown(0), crown(1)).notes
+
+
+def test_a_datum_of_some_points_leaves_the_same_motions_open() -> None:
+    """Constraints on three of ten points: the covariance has its rank defect elsewhere."""
+    whole = network("xyz", 0)
+    motions = rigid_motion(whole.points)
+    hold = np.zeros((30, 30))
+    hold[:9, :9] = np.eye(9)
+    project = np.eye(30) - motions @ np.linalg.solve(motions.T @ hold @ motions, motions.T @ hold)
+    epochs = [replace(network("xyz", i), covariance=project @ network("xyz", i).covariance @ project.T) for i in (0, 1)]
+    plain, free = compare_coordinates(*epochs), compare_coordinates(*epochs, free=True)
+    assert plain.p_value == pytest.approx(free.p_value, rel=1e-6)
+
+
+@pytest.mark.parametrize("cycle", [(2, 7), (1, 5, 8)])
+def test_exchanged_names_are_named_and_no_motion_is(tmp_path: Path, cycle: tuple[int, ...]) -> None:
+    first, second = network("xyz", 0), network("xyz", 1)
+    names = list(second.names)
+    for place, other in zip(cycle, cycle[1:] + cycle[:1], strict=True):
+        names[place] = second.names[other]
+    mixed = compare_coordinates(first, replace(second, names=tuple(names)), free=True)
+    assert not mixed.moved
+    assert f"the names {', '.join(f'P{i}' for i in cycle)} are exchanged" in mixed.notes[0]
+    assert mixed.p_value == pytest.approx(compare_coordinates(first, second, free=True).p_value, rel=1e-6)
+
+
+def test_numbers_of_rows_are_no_names(tmp_path: Path) -> None:
+    for i, numbers in enumerate(((1, 2, 3), (3, 1, 2))):
+        rows = [f"{n},R{k},{1000 * k},{500 * k * k},{i * 0.01},0.02" for k, n in enumerate(numbers)]
+        text = "\n".join(["ID,Feature,X [mm],Y [mm],Z [mm],sigma_mm", *rows])
+        (tmp_path / f"{i}.csv").write_text(text + "\n")
+    found = lt.compare(tmp_path / "0.csv", tmp_path / "1.csv")
+    assert [d.target for d in found.displacements] == ["R0", "R1", "R2"] and not found.moved
+
+
+def test_what_adjust_writes_is_what_compare_and_uncertainty_read(tmp_path: Path) -> None:
+    recordings = [small_network(seed=seed)[0] for seed in (1, 2)]
+    recordings = [r.replace(setup=r.setup.model_copy(update={"gauge": None})) for r in recordings]
+    for i, recording in enumerate(recordings):
+        lt.write(lt.adjust(recording), tmp_path / f"{i}")
+    lists = [read_coordinates(tmp_path / f"{i}" / "targets.csv") for i in (0, 1)]
+    assert not any("states no covariance" in note for one in lists for note in one.notes)
+    read, known = lt.compare(*lists, free=True), lt.compare(*recordings, calibrate=False)
+    assert read.p_value == pytest.approx(known.p_value, abs=1e-4)
+    np.testing.assert_allclose(read.displacements[3].sigma_um, known.displacements[3].sigma_um, rtol=1e-3)
+    names = list(recordings[0].targets[:2])
+    task = {"task": [{"name": "length", "kind": "distance", "targets": names}], "calibrate": False}
+    wanted = lt.uncertainty(recordings[0], task).content.results[0]
+    listed = lt.uncertainty(tmp_path / "0" / "targets.csv", task).content.results[0]
+    assert listed.value == pytest.approx(wanted.value, abs=1e-5)
+    assert listed.standard_uncertainty == pytest.approx(wanted.standard_uncertainty, rel=1e-5)
 
 
 GAMA = """<?xml version="1.0"?>

@@ -55,7 +55,7 @@ def test_observed_sources_add_up_to_the_covariance_of_the_adjustment() -> None:
     inputs = evaluated().inputs
     own = np.sum([source.covariance for source in inputs.sources if source.kind == "A"], axis=0)
     for i, name in enumerate(inputs.targets):
-        block = inputs.adjustment.target_covariance[inputs.adjustment.recording.targets.index(name)]
+        block = inputs.origin.target_covariance[inputs.origin.recording.targets.index(name)]
         assert np.allclose(own[3 * i : 3 * i + 3, 3 * i : 3 * i + 3], block, atol=1e-4 * block.max())
 
 
@@ -99,14 +99,14 @@ def test_spread_of_simulated_tasks_is_what_was_predicted_and_falls_by_the_budget
     from ltsim.effects import find_effect
 
     weather = find_effect("station-weather")()
-    design = weather.design(inputs.adjustment.sightings)[:, :, 0] * weather.parameters[0].prior_sigma / np.sqrt(3)
+    design = weather.design(inputs.origin.sightings)[:, :, 0] * weather.parameters[0].prior_sigma / np.sqrt(3)
     for i in range(60):
         rng = stream(5, "spread", i)
         error = rng.standard_normal(recording.readings.shape) * recording.sigma()
         shift = design * rng.uniform(-np.sqrt(3), np.sqrt(3), len(recording.stations))[recording.station][:, None]
         for weather_too in (True, False):
             again = recording.with_readings(recording.readings + error + (shift if weather_too else 0.0))
-            points = adjust(again, misalignment(), start=inputs.adjustment.state).state.points
+            points = adjust(again, misalignment(), start=inputs.origin.state).state.points
             at = [recording.targets.index(name) for name in ("T01", "T12")]
             lengths[weather_too].append(float(np.linalg.norm(points[at[1]] - points[at[0]])))
     # The standard deviation of 60 draws is known to 9 %; three of that.

@@ -69,10 +69,11 @@ def comparison_section(content: Comparison, _: Beside) -> Section:
         Fact("no motion at all, p", p_text(content.p_value), mood(content.p_value >= content.level)),
         *([] if content.scale_ppm is None else [Fact("scale", f"{content.scale_ppm:+.2f} ppm")]),
     ]
+    answer = " ".join(map(sentence, (content.sentence, *content.notes)))
     drawn = Picture("Displacements", lambda: figures.points.displacement_figure(content), caption)
     said = f"Look at what moved, and measure it again before it is used as a reference: {listing(moved)}."
     return Section(
-        "Comparison of two epochs", "Comparison", sentence(content.sentence), mood(not moved), facts, [drawn, *table],
+        "Comparison of two epochs", "Comparison", answer, mood(not moved), facts, [drawn, *table],
         axes="the first epoch's", actions=[said] if moved else [],
     )  # fmt: skip
 

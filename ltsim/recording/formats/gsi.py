@@ -9,17 +9,16 @@ fixes the meaning: directions count clockwise, 22 is a zenith angle, the unit st
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from ltsim.errors import RecordError
 from ltsim.recording.conventions import NO_HINTS, Hints
 from ltsim.recording.files import FilePlace, read_lines, shown
-from ltsim.recording.pointings import NAN, Pointing, numbered, recording_of, settled_heights
-from ltsim.recording.recording import HEIGHT_COLUMNS, KIND_COLUMN, Recording
-from ltsim.recording.setup import Instrument, Noise, Setup, Station, Target, Vector
+from ltsim.recording.formats.field_book import FieldBook
+from ltsim.recording.pointings import NAN
+from ltsim.recording.recording import Recording
 from ltsim.units import DEGREE, GON, MILLIMETRE
 
 _WORD = re.compile(r"(\d\d)(.{4})([+-])(.{16}|.{8})", re.ASCII)
@@ -27,24 +26,6 @@ _PPM = re.compile(r"51.{4}[+-]\d{4,8}[+-]\d{3,7}", re.ASCII)
 LENGTH = {"0": 1e-3, "1": 0.3048e-3, "6": 1e-4, "7": 0.3048e-4, "8": 1e-5, ".": 1e-3}
 ANGLE = {"2": 1e-5 * GON, "3": 1e-5 * DEGREE, "5": 1e-4 * 2 * np.pi / 6400}
 """Units of the data by the last character of the information; an angle of unit 4 is in degrees, minutes, seconds."""
-NOISE = Noise(distance_mm=1.0, distance_ppm=1.5, azimuth_arcsec=1.0, elevation_arcsec=1.0)
-NO_NOISE = "GSI states no noise: 1 mm + 1.5 ppm and 1 arcsec of a total station are taken, edit setup.toml to state it"
-
-
-@dataclass
-class _GsiFile:
-    path: Path
-    station: str = ""
-    setups: dict[str, tuple[str, float, Vector | None]] = field(default_factory=dict)
-    """Point, height of the instrument [m] and place [mm] of each set-up."""
-    pointings: list[Pointing] = field(default_factory=list)
-    skipped: int = 0
-
-    def stand(self, name: str, height: float, place: Vector | None, where: FilePlace) -> None:
-        """A new set-up; a station that is occupied again gets a number."""
-        count = sum(point == where.name(name, "station") for point, _, _ in self.setups.values())
-        self.station = numbered(name, count)
-        self.setups[self.station] = (name, height, place)
 
 
 @dataclass(frozen=True)
@@ -117,7 +98,7 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     Raises RecordError for a word that is malformed, or measurements before a station is named (``hints.station`` names
     one).
     """
-    file = _GsiFile(path)
+    file = FieldBook(path)
     if hints.station is not None:
         file.stand(hints.station, 0.0, None, FilePlace(path))
     lines = read_lines(path)
@@ -129,12 +110,11 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
                 raise block.where.wrong("the last line has no line break: it was cut")
             _take(block, file)
             before = block
-    if not file.pointings:
-        raise RecordError("holds no measurements", file=path)
-    return _finished(file)
+    left = [f"{file.skipped} blocks are no station or measurement and left out"] if file.skipped else []
+    return file.recording("a GSI file", *left)
 
 
-def _take(block: _GsiLine, file: _GsiFile) -> None:
+def _take(block: _GsiLine, file: FieldBook) -> None:
     if block.holds("41", "42"):
         file.stand(block.name("42"), block.length("43"), None, block.where)
     elif block.holds("84", "85", "11") and not block.holds("21"):
@@ -146,53 +126,14 @@ def _take(block: _GsiLine, file: _GsiFile) -> None:
         file.skipped += 1
 
 
-def _pointing(block: _GsiLine, file: _GsiFile) -> None:
-    if not file.station:
-        raise block.where.wrong("a measurement before any station is named; say which it is (station=)")
+def _pointing(block: _GsiLine, file: FieldBook) -> None:
     flat = not block.holds("31")
-    distance = block.length("32" if flat else "31", NAN) or NAN
-    horizontal, zenith = block.angle("21"), block.angle("22")
-    if not (np.isnan(distance) or 0 < distance < 1e6):
-        raise block.where.wrong(f"a distance of {distance:g} m")
-    if not (np.isnan(zenith) or 0 <= zenith <= 2 * np.pi):
-        raise block.where.wrong("a zenith angle off the circle")
-    elevation = np.pi / 2 - zenith + (2 * np.pi if zenith > np.pi else 0.0)
-    if np.all(np.isnan([distance, horizontal, zenith])):
-        file.skipped += 1
-        return
-    height = block.length("87") / MILLIMETRE
-    file.pointings.append(
-        Pointing(
-            file.station,
-            block.where.name(block.name("11"), "target"),
-            2 if elevation > np.pi / 2 + 1e-9 else 1,
-            distance,
-            float(np.mod(-horizontal, 2 * np.pi)),
-            elevation,
-            covariates={HEIGHT_COLUMNS[1]: height} if np.isfinite(height) else {},
-            labels={KIND_COLUMN: "horizontal"} if flat and np.isfinite(distance) else {},
-            source=f"{file.path.name}, line {block.where.row}",
-        )
+    file.point(
+        block.name("11"),
+        block.where,
+        distance=block.length("32" if flat else "31", NAN),
+        horizontal=block.angle("21"),
+        zenith=block.angle("22"),
+        height=block.length("87"),
+        flat=flat,
     )
-
-
-def _finished(file: _GsiFile) -> Recording:
-    pointings, _, heights = settled_heights(file.pointings)
-    targets = {p.target for p in pointings}
-    stations = {}
-    for name in dict.fromkeys(p.station for p in pointings):
-        point, height, place = file.setups[name]
-        stations[name] = Station(
-            levelled=True,
-            over=point if point in targets else None,
-            instrument_height_mm=round(height / MILLIMETRE, 6),
-            position_mm=place,
-        )
-    setup = Setup(
-        title=file.path.stem,
-        instrument=Instrument(noise=NOISE, corrected=True),
-        stations=stations,
-        targets={name: Target(height_mm=height) for name, height in heights.items()},
-    )
-    left = [f"{file.skipped} blocks are no station or measurement and left out"] if file.skipped else []
-    return recording_of(pointings, setup, notes=[NO_NOISE, *left], file=file.path)

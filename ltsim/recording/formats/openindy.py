@@ -14,8 +14,9 @@ import numpy as np
 
 from ltsim.errors import RecordError
 from ltsim.geometry.polar import to_polar
-from ltsim.recording.conventions import NO_HINTS, NO_NOISE, Hints
+from ltsim.recording.conventions import NO_HINTS, Hints
 from ltsim.recording.files import as_title, shown
+from ltsim.recording.kinds import NO_NOISE
 from ltsim.recording.pointings import NAN, Pointing, recording_of, states_noise
 from ltsim.recording.recording import SIGMA_COLUMNS, Recording
 from ltsim.recording.setup import Setup
@@ -58,7 +59,7 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     said = [f"{count} {what}" for what, count in notes.items()]
     setup = Setup(title=as_title(root.get("name", path.stem)))
     recording = recording_of(pointings, setup, notes=said, file=path)
-    return recording if states_noise(recording) else recording.replace(notes=(*recording.notes, NO_NOISE))
+    return recording if states_noise(recording) else recording.replace(notes=(NO_NOISE, *recording.notes))
 
 
 def _pointing(

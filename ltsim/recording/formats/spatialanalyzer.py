@@ -17,8 +17,9 @@ import numpy as np
 from ltsim.arrays import Floats
 from ltsim.errors import RecordError
 from ltsim.geometry.polar import from_polar
-from ltsim.recording.conventions import NO_HINTS, NO_NOISE, Hints, Pose
+from ltsim.recording.conventions import NO_HINTS, Hints, Pose
 from ltsim.recording.files import FilePlace, read_lines, shown
+from ltsim.recording.kinds import NO_NOISE
 from ltsim.recording.recording import Recording
 from ltsim.recording.setup import Instrument, Setup, Station
 from ltsim.recording.tables.header import words_of

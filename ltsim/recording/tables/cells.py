@@ -15,10 +15,17 @@ FACES = {
 DAY = timedelta(days=1)
 LONGEST = 60
 """Characters of a cell that can be a number or an angle."""
+_DEGREES, _MINUTES = r"°|º|˚|\^|\*|deg|d", r"'|′|’|‘|´|`|ʹ|min|m"
+_SECONDS = rf"\"|″|”|“|ʺ|(?:{_MINUTES})(?:{_MINUTES})|sec|s"
+_GAP, _PART = r":|-|\s", r"\d{1,2}(?:[.,]\d+)?"
 _SEXAGESIMAL = re.compile(
-    r"([+-]?)(\d{1,3})\s*(?:°|d|:|-|\s)\s*(\d{1,2})\s*(?:'|′|’|m|:|-|\s)\s*(\d{1,2}(?:[.,]\d+)?)\s*(?:\"|″|”|''|s)?"
+    rf"([+-]?)\s*(\d{{1,3}})\s*(?:{_DEGREES}|{_GAP})\s*(\d{{1,2}})\s*(?:{_MINUTES}|{_GAP})\s*({_PART})\s*(?:{_SECONDS})?"
 )
+_TO_MINUTES = re.compile(rf"([+-]?)\s*(\d{{1,3}})\s*(?:{_DEGREES})\s*({_PART})\s*(?:{_MINUTES})()")
+"""Degrees with whole minutes and seconds, by marks, colons, hyphens or blanks; with minutes alone, by marks."""
+_PACKED = re.compile(r"([+-]?)(\d{1,3})(?:[.,](\d*))?")
 _CLOCK = re.compile(r"(\d{1,2}):(\d{2})(?::(\d{2})(?:[.,](\d{1,9}))?)?(?:\s*([AaPp])\.?[Mm]\.?)?")
+_ORDERS = ("ymd", "dmy", "mdy")
 _DATE = re.compile(r"(\d{1,4})([-/.])(\d{1,2})\2(\d{1,4})")
 
 
@@ -49,7 +56,21 @@ def grouping_of(rows: Iterable[Sequence[str]], file: object) -> str:
 
 def is_value(text: str) -> bool:
     """Whether a cell is a number or an angle in degrees, minutes and seconds."""
-    return len(text) <= LONGEST and (is_number(plain(text)) or _SEXAGESIMAL.fullmatch(text.strip()) is not None)
+    return len(text) <= LONGEST and (is_number(plain(text)) or _sexagesimal(text) is not None)
+
+
+def is_marked(text: str) -> bool:
+    """Whether a cell is an angle in degrees, minutes and seconds, and no plain number."""
+    return not is_number(plain(text)) and _sexagesimal(text) is not None
+
+
+def number(text: str, grouping: str = "") -> Decimal | None:
+    """The plain number of a cell to its last digit; None where it is none. `grouping` is that of its sheet."""
+    text = text.strip()
+    if len(text) > LONGEST:
+        return None
+    bare = plain(text.replace(grouping, "") if grouping and _GROUPED[grouping].fullmatch(text) else text)
+    return Decimal(bare) if is_number(bare) else None
 
 
 def value(text: str, grouping: str = "") -> Decimal | None:
@@ -57,17 +78,40 @@ def value(text: str, grouping: str = "") -> Decimal | None:
 
     `grouping` is that of its sheet, by `grouping_of`.
     """
-    text = text.strip()
+    plain_number = number(text, grouping)
+    return _sexagesimal(text) if plain_number is None else plain_number
+
+
+def quantity(text: str, grouping: str = "") -> Decimal | None:
+    """The value of a cell that may as well be a moment: None for a clock or a date."""
+    return None if is_moment(text) else value(text, grouping)
+
+
+def packed(text: str) -> Decimal | None:
+    """Degrees of a cell that writes minutes and seconds as decimals (``33.120747``); None where it does not."""
+    parts = _PACKED.fullmatch(text.strip()) if len(text) <= LONGEST else None
+    if parts is None:
+        return _sexagesimal(text)
+    sign, degrees, rest = parts.groups(default="")
+    digits = rest.ljust(4, "0")
+    return _degrees(sign, degrees, digits[:2], f"{digits[2:4]}.{digits[4:] or 0}")
+
+
+def _sexagesimal(text: str) -> Decimal | None:
+    """Degrees of an angle in degrees, minutes and seconds, or degrees and minutes; None for anything else."""
     if len(text) > LONGEST:
         return None
-    number = plain(text.replace(grouping, "") if grouping and _GROUPED[grouping].fullmatch(text) else text)
-    if is_number(number):
-        return Decimal(number)
-    found = _SEXAGESIMAL.fullmatch(text)
-    if found is None or int(found.group(3)) > 59:
+    text = text.strip().replace("\u2212", "-").replace("\u00a0", " ")
+    parts = _SEXAGESIMAL.fullmatch(text) or _TO_MINUTES.fullmatch(text)
+    return None if parts is None else _degrees(*(part.replace(",", ".") for part in parts.groups()))
+
+
+def _degrees(sign: str, degrees: str, minutes: str, seconds: str) -> Decimal | None:
+    """The angle; None where minutes or seconds reach 60 (seconds may by rounding)."""
+    parts = Decimal(minutes), Decimal(seconds or 0)
+    if parts[0] >= 60 or parts[1] > 60:
         return None
-    sign, degrees, minutes, seconds = found.groups()
-    size = Decimal(degrees) + (Decimal(minutes) * 60 + Decimal(seconds.replace(",", "."))) / 3600
+    size = Decimal(degrees) + (parts[0] * 60 + parts[1]) / 3600
     return -size if sign == "-" else size
 
 
@@ -82,14 +126,33 @@ def moments(texts: Sequence[str], order: str | None = None) -> tuple[list[float]
     `order` is ``dmy`` or ``mdy`` for dates with strokes. None where a text is in no known form, or where
     strokes leave the order open (the text is "?" then).
     """
+    texts = [_bare(text) for text in texts]
     clocks = [_clock(text) for text in texts]
     if None not in clocks:
         return _since([datetime.min + clock for clock in _unwrapped(clocks)], dated=False)  # type: ignore[arg-type]
-    read = ([_stamp(text, letters, order) for text in texts] for letters in ("ymd", "dmy", "mdy"))
+    read = ([_stamp(text, letters, order) for text in texts] for letters in _ORDERS)
     found = [_since(stamps, dated=True) for stamps in read if None not in stamps]  # type: ignore[arg-type]
     if any(seconds != found[0][0] for seconds, _ in found):
         return None, "?"
     return found[0] if found else (None, "")
+
+
+def is_moment(text: str) -> bool:
+    """Whether a cell is a clock, a date or both."""
+    return has_clock(text) or any(_stamp(_bare(text), letters, None) is not None for letters in _ORDERS)
+
+
+def has_clock(text: str) -> bool:
+    """Whether a cell is a clock, with or without a date."""
+    bare = _bare(text)
+    return ":" in bare and (
+        _clock(bare) is not None or any(_stamp(bare, letters, None) is not None for letters in _ORDERS)
+    )
+
+
+def _bare(text: str) -> str:
+    """A moment without the apostrophe that makes a spreadsheet take it for text."""
+    return text.strip().removeprefix("'").strip()
 
 
 def _since(stamps: list[datetime], *, dated: bool) -> tuple[list[float], str]:

@@ -9,6 +9,7 @@ from functools import lru_cache
 
 from ltsim.errors import RecordError
 from ltsim.recording.files import shown
+from ltsim.recording.tables.sheets import Row
 from ltsim.units import ANGLES, LENGTHS, NAMED, SMALL_ANGLES
 
 HORIZONTAL = ("horizontal", "azimuth")
@@ -30,7 +31,7 @@ WORDS = {
     "station": "station stn st setup standpunkt stp stand standort stationname stationid from fromstn fromstation von "
     "instrument tracker stationsname setupname",
     "target": "target point pt name punkt pkt punktnummer punktname pnr pointname pointid pointnumber targetname "
-    "targetid id to tostn tostation nach reflector smr zielpunkt ziel nest nr nummer no",
+    "targetid feature featurename id to tostn tostation nach reflector smr zielpunkt ziel nest nr nummer no",
     "face": "face f lage kreislage circlelage visierlage",
     "repeat": "repeat repetition rep wiederholung",
     "round": "round obsset satz setnumber satznummer",
@@ -43,9 +44,9 @@ WORDS = {
     "distance": "distance dist d sd slopedist slopedistance slope range r schragdistanz schraegdistanz schragstrecke "
     "schraegstrecke strecke distanz raumstrecke distance3d sdist",
     "flat": "hd horizontaldistance horizontaldist horizontalstrecke horizontaldistanz hdist",
-    "x": "x e east easting rechtswert rw ost ostwert xcoordinate xkoordinate",
-    "y": "y n north northing hochwert hw nord nordwert ycoordinate ykoordinate",
-    "z": "z h height hohe hoehe zcoordinate zkoordinate",
+    "x": "x xactual actualx xmeas measx xist istx e east easting rechtswert rw ost ostwert xcoordinate xkoordinate",
+    "y": "y yactual actualy ymeas measy yist isty n north northing hochwert hw nord nordwert ycoordinate ykoordinate",
+    "z": "z zactual actualz zmeas measz zist istz h height hohe hoehe zcoordinate zkoordinate",
     SIGMA: "sigma stddev std sigmaxyz",
     "time": "time zeit timestamp zeitstempel zeitpunkt datetime utc uhrzeit clock clocktime times measuredat",
     "date": "date datum day",
@@ -71,7 +72,7 @@ ALLOWED = {
     "relative_humidity_pct": ("%",),
 }
 """Units of a role; a column in another unit has not that role."""
-WEAK = ("nr", "nummer", "no")
+WEAK = ("nr", "nummer", "no", "id")
 """Words that name the target where no other word does."""
 MAPPED = tuple(dict.fromkeys((*WORDS, *SIGMA_OF.values())))
 LONGEST_TITLE = 80
@@ -79,6 +80,17 @@ LONGEST_TITLE = 80
 _BRACKET = re.compile(r"(.*?)\s*[\[({]\s*([^\])}]*?)\s*[\])}]?\s*")
 _FACED = re.compile(r"(.*?)[\s._-]*(?:(?:face|lage|f|l)[\s._-]*)?(1|2|ii|i)", re.IGNORECASE)
 _SIGMAS = (re.compile(r"(?:sigma|stddev|std|sd|s)([a-z]+)"), re.compile(r"([a-z]+?)(?:error|err|sigma|stddev|std|sd)"))
+MARKS = ("°", "'", '"')
+PART = "part"
+"""The role of a column with minutes or seconds of an angle whose degrees stand before it."""
+_PARTS = tuple(
+    re.compile(rf"(.*?)[\s_.-]*[\[({{]?\s*(?:{words})\s*[\])}}]?", re.IGNORECASE)
+    for words in (
+        "d|deg|degrees?|grad|°|º",
+        "m|min|minutes?|minuten|'|′|’",
+        "s|sec|seconds?|sek|sekunden|\"|″|”|''",
+    )
+)
 _VALUE = re.compile(r"([a-z0-9]+?)(?:value|reading|obs|raw)")
 
 
@@ -91,6 +103,19 @@ class TableColumn:
     role: str = ""
     unit: str = ""
     face: int = 0
+    parts: tuple[int, ...] = ()
+    """Places of the columns with minutes and seconds of an angle whose degrees stand here."""
+
+    def text(self, row: Row) -> str:
+        """What the column holds in a row: its cell, or degrees, minutes and seconds of several as one angle."""
+        if not self.parts:
+            return row.cell(self.place)
+        marked = [
+            row.cell(place) + mark
+            for place, mark in zip((self.place, *self.parts), MARKS, strict=False)
+            if row.cell(place)
+        ]
+        return " ".join(marked)
 
     @property
     def is_further(self) -> bool:
@@ -104,7 +129,7 @@ def columns_of(fields: Sequence[str]) -> list[TableColumn]:
     Of two columns for one role the first has it. Faces are told apart where every reading stands there twice.
     Coordinates beside polar readings are further columns.
     """
-    found = [_column(place, title) for place, title in enumerate(fields)]
+    found = _with_parts([_column(place, title) for place, title in enumerate(fields)])
     both = {c.role for c in found if c.face == 1} & {c.role for c in found if c.face == 2}
     polar = _kinds_in(found) > 1
     named = {words_of(c.title)[0] for c in found if c.role == "target"}
@@ -118,7 +143,8 @@ def columns_of(fields: Sequence[str]) -> list[TableColumn]:
             one = replace(one, role="")
         if one.role and ((one.role, one.face) in taken or (polar and one.role in (*PLACE, SIGMA))):
             one = replace(one, role="", face=0)
-        taken.add((one.role, one.face))
+        if one.role != PART:
+            taken.add((one.role, one.face))
         kept.append(one)
     return distinct_titles(kept)
 
@@ -131,6 +157,27 @@ def distinct_titles(columns: Sequence[TableColumn]) -> list[TableColumn]:
         before[column.title] += 1
         again = column.title and before[column.title] > 1
         found.append(replace(column, title=f"{column.title} ({before[column.title]})") if again else column)
+    return found
+
+
+def _with_parts(columns: list[TableColumn]) -> list[TableColumn]:
+    """The columns, with degrees, minutes and perhaps seconds of one angle in adjacent ones as one angle."""
+    found = list(columns)
+    for place, column in enumerate(columns):
+        stem = _PARTS[0].fullmatch(column.title)
+        names = [stem[1] if stem is not None else column.title]
+        for form, after in zip(_PARTS[1:], columns[place + 1 : place + 3], strict=False):
+            part = form.fullmatch(after.title)
+            whole_word = part is not None and not part[1] and not (len(after.title) == 1 and after.title.isalpha())
+            if part is None or not (whole_word or _folded(part[1]) == _folded(names[0])):
+                break
+            names.append(part[1])
+        role = role_of(names[0])
+        if len(names) > 1 and role in (*HORIZONTAL, *VERTICAL):
+            places = tuple(range(place + 1, place + len(names)))
+            found[place] = TableColumn(place, column.title, role, "deg", parts=places)
+            for other in places:
+                found[other] = TableColumn(other, columns[other].title, PART)
     return found
 
 
@@ -195,20 +242,22 @@ def _column(place: int, title: str, *, faced: bool = True) -> TableColumn:
 def mapped(fields: Sequence[str], wanted: str, file: object) -> list[TableColumn] | None:
     """Columns of a header by ``role=Header[unit],...``; None where the header lacks one that is named.
 
-    A header that is a number counts columns from 1. Roles that are not named go by the words of the header.
+    A header that is a number counts columns from 1; ``role=Degrees+Minutes+Seconds`` joins columns. Roles that are not
+    named go by the words of the header.
 
     Raises RecordError for a role or a unit that is not known.
     """
     columns = columns_of(fields)
-    said: dict[int, TableColumn] = {}
+    assigned: dict[int, TableColumn] = {}
     for role, face, title, unit in assignments(wanted, file):
-        place = _place(fields, title)
+        place, *parts = _places(fields, title) or (None,)
         if place is None:
             return None
-        said[place] = TableColumn(place, fields[place], role, unit or columns[place].unit, face)
-    kinds = {_kind(column.role) for column in said.values()}
+        assigned[place] = TableColumn(place, fields[place], role, unit or columns[place].unit, face, tuple(parts))
+        assigned |= {part: TableColumn(part, fields[part], PART) for part in parts}
+    kinds = {_kind(column.role) for column in assigned.values()}
     rest = [c if _kind(c.role) not in kinds else replace(c, role="", face=0) for c in columns]
-    return [said.get(c.place, c) for c in rest]
+    return [assigned.get(c.place, c) for c in rest]
 
 
 def assignments(wanted: str, file: object = None) -> list[tuple[str, int, str, str]]:
@@ -236,6 +285,15 @@ def _titled(text: str) -> tuple[str, str]:
     if bracket is None or not bracket[1]:
         return text, ""
     return bracket[1], NAMED.get(bracket[2].lower(), bracket[2])
+
+
+def _places(fields: Sequence[str], title: str) -> tuple[int, ...] | None:
+    """Place of a header, or those of degrees, minutes and seconds that `title` joins by plus signs."""
+    place = _place(fields, title)
+    if place is not None or "+" not in title:
+        return None if place is None else (place,)
+    places = [_place(fields, part) for part in title.split("+")[: len(MARKS)]]
+    return None if None in places else tuple(p for p in places if p is not None)
 
 
 def _place(fields: Sequence[str], title: str) -> int | None:

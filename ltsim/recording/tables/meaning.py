@@ -144,6 +144,8 @@ def _length(stated: str, polar: PolarTable, table: PointingTable, hints: Hints, 
     longest = float(np.nanmax(polar.distance))
     if hints.length is not None or not SHORTEST_MM <= longest < AMBIGUOUS_MM:
         return length_meaning(polar.distance, hints)
+    if table.column(("flat",)) is not None:
+        return "m", ["distances taken as m: they are horizontal ones, as surveyors write them"]
     column = next((c for c in table.columns if c.role in HEIGHTS and not c.unit), None)
     heights = [] if column is None else [cells.value(p.further.get(column.title, "")) for p in table.pointings]
     tall = [abs(float(height)) for height in heights if height]

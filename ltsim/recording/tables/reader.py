@@ -8,19 +8,23 @@ import numpy as np
 
 from ltsim.arrays import Floats
 from ltsim.geometry.polar import to_face
-from ltsim.recording.conventions import NO_HINTS, NO_NOISE, Hints, poses_of
+from ltsim.recording.conventions import NO_HINTS, Hints, poses_of
+from ltsim.recording.curvature import on_round_earth
 from ltsim.recording.files import MAX_TEXT, shown
 from ltsim.recording.pointings import NAN, Pointing, recording_of, states_noise
-from ltsim.recording.recording import HEIGHT_COLUMNS, KIND_COLUMN, OCCUPATION_COLUMNS, Recording
+from ltsim.recording.recording import HEIGHT_COLUMNS, KIND_COLUMN, OCCUPATION_COLUMNS, SIGMA_COLUMNS, Recording
 from ltsim.recording.settings import read_setup
 from ltsim.recording.setup import Setup
 from ltsim.recording.tables import cells
 from ltsim.recording.tables.header import ALLOWED, TableColumn, names_places
+from ltsim.recording.tables.instruments import instrument_of, is_total_station
 from ltsim.recording.tables.meaning import Meaning, readings_of, sigmas_of_places
+from ltsim.recording.tables.poses import named_by_place
 from ltsim.recording.tables.rows import PointingTable, Printed, header_of, table_of
-from ltsim.recording.tables.setups import common_names, heights_not_applied, occupied, over_marks, split_rounds
+from ltsim.recording.tables.setups import common_names, heights_not_applied, occupied, over_marks, split_occupations
 from ltsim.recording.tables.sheets import SUFFIXES, WORKBOOK, is_folder, rows_of_head, sheets_of
-from ltsim.units import FACTOR, MILLIMETRE, ratio
+from ltsim.recording.tables.times import times_of, with_clock
+from ltsim.units import ARCSECOND, MILLIMETRE, ratio
 
 SETUP = "setup.toml"
 MOST_SHOWN = 3
@@ -46,16 +50,22 @@ def recognises(path: Path, head: str) -> bool:
 
 def read(path: Path, hints: Hints = NO_HINTS, *, positional: bool = False) -> Recording:
     """Read a table; `positional` takes lines of names and three numbers without a header. Raises RecordError."""
-    table = table_of(sheets_of(path), hints, path, positional=positional)
+    table = named_by_place(with_clock(table_of(sheets_of(path), hints, path, positional=positional)), path)
     renamed, named = common_names([(p.station, p.target) for p in table.pointings])
     table.pointings = [replace(p, target=name) for p, name in zip(table.pointings, renamed, strict=True)]
     table.notes += named
-    setup, notes = _setup(path, hints)
-    poses = poses_of(setup, tuple(dict.fromkeys(p.station for p in table.pointings)))
+    setup = _setup(path, hints)
+    poses = poses_of(setup or Setup(), tuple(dict.fromkeys(p.station for p in table.pointings)))
     meaning, readings = readings_of(table, poses, hints, path)
-    found = assembled(table, meaning, readings, setup, hints, path)
-    stated = states_noise(found)
-    return found.replace(notes=(*found.notes, *(note for note in notes if not (stated and note == NO_NOISE))))
+    if setup is not None:
+        recording = assembled(table, meaning, readings, setup, hints, path)
+        return recording.replace(
+            notes=(f"noise and what else is known are read from {_setup_file(path, hints)}", *recording.notes)
+        )
+    instrument, noise = instrument_of(is_total_station(table, meaning, readings))
+    setup = Setup(title=path.stem[:MAX_TEXT], instrument=instrument)
+    recording = assembled(table, meaning, readings, setup, hints, path)
+    return recording if states_noise(recording) else recording.replace(notes=(noise, *recording.notes))
 
 
 def assembled(
@@ -63,13 +73,15 @@ def assembled(
 ) -> Recording:
     """The recording of a table whose readings (n, 3) are understood, in the order of its pointings."""
     sigmas = sigmas_of_places(table, readings, meaning.length_unit)
-    rounds = split_rounds(table, readings)
-    setup, over = over_marks(table, setup)
+    covariates, labels, kept = _further(table, meaning)
+    turns = np.array([values.get(SIGMA_COLUMNS[1], NAN) for values in covariates]) * ARCSECOND
+    same_place, rounds = split_occupations(table, readings, turns)
+    upright = bool(is_total_station(table, meaning, readings)) and table.column(("elevation",)) is None
+    setup, over = over_marks(table, setup, readings, rounds=same_place, levelled=upright)
     faces, reduced = _faces(table, readings)
-    times, started, timed = _times(table, hints)
+    times, started, timed = times_of(table, hints)
     if started and not setup.started:
         setup = setup.model_copy(update={"started": started})
-    covariates, labels, kept = _further(table, meaning)
     height = np.array([[values.get(name, NAN) for name in HEIGHT_COLUMNS] for values in covariates]) * MILLIMETRE
     unused = heights_not_applied(table, readings, height)
     if unused:
@@ -96,17 +108,20 @@ def assembled(
             )
         )
     said = [table.notes, meaning.notes, rounds, over, reduced, timed, kept, unused, _left_out(table)]
-    return recording_of(pointings, setup, notes=[note for notes in said for note in notes], file=file)
+    recording = recording_of(pointings, setup, notes=[note for notes in said for note in notes], file=file)
+    return on_round_earth(recording)
 
 
-def _setup(path: Path, hints: Hints) -> tuple[Setup, list[str]]:
-    """What is known beside the table: the file named, or a `setup.toml` in the same folder."""
-    beside = (path if path.is_dir() else path.parent) / SETUP
-    if hints.setup is None and not beside.is_file():
-        return Setup(title=path.stem[:MAX_TEXT]), [NO_NOISE]
-    file = hints.setup or beside
-    file = file / SETUP if file.is_dir() else file
-    return read_setup(file), [f"noise and what else is known are read from {file}"]
+def _setup_file(path: Path, hints: Hints) -> Path:
+    """The file named for noise and gauge, or a `setup.toml` in the same folder."""
+    file = hints.setup or (path if path.is_dir() else path.parent) / SETUP
+    return file / SETUP if file.is_dir() else file
+
+
+def _setup(path: Path, hints: Hints) -> Setup | None:
+    """What a file states of noise and set-ups in addition to the table; None where there is none."""
+    file = _setup_file(path, hints)
+    return read_setup(file) if hints.setup is not None or file.is_file() else None
 
 
 def _faces(table: PointingTable, readings: Floats) -> tuple[list[int], list[str]]:
@@ -120,32 +135,6 @@ def _faces(table: PointingTable, readings: Floats) -> tuple[list[int], list[str]
     readings[:] = to_face(readings, np.array(faces))
     readings[second, 1] %= 2 * np.pi
     return faces, ["readings of face 2 were reduced to face 1 and are turned back to what the circles showed"]
-
-
-def _times(table: PointingTable, hints: Hints) -> tuple[list[float], str, list[str]]:
-    """Time [s] of each pointing, the moment of 0 where it is known, and notes; NaN where times cannot be read."""
-    column = table.column(("time",)) or table.column(("date",))
-    texts = [p.moment for p in table.pointings]
-    nothing = [NAN] * len(texts)
-    if column is None or not any(texts):
-        return nothing, "", []
-    by_rows = "the order of the rows is taken as time"
-    if not all(texts):
-        return nothing, "", [f"column '{shown(column.title)}' is empty in places: {by_rows}"]
-    numbers = [cells.value(text) for text in texts]
-    if all(number is not None for number in numbers):
-        factor = FACTOR[column.unit or "s"]
-        return [float(number) * factor for number in numbers if number is not None], "", []
-    found, start = cells.moments(texts, hints.date)
-    if found is None and start:
-        message = f"'{shown(texts[0])}' may be day and month or month and day; say which: --hint date=dmy or date=mdy"
-        raise table.pointings[0].where.wrong(message, shown(column.title))
-    if found is None:
-        unknown = f"column '{shown(column.title)}' holds no time that is known here ('{shown(texts[0])}')"
-        return nothing, "", [f"{unknown}: {by_rows}"]
-    if not any(":" in text for text in texts):
-        return nothing, "", [f"column '{shown(column.title)}' holds days without a clock: {by_rows}"]
-    return found, start, []
 
 
 def _further(table: PointingTable, meaning: Meaning) -> tuple[list[dict[str, float]], list[dict[str, str]], list[str]]:
@@ -179,7 +168,7 @@ def _unit(column: TableColumn, meaning: Meaning) -> str:
 def _factor(column: TableColumn, pointings: Sequence[Printed], meaning: Meaning) -> float | None:
     """What the numbers of a column are multiplied by; None for a column of text."""
     texts = [(p.further.get(column.title, ""), p.grouping) for p in pointings]
-    numeric = any(t for t, _ in texts) and all(cells.value(t, grouping) is not None for t, grouping in texts if t)
+    numeric = any(t for t, _ in texts) and all(cells.quantity(t, grouping) is not None for t, grouping in texts if t)
     if not numeric:
         return None
     wanted = column.role.rpartition("_")[2]
@@ -191,7 +180,7 @@ def _factor(column: TableColumn, pointings: Sequence[Printed], meaning: Meaning)
 
 def _number(p: Printed, title: str) -> float:
     text = p.further[title]
-    number = cells.value(text, p.grouping) if text else None
+    number = cells.quantity(text, p.grouping) if text else None
     return NAN if number is None else float(number)
 
 

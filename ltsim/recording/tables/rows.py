@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from decimal import Decimal
+from functools import partial
 
 from ltsim.errors import RecordError
 from ltsim.recording.conventions import Hints
 from ltsim.recording.files import MAX_TEXT, FilePlace, shown
 from ltsim.recording.tables import cells
+from ltsim.recording.tables.advice import unnamed
 from ltsim.recording.tables.header import (
     DISTANCE,
     HORIZONTAL,
@@ -29,9 +31,7 @@ from ltsim.recording.tables.sheets import Row, Sheet
 
 POSITIONS = ("station", "target", "azimuth", "vertical", "distance")
 """Roles of a table without a header whose lines are names and three numbers."""
-GON_CIRCLE = 400
-"""A number beyond the circle with the most units is no angle."""
-_STATION = re.compile(r"#?\s*([^\W\d_]+)\s*[:=;,\t ]\s*(\S.*)")
+_STATION = re.compile(r"#?\s*([^\W\d_]+)\s*[:=;,\t ]\s*(\S.*?)[\s;,]*")
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,6 +62,8 @@ class PointingTable:
     marks: dict[str, str] = field(default_factory=dict)
     """Name of the mark under each set-up whose own name differs from it."""
     notes: list[str] = field(default_factory=list)
+    marked: set[str] = field(default_factory=set)
+    """Headers without a unit over angles with marks of degrees and minutes."""
 
     def column(self, kind: Sequence[str]) -> TableColumn | None:
         """The first column of one of the roles."""
@@ -91,6 +93,7 @@ class PointingTable:
         self.left_out += other.left_out
         self.notes += [note for note in other.notes if note not in self.notes]
         self.nameless |= other.nameless
+        self.marked |= other.marked
         self.positional |= other.positional
 
 
@@ -109,9 +112,10 @@ def table_of(sheets: Sequence[Sheet], hints: Hints, file: object, *, positional:
         elif positional:
             whole.add(reader.read_positional(), sheet.file)
         elif len(sheets) == 1 or any(row.values > 2 for row in sheet.rows[:50]):
-            raise RecordError(unnamed(sheet), file=sheet.file)
+            raise RecordError(unnamed(sheet, partial(_serves, sheet, hints)), file=sheet.file)
     if not whole.pointings:
         raise RecordError("holds no pointings", file=file)
+    whole.columns = [replace(c, unit="deg") if c.title in whole.marked else c for c in whole.columns]
     return whole
 
 
@@ -218,13 +222,14 @@ class _SheetReader:
         stated = cells.face(told) if told else None
         if told and stated is None:
             raise where.wrong(f"found '{shown(told)}', expected 1 or 2", "face")
-        read = [c for c in columns if c.role in READINGS and row.cell(c.place)]
+        read = [(c, cell) for c in columns if c.role in READINGS and (cell := c.text(row))]
+        self.table.marked |= {c.title for c, cell in read if not c.unit and cells.is_marked(cell)}
         return Printed(
             where,
             station or "S1",
             text.get("target", ""),
             face or stated,
-            {c.role: self._number(row.cell(c.place), c, where) for c in read},
+            {c.role: self._number(cell, c, where) for c, cell in read},
             moment=both("date", "time"),
             further={c.title: where.text(row.cell(c.place)) for c in columns if c.is_further},
             grouping=self.sheet.grouping,
@@ -232,7 +237,11 @@ class _SheetReader:
         )
 
     def _number(self, text: str, column: TableColumn, where: FilePlace) -> Decimal:
-        found = cells.value(text, self.sheet.grouping)
+        packed = column.unit == "dms"
+        found = cells.packed(text) if packed else cells.value(text, self.sheet.grouping)
+        if packed and found is None:
+            what = "degrees, minutes and seconds, such as 33°12'07.5\" or 33.12075"
+            raise where.wrong(f"found '{shown(text)}', expected {what}", shown(column.title))
         if found is None or not abs(found) < 10**9:
             raise where.wrong(f"found '{shown(text)}', expected a number", shown(column.title))
         if column.role in DISTANCE and not found > 0:
@@ -252,37 +261,11 @@ def _doubled(columns: Sequence[TableColumn]) -> list[str]:
     ]
 
 
-def unnamed(sheet: Sheet) -> str:
-    """The sentence for a header that says nothing, with the option to type."""
-    head = next((row for row in sheet.rows if len(row.fields) > 2 and not row.values), None)
-    body = [row.fields for row in sheet.rows if row.values > 1]
-    if not body:
-        return "holds no row with two numbers or more: nothing that could be a pointing"
-    width = max(map(len, body))
-    named = head is not None and len(head.fields) == width
-    titles = head.fields if head is not None and named else tuple(str(i + 1) for i in range(width))
-    guess = ",".join(_guess(titles, [b for b in body if len(b) == width]))
-    what = f"the header {shown(', '.join(titles), 80)}" if named else "a table without a header"
-    return f'{what} does not say what its columns hold; say it, for instance --columns "{guess}"'
-
-
-def _guess(titles: Sequence[str], body: Sequence[Sequence[str]]) -> list[str]:
-    """Names first, then a face, then three numbers: two angles and a distance, or coordinates where they cannot be."""
-    columns = list(zip(*body[:400], strict=True))
-    texts = [i for i, column in enumerate(columns) if any(column) and not all(map(cells.is_value, column))]
-    faces = [i for i, column in enumerate(columns) if i not in texts and all(map(cells.face, column))]
-    numbers = [i for i in range(len(columns)) if all(map(cells.is_value, columns[i])) and i not in faces][:3]
-    texts.sort(key=lambda i: len(set(columns[i])))
-    roles = ("station", "target")[-len(texts) :] if texts else ()
-    said = [f"{role}={titles[i]}" for role, i in zip(roles, texts, strict=False)]
-    said += [f"face={titles[i]}" for i in faces[:1]]
-    values = {i: [cells.value(cell) or Decimal(0) for cell in columns[i]] for i in numbers}
-    largest = [max(map(abs, values[i])) for i in numbers]
-    angle = "rad" if max(largest[:1], default=0) < 7 else "deg" if largest[0] <= 360 else "gon"
-    vertical = "elevation" if numbers[1:] and min(values[numbers[1]]) < 0 else "vertical"
-    forms = [f"azimuth={{}}[{angle}]", f"{vertical}={{}}[{angle}]", "distance={}[{}]"]
-    if len(numbers) == len(PLACE) and (max(largest[:2]) > GON_CIRCLE or min(values[numbers[2]]) < 0):
-        forms, largest = [f"{axis}={{}}[{{}}]" for axis in PLACE], [max(largest)] * len(PLACE)
-    return said + [
-        f.format(titles[i], "m" if x < 200 else "mm") for i, x, f in zip(numbers, largest, forms, strict=False)
-    ]
+def _serves(sheet: Sheet, hints: Hints, columns: str) -> bool:
+    """Whether a sheet can be read by an assignment of columns."""
+    hints = replace(hints, columns=columns)
+    try:
+        start = header_at(sheet, hints)
+        return start is not None and bool(_SheetReader(sheet, hints).read(start).pointings)
+    except RecordError:
+        return False

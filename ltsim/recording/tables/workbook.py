@@ -88,9 +88,16 @@ def _sheets(book: Any, file: Path) -> list[tuple[str, list[Line]]]:
     return found
 
 
+def _text(cell: object) -> str:
+    """Text of a cell; a day without a clock as a date alone."""
+    if isinstance(cell, datetime) and cell.time() == time():
+        cell = cell.date()
+    return "" if cell is None else cell.isoformat() if isinstance(cell, _MOMENTS) else str(cell).strip()
+
+
 def _texts(values: tuple[Any, ...]) -> list[str]:
     """Cells of a row as text: dates in ISO form, numbers with their shortest digits, nothing behind the last."""
-    texts = ["" if v is None else v.isoformat() if isinstance(v, _MOMENTS) else str(v).strip() for v in values]
+    texts = list(map(_text, values))
     while texts and not texts[-1]:
         texts.pop()
     return texts

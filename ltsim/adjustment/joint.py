@@ -1,0 +1,43 @@
+"""The joint covariance of adjusted targets, as `compare` and `uncertainty` read it."""
+
+import numpy as np
+
+from ltsim.adjustment.adjustment import Adjustment
+from ltsim.arrays import Floats
+from ltsim.recording.coordinates import AXES, covariance_text
+
+COVARIANCE = "targets.covariance.csv"
+"""Name of the file with the joint covariance of the coordinates in `targets.csv`."""
+MOST_TARGETS = 400
+"""Targets whose joint covariance is written: its file grows with their square, and reaches 20 MB here."""
+
+
+def joint_covariance(adjustment: Adjustment) -> Floats:
+    """Covariance (3 T, 3 T) [m^2] of all targets, point by point; NaN for what no reading in use tells."""
+    columns = adjustment.problem.unknowns.target.ravel()
+    unit = np.zeros((adjustment.problem.unknowns.size, len(columns)))
+    unit[columns, np.arange(len(columns))] = 1.0
+    covariance = adjustment.factor.covariance_columns(unit)[columns]
+    if adjustment.datum is not None:
+        covariance = adjustment.datum.transformed(covariance[None], columns[None])[0]
+    undetermined = ~np.isfinite(np.einsum("tii->ti", adjustment.target_covariance)).ravel()
+    covariance[undetermined] = covariance[:, undetermined] = np.nan
+    return 0.5 * (covariance + covariance.T)
+
+
+def covariance_csv(adjustment: Adjustment, spread: Floats | None = None) -> str | None:
+    """The content of `targets.covariance.csv`, None for more than `MOST_TARGETS` targets.
+
+    `spread` (k, T, 3) [m] are errors that the targets share beyond the readings' own, each for one standard deviation.
+    """
+    names = adjustment.recording.targets
+    if len(names) > MOST_TARGETS:
+        return None
+    covariance = joint_covariance(adjustment)
+    if spread is not None:
+        errors = spread.reshape(len(spread), -1)
+        covariance = covariance + errors.T @ errors
+    determined = np.isfinite(np.diag(covariance))
+    coordinates = [f"{name}.{axis}" for name in names for axis in AXES]
+    kept = np.flatnonzero(determined)
+    return covariance_text([coordinates[i] for i in kept.tolist()], covariance[np.ix_(kept, kept)])

@@ -1,0 +1,46 @@
+"""A recording quieter than stated leads to the figures to state."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+
+from ltsim.adjustment import adjust
+from ltsim.adjustment.verdict import Agreement, noise_to_state, verdict
+from ltsim.recording.recording import SIGMA_COLUMNS, Recording
+from tests.networks import network
+
+
+def loud(factor: float) -> Recording:
+    """The test network with a stated noise that is too large by a factor."""
+    recording, _ = network(seed=3)
+    instrument = recording.setup.instrument
+    noise = instrument.noise.model_copy(
+        update={key: factor * value for key, value in instrument.noise.model_dump().items()}
+    )
+    setup = recording.setup.model_copy(update={"instrument": instrument.model_copy(update={"noise": noise})})
+    return recording.replace(setup=setup)
+
+
+def test_each_figure_is_what_the_readings_show() -> None:
+    right = network(seed=3)[0].setup.instrument.noise
+    judged = verdict(adjust(loud(4.0)))
+    assert judged.case is Agreement.SMALLER_NOISE
+    said = dict(re.findall(r"(\w+) to ([\d.e-]+)", judged.sentence.partition("Set ")[2]))
+    assert said.keys() == {key for key, value in right.model_dump().items() if value}
+    for key, value in said.items():
+        assert float(value) == pytest.approx(getattr(right, key), rel=0.25), key
+
+
+def test_nothing_is_suggested_where_the_noise_is_right() -> None:
+    assert noise_to_state(adjust(loud(1.0))) == ""
+
+
+def test_sigmas_of_rows_are_multiplied() -> None:
+    recording = loud(1.0)
+    sigma = 3.0 * recording.sigma()[:, 0] * 1e3
+    columns = {**recording.covariates, SIGMA_COLUMNS[0]: np.where(np.isfinite(sigma), sigma, np.nan)}
+    said = noise_to_state(adjust(recording.replace(covariates=columns)))
+    assert re.fullmatch(r"Multiply the sigmas of distance by 0\.[23]\d*\.", said), said

@@ -1,0 +1,67 @@
+"""Traverses in plan: whatever has full rank is solved, from directions and from lengths read by the neighbours."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import ltsim as lt
+from ltsim.arrays import Floats
+from ltsim.errors import NetworkError
+from ltsim.recording import read
+
+COUNT = 11
+OCCUPIED = (1, 2, 3, 4, 5, 5, 6, 7, 8, 9)
+"""Set-ups in order: point 5 is occupied twice, the ends never."""
+
+
+def traverse(file: Path, *, ends: str = "both", skipped: tuple[int, int] | None = None) -> Floats:
+    """An open traverse of 11 points in plan: directions to both neighbours, lengths from every second set-up only.
+
+    Both ends have coordinates, or one, or none; one leg has no length where it is `skipped`. The points (11, 2) [m].
+    """
+    rng = np.random.default_rng(2)
+    points = np.cumsum(np.column_stack([rng.uniform(60, 120, COUNT), rng.uniform(-40, 40, COUNT)]), axis=0)
+    rows = ['<gama-local><network axes-xy="en" angles="left-handed"><parameters sigma-apr="1" sigma-act="apriori"/>']
+    rows.append('<points-observations direction-stdev="3" distance-stdev="1">')
+    for i, (x, y) in enumerate(points.tolist()):
+        known = {0: ("both", "one"), COUNT - 1: ("both",)}.get(i, ())
+        place = f'x="{x:.4f}" y="{y:.4f}"' if ends in known else ""
+        rows.append(
+            f'<point id="{i}" {place} {"fix" if place and not i else "adj"}="{"XY" if place and i else "xy"}"/>'
+        )
+    for i in OCCUPIED:
+        rows.append(f'<obs from="{i}">')
+        zero = rng.uniform(0, 400)
+        for j in (i - 1, i + 1):
+            east, north = points[j] - points[i]
+            turn = np.arctan2(east, north) * 200 / np.pi + zero + rng.normal(0, 3e-4)
+            rows.append(f'<direction to="{j}" val="{turn % 400:.5f}"/>')
+            if (i % 2 == 0 or j in (0, COUNT - 1)) and skipped != (i, j):
+                rows.append(f'<distance to="{j}" val="{np.hypot(east, north) + rng.normal(0, 1e-3):.4f}"/>')
+        rows.append("</obs>")
+    file.write_text("\n".join([*rows, "</points-observations></network></gama-local>"]))
+    return points
+
+
+def spans(points: Floats) -> Floats:
+    return np.asarray(np.linalg.norm(points[:, None] - points[None], axis=2))
+
+
+@pytest.mark.parametrize("ends", ["both", "one", "none"])
+def test_an_open_traverse_is_solved_from_any_order(tmp_path: Path, ends: str) -> None:
+    points = traverse(tmp_path / "a.gkf", ends=ends)
+    recording = read(tmp_path / "a.gkf")
+    for rows in (np.arange(len(recording)), np.arange(len(recording))[::-1]):
+        adjusted = lt.adjust(recording.select(rows))
+        at = [int(name) for name in adjusted.targets]
+        np.testing.assert_allclose(spans(adjusted.points[:, :2]), spans(points[at]), atol=0.02)
+        assert adjusted.fit.dof == 1
+
+
+def test_a_leg_without_a_length_is_named(tmp_path: Path) -> None:
+    traverse(tmp_path / "a.gkf", skipped=(4, 3))
+    with pytest.raises(NetworkError, match=r"in plan nothing tells the length of the lines 3-4$"):
+        lt.adjust(read(tmp_path / "a.gkf"))
