@@ -5,6 +5,7 @@ import struct
 import tempfile
 import threading
 import time
+import warnings
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -48,12 +49,18 @@ def parallel(
     how = "generator" if ordered else "generator_unordered"
     with parallel_config(backend="loky", inner_max_num_threads=1):
         pool = Parallel(n_jobs=min(jobs, MOST), return_as=how, batch_size=batch)
+    results = pool(delayed(_watched)(os.getpid(), function, *arguments) for arguments in calls)
     try:
-        yield from pool(delayed(_watched)(os.getpid(), function, *arguments) for arguments in calls)
+        for result in results:  # noqa: UP028 - `yield from` would close `results`, with a warning
+            yield result
     except TerminatedWorkerError:
         raise WorkerError(
             f"a worker process was ended from outside, perhaps for want of memory; take fewer {option('jobs')}"
         ) from None
+    finally:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # joblib warns of results that a caller has no use for
+            results.close()
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from ltsim.campaigns import require_packages
 from ltsim.cli.places import Force, claim_file
 from ltsim.cli.simulate import ScenarioName
 from ltsim.cli.terminal import ResultTerminal, Terminal
-from ltsim.errors import SetupError, StoppedError
+from ltsim.errors import SetupError, StoppedError, printable
 from ltsim.recording.files import is_device, write_text
 from ltsim.workers import MOST
 
@@ -154,7 +154,8 @@ def recover(
 
     Errors are those that the scenario states, or drawn from the prior where it states none. Exit status 1, naming what
     fails: z-scores of every parameter (with drawn errors standard normal; with stated ones no wider, the value inside
-    its interval as often as promised), chi-square, targets and stations. Writes recovery.json and trials.csv to --out.
+    its interval as often as promised), chi-square, targets and stations. A parameter of your calibrator without a sigma
+    or a tolerance is not checked, which is status 1 too. Writes recovery.json and trials.csv to --out.
 
     Example: ltsim recover paper-workshop-re-aimed --trials 1000 --jobs 2
     """
@@ -175,33 +176,42 @@ def recover(
     beside = {TRIALS.file: result.table("trials").csv()}
     checks = result.checks()
     content = RecoveryFile(
-        passed=all(check.passed for check in checks),
+        passed=result.passed,
         errors=result.errors,
         trials=len(result.trials),
         converged=len(result.converged),
         seed=options["seed"],
         checks=tuple(checks),
+        unchecked=result.unchecked(),
+        problem=result.problem,
     )
     content = terminal.kept(content, lambda: beside)
     if junit is not None:
         write_text(junit, junit_xml(result, str(scenario)))
     terminal.answer(content.content())
     terminal.say(result.table("parameters").text() if len(result.converged) > 1 else "hardly a trial gave a result")
-    failures = result.failures()
-    for failure in failures:
-        print(failure.sentence(), file=sys.stderr)
-    if failures:
+    for sentence in result.problems():
+        print(printable(sentence), file=sys.stderr)
+    if not result.passed:
         raise typer.Exit(1)
     rate = "" if result.tolerance else f" (a correct model fails this check in {100 * FALSE_ALARM:.0f} % of runs)"
     done = f"{len(result.trials)} trials, errors {MODES[result.errors]}"
-    terminal.say(f"{done}: everything is recovered within {result.what}{rate}")
+    terminal.say(f"{done}: {result.verdict()}{rate}")
 
 
 def junit_xml(result: Recovery, suite: str) -> str:
     """The checks as JUnit XML: a test case each, with value and limits; they share the time of all trials."""
     checks = result.checks()
-    failed, each = str(sum(not check.passed for check in checks)), f"{result.seconds / len(checks):.3f}"
-    counts = {"tests": str(len(checks)), "failures": failed, "errors": "0", "time": f"{result.seconds:.3f}"}
+    unchecked = result.unchecked()
+    failed, each = sum(not check.passed for check in checks), f"{result.seconds / len(checks):.3f}"
+    lost = 0 if result.allow_unchecked else len(unchecked)
+    counts = {
+        "tests": str(len(checks) + len(unchecked)),
+        "failures": str(failed + lost),
+        "errors": "0",
+        "skipped": str(len(unchecked) - lost),
+        "time": f"{result.seconds:.3f}",
+    }
     root = Element("testsuite", {"name": f"ltsim recover {suite}", **counts})
     for check in checks:
         case = SubElement(root, "testcase", classname=f"recover.{check.what}", name=check.statistic, time=each)
@@ -210,4 +220,7 @@ def junit_xml(result: Recovery, suite: str) -> str:
             SubElement(inside, "property", name=name, value=f"{getattr(check, name):.6g}")
         if not check.passed:
             SubElement(case, "failure", message=check.sentence())
+    for name in unchecked:
+        case = SubElement(root, "testcase", classname=f"recover.{name}", name="not checked", time="0.000")
+        SubElement(case, "failure" if lost else "skipped", message=f"{name} is not checked: no sigma in every trial")
     return tostring(root, encoding="unicode", xml_declaration=True) + "\n"
