@@ -13,10 +13,9 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeVar
 
-from ltsim.errors import SetupError, WorkerError, option
+from ltsim.arguments import check_bounds
+from ltsim.errors import WorkerError, option
 
-MOST = 256
-"""Processes at once."""
 LOOK = 0.3
 """[s] between two looks how far the work is."""
 WATCH = 1.0
@@ -38,8 +37,7 @@ def parallel(
     to be `ordered` as they are ready; `batch` calls travel together. Raises WorkerError when a process ends before its
     work, SetupError for fewer jobs than one.
     """
-    if jobs < 1:
-        raise SetupError(f"{option('jobs')} is {jobs}, expected 1 or more")
+    check_bounds(jobs=jobs)
     if jobs == 1:
         yield from (function(*arguments) for arguments in calls)
         return
@@ -48,7 +46,7 @@ def parallel(
 
     how = "generator" if ordered else "generator_unordered"
     with parallel_config(backend="loky", inner_max_num_threads=1):
-        pool = Parallel(n_jobs=min(jobs, MOST), return_as=how, batch_size=batch)
+        pool = Parallel(n_jobs=jobs, return_as=how, batch_size=batch)
     results = pool(delayed(_watched)(os.getpid(), function, *arguments) for arguments in calls)
     try:
         for result in results:  # noqa: UP028 - `yield from` would close `results`, with a warning

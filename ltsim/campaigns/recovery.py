@@ -27,6 +27,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
+from ltsim.arguments import check_bounds
 from ltsim.arrays import Floats
 from ltsim.calibration.verbs import wanted
 from ltsim.campaigns.recovery_checks import (
@@ -291,8 +292,7 @@ def recover(
     >>> lt.recover("paper-workshop-re-aimed", trials=12).failures()
     []
     """
-    if trials < FEWEST:
-        raise SetupError(f"{option('trials')} is {trials}, expected {FEWEST} or more")
+    check_bounds(trials=trials, seed=seed, jobs=jobs)
     scenario, given = scenario_of(source), tolerance or {}
     own, mode = construction_of(scenario), errors or errors_of(scenario)
     if own.name == "dh" and construction not in (None, "dh"):

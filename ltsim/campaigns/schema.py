@@ -238,7 +238,7 @@ class ManifestFile(ResultFile):
     processor: str = "unknown"
     """Its type: rows are the same bytes on one type."""
     commit: str | None = None
-    """Of the source, where it is known."""
+    """Of ltsim's checkout, where it runs from one."""
     settings: dict[str, Any] = Field(default_factory=dict)
     """The campaign file."""
     scenarios: tuple[dict[str, Any], ...] = ()

@@ -13,7 +13,6 @@ the checksums of its pages and its label are compared.
 
 import contextlib
 import errno
-import fcntl
 import hashlib
 import json
 import os
@@ -24,6 +23,7 @@ from pathlib import Path
 
 import pyarrow as pa
 import pyarrow.parquet as pq
+from filelock import FileLock, Timeout
 
 from ltsim.campaigns.schema import SUMMARY, ManifestFile
 from ltsim.errors import RecordError, SetupError
@@ -185,15 +185,15 @@ class Store:
         """Keep others from working in the folder at the same time; the lock ends with the process, however it ends."""
         with self._writing():
             self.folder.mkdir(parents=True, exist_ok=True)
-            handle = os.open(self.folder / LOCK, os.O_RDWR | os.O_CREAT, 0o644)
-        try:
+            lock = FileLock(self.folder / LOCK, blocking=False)
             try:
-                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
+                lock.acquire()
+            except Timeout:
                 raise SetupError(f"{self.folder}: another campaign is at work in this folder; wait for it") from None
+        try:
             yield
         finally:
-            os.close(handle)
+            lock.release()
 
     @contextlib.contextmanager
     def _writing(self) -> Iterator[None]:

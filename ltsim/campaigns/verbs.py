@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ltsim.arguments import check_bounds
 from ltsim.campaigns import require_packages
 from ltsim.errors import SetupError
 
@@ -66,6 +67,7 @@ def campaign(
         method  trials  failed
     0  network      64       0
     """
+    check_bounds(jobs=jobs)
     require_packages()
     from ltsim.campaigns.campaign import Workers, run_campaign
     from ltsim.campaigns.results import Results

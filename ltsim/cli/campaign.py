@@ -14,13 +14,13 @@ from xml.etree.ElementTree import Element, SubElement, tostring
 import typer
 
 import ltsim as lt
+from ltsim.arguments import MOST_JOBS
 from ltsim.campaigns import require_packages
 from ltsim.cli.places import Force, claim_file
 from ltsim.cli.simulate import ScenarioName
 from ltsim.cli.terminal import ResultTerminal, Terminal
 from ltsim.errors import SetupError, StoppedError, printable
 from ltsim.recording.files import is_device, write_text
-from ltsim.workers import MOST
 
 if TYPE_CHECKING:
     from ltsim.campaigns.recovery import Recovery
@@ -129,7 +129,7 @@ def disagreement(end: dict[str, Any], results: Results) -> str:
 RecoverJobs = Annotated[
     int | None,
     typer.Option(
-        "--jobs", "-j", min=1, max=MOST, help="Processes to work with; default all cores, one for few trials."
+        "--jobs", "-j", min=1, max=MOST_JOBS, help="Processes to work with; default all cores, one for few trials."
     ),
 ]
 

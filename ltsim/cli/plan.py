@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -88,7 +89,7 @@ def plan(
     if without is not None and (changes or out is not None):
         raise SetupError("--without lists places for a station; judge one of them with --move, which takes --out")
     if without is not None:
-        return _show_places(terminal, lt.without_station(source, without))
+        return _show_places(terminal, source, lt.without_station(source, without))
     nowhere = terminal.as_json or bool(changes)
     folder = out if out is not None or nowhere else Path(f"plan-{Path(source).stem}")
     claim(folder, PlanResult, (*(table.file for table in TABLES), "scenario.toml", FLOOR, TRADE_OFF, PAGE), force=force)
@@ -100,12 +101,17 @@ def plan(
     return _write(terminal, made, folder)
 
 
-def _show_places(terminal: Terminal, found: Sequence[Alternative]) -> None:
-    terminal.answer([{"what": one.words, "verdict": one.verdict} for one in found])
+def _show_places(terminal: Terminal, source: str, found: Sequence[Alternative]) -> None:
+    terminal.answer([{"what": one.words, "verdict": one.verdict, "good": one.good, "move": one.move} for one in found])
     for one in found:
         terminal.say(f"- {one.words}: {one.verdict}.")
-    if len(found) == 1:
+    places = [one for one in found if one.move]
+    if not places:
         terminal.say("No other place on the floor is allowed for it; widen the floor, or search with one station less.")
+        return
+    out = Path(f"{Path(source).stem}-moved")
+    command = shlex.join(["ltsim", "plan", source, "--move", places[0].move, "--out", str(out)])
+    terminal.say(f"To take the best of these places: {command}")
 
 
 def _searched(terminal: Terminal, source: str, folder: Path | None, how: dict[str, Any]) -> Plan:

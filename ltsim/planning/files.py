@@ -1,6 +1,5 @@
 """A plan as files: plan.json for programs, tables for people, a scenario to simulate it with."""
 
-import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,7 @@ from ltsim.planning.reasons import fewest, reasons
 from ltsim.planning.schema import NextFile, PlanResult, in_millimetres
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import Survey
-from ltsim.planning.tolerances import reached
+from ltsim.planning.tolerances import keeps
 from ltsim.recording.result_file import SourceEntry, read_result, write_result
 from ltsim.remedies.detectability import Detectability, MinimalSize, detectability
 from ltsim.remedies.next_measurement import NextMeasurement
@@ -35,7 +34,7 @@ PLAN = "plan.toml"
 
 def plan_file(plan: Plan, found: Detectability | None = None) -> PlanResult:
     """The content of `plan.json`."""
-    sentences, few, kept = reasons(plan), fewest(plan), plan.kept
+    sentences, few, kept, judged = reasons(plan), fewest(plan), plan.kept, plan.verdict
     content: dict[str, Any] = {
         "title": plan.file.title or plan.scenario.title,
         "summary": sentences[0],
@@ -50,7 +49,7 @@ def plan_file(plan: Plan, found: Detectability | None = None) -> PlanResult:
         "changes_tried": plan.changes.summary,
         "starts": plan.spread,
         "bodies": [body.words for body in bodies_of(plan.scenario)],
-        "reached": None if kept is None else reached(plan.demands, kept, plan.losses),
+        "reached": None if judged is None else judged.reached,
         "tolerances_kept": None if kept is None else kept.good,
         "losses": [{**vars(loss), "kept": loss.good} for loss in plan.losses],
         "settings": plan.file.model_dump(mode="json"),
@@ -67,7 +66,7 @@ def _layout(layout: Evaluated, plan: Plan | None = None) -> dict[str, Any]:
     """The keys of a `LayoutEntry`; those of a plan's own layout hold its tolerances."""
     information, survey = layout.information, layout.survey
     return {
-        "allowed": math.isfinite(layout.value),
+        "broken_rules": [rule.words for rule in layout.broken],
         **_work(survey),
         "quality": layout.qualities,
         "stations": _stations(layout),
@@ -116,7 +115,6 @@ def _stations(layout: Evaluated) -> list[dict[str, Any]]:
 
 def _reflectors(layout: Evaluated, plan: Plan | None) -> list[dict[str, Any]]:
     survey, information = layout.survey, layout.information
-    kept = plan.kept.radius if plan is not None and plan.kept is not None else {}
     expanded = 2.0 * np.sqrt(np.einsum("tii->ti", information.target_covariance)) / MICROMETRE
     rows: list[dict[str, Any]] = []
     for t, name in enumerate(survey.target_names):
@@ -130,9 +128,11 @@ def _reflectors(layout: Evaluated, plan: Plan | None) -> list[dict[str, Any]]:
                 "seen_from": [survey.station_names[s] for s in np.flatnonzero(survey.seen[:, t])],
             }
         )
-        if plan is not None and name in kept:
-            rows[-1]["within_mm"] = round(kept[name] / MILLIMETRE, 5)
+        if plan is not None and plan.kept is not None and name in plan.kept.radius:
+            rows[-1]["within_mm"] = plan.kept.radius[name] / MILLIMETRE
             rows[-1]["tolerance_mm"] = plan.demands.tolerance[name] / MILLIMETRE
+            rows[-1]["used"] = plan.kept.used(name)
+            rows[-1]["kept"] = keeps(plan.kept.used(name))
     return rows
 
 
@@ -188,7 +188,7 @@ def with_layout(scenario: Scenario, survey: Survey, title: str = "") -> Scenario
         "seconds_per_pointing": survey.seconds_per_pointing,
         "minutes_per_move": survey.seconds_per_move / 60.0,
     }
-    work = scenario.work.model_copy(update=way)
+    work = scenario.work.model_copy(update=way | {"stations": None})
     return scenario.model_copy(
         update={"title": title or scenario.title, "stations": stations, "targets": targets, "work": work}
     )

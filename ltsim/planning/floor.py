@@ -165,10 +165,13 @@ class Area:
     def holds(self, position: Floats) -> Bools:
         """(N,): positions (N, 3) [m] of an instrument that may stand here."""
         low, high = self.heights
-        good = inside(self.outline, position[:, :2])
-        good &= (position[:, 2] > low - EDGE) & (position[:, 2] < high + EDGE)
+        return np.asarray(self.covers(position[:, :2]) & (position[:, 2] > low - EDGE) & (position[:, 2] < high + EDGE))
+
+    def covers(self, places: Floats) -> Bools:
+        """(N,): places (N, 2) [m] in the area, its holes left out."""
+        good = inside(self.outline, places)
         for hole in self.holes:
-            good &= ~inside(hole, position[:, :2])
+            good &= ~inside(hole, places)
         return good
 
 
@@ -257,6 +260,24 @@ def may_stand(
     if obstacles is not None and good.any():
         good[good] = ~obstacles.encloses(position[good])
     return good
+
+
+def objection(
+    areas: Sequence[Area], keep_outs: Sequence[KeepOut], obstacles: Obstacles | None, position: Floats
+) -> str:
+    """Why no tripod may stand under an instrument at a position (3,) [m], with the key; empty where one may."""
+    if may_stand(areas, keep_outs, obstacles, position[None])[0]:
+        return ""
+    place, under = position[None, :2], [area for area in areas if area.covers(position[None, :2])[0]]
+    if not under:
+        return "outside the floor where tripods may stand (floor.corners_mm, floor.areas, floor.margin_mm)"
+    if not any(area.holds(position[None])[0] for area in under):
+        low, high = min(area.heights[0] for area in under), max(area.heights[1] for area in under)
+        span = f"{low / MILLIMETRE:g} to {high / MILLIMETRE:g} mm (floor.height_mm)"
+        return f"with its head at {position[2] / MILLIMETRE:.0f} mm, expected {span}"
+    if any(free.holds(place)[0] for free in keep_outs):
+        return "where the floor is kept free (floor.keep_outs, floor.doors)"
+    return "inside an obstacle (workshop.obstacles)"
 
 
 def over(area: Area, step: float, heights: int) -> Floats:

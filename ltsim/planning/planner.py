@@ -11,10 +11,11 @@ from ltsim.planning.fast import Reducer
 from ltsim.planning.information import ExpectedErrors, LayoutInformation, Predictor
 from ltsim.planning.objective import Objective
 from ltsim.planning.reflectors import Changes, reflector_changes
+from ltsim.planning.rules import BrokenRule
 from ltsim.planning.site import Site
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import Survey
-from ltsim.planning.tolerances import Demands, Kept, every_loss, judged
+from ltsim.planning.tolerances import Demands, Kept, Verdict, every_loss, judged, verdict
 from ltsim.planning.workshop import fixed_of, objective_of, site_of, survey_of
 from ltsim.results import Columns, Result
 from ltsim.saved import Valued
@@ -53,6 +54,8 @@ class Evaluated(Valued):
     table: Visibility
     expected: ExpectedErrors | None
     """The paper's criteria; None where some target is not seen whole from everywhere."""
+    broken: tuple[BrokenRule, ...] = ()
+    """Rules of the plan that it breaks."""
 
 
 @dataclass(frozen=True)
@@ -95,6 +98,13 @@ class Plan(Result):
     """What came of each number of stations, where the fewest were looked for."""
     stopped: bool = False
     """Somebody ended the search."""
+
+    @property
+    def verdict(self) -> Verdict | None:
+        """The layout against the plan's rules and tolerances; None without tolerances."""
+        if self.kept is None:
+            return None
+        return verdict(self.demands, self.kept, self.losses, self.chosen.broken)
 
     def _lines(self) -> list[str]:
         qualities = ", ".join(f"{name} {value:.4g}" for name, value in self.chosen.qualities.items())
@@ -160,11 +170,11 @@ def evaluated(site: Site, survey: Survey, objective: Objective, built: Construct
     table = sight_table(site, survey)
     survey = survey.replace(seen=table.visible)
     information = LayoutInformation.of(survey, built)
-    allowed = site.allowed(survey.position).all() and site.joined(survey.position[None], survey.seen[None])[0]
+    broken = site.broken_rules(survey)
     value, qualities = measure(survey, objective, built)
     compared = survey.is_whole and survey.seen.all() and len(survey.position) > 1
     expected = Predictor.of(information).expected() if compared else None
-    return Evaluated(survey, value if allowed else np.inf, qualities, information, table, expected)
+    return Evaluated(survey, np.inf if broken else value, qualities, information, table, expected, broken)
 
 
 def sight_table(site: Site, survey: Survey) -> Visibility:

@@ -10,8 +10,9 @@ from ltsim.notation import listing
 from ltsim.planning.information import LayoutInformation
 from ltsim.planning.objective import DIAGNOSIS, INSTRUMENT, TARGETS, Objective
 from ltsim.planning.planner import Evaluated, Option, Plan, Tried, measure
+from ltsim.planning.rules import too_near, words_of
 from ltsim.planning.site import MOST_NAMED
-from ltsim.planning.tolerances import sentences, verdict
+from ltsim.planning.tolerances import against, keeps, sentences
 from ltsim.planning.workshop import objective_of
 from ltsim.units import MICROMETRE, MILLIMETRE
 
@@ -41,12 +42,13 @@ def _quality_words(plan: Plan) -> str:
 
 def _headline(plan: Plan) -> list[str]:
     work = f"{plan.chosen.survey.words}; {_quality_words(plan)}"
-    if plan.kept is not None:
-        return [f"{verdict(plan.demands, plan.kept, plan.losses)}.", f"{work}."]
+    if plan.verdict is not None:
+        return [f"{plan.verdict.words}.", f"{work}."]
     sigma = plan.chosen.information.target_sigma
     worst = int(np.argmax(sigma))
     name = plan.chosen.survey.target_names[worst]
-    return [f"{work}; no tolerance is asked for, the worst point is {name} ({_shown(TARGETS, sigma[worst])})."]
+    broken = f"The layout breaks a rule of the plan: {words_of(plan.chosen.broken)}. " if plan.chosen.broken else ""
+    return [f"{broken}{work}; no tolerance is asked for, the worst point is {name} ({_shown(TARGETS, sigma[worst])})."]
 
 
 def _tolerances(plan: Plan) -> list[str]:
@@ -59,7 +61,7 @@ def _numbers(plan: Plan) -> list[str]:
         return []
     *fewer, last = plan.tried
     found = _came_of(fewer, plan.site.least)
-    good = last.ratio is not None and last.ratio <= 1.0
+    good = last.ratio is not None and keeps(last.ratio)
     count = len(plan.chosen.survey.position)
     said = [f"{last.stations} stations are the fewest that were found to keep the goal."] if good else []
     if not good:
@@ -78,7 +80,7 @@ def _came_of(tried: Sequence[Tried], least: int) -> list[str]:
 
     def words(one: Tried) -> str:
         if one.ratio is not None and np.isfinite(one.ratio):
-            return f"the best found has an error of {one.ratio:.2f} times its tolerance"
+            return f"the best found has an error of {against(one.ratio, 1.0)} times its tolerance"
         in_sight = f"in sight{f' of {least}' if least > 1 else ''}"
         return "the best found leaves a point open" if one.found else f"no layout was found with every point {in_sight}"
 
@@ -106,10 +108,10 @@ def _against_reference(plan: Plan) -> list[str]:
     if reference is None:
         return ["The scenario's own layout does not determine its poses and targets; the plan's does."]
     found = []
-    if not np.isfinite(reference.value):
+    if reference.broken:
         lost = reference.table.lost(reference.survey.station_names, reference.survey.target_names)
         why = f" ({lost[0]}{', and more' if len(lost) > 1 else ''})" if lost else ""
-        found.append(f"The scenario's own layout does not keep the plan's rules{why}.")
+        found.append(f"The scenario's own layout does not keep the plan's rules: {words_of(reference.broken)}{why}.")
     for name in [name for name in chosen.qualities if name in reference.qualities]:
         factor = reference.qualities[name] / chosen.qualities[name]
         found.append(
@@ -171,12 +173,16 @@ def _limits(plan: Plan) -> list[str]:
     """Rules that hold the layout: the floor's edge, the elevation limits, the spacing."""
     survey, site = plan.chosen.survey, plan.site
     names, found = survey.station_names, []
-    gap = np.linalg.norm(survey.position[:, None, :2] - survey.position[None, :, :2], axis=2)
-    close = [f"{names[i]} and {names[j]}" for i, j in np.argwhere(np.triu(gap < 1.02 * site.spacing, 1))]
+    near = too_near(survey.position[None], 1.02 * site.spacing) & ~too_near(survey.position[None], site.spacing)
+    close = [f"{names[i]} and {names[j]}" for i, j in np.argwhere(near[0]).tolist()]
     if close:
         found.append(f"The least distance of {site.spacing:g} m holds {', '.join(close)} apart.")
     steps = 0.03 * np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]])
-    edge = [n for n, place in zip(names, survey.position, strict=True) if not site.allowed(place + steps).all()]
+    edge = [
+        name
+        for name, place in zip(names, survey.position, strict=True)
+        if site.allowed(place[None])[0] and not site.allowed(place + steps).all()
+    ]
     if edge:
         verb = "stands" if len(edge) == 1 else "stand"
         found.append(f"{', '.join(edge)} {verb} at the edge of the allowed floor; more room there may help.")

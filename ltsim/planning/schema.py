@@ -111,6 +111,10 @@ class ReflectorEntry(Entry):
     """Distance that its error keeps at the goal's level; of points with a tolerance."""
     tolerance_mm: Known = None
     """What it may be."""
+    used: Known = None
+    """The first over the second."""
+    kept: bool | None = None
+    """The tolerance is kept; null without any."""
 
 
 class PlannedParameterEntry(Entry):
@@ -157,8 +161,8 @@ class WorkEntry(Entry):
 class LayoutEntry(WorkEntry):
     """A layout with what is known of it before measuring."""
 
-    allowed: bool = True
-    """It keeps the plan's rules."""
+    broken_rules: tuple[str, ...] = ()
+    """Rules of the plan that it breaks, a sentence each."""
     stations: tuple[StationEntry, ...]
     """Where the tripods go."""
     reflectors: tuple[ReflectorEntry, ...] = ()
@@ -296,7 +300,8 @@ class PlanResult(ResultFile, LayoutEntry):
     bodies: tuple[str, ...] = ()
     """What stands in the hall: what its file was taken for, its size and its place."""
     reached: bool | None = None
-    """The goal is reached: tolerances are kept, after any one loss too where that is asked for; null without any."""
+    """The goal is reached: no rule is broken and tolerances are kept, after any one loss too where that is asked for;
+    null without any."""
     tolerances_kept: bool | None = None
     """All points keep their tolerances while nothing is lost; null without any."""
     losses: tuple[LossEntry, ...] = ()

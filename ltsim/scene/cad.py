@@ -25,6 +25,11 @@ GLTF = (".glb", ".gltf")
 EXACT = (".step", ".stp", ".iges", ".igs")
 SUFFIXES = (".stl", ".obj", ".ply", *GLTF, *EXACT)
 WORDS = {"mm": "millimetres", "m": "metres", "in": "inches"}
+STEP = 1.0
+"""[mm] between neighbouring single-precision numbers at the place of a body, above which a file is refused:
+halls are planned to the millimetre, and sights pass bodies at a few centimetres."""
+SINGLE = (".stl", *GLTF)
+"""Suffixes of files whose coordinates may be in single precision."""
 MAX_BYTES = 512 * 1024 * 1024
 DEVIATION = 1.0
 """[mm] that a triangle may lie off an exact surface: enough to know what hides what."""
@@ -87,7 +92,7 @@ def read_mesh(path: Path, unit: str | None = None, up: str | None = None) -> Cad
 @lru_cache(maxsize=8)
 def _triangles(path: Path, _changed: int, factor: float, up: str) -> Floats:
     """Triangles (m, 3, 3) [m], z up, of a file whose numbers are `factor` metres, whatever its format and order."""
-    triangles = factor * _as_written(path)
+    triangles = factor * _as_written(path, factor)
     corners = np.round(PER_METRE * (triangles @ UPRIGHT.T if up == "y" else triangles)).astype(np.int64)
     first = np.lexsort(np.moveaxis(corners, 2, 0)[::-1], axis=1)[:, :1]
     corners = np.take_along_axis(corners, ((first + np.arange(3)) % 3)[..., None], axis=1)
@@ -97,8 +102,8 @@ def _triangles(path: Path, _changed: int, factor: float, up: str) -> Floats:
     return settled
 
 
-def _as_written(path: Path) -> Floats:
-    """Triangles (m, 3, 3) in the numbers and axes of a file, of an exact one [m]."""
+def _as_written(path: Path, factor: float) -> Floats:
+    """Triangles (m, 3, 3) in the numbers (of `factor` metres) and axes of a file, of an exact one [m]."""
     require(("trimesh",), "CAD files", "cad")
     import trimesh  # a third of a second that few need
 
@@ -117,7 +122,21 @@ def _as_written(path: Path) -> Floats:
         raise SetupError(f"{path}: is not a whole {path.suffix[1:]} file ({type(problem).__name__})") from None
     if not len(triangles) or not np.all(np.isfinite(triangles)):
         raise SetupError(f"{path}: holds no surface of triangles with finite coordinates")
+    _check_precision(path, triangles, factor)
     return triangles
+
+
+def _check_precision(path: Path, triangles: Floats, factor: float) -> None:
+    """Raise SetupError where single precision rounds coordinates (in units of `factor` metres) more than `STEP`."""
+    single = triangles.astype(np.float32)
+    if path.suffix.lower() not in SINGLE or not np.array_equal(single, triangles):
+        return
+    step = float(np.spacing(np.abs(single).max())) * factor / FACTOR["mm"]
+    if step > STEP:
+        raise SetupError(
+            f"{path}: its coordinates are in single precision and reach {np.abs(triangles).max():.4g}, where they have "
+            f"steps of {step:.4g} mm; export it with its origin near the body, or as OBJ"
+        )
 
 
 def _as_glb(path: Path, content: bytes) -> bytes:

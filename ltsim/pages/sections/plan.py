@@ -26,6 +26,7 @@ from ltsim.pages.words import QUALITY, count, duration, of_presets
 from ltsim.planning.files import tables_of
 from ltsim.planning.floor import Floor
 from ltsim.planning.schema import LayoutEntry, PlanResult
+from ltsim.planning.tolerances import against, percent
 from ltsim.simulation.scenario import Scenario, load_scenario
 from ltsim.units import MILLIMETRE
 
@@ -59,7 +60,7 @@ def plan_section(content: PlanResult, beside: Beside) -> Section:
     if content.bodies:
         blocks.append(Notes("What stands in the hall", content.bodies))
     blocks.append(Listing("Settings of the plan", json.dumps(content.settings, indent=1)))
-    good = mood(content.allowed and content.reached is not False)
+    good = mood(not content.broken_rules and content.reached is not False)
     return Section(
         title=content.title or "Plan of a network", kind="Plan", answer=content.summary, mood=good,
         facts=_facts(content), blocks=blocks, seed="" if content.seed is None else str(content.seed),
@@ -70,20 +71,21 @@ def plan_section(content: PlanResult, beside: Beside) -> Section:
 
 def _tolerances(content: PlanResult) -> list[Block]:
     """Points against their tolerances, and what remains after a loss."""
+    asked = [r for r in content.reflectors if r.kept is not None]
     rows = [
-        [r.name, number(r.within_mm), number(r.tolerance_mm), f"{100 * r.within_mm / r.tolerance_mm:.0f} %"]
-        for r in content.reflectors
-        if r.within_mm is not None and r.tolerance_mm
-    ]  # fmt: skip
+        [r.name, against(r.within_mm, r.tolerance_mm), number(r.tolerance_mm), percent(r.used)]
+        for r in asked
+        if r.within_mm is not None and r.tolerance_mm is not None and r.used is not None
+    ]
     if not rows:
         return []
     level = content.settings.get("goal", {}).get("level_pct", 95)
-    over = frozenset(i for i, row in enumerate(rows) if float(row[3].removesuffix(" %")) > 100)
+    over = frozenset(i for i, r in enumerate(asked) if not r.kept)
     header = ["point", "within [mm]", "tolerance [mm]", "used"]
     blocks: list[Block] = [Grid(f"Points against their tolerances, at {level:g} %", header, rows, marked=over)]
     lost = [
         [loss.lost, "yes" if loss.kept else "no", loss.worst,
-         NONE if loss.ratio is None else f"{100 * loss.ratio:.0f} %", " ".join(loss.unseen)]
+         NONE if loss.ratio is None else percent(loss.ratio), " ".join(loss.unseen)]
         for loss in sorted(content.losses, key=lambda loss: loss.kept)
     ]  # fmt: skip
     header = ["lost", "tolerances kept", "worst point", "of its tolerance", "seen from nowhere"]
@@ -113,8 +115,7 @@ def _facts(content: PlanResult) -> list[Fact]:
     ]
     if content.reached is not None:
         facts.insert(0, Fact("goal", "reached" if content.reached else "not reached", mood(content.reached)))
-    if not content.allowed:
-        facts.append(Fact("layout", "breaks a rule of the plan", "bad"))
+    facts += [Fact("broken rule", rule, "bad") for rule in content.broken_rules]
     for name, value in content.quality.items():
         if value is not None:
             label, factor = QUALITY.get(name, (name, 1.0))
