@@ -147,7 +147,7 @@ def test_an_obstacle_changes_visibility_information_and_plan(tmp_path: Path) -> 
     made = make_plan(*load_plan(small(text, tmp_path)))
     assert made.reference is not None
     assert not made.reference.survey.seen.all()
-    broken = "does not keep the plan's rules: T.* seen from fewer than 3 stations .stations.seen_from. .S"
+    broken = "does not keep the plan's rules: T.* seen from fewer than 5 stations .stations.seen_from. .S"
     assert any(re.search(broken, sentence) for sentence in plan_file(made).reasons)
     assert made.chosen.survey.seen.all()
     x, y, _ = made.chosen.survey.position.T
