@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import sys
-from enum import StrEnum
 from importlib.resources import files
 from pathlib import Path
 from tempfile import TemporaryFile
@@ -31,21 +30,10 @@ AGREED = 1e-3
 """[sigma] how far the batch may be from the full solver."""
 
 
-class Backend(StrEnum):
-    """Who works."""
-
-    LOCAL = "local"
-    DASK = "dask"
-
-
 CampaignFile = Annotated[Path | None, typer.Argument(metavar="FILE", help="A campaign file (ltsim-campaign/1).")]
 Example = Annotated[bool, typer.Option("--show", help="Print a commented campaign file to edit, and do nothing else.")]
 Rows = Annotated[
     Path | None, typer.Option("--out", metavar="DIR", help="Folder for the rows; default: FILE without its ending.")
-]
-BackendName = Annotated[Backend, typer.Option(help="Processes on this machine, or workers of a dask cluster.")]
-Scheduler = Annotated[
-    str, typer.Option(metavar="ADDRESS", help="Of the dask scheduler, such as tcp://host:8786, or its cluster file.")
 ]
 
 
@@ -53,8 +41,6 @@ def campaign(
     file: CampaignFile = None,
     show_example: Example = False,
     out: Rows = None,
-    backend: BackendName = Backend.LOCAL,
-    scheduler: Scheduler = "",
     force: Force = False,
     *,
     terminal: Terminal,
@@ -90,7 +76,7 @@ def campaign(
     folder = out or file.with_suffix("")
     settings, scenarios = load_campaign(file, options["changes"])
     total = settings.trials * len(settings.methods) * len(scenarios)
-    workers = Workers(options.pop("jobs"), backend.value, scheduler)
+    workers = Workers(*(options.pop(name) for name in ("jobs", "backend", "scheduler")))
     if not compiled_before():
         terminal.note("compiling the solver, which takes half a minute: the first campaign of an installation does")
     try:

@@ -17,7 +17,7 @@ from ltsim.errors import SetupError
 
 if TYPE_CHECKING:
     from ltsim.effects.signature import Signature
-    from ltsim.planning.planner import Plan
+    from ltsim.planning.plan import Plan
     from ltsim.planning.survey import Survey
     from ltsim.planning.verbs import Alternative
     from ltsim.recording import Recording
@@ -71,7 +71,8 @@ def plan(
     Example: ltsim plan paper-workshop --out my-plan
     """
     from ltsim.planning.loading import plan_names, plan_text
-    from ltsim.planning.schema import NEXT, TABLES, NextFile, PlanResult
+    from ltsim.planning.result import NextFile, PlanResult
+    from ltsim.planning.tables import NEXT, TABLES
 
     if after is not None:
         if source is not None:
@@ -139,7 +140,7 @@ def _searched(terminal: Terminal, source: str, folder: Path | None, how: dict[st
 
 
 def _write(terminal: Terminal, made: Plan, folder: Path | None) -> None:
-    from ltsim.planning.files import write_plan
+    from ltsim.planning.plan import write_plan
 
     with terminal.progress("writing tables, pictures and the work order"):
         content = write_plan(made, folder, {} if folder is None else _drawn(made))
@@ -154,9 +155,8 @@ def _drawn(made: Plan) -> dict[str, bytes]:
     from ltsim.pages.figures.parameters import trade_off
     from ltsim.pages.style import png
     from ltsim.pages.work_order import work_order_page
-    from ltsim.planning.files import plan_file
 
-    content = plan_file(made)
+    content = made.content
     drawn = {PAGE: work_order_page(made).encode(), FLOOR: png(made.plot())}
     return drawn | ({TRADE_OFF: png(trade_off(content, next(iter(content.quality))))} if content.tradeoff else {})
 
@@ -185,7 +185,7 @@ def _explanations(between: str | None) -> tuple[str, ...]:
 def _after(terminal: Terminal, recording: Recording, between: tuple[str, ...], out: Path | None) -> None:
     from ltsim.diagnosis.separate import open_question
     from ltsim.planning.files import next_csv, next_file
-    from ltsim.planning.schema import NEXT
+    from ltsim.planning.tables import NEXT
     from ltsim.recording.result_file import SourceEntry, write_result
 
     terminal.say(recording.headline)

@@ -7,7 +7,8 @@ import numpy as np
 
 from ltsim.errors import NetworkError, SetupError
 from ltsim.planning.floor import grid_step
-from ltsim.planning.planner import Option, Plan, Tried, judge, measure
+from ltsim.planning.plan import Plan
+from ltsim.planning.planner import Option, Tried, judge, measure
 from ltsim.planning.search import LayoutSearcher
 from ltsim.planning.site import Placement, Site
 from ltsim.planning.spec import PlanFile
@@ -63,13 +64,14 @@ def make_plan(file: PlanFile, scenario: Scenario, *, jobs: int = 1, follower: Fo
     made = judge(search.file, scenario, best.survey)
     heard.progress("judging tolerances and changes", 1.0)
     own = search.found.get((len(best.survey.position), len(best.survey.faces)), [])
-    return replace(
+    network = replace(
         made,
         options=search.options(search.found),
         spread=tuple(sorted(value for value, _, _ in own)),
         tried=tuple(search.tried),
         stopped=search.stopped,
     )
+    return Plan.of(network)
 
 
 @dataclass

@@ -1,6 +1,5 @@
 """What a plan is, and everything that is known of a layout before anything is measured."""
 
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,12 +16,10 @@ from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import Survey
 from ltsim.planning.tolerances import Demands, Kept, Verdict, every_loss, judged, verdict
 from ltsim.planning.workshop import fixed_of, objective_of, site_of, survey_of
-from ltsim.results import Columns, Result
 from ltsim.saved import Valued
 from ltsim.scene.visibility import Visibility, aimed_normals, visibility
 from ltsim.simulation.physics import planned_construction
 from ltsim.simulation.scenario import Scenario
-from ltsim.units import MILLIMETRE
 
 
 @dataclass(frozen=True)
@@ -72,8 +69,8 @@ class Tried:
 
 
 @dataclass(frozen=True, repr=False)
-class Plan(Result):
-    """The answer."""
+class PlannedNetwork(Valued):
+    """A layout with all that the planner knows of it, as arrays; `Plan` is the result that is made of it."""
 
     file: PlanFile
     scenario: Scenario
@@ -106,38 +103,13 @@ class Plan(Result):
             return None
         return verdict(self.demands, self.kept, self.losses, self.chosen.broken)
 
-    def _lines(self) -> list[str]:
-        qualities = ", ".join(f"{name} {value:.4g}" for name, value in self.chosen.qualities.items())
-        return [f"Plan: {self.chosen.survey.words}", f"{qualities}; {len(self.options)} ways of working compared"]
 
-    def _tables(self) -> Mapping[str, Callable[[], Columns]]:
-        return {"stations": self._stations, "options": self._options}
-
-    def _stations(self) -> Columns:
-        survey = self.chosen.survey
-        places = (survey.position / MILLIMETRE).T.tolist()
-        return {
-            "station": list(survey.station_names),
-            **dict(zip(("x_mm", "y_mm", "z_mm"), places, strict=True)),
-            "yaw_deg": np.degrees(survey.yaw).tolist(),
-            "reflectors_seen": survey.seen.sum(axis=1).tolist(),
-        }
-
-    def _options(self) -> Columns:
-        return {
-            "stations": [len(option.survey.position) for option in self.options],
-            "faces": [len(option.survey.faces) for option in self.options],
-            "repeats": [option.survey.repeats for option in self.options],
-            **{name: [getattr(option, name) for option in self.options] for name in ("hours", "value", "efficient")},
-        }
-
-
-def judge(file: PlanFile, scenario: Scenario, survey: Survey) -> Plan:
+def judge(file: PlanFile, scenario: Scenario, survey: Survey) -> PlannedNetwork:
     """The plan of a layout as it is, without a search."""
     built, demands = planned_construction(scenario), Demands.of(file)
     site = site_of(file, scenario, stations=len(survey.position), faces=len(survey.faces), repeats=survey.repeats)
     objective = objective_of(file, survey)
-    return Plan(
+    return PlannedNetwork(
         file=file,
         scenario=scenario,
         site=site,

@@ -9,7 +9,7 @@ from ltsim.errors import NetworkError
 from ltsim.notation import listing
 from ltsim.planning.information import LayoutInformation
 from ltsim.planning.objective import DIAGNOSIS, INSTRUMENT, TARGETS, Objective
-from ltsim.planning.planner import Evaluated, Option, Plan, Tried, measure
+from ltsim.planning.planner import Evaluated, Option, PlannedNetwork, Tried, measure
 from ltsim.planning.rules import too_near, words_of
 from ltsim.planning.site import MOST_NAMED
 from ltsim.planning.tolerances import against, keeps, sentences
@@ -23,13 +23,13 @@ CRITERION_WORDS = {
 }
 
 
-def reasons(plan: Plan) -> list[str]:
+def reasons(plan: PlannedNetwork) -> list[str]:
     """The sentences, the answer first."""
     found = [*_headline(plan), *_tolerances(plan), *_against_reference(plan), *_what_each_station_does(plan)]
     return [*found, *_air(plan), *_limits(plan), *_curve(plan), *_undetermined(plan), *_search(plan)]
 
 
-def _quality_words(plan: Plan) -> str:
+def _quality_words(plan: PlannedNetwork) -> str:
     said = {
         INSTRUMENT: "instrument parameters known to {:.3f} of their prior sigma "
         + CRITERION_WORDS[plan.file.goal.criterion],
@@ -40,7 +40,7 @@ def _quality_words(plan: Plan) -> str:
     return ", ".join(said[name].format(factor.get(name, 1.0) * value) for name, value in plan.chosen.qualities.items())
 
 
-def _headline(plan: Plan) -> list[str]:
+def _headline(plan: PlannedNetwork) -> list[str]:
     work = f"{plan.chosen.survey.words}; {_quality_words(plan)}"
     if plan.verdict is not None:
         return [f"{plan.verdict.words}.", f"{work}."]
@@ -51,11 +51,11 @@ def _headline(plan: Plan) -> list[str]:
     return [f"{broken}{work}; no tolerance is asked for, the worst point is {name} ({_shown(TARGETS, sigma[worst])})."]
 
 
-def _tolerances(plan: Plan) -> list[str]:
+def _tolerances(plan: PlannedNetwork) -> list[str]:
     return [] if plan.kept is None else [*_numbers(plan), *sentences(plan.losses)]
 
 
-def _numbers(plan: Plan) -> list[str]:
+def _numbers(plan: PlannedNetwork) -> list[str]:
     """Which numbers of stations were searched, and what came of each."""
     if not plan.tried:
         return []
@@ -92,7 +92,7 @@ def _came_of(tried: Sequence[Tried], least: int) -> list[str]:
     return [came_of(said, list(same)) for said, same in groupby(tried, key=words)]
 
 
-def _air(plan: Plan) -> list[str]:
+def _air(plan: PlannedNetwork) -> list[str]:
     """What the figures hold of the air."""
     survey = plan.chosen.survey
     if survey.air is None:
@@ -101,7 +101,7 @@ def _air(plan: Plan) -> list[str]:
     return [f"All errors of points hold the {survey.air.words(longest)}; other numbers: [air] of the plan."]
 
 
-def _against_reference(plan: Plan) -> list[str]:
+def _against_reference(plan: PlannedNetwork) -> list[str]:
     reference, chosen = plan.reference, plan.chosen
     if plan.file.workshop is not None:
         return []
@@ -144,7 +144,7 @@ def _parameters(reference: Evaluated, chosen: Evaluated) -> list[str]:
     return found + ([f"Parameters known less well than there: {'; '.join(lost)}."] if lost else [])
 
 
-def _what_each_station_does(plan: Plan) -> list[str]:
+def _what_each_station_does(plan: PlannedNetwork) -> list[str]:
     """What is lost without a station, and which parameter it serves most."""
     survey, now, qualities = plan.chosen.survey, plan.chosen.information, plan.chosen.qualities
     objective, found = Objective({INSTRUMENT: 1.0}, plan.file.goal.criterion), []
@@ -169,7 +169,7 @@ def _what_each_station_does(plan: Plan) -> list[str]:
     return found
 
 
-def _limits(plan: Plan) -> list[str]:
+def _limits(plan: PlannedNetwork) -> list[str]:
     """Rules that hold the layout: the floor's edge, the elevation limits, the spacing."""
     survey, site = plan.chosen.survey, plan.site
     names, found = survey.station_names, []
@@ -203,12 +203,12 @@ def _limits(plan: Plan) -> list[str]:
     return found
 
 
-def _same_way(plan: Plan, option: Option) -> bool:
+def _same_way(plan: PlannedNetwork, option: Option) -> bool:
     chosen = plan.chosen.survey
     return option.survey.faces == chosen.faces and option.survey.repeats == chosen.repeats
 
 
-def fewest(plan: Plan) -> Option | None:
+def fewest(plan: PlannedNetwork) -> Option | None:
     """The option with the fewest stations that is as good as the scenario's own layout, worked in the same way."""
     if plan.reference is None or not plan.reference.qualities:
         return None
@@ -217,7 +217,7 @@ def fewest(plan: Plan) -> Option | None:
     return min(good, key=lambda o: (len(o.survey.position), o.value), default=None)
 
 
-def _curve(plan: Plan) -> list[str]:
+def _curve(plan: PlannedNetwork) -> list[str]:
     """Fewer stations that are enough, and what a better layout costs."""
     found, few, reference = [], fewest(plan), plan.reference
     if few is not None and reference is not None and len(few.survey.position) < len(reference.survey.position):
@@ -243,14 +243,14 @@ def _curve(plan: Plan) -> list[str]:
     return found
 
 
-def _reference_value(plan: Plan) -> float:
+def _reference_value(plan: PlannedNetwork) -> float:
     if plan.reference is None:
         return float("inf")
     survey = plan.reference.survey
     return measure(survey, objective_of(plan.file, survey), plan.chosen.information.construction)[0]
 
 
-def _undetermined(plan: Plan) -> list[str]:
+def _undetermined(plan: PlannedNetwork) -> list[str]:
     information = plan.chosen.information
     found = []
     for direction, cure in zip(information.undetermined, information.cures(), strict=True):
@@ -259,7 +259,7 @@ def _undetermined(plan: Plan) -> list[str]:
     return found
 
 
-def _search(plan: Plan) -> list[str]:
+def _search(plan: PlannedNetwork) -> list[str]:
     count = len(plan.spread)
     if plan.stopped:
         return ["The search was stopped: this is the best layout that it had found by then."]

@@ -11,7 +11,8 @@ from ltsim.arrays import Floats
 from ltsim.errors import SetupError, option, unknown_name
 from ltsim.planning.files import opened
 from ltsim.planning.making import Follower, make_plan
-from ltsim.planning.planner import Plan, judge
+from ltsim.planning.plan import Plan
+from ltsim.planning.planner import judge
 from ltsim.planning.rules import words_of
 from ltsim.planning.site import Site
 from ltsim.planning.spec import PlanFile
@@ -70,7 +71,7 @@ def plan(
     >>> import ltsim as lt
     >>> made = lt.plan("small-plan.toml")
     >>> made.to_dataframe("stations").shape
-    (3, 6)
+    (3, 9)
     """
     check_bounds(starts=starts, seed=seed, jobs=jobs)
     file, scenario = opened(source)
@@ -160,7 +161,7 @@ def _moved(named: PlanFile, scenario: Scenario, to: Mapping[str, Sequence[float]
     wrong = [rule for rule in site.broken_places(survey) if {*rule.stations} & {*to}]
     if wrong:
         raise SetupError(f"{option('move')}: {words_of(wrong)}")
-    return judge(file, scenario, survey.replace(seen=site.seen(position)))
+    return Plan.of(judge(file, scenario, survey.replace(seen=site.seen(position))))
 
 
 def _at(station: str, place: Floats) -> str:

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from ltsim.arrays import Floats
-from ltsim.errors import SetupError, require
+from ltsim.errors import SetupError
 from ltsim.units import FACTOR
 
 GLTF = (".glb", ".gltf")
@@ -104,7 +104,6 @@ def _triangles(path: Path, _changed: int, factor: float, up: str) -> Floats:
 
 def _as_written(path: Path, factor: float) -> Floats:
     """Triangles (m, 3, 3) in the numbers (of `factor` metres) and axes of a file, of an exact one [m]."""
-    require(("trimesh",), "CAD files", "cad")
     import trimesh  # a third of a second that few need
 
     suffix, content = path.suffix.lower(), path.read_bytes()
