@@ -14,7 +14,7 @@ from ltsim.planning.rules import BrokenRule
 from ltsim.planning.site import Site
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import Survey
-from ltsim.planning.tolerances import Demands, Kept, Verdict, every_loss, judged, verdict
+from ltsim.planning.tolerances import Demands, Kept, PlanVerdict, every_loss, judged, verdict
 from ltsim.planning.workshop import fixed_of, objective_of, site_of, survey_of
 from ltsim.saved import Valued
 from ltsim.scene.visibility import Visibility, aimed_normals, visibility
@@ -97,7 +97,7 @@ class PlannedNetwork(Valued):
     """Somebody ended the search."""
 
     @property
-    def verdict(self) -> Verdict | None:
+    def verdict(self) -> PlanVerdict | None:
         """The layout against the plan's rules and tolerances; None without tolerances."""
         if self.kept is None:
             return None

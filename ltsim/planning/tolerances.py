@@ -219,7 +219,7 @@ def holds(survey: Survey, demands: Demands, built: Construction) -> tuple[bool, 
 
 
 @dataclass(frozen=True)
-class Verdict:
+class PlanVerdict:
     """A layout against the rules of its plan and its tolerances: the same for search, move, board and page."""
 
     reached: bool
@@ -228,7 +228,7 @@ class Verdict:
     """It in a sentence without its full stop."""
 
 
-def verdict(demands: Demands, kept: Kept, losses: Sequence[Kept], broken: Sequence[BrokenRule] = ()) -> Verdict:
+def verdict(demands: Demands, kept: Kept, losses: Sequence[Kept], broken: Sequence[BrokenRule] = ()) -> PlanVerdict:
     """Reached or not, broken rules, the worst point and its margin, and the worst of it with any one station lost."""
     asked = [loss for loss in losses if demands.robust == ("sight" if loss.of_sight else "station")]
     reached = not broken and kept.good and all(loss.good for loss in asked)
@@ -240,7 +240,7 @@ def verdict(demands: Demands, kept: Kept, losses: Sequence[Kept], broken: Sequen
         lost = "all kept too" if worst.good else f"not kept without {worst.lost}"
         words += f"; with any one station lost {lost}, {worst.worst_point}"
     rules = f"the layout breaks a rule ({words_of(broken)}); " if broken else ""
-    return Verdict(reached, f"{'Reached' if reached else 'Not reached'}: {rules}{words}")
+    return PlanVerdict(reached, f"{'Reached' if reached else 'Not reached'}: {rules}{words}")
 
 
 def sentences(losses: Sequence[Kept]) -> list[str]:

@@ -278,7 +278,7 @@ def test_a_plan_is_declared_once(plan: Plan, tmp_path: Path) -> None:
     folder = tmp_path / "out"
     write_plan(plan, folder)
     content = read_result(folder, PlanResult)
-    assert content == plan.content
+    assert content.model_dump(exclude={"files"}) == plan.content.model_dump(exclude={"files"})
     names = set(plan._tables())
     assert {table.name for table in TABLES} == names | {"visibility", "work-order"}
     for name in names:
@@ -300,5 +300,5 @@ def test_tolerances_of_a_plan_are_a_table(tmp_path: Path) -> None:
     assert table.column("point") == ["A", "B", "C"] and table.column("kept") == [True, True, True]
     assert table.column("tolerance_mm") == [0.5, 0.5, 0.5]
     assert made.kept is not None
-    assert table.column("within_mm") == [1e3 * made.kept.radius[name] for name in "ABC"]
+    assert table.column("within_mm") == pytest.approx([1e3 * made.kept.radius[name] for name in "ABC"])
     assert made.table("losses").column("lost")[:2] == ["S1", "S2"]
