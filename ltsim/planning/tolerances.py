@@ -139,7 +139,7 @@ class Kept:
     def worst_point(self) -> str:
         """The worst point with its margin, or how far it is missed, where there is one."""
         excess = 100 * (self.ratio - 1)
-        margin = f"margin {-excess:.0f} %" if self.good else f"{excess:.{0 if excess >= 1 else 1}g} % too large"
+        margin = f"margin {-excess:.0f} %" if self.good else f"{excess:{'.0f' if excess >= 1 else '.1g'}} % too large"
         margin = margin if np.isfinite(excess) else "seen from nowhere"
         return f"worst {self.worst_words} ({margin})" if self.radius else APART
 

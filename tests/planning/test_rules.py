@@ -142,6 +142,8 @@ def test_a_tolerance_that_is_missed_by_a_little_is_not_kept_and_looks_so() -> No
     assert said.words == (
         "Not reached: 0 of 1 tolerances kept at 95 %, worst A with 0.1004 of 0.1 mm (0.4 % too large)"
     )
+    far = Kept("", demands.tolerance, {"A": 1.236e-4}, 1.236, "A")
+    assert far.worst_point == "worst A with 0.124 of 0.1 mm (24 % too large)"
     assert percent(1.004) == "100.4 %" and percent(0.8543) == "85.4 %" and percent(1.0 + 1e-9).startswith("100.0000001")
     assert against(0.1004, 0.1) == "0.1004" and against(0.0999, 0.1) == "0.0999" and against(0.25, 0.1) == "0.25"
     assert keeps(1.0) and not keeps(np.nextafter(1.0, 2.0)) and not keeps(np.inf)
