@@ -79,6 +79,10 @@ class StoppedError(LtsimError):
     """A person stopped the work; the message says what is kept and how to go on."""
 
 
+class CalibratorError(LtsimError):
+    """A foreign calibrator ended without a result; the message has its command, status and last line."""
+
+
 class ConvergenceError(LtsimError):
     """Raised by `Solution.require_success()`; carries the solution."""
 

@@ -114,6 +114,11 @@ def unit_of_key(key: str) -> str:
     return BY_BEGINNING.get(key.partition("_")[0], "")
 
 
+def same_kind(unit: str, other: str) -> bool:
+    """True for two units of one kind, such as two lengths."""
+    return unit == other or any({unit, other} <= kind for kind in ALIKE)
+
+
 def in_unit(text: str, unit: str) -> float | None:
     """A number with its unit, such as ``2 urad``, in another unit of the same kind; None where it is none."""
     found = _QUANTITY.fullmatch(text)
@@ -122,6 +127,6 @@ def in_unit(text: str, unit: str) -> float | None:
     value, own = float(found[1]), found[2].replace("µ", "u").replace('"', "arcsec")
     if own == unit:
         return value
-    if not any({own, unit} <= kind for kind in ALIKE):
+    if not same_kind(own, unit):
         return None
     return float(f"{value * FACTOR[own] / FACTOR[unit]:.15g}")

@@ -5,16 +5,16 @@ import struct
 import tempfile
 import threading
 import time
+import warnings
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
-from ltsim.errors import SetupError, WorkerError, option
+from ltsim.arguments import check_bounds
+from ltsim.errors import WorkerError, option
 
-MOST = 256
-"""Processes at once."""
 LOOK = 0.3
 """[s] between two looks how far the work is."""
 WATCH = 1.0
@@ -38,8 +38,7 @@ def parallel(
     to be `ordered` as they are ready; `batch` calls travel together. Raises WorkerError when a process ends before its
     work, SetupError for fewer jobs than one.
     """
-    if jobs < 1:
-        raise SetupError(f"{option('jobs')} is {jobs}, expected 1 or more")
+    check_bounds(jobs=jobs)
     if jobs == 1:
         yield from (function(*arguments) for arguments in calls)
         return
@@ -49,14 +48,21 @@ def parallel(
     how = "generator" if ordered else "generator_unordered"
     watching = {"initializer": _watch, "initargs": (os.getpid(),)}
     with parallel_config(backend="loky", inner_max_num_threads=1, **watching):
-        pool = Parallel(n_jobs=min(jobs, MOST), return_as=how, batch_size=batch)
+        pool = Parallel(n_jobs=jobs, return_as=how, batch_size=batch)
+    with _safe_path():
+        results = pool(delayed(function)(*arguments) for arguments in calls)
     try:
         with _safe_path():
-            yield from pool(delayed(function)(*arguments) for arguments in calls)
+            for result in results:  # noqa: UP028 - `yield from` would close `results`, with a warning
+                yield result
     except TerminatedWorkerError:
         raise WorkerError(
             f"a worker process was ended from outside, perhaps for want of memory; take fewer {option('jobs')}"
         ) from None
+    finally:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # joblib warns of results that a caller has no use for
+            results.close()
 
 
 @contextmanager

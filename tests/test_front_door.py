@@ -218,7 +218,7 @@ def test_an_option_is_called_what_its_reader_calls_it(recording, tmp_path: Path,
 @pytest.mark.parametrize(
     ("call", "says"),
     [
-        (lambda rec, cal: lt.simulate("paper-workshop", seed=-1), "seed: found -1, expected 0 or more"),
+        (lambda rec, cal: lt.simulate("paper-workshop", seed=-1), "seed is -1, expected a whole number, 0 or more"),
         (lambda rec, cal: lt.calibrate(cal), "expected a recording or the path of one, found a Calibration"),
         (lambda rec, cal: lt.compare(rec, cal), "expected a recording or the path of one, found a Calibration"),
         (

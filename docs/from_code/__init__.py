@@ -11,7 +11,7 @@ from docutils import nodes
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
-from from_code import catalogue, command_line, drawn, gallery, keys, mathml, python_names, results
+from from_code import attributes, catalogue, command_line, drawn, gallery, keys, mathml, python_names, results
 from from_code.pictures import Pictures
 from ltsim.recording import FORMATS
 from ltsim.recording.specification import figures, sheet_names
@@ -48,6 +48,7 @@ MAKERS: dict[str, Maker] = {
     "results": results.files,
     "formats": formats,
     "data-sheets": data_sheets,
+    "sightings": attributes.table,
     "command-line": command_line.verbs,
     "python-names": python_names.names,
 }

@@ -15,7 +15,7 @@ from ltsim.planning.information import LayoutInformation, Predictor
 from ltsim.planning.loading import load_plan
 from ltsim.planning.making import make_plan
 from ltsim.planning.objective import a_criterion, d_criterion, e_criterion
-from ltsim.planning.planner import Plan
+from ltsim.planning.plan import Plan
 from ltsim.planning.reasons import fewest
 from ltsim.planning.search import LayoutSearcher
 from ltsim.planning.spec import PlanFile

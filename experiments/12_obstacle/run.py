@@ -8,7 +8,7 @@ from ltsim.planning.information import LayoutInformation
 from ltsim.planning.loading import load_plan
 from ltsim.planning.making import make_plan
 from ltsim.planning.objective import d_criterion
-from ltsim.planning.planner import Plan
+from ltsim.planning.plan import Plan
 from ltsim.planning.survey import Survey
 from ltsim.planning.workshop import survey_of
 from ltsim.simulation.scenario import Scenario

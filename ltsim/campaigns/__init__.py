@@ -4,7 +4,7 @@ import os
 
 from ltsim.errors import require
 
-PACKAGES = ("duckdb", "numba", "pyarrow")
+PACKAGES = ("duckdb", "filelock", "numba", "pyarrow")
 """What only campaigns need: a third of a whole installation."""
 
 

@@ -5,6 +5,7 @@ the same versions: the compiler and the matrix library choose their instructions
 bit of a sum. The manifest names type and versions.
 """
 
+import os
 import platform
 import subprocess
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -197,7 +198,8 @@ def _check_same(store: Store) -> list[str]:
             )
     notes = []
     if (begun := manifest.commit) != (now := commit()):
-        notes.append(f"begun at commit {begun}, continued at {now}; where the solver changed, rows may differ")
+        before, after = (f"commit {code} of ltsim" if code else "an installed ltsim" for code in (begun, now))
+        notes.append(f"begun with {before}, continued with {after}; where the solver changed, rows may differ")
     if (built := manifest.processor) != (here := processor()):
         notes.append(f"begun on a processor of type {built}, continued on {here}; last digits of rows may differ")
     return [f"{store.folder}: {note}" for note in notes]
@@ -213,10 +215,22 @@ def processor() -> str:
 
 
 def commit() -> str | None:
-    """The commit of the checkout that the package runs from; None where it is no checkout."""
-    command, place = ["git", "rev-parse", "HEAD"], Path(__file__).parent
+    """The commit of ltsim's own checkout that the package runs from.
+
+    None where it runs from another place, such as an environment that lies in the checkout of another project: git then
+    tracks no file of the package, or the top of the checkout is not the folder that holds the package.
+    """
+    package = Path(__file__).parents[1]
+    asked = (["rev-parse", "--show-toplevel"], ["ls-files", "--error-unmatch", __file__], ["rev-parse", "HEAD"])
+    plain = {name: value for name, value in os.environ.items() if not name.startswith("GIT_")}
     try:
-        return subprocess.run(command, cwd=place, capture_output=True, text=True, timeout=10, check=True).stdout.strip()
+        top, _, head = (
+            subprocess.run(
+                ["git", *words], cwd=package, env=plain, capture_output=True, text=True, timeout=10, check=True
+            ).stdout.strip()
+            for words in asked
+        )
+        return head if Path(top).samefile(package.parent) else None
     except (OSError, subprocess.SubprocessError):
         return None
 

@@ -1,7 +1,7 @@
 """Recovery: is what was injected found again, within the stated uncertainty? A check for continuous integration.
 
 Each trial simulates a recording (`lt.simulate(..., trial=N, geometry="per-trial")`), has it calibrated, by ltsim or by
-a calibrator of one's own, and divides the errors of what was found by their stated sigmas.
+a foreign calibrator, and divides the errors of the estimates by their declared sigmas.
 Which errors the instrument has is one of two modes:
 
 * `drawn`: every parameter from its prior. For a correct model and a correct covariance the z-scores are standard
@@ -12,47 +12,50 @@ Which errors the instrument has is one of two modes:
   mean over that deviation are standard normal too. Besides, the stated intervals have to hold the injected value at
   least as often as they promise.
 
-A calibrator of one's own is not known to use a prior: with drawn errors its z-scores are to be standard normal, with
-stated ones its intervals have to hold them. Chi-square, targets and stations are checked of ltsim's own alone.
+Of a foreign calibrator no prior is known: with drawn errors its z-scores are to be standard normal; with stated ones
+their mean is to be 0, their spread no wider than 1, and its intervals have to hold the truth. A parameter that has
+neither sigmas nor a tolerance is not checked, and a run with such a parameter does not pass unless that is allowed.
+Chi-square, targets and stations are checked of ltsim's calibrator alone.
 """
 
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 from scipy import stats
 
+from ltsim.arguments import check_bounds
 from ltsim.arrays import Floats
-from ltsim.calibration.beside import Wanted
-from ltsim.calibration.calibration import Calibration
-from ltsim.calibration.distance import calibrate_distance
-from ltsim.calibration.network import calibrate_network
 from ltsim.calibration.verbs import wanted
 from ltsim.campaigns.recovery_checks import (
     COVERED,
     FALSE_ALARM,
+    FEWEST,
     chi_square_check,
+    fixed_truth_checks,
     mean_check,
     parameter_checks,
     tolerance_check,
 )
+from ltsim.campaigns.recovery_trials import FailedTrial, How, run_trials
 from ltsim.campaigns.schema import CHECKS, TRIALS, Errors, RecoveryCheck
-from ltsim.campaigns.scoring import Calibrator, Trial, checked_command, estimates_by, score, score_estimates
+from ltsim.campaigns.scoring import Calibrator, Trial, checked_command
 from ltsim.effects.effect import Effect
 from ltsim.effects.verbs import each_of
-from ltsim.errors import ConvergenceError, LtsimError, SetupError, option, unknown_name
-from ltsim.model.construction import Construction, construction as construction_called
-from ltsim.recording import Recording
+from ltsim.errors import RecordError, SetupError, option, unknown_name
+from ltsim.model.construction import construction as construction_called
 from ltsim.results import Columns, Result, Table
-from ltsim.simulation.fieldwork import fieldwork
-from ltsim.simulation.physics import construction_of, instrument_law
+from ltsim.simulation.physics import construction_of
 from ltsim.simulation.scenario import Scenario
-from ltsim.simulation.simulator import measure, place_key
 from ltsim.simulation.verbs import ScenarioSource, scenario as scenario_of, simulate
 from ltsim.units import in_unit
-from ltsim.workers import parallel
+
+MOST_FAILURES = 3
+"""Trials in which a foreign calibrator may end without a result before the run ends: a command that cannot work
+fails at once, and the check of convergence fails with the first."""
 
 
 class RecoveryTolerance(NamedTuple):
@@ -72,14 +75,55 @@ class Recovery(Result):
     """By parameter; only these are checked, if there are any."""
     seconds: float = 0.0
     """How long the trials took."""
+    problem: str = ""
+    """Why the last trial without a result gave none."""
+    allow_unchecked: bool = False
+    """Parameters that nothing is checked of do not keep the run from passing."""
 
     def _lines(self) -> list[str]:
-        failures = [check.sentence() for check in self.failures()]
-        verdict = "fails" if failures else f"everything is recovered within {self.what}"
         return [
-            f"Recovery, errors {self.errors}: {len(self.trials)} trials, {len(self.converged)} converged: {verdict}",
-            *failures,
+            f"Recovery, errors {self.errors}: {len(self.trials)} trials, {len(self.converged)} converged: "
+            f"{self.verdict()}",
+            *self.problems(),
         ]
+
+    @property
+    def passed(self) -> bool:
+        """True where all checks pass and no parameter is without one, unless that is allowed."""
+        return not self.failures() and (self.allow_unchecked or not self.unchecked())
+
+    def verdict(self) -> str:
+        """The result in a few words."""
+        unchecked = self.unchecked()
+        if self.failures():
+            return "the check fails"
+        if not unchecked:
+            return f"everything is recovered within {self.what}"
+        checked = len(self.names) - len(unchecked)
+        if not checked:
+            return "no parameter is checked"
+        return f"{checked} of {len(self.names)} parameters are recovered within {self.what}, the others are not checked"
+
+    def problems(self) -> list[str]:
+        """Sentences about all that keeps the run from passing, and about parameters that are not checked."""
+        sentences = [check.sentence() for check in self.failures()]
+        if self.problem and len(self.converged) < len(self.trials):
+            sentences.insert(1, self.problem)
+        if unchecked := self.unchecked():
+            example = f"{option('tolerance')} {unchecked[0]}='2 {self.converged[0].units[0]}'"
+            sentences.append(
+                f"{', '.join(unchecked)} {'is' if len(unchecked) == 1 else 'are'} not checked: the calibrator declares "
+                f"no sigma in every trial; declare one, or give a tolerance such as {example}, "
+                f"or take {option('allow_unchecked=True')}"
+            )
+        return sentences
+
+    def unchecked(self) -> tuple[str, ...]:
+        """Parameters that nothing is checked of: neither a sigma in each trial nor a tolerance."""
+        if self.tolerance or not self.converged:
+            return ()
+        judged = np.all(np.isfinite(self.z), axis=0)
+        return tuple(name for name, one in zip(self.names, judged, strict=True) if not one)
 
     @property
     def what(self) -> str:
@@ -123,7 +167,9 @@ class Recovery(Result):
         ]  # fmt: skip
 
     def parameters(self) -> Columns:
-        """What became of each parameter, beside ltsim's own calibrator where another one is checked."""
+        """Statistics of each parameter's errors, with those of ltsim's calibrator where a foreign one is checked."""
+        if len(self.converged) < FEWEST:
+            return {"parameter": self.names}
         error, z = self._stacked("estimate") - self._stacked("truth"), self.z
         columns: dict[str, Sequence[object]] = {
             "parameter": self.names,
@@ -133,10 +179,11 @@ class Recovery(Result):
             "deviation_z": z.std(axis=0, ddof=1).tolist(),
             "coverage_95": np.mean(np.abs(z) <= stats.norm.isf(0.5 * (1 - COVERED)), axis=0).tolist(),
         }
-        if self.converged[0].other is None:
+        both = [k for k, trial in enumerate(self.converged) if trial.other is not None]
+        if len(both) < FEWEST:
             return columns
         own = np.stack([t.other.estimate - t.truth for t in self.converged if t.other is not None])
-        gap, count = np.abs(error[: len(own)]) - np.abs(own), len(own)
+        gap, count = np.abs(error[both]) - np.abs(own), len(both)
         half = stats.t.isf(0.025, count - 1) * gap.std(axis=0, ddof=1) / np.sqrt(count)
         return columns | {
             "ltsim_rms_error": np.sqrt(np.mean(own**2, axis=0)).tolist(),
@@ -149,24 +196,28 @@ class Recovery(Result):
         """All checks; bounds are shared out so that a correct model fails any in one run of a hundred."""
         lost = len(self.trials) - len(self.converged)
         found = [RecoveryCheck.of("convergence", "trials that did not converge", lost, 0, 0)]
-        if len(self.converged) < 2:
+        if len(self.converged) < FEWEST:
             return found
         chosen = [k for k, name in enumerate(self.names) if not self.tolerance or name in self.tolerance]
         level = FALSE_ALARM / (4 * len(chosen) + 3)
-        standard, z = self._stacked("standard"), self.z
-        error = self._stacked("estimate") - self._stacked("truth")
-        for k in chosen:
-            name = self.names[k]
-            if np.all(np.isfinite(standard[:, k])):
-                found += parameter_checks(name, standard[:, k], level)
-            if self.errors == "stated" and np.all(np.isfinite(z[:, k])):
-                coverage = parameter_checks(name, z[:, k], level)[-1]
-                said = f"{coverage.statistic}, as stated"
-                found.append(RecoveryCheck.of(name, said, coverage.value or 0.0, coverage.low, 1.0))
-            if self.tolerance:
-                given = self.tolerance[name]
-                found.append(tolerance_check(name, error[:, k], given.value, given.words))
+        found += [check for k in chosen for check in self._of_parameter(k, level)]
         return found if self.tolerance else found + self._whole(level)
+
+    def _of_parameter(self, k: int, level: float) -> list[RecoveryCheck]:
+        """Checks of a parameter; z-scores are checked where every trial has one."""
+        name, standard, z = self.names[k], self._stacked("standard")[:, k], self.z[:, k]
+        foreign, found = self.converged[0].foreign, list[RecoveryCheck]()
+        if np.all(np.isfinite(standard)):
+            found += parameter_checks(name, standard, level)
+        if self.errors == "stated" and np.all(np.isfinite(z)):
+            mean, spread, coverage = fixed_truth_checks(name, z, level)
+            found += [mean, spread] if foreign else []  # of ltsim's own the standardised z-scores say both
+            found.append(coverage)
+        if self.tolerance:
+            given = self.tolerance[name]
+            error = self._stacked("estimate")[:, k] - self._stacked("truth")[:, k]
+            found.append(tolerance_check(name, error, given.value, given.words))
+        return found
 
     def _whole(self, level: float) -> list[RecoveryCheck]:
         parts, found = [trial.network for trial in self.converged], []
@@ -184,18 +235,6 @@ class Recovery(Result):
         return [check for check in self.checks() if not check.passed]
 
 
-@dataclass(frozen=True)
-class How:
-    """By what a recording is calibrated: ltsim's own method, or a calibrator of one's own beside it."""
-
-    method: str = "network"
-    construction: Construction | None = None
-    extra_effects: tuple[Wanted, ...] = ()
-    calibrator: Calibrator | None = None
-    errors: Errors = "drawn"
-    """Whether instruments have errors from the prior, or as the scenario states them."""
-
-
 def recover(
     source: ScenarioSource,
     *,
@@ -205,6 +244,7 @@ def recover(
     with_effects: str | Effect | Sequence[str | Effect] = (),
     calibrator: Calibrator | None = None,
     tolerance: Mapping[str, str] | None = None,
+    allow_unchecked: bool = False,
     errors: Errors | None = None,
     seed: int = 0,
     jobs: int = 1,
@@ -216,7 +256,7 @@ def recover(
     ----------
     source : Scenario, str or Path
     trials : int
-        How many recordings to simulate.
+        How many recordings to simulate, at least two.
     method, with_effects
         Of ltsim's calibrator, as of `calibrate`.
     construction : str, optional
@@ -224,10 +264,13 @@ def recover(
     calibrator : callable or str, optional
         One of your own, checked beside ltsim's: a command ``CMD {recording} {out}`` that reads a recording and writes
         parameters as JSON; in Python also a function that takes a recording and gives value, sigma (or None) and unit
-        of each parameter by name. Effects are named ``head-sag:sag``.
+        of each parameter by name. Effects are named ``head-sag:sag``. Three trials without a result end the run.
     tolerance : mapping of str to str, optional
         Within which 95 % of a parameter's errors should lie, as `2 urad` for `beam-tilt`; only such parameters are
         checked then.
+    allow_unchecked : bool
+        Pass although the calibrator declares no sigma of a parameter and no tolerance is given, so that nothing is
+        checked of it.
     errors : {`drawn`, `stated`}, optional
         Errors drawn from the prior, or as the scenario states them; default stated where it does.
     seed : int
@@ -240,7 +283,8 @@ def recover(
     Returns
     -------
     Recovery
-        `failures()` lists the checks that fail; a correct model fails any in one run of a hundred.
+        `passed`, `problems()`; `failures()` lists the checks that fail; a correct model fails any in one run of a
+        hundred.
 
     Examples
     --------
@@ -248,8 +292,7 @@ def recover(
     >>> lt.recover("paper-workshop-re-aimed", trials=12).failures()
     []
     """
-    if trials < 1:
-        raise SetupError(f"{option('trials')} is {trials}, expected 1 or more")
+    check_bounds(trials=trials, seed=seed, jobs=jobs)
     scenario, given = scenario_of(source), tolerance or {}
     own, mode = construction_of(scenario), errors or errors_of(scenario)
     if own.name == "dh" and construction not in (None, "dh"):
@@ -265,23 +308,29 @@ def recover(
     extra_effects = tuple(wanted(text, seen) for text in named if seen is not None)
     built = own if construction is None else construction_called(construction)
     how = How(method, built, extra_effects, calibrator, mode)
-    began, found, within = time.monotonic(), [], dict[str, RecoveryTolerance]()
-    for trial in run_trials(scenario, trials, how, seed=seed, jobs=jobs):
-        if trial is not None:
-            within = within or _within(given, trial)
-        found.append(trial)
-        progress(1)
-    return Recovery(tuple(found), mode, within, time.monotonic() - began)
+    began, done, within, problem = time.monotonic(), list[Trial | None](), dict[str, RecoveryTolerance](), ""
+    failed = 0
+    with closing(run_trials(scenario, trials, how, seed=seed, jobs=jobs)) as outcomes:
+        for outcome in outcomes:
+            if isinstance(outcome, FailedTrial):
+                failed, problem = failed + outcome.foreign, outcome.reason
+            else:
+                within = within or _within(given, outcome)
+                _check_same_parameters(outcome, done)
+            done.append(None if isinstance(outcome, FailedTrial) else outcome)
+            progress(1)
+            if failed == MOST_FAILURES:
+                problem = f"the run ended after {failed} failures of the calibrator: {problem}"
+                break
+    return Recovery(tuple(done), mode, within, time.monotonic() - began, problem, allow_unchecked)
 
 
-def run_trials(scenario: Scenario, trials: int, how: How, *, seed: int = 0, jobs: int = 1) -> Iterator[Trial | None]:
-    """Run the trials one by one, in order; the same for any number of jobs.
-
-    Raises SetupError when the calibrator's parameters are not among those that are drawn.
-    """
-    made = from_prior(scenario) if how.errors == "drawn" else scenario
-    work = ((made, seed, index, how) for index in range(trials))
-    return parallel(run_trial, work, min(jobs, trials), batch=4)
+def _check_same_parameters(trial: Trial, before: Sequence[Trial | None]) -> None:
+    """Raise RecordError for a trial with other parameters than the first with a result."""
+    first = next((other for other in before if other is not None), trial)
+    if trial.names != first.names:
+        differing = sorted({*trial.names} ^ {*first.names})[0]
+        raise RecordError(f"trial {len(before)}: the calibrator gives {differing} in a part of the trials only")
 
 
 def _within(tolerance: Mapping[str, str], trial: Trial) -> dict[str, RecoveryTolerance]:
@@ -301,39 +350,3 @@ def _within(tolerance: Mapping[str, str], trial: Trial) -> dict[str, RecoveryTol
 def errors_of(scenario: Scenario) -> Errors:
     """The mode that a scenario suggests: `stated` where it states an error of an instrument."""
     return "stated" if any(set(tracker.errors) - {"draw"} for tracker in scenario.trackers.values()) else "drawn"
-
-
-def from_prior(scenario: Scenario) -> Scenario:
-    """The scenario with instruments whose errors are drawn from the priors that the calibrator will use."""
-    drawn = {"errors": {"draw": True}, "error_factor": 1.0}
-    named = {name: tracker.model_copy(update=drawn) for name, tracker in scenario.instruments.items()}
-    return scenario.model_copy(
-        update={"instrument": scenario.instrument.model_copy(update=drawn), "instruments": named}
-    )
-
-
-def run_trial(scenario: Scenario, seed: int, index: int, how: How) -> Trial | None:
-    """One trial; None where the calibration gave no result."""
-    work = fieldwork(scenario, seed, *place_key(index, "per-trial"))
-    recording, truth = measure(work, seed, index)
-    law = instrument_law(work.scenario, work.construction)
-    names = work.construction.names_of(tuple(work.scenario.trackers))
-    laws = dict(zip(names, zip(*(x.ravel() for x in law), strict=True), strict=True))
-    try:
-        found = calibrated(recording, how, how.construction or work.construction)
-        own = score(found, truth, laws)
-    except (ConvergenceError, LtsimError) as problem:
-        if how.calibrator is None and not isinstance(problem, ConvergenceError):
-            raise
-        own = None
-    if how.calibrator is None:
-        return own
-    estimates = estimates_by(how.calibrator, recording, f"trial {index}")
-    return None if estimates is None else score_estimates(estimates, truth, how.errors, own)
-
-
-def calibrated(recording: Recording, how: How, construction: Construction) -> Calibration:
-    """Calibrate by one of ltsim's methods."""
-    if how.method == "network":
-        return calibrate_network(recording, construction, advise=False, weigh=False, extra_effects=how.extra_effects)
-    return calibrate_distance(recording, construction, method=how.method, advise=False)

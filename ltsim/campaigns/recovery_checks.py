@@ -1,4 +1,4 @@
-"""Checks of what was recovered: estimates with their stated sigmas against the truth, over many trials.
+"""Checks of a recovery: estimates with their declared sigmas against the truth, over many trials.
 
 Mean, standard deviation and coverage of the z-scores are checked on both sides. Tolerances are those of the
 specification (mean within 0.1, standard deviation within 5 %, coverage within 1.5 %), or those of chance where few
@@ -17,6 +17,8 @@ from ltsim.errors import ModelError
 FALSE_ALARM = 0.01
 """Chance that a correct model fails any of the checks."""
 COVERED = 0.95
+FEWEST = 2
+"""Trials that a standard deviation needs."""
 MEAN_WITHIN, SPREAD_WITHIN, COVERAGE_WITHIN = 0.1, 0.05, 0.015
 CHI2_WITHIN, WHOLE_WITHIN = 0.02, 0.05
 ONE_DEGREE = float(np.sqrt(2.0))
@@ -39,7 +41,7 @@ def recovery_checks(
     estimate, truth : (N, p) float
         Of N trials and p parameters, in any unit.
     sigma : (N, p) float, optional
-        Standard deviations that the calibrator states; without them only tolerances are checked.
+        Standard deviations that the calibrator declares; without them only tolerances are checked.
     names : sequence of str, optional
         Of the parameters; default their numbers.
     tolerance : mapping of str to float, optional
@@ -56,7 +58,8 @@ def recovery_checks(
     Raises
     ------
     ModelError
-        When the arrays differ in shape, or a tolerance names no parameter.
+        When the arrays differ in shape, hold fewer than two trials, a tolerance names no parameter, or there is nothing
+        to judge by: neither sigmas nor tolerances.
 
     Examples
     --------
@@ -69,6 +72,12 @@ def recovery_checks(
     called = [str(k + 1) for k in range(estimate.shape[1])] if names is None else list(names)
     if estimate.shape != truth.shape or len(called) != estimate.shape[1]:
         raise ModelError(f"estimates are {estimate.shape}, truths {truth.shape}, names {len(called)}: give one of each")
+    if len(estimate) < FEWEST:
+        raise ModelError(f"there are estimates of {len(estimate)} trials, expected {FEWEST} or more")
+    if sigma is None and not tolerance:
+        raise ModelError("neither sigma nor tolerance is given, so nothing can be checked: give either")
+    if sigma is not None and np.atleast_2d(sigma).shape != estimate.shape:
+        raise ModelError(f"sigmas are {np.atleast_2d(sigma).shape}, estimates {estimate.shape}: give a sigma of each")
     if unknown := [name for name in tolerance or () if name not in called]:
         raise ModelError(f"the tolerance of '{unknown[0]}' is of none of {', '.join(called)}")
     chosen = [k for k, name in enumerate(called) if not tolerance or name in tolerance]
@@ -102,6 +111,15 @@ def parameter_checks(name: str, z: Floats, level: float) -> list[RecoveryCheck]:
         RecoveryCheck.of(name, "standard deviation of the z-scores", float(z.std(ddof=1)), *map(float, apart)),
         RecoveryCheck.of(name, "coverage of 95 % intervals", covered, *map(float, held)),
     ]
+
+
+def fixed_truth_checks(name: str, z: Floats, level: float) -> list[RecoveryCheck]:
+    """Mean, standard deviation and coverage of z-scores (N,) of a fixed truth, by a calibrator whose prior is unknown.
+
+    Such a prior may make sigmas larger than the scatter, never smaller: spread and coverage have one limit each.
+    """
+    mean, spread, coverage = parameter_checks(name, z, level)
+    return [mean, spread.within(0.0, spread.high), coverage.within(coverage.low, 1.0)]
 
 
 def chi_square_check(chi2: Floats, expected: Floats, spread: Floats, level: float) -> RecoveryCheck:

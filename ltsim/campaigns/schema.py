@@ -1,5 +1,6 @@
 """manifest.json, recovery.json and the tables beside them: what stands in them, for writers and readers."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, Literal, Self
@@ -178,8 +179,12 @@ class RecoveryCheck(Entry):
         passed = bool(low <= value <= high)
         return cls(what=what, statistic=statistic, value=value, low=low, high=high, passed=passed)
 
+    def within(self, low: float, high: float) -> Self:
+        """The check of the same number with other limits."""
+        return self.of(self.what, self.statistic, math.nan if self.value is None else self.value, low, high)
+
     def sentence(self) -> str:
-        """What was found and what was allowed."""
+        """The value and its limits, as a sentence."""
         verdict, value = "passes" if self.passed else "fails", "unknown" if self.value is None else f"{self.value:.3f}"
         return f"{self.what} {verdict}: {self.statistic} {value}, allowed {self.low:.3f} to {self.high:.3f}"
 
@@ -238,7 +243,7 @@ class ManifestFile(ResultFile):
     processor: str = "unknown"
     """Its type: rows are the same bytes on one type."""
     commit: str | None = None
-    """Of the source, where it is known."""
+    """Of ltsim's checkout, where it runs from one."""
     settings: dict[str, Any] = Field(default_factory=dict)
     """The campaign file."""
     scenarios: tuple[dict[str, Any], ...] = ()
@@ -252,7 +257,7 @@ class RecoveryFile(ResultFile):
     format: Literal["ltsim-recovery/1"] = "ltsim-recovery/1"
     """Which format and version this file is in."""
     passed: bool
-    """All checks passed."""
+    """All checks passed, and no parameter is without one unless that was allowed."""
     errors: Errors = "drawn"
     """Whether the instrument's errors were drawn from the prior, or as the scenario states them."""
     trials: Whole
@@ -263,3 +268,7 @@ class RecoveryFile(ResultFile):
     """Root of the random draws."""
     checks: tuple[RecoveryCheck, ...]
     """One number each."""
+    unchecked: tuple[str, ...] = ()
+    """Parameters that nothing was checked of: neither a sigma in each trial nor a tolerance."""
+    problem: str = ""
+    """Why the last trial without a result gave none."""

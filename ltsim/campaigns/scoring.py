@@ -1,6 +1,6 @@
-"""What calibrators find of a known truth: their errors over the stated sigmas, and what is to be expected of them.
+"""Scores of calibrators against a known truth: errors over the declared sigmas, and their expected distribution.
 
-A calibrator of one's own is a program, or a function, that takes a recording and gives parameters. The program is
+A foreign calibrator is a program, or a function, that takes a recording and gives parameters. The program is
 called with the folder of a recording and the name of a file to write, which holds (`ltsim-estimates/1`; a
 `calibration.json` will do as well)
 
@@ -8,7 +8,7 @@ called with the folder of a recording and the name of a file to write, which hol
      "parameters": [{"name": "beam-tilt", "value": 5.9, "sigma": 2.5, "unit": "urad"},
                     {"name": "head-sag:sag", "value": 3.1, "unit": "urad"}]}
 
-A parameter without a sigma can be held against a tolerance only.
+A parameter without a sigma can be judged by a tolerance only.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from __future__ import annotations
 import os
 import shlex
 import subprocess
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -29,18 +29,20 @@ from scipy.spatial.transform import Rotation
 from ltsim.arrays import Floats
 from ltsim.calibration.calibration import Calibration
 from ltsim.campaigns.schema import Errors
-from ltsim.errors import RecordError, SetupError
+from ltsim.errors import CalibratorError, RecordError, SetupError
 from ltsim.recording import Recording, write as write_recording
 from ltsim.recording.files import shown
 from ltsim.recording.result_file import read_json
 from ltsim.recording.setup import Finite
 from ltsim.simulation.truth import Truth
-from ltsim.units import FACTOR
+from ltsim.units import FACTOR, same_kind
 from ltsim.values import Valued
 from ltsim.workers import SAFE_PATH
 
 NOISELESS = 1e-4
 """Share of a stated variance under which the error is the prior's, not the noise's."""
+MOST_OF_A_LINE = 300
+"""Characters of a foreign program's last line in a message."""
 RECORDING, OUT = "{recording}", "{out}"
 
 
@@ -68,14 +70,17 @@ def checked_command(command: str) -> list[str]:
         raise SetupError(f"--calibrator '{shown(command)}': {problem}") from None
 
 
-def estimates_by(calibrator: Calibrator, recording: Recording, where: str) -> dict[str, ParameterEstimate] | None:
-    """What a calibrator makes of a recording; None where it ends without a result (another status than 0, None).
+def estimates_by(calibrator: Calibrator, recording: Recording, where: str) -> dict[str, ParameterEstimate]:
+    """Parameters that a calibrator estimates from a recording, by name.
 
-    Raises SetupError or RecordError, naming `where`, when it cannot be started or gives what is not as documented.
+    Raises CalibratorError when it ends without a result (a status other than 0, None); SetupError or RecordError, with
+    `where`, when it cannot be started or its result does not follow the format.
     """
     if not isinstance(calibrator, str):
         given = calibrator(recording)
-        return None if given is None else _checked(given, f"the calibrator's result of {where}")
+        if given is None:
+            raise CalibratorError(f"the calibrator gave no result (None) for {where}")
+        return _checked(given, f"the calibrator's result of {where}")
     words = checked_command(calibrator)
     with TemporaryDirectory() as place:
         folder, out = Path(place) / "recording", Path(place) / "estimates.json"
@@ -83,11 +88,14 @@ def estimates_by(calibrator: Calibrator, recording: Recording, where: str) -> di
         filled = [word.replace(RECORDING, str(folder)).replace(OUT, str(out)) for word in words]
         try:
             own = {name: value for name, value in os.environ.items() if name != SAFE_PATH}  # that of our processes
-            done = subprocess.run(filled, stdout=subprocess.DEVNULL, check=False, env=own)
+            done = subprocess.run(filled, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, check=False, env=own)
         except OSError as problem:
             raise SetupError(f"--calibrator: {shown(words[0])} cannot be started ({problem.strerror})") from None
         if done.returncode:
-            return None
+            lines = done.stderr.decode("utf-8", "replace").split("\n")
+            last = next((line.strip() for line in reversed(lines) if line.strip()), "")
+            said = f"its last line was: {shown(last, MOST_OF_A_LINE)}" if last else "it wrote nothing to standard error"
+            raise CalibratorError(f"'{shown(calibrator)}' ended with status {done.returncode} for {where}; {said}")
         try:
             content = read_json(out / "calibration.json" if out.is_dir() else out, "list of parameters")
             listed = {e["name"]: [e["value"], e.get("sigma"), e["unit"]] for e in content["parameters"]}
@@ -140,6 +148,8 @@ class Trial(Valued):
     part, or the calibrator's prior is not known.
     """
     network: NetworkScore = NetworkScore()
+    foreign: bool = False
+    """By a foreign calibrator, of which no prior is known."""
     other: Trial | None = None
     """What ltsim's own calibrator found in the same recording."""
 
@@ -149,17 +159,24 @@ class Trial(Valued):
         return (self.estimate - self.truth) / self.sigma
 
 
-def true_values(truth: Truth) -> dict[str, float]:
-    """True parameters [SI] by name; those of effects as ``head-sag:sag``, with the place behind where there is one."""
-    found = dict(truth.instrument)
+class TrueValue(NamedTuple):
+    """A true parameter [SI], and the unit in which people read it."""
+
+    value: float
+    unit: str
+
+
+def true_values(truth: Truth) -> dict[str, TrueValue]:
+    """True parameters by name; those of effects as ``head-sag:sag``, with the place behind where there is one."""
+    values = {name: TrueValue(value, truth.units[name]) for name, value in truth.instrument.items()}
     for applied in truth.effects:
         place = f" {applied.effect.place}" if applied.effect.place else ""
         for parameter, value in zip(applied.effect.parameters, applied.values, strict=True):
-            found[f"{applied.effect.name}:{parameter.name}{place}"] = float(value)
-    return found
+            values[f"{applied.effect.name}:{parameter.name}{place}"] = TrueValue(float(value), parameter.unit)
+    return values
 
 
-def check_known(names: Sequence[str], true: Mapping[str, float], truth: Truth) -> None:
+def check_known(names: Sequence[str], true: Collection[str], truth: Truth) -> None:
     """Raise SetupError for a parameter that is not among the true ones."""
     unknown = [name for name in names if name not in true]
     if unknown:
@@ -191,7 +208,7 @@ def score(found: Calibration, truth: Truth, law: Mapping[str, tuple[float, float
     more = true_values(truth)
     fitted = {name: entry for name, entry in _of_effects(found).items() if name in more}
     plain = 1.0 if _as_the_prior(mean, drawn) else np.nan  # else the parameters' priors move effects too
-    beside = np.array([[e.value, e.sigma or np.nan, more[name] / FACTOR[e.unit]] for name, e in fitted.items()])
+    beside = np.array([[e.value, e.sigma or np.nan, more[name].value / FACTOR[e.unit]] for name, e in fitted.items()])
     beside = beside.reshape(-1, 3).T
     z = plain * (beside[0] - beside[2]) / beside[1]
     value, sigma, right, scores = np.concatenate([own, np.vstack([beside, z])], axis=1)
@@ -262,18 +279,27 @@ def _network_scores(found: Calibration, truth: Truth, mean: Floats, drawn: Float
 def score_estimates(
     estimates: Mapping[str, ParameterEstimate], truth: Truth, errors: Errors, own: Trial | None
 ) -> Trial:
-    """The trial of a calibrator of one's own, with what ltsim found of the same parameters."""
+    """The trial of a foreign calibrator, with ltsim's estimates of the same parameters.
+
+    Parameters come in the order and the units of the truth, whatever those of a trial are. Raises SetupError for one
+    that the truth lacks, or whose unit is of another kind.
+    """
     true = true_values(truth)
     check_known(tuple(estimates), true, truth)
-    units = tuple(entry.unit for entry in estimates.values())
+    names = tuple(name for name in true if name in estimates)
+    units = tuple(true[name].unit for name in names)
+    for name, unit in zip(names, units, strict=True):
+        if not same_kind(estimates[name].unit, unit):
+            raise SetupError(f"the calibrator's {name} is in {estimates[name].unit}, expected {unit} or a unit like it")
     factor = np.array([FACTOR[unit] for unit in units])
-    value = np.array([entry.value for entry in estimates.values()])
-    sigma = np.array([np.nan if entry.sigma is None else entry.sigma for entry in estimates.values()])
-    right = np.array([true[name] for name in estimates]) / factor
+    scale = np.array([FACTOR[estimates[name].unit] for name in names]) / factor
+    value = scale * np.array([estimates[name].value for name in names])
+    sigma = scale * np.array([estimates[name].sigma or np.nan for name in names])
+    right = np.array([true[name].value for name in names]) / factor
     standard = (value - right) / sigma if errors == "drawn" else np.full(len(value), np.nan)
-    beside = None
+    other = None
     if own is not None:
-        places = [own.names.index(name) if name in own.names else None for name in estimates]
-        si = [np.nan if k is None else own.estimate[k] * FACTOR[own.units[k]] for k in places]
-        beside = Trial(tuple(estimates), units, np.array(si) / factor, np.full(len(si), np.nan), right, standard)
-    return Trial(tuple(estimates), units, value, sigma, right, standard, other=beside)
+        places = [own.names.index(name) if name in own.names else None for name in names]
+        same = np.array([np.nan if k is None else own.estimate[k] for k in places])
+        other = Trial(names, units, same, np.full(len(same), np.nan), right, standard)
+    return Trial(names, units, value, sigma, right, standard, foreign=True, other=other)

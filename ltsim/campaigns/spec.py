@@ -17,7 +17,7 @@ from ltsim.evaluation.criteria import read_nominal
 from ltsim.recording.settings import checked, read_toml
 from ltsim.recording.setup import Positive, TomlSection
 from ltsim.simulation.keys import kind_of, quantity, unit_of
-from ltsim.simulation.scenario import NONE, Scenario, changed, load_scenario, scenario_to_toml
+from ltsim.simulation.scenario import NONE, Scenario, changed, load_scenario
 from ltsim.simulation.sections import PlacedEffect
 from ltsim.units import MILLIMETRE
 
@@ -268,7 +268,7 @@ def cells_of(
         tables = scenario.model_dump(mode="json", by_alias=True)
         judge = judge_of(campaign.judge_in, scenario, path) if campaign.judge_in else None
         levels = {factor.name: factor.level(tables) for factor in factors}
-        places = [scenario_to_toml(_by_content(s)) for s in (scenario, judge) if s is not None]
+        places = [_by_content(s).model_dump_json(by_alias=True) for s in (scenario, judge) if s is not None]
         mark = hashlib.sha256("\n".join([common, *places]).encode()).hexdigest()
         cells.append(Cell(scenario, judge, settings, levels, mark))
     return factors, tuple(cells)

@@ -13,7 +13,6 @@ the checksums of its pages and its label are compared.
 
 import contextlib
 import errno
-import fcntl
 import hashlib
 import json
 import os
@@ -25,11 +24,12 @@ from pathlib import Path
 
 import pyarrow as pa
 import pyarrow.parquet as pq
+from filelock import FileLock, Timeout
 
 from ltsim.campaigns.schema import SUMMARY, ManifestFile
 from ltsim.errors import RecordError, SetupError
 from ltsim.recording.result_file import read_result
-from ltsim.storage import MODE, place_in, settle, write_files
+from ltsim.storage import place_in, settle, write_files
 
 MANIFEST, SOURCE, ROWS, LOCK, DIGESTS = ManifestFile.FILE, "campaign.toml", "rows", ".lock", "rows.sha256"
 DIGEST_LINE = re.compile(r"^(?P<digest>[0-9a-f]{64})  (?P<name>rows/cell-\d+/shard-\d+\.parquet)\n", re.MULTILINE)
@@ -198,15 +198,15 @@ class Store:
         """Keep others from working in the folder at the same time; the lock ends with the process, however it ends."""
         with self._writing():
             self.folder.mkdir(parents=True, exist_ok=True)
-            handle = os.open(self.folder / LOCK, os.O_RDWR | os.O_CREAT, MODE)
-        try:
+            lock = FileLock(self.folder / LOCK, blocking=False)
             try:
-                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
+                lock.acquire()
+            except Timeout:
                 raise SetupError(f"{self.folder}: another campaign is at work in this folder; wait for it") from None
+        try:
             yield
         finally:
-            os.close(handle)
+            lock.release()
 
     @contextlib.contextmanager
     def _writing(self) -> Iterator[None]:

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ltsim.arguments import check_bounds, check_choice
 from ltsim.campaigns import require_packages
 from ltsim.errors import SetupError
 
@@ -18,6 +19,8 @@ def campaign(
     *,
     out: str | Path | None = None,
     jobs: int = 1,
+    backend: str = "local",
+    scheduler: str = "",
     resume: bool = False,
     force: bool = False,
     changes: Mapping[str, Any] | None = None,
@@ -31,7 +34,11 @@ def campaign(
     out : str or Path, optional
         Folder for the rows; default the file's name without its ending. Needed where `source` is a mapping.
     jobs : int
-        Processes; the rows do not depend on it.
+        Processes; the rows do not depend on it. With dask the workers of the scheduler decide.
+    backend : {`local`, `dask`}
+        Processes on this machine, or workers of a dask cluster.
+    scheduler : str
+        Address of the dask scheduler, such as tcp://host:8786, or the file that it wrote.
     resume : bool
         Continue what the folder holds; where the file has further levels, trials or statistics by now, only what is
         missing is done.
@@ -66,6 +73,8 @@ def campaign(
         method  trials  failed
     0  network      64       0
     """
+    check_bounds(jobs=jobs)
+    check_choice("backend", backend, ("local", "dask"))
     require_packages()
     from ltsim.campaigns.campaign import Workers, run_campaign
     from ltsim.campaigns.results import Results
@@ -79,5 +88,13 @@ def campaign(
             raise SetupError(f"{path}: rows of a campaign are only opened: to run it, give {path / 'campaign.toml'}")
         return Results(path)
     folder = path.with_suffix("") if out is None else Path(out)
-    run_campaign(path, folder, workers=Workers(jobs), resume=resume, force=force, changes=changes, tables=tables)
+    run_campaign(
+        path,
+        folder,
+        workers=Workers(jobs, backend, scheduler),
+        resume=resume,
+        force=force,
+        changes=changes,
+        tables=tables,
+    )
     return Results(folder)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import sys
-from enum import StrEnum
 from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -13,6 +12,7 @@ from xml.etree.ElementTree import Element, SubElement, tostring
 import typer
 
 import ltsim as lt
+from ltsim.arguments import MOST_JOBS
 from ltsim.campaigns import require_packages
 from ltsim.cli import streams
 from ltsim.cli.places import FILE, FOLDER, Force, check_writable
@@ -20,7 +20,6 @@ from ltsim.cli.simulate import ScenarioName
 from ltsim.cli.terminal import ResultTerminal, Terminal
 from ltsim.errors import SetupError, StoppedError
 from ltsim.recording.files import write_text
-from ltsim.workers import MOST
 
 if TYPE_CHECKING:
     from ltsim.campaigns.recovery import Recovery
@@ -31,13 +30,6 @@ AGREED = 1e-3
 """[sigma] how far the batch may be from the full solver."""
 
 
-class Backend(StrEnum):
-    """Who works."""
-
-    LOCAL = "local"
-    DASK = "dask"
-
-
 CampaignFile = Annotated[Path | None, typer.Argument(metavar="FILE", help="A campaign file (ltsim-campaign/1).")]
 Example = Annotated[bool, typer.Option("--show", help="Print a commented campaign file to edit, and do nothing else.")]
 Rows = Annotated[
@@ -45,18 +37,12 @@ Rows = Annotated[
     typer.Option("--out", metavar="DIR", help="Folder for the rows; default: FILE without its ending."),
     FOLDER,
 ]
-BackendName = Annotated[Backend, typer.Option(help="Processes on this machine, or workers of a dask cluster.")]
-Scheduler = Annotated[
-    str, typer.Option(metavar="ADDRESS", help="Of the dask scheduler, such as tcp://host:8786, or its cluster file.")
-]
 
 
 def campaign(
     file: CampaignFile = None,
     show_example: Example = False,
     out: Rows = None,
-    backend: BackendName = Backend.LOCAL,
-    scheduler: Scheduler = "",
     force: Force = False,
     *,
     terminal: Terminal,
@@ -93,7 +79,7 @@ def campaign(
     check_writable(folder, folder=True)
     settings, scenarios = load_campaign(file, options["changes"])
     total = settings.trials * len(settings.methods) * len(scenarios)
-    workers = Workers(options.pop("jobs"), backend.value, scheduler)
+    workers = Workers(*(options.pop(name) for name in ("jobs", "backend", "scheduler")))
     if not compiled_before():
         terminal.note("compiling the solver, which takes half a minute: the first campaign of an installation does")
     try:
@@ -132,7 +118,7 @@ def disagreement(end: dict[str, Any], results: Results) -> str:
 RecoverJobs = Annotated[
     int | None,
     typer.Option(
-        "--jobs", "-j", min=1, max=MOST, help="Processes to work with; default all cores, one for few trials."
+        "--jobs", "-j", min=1, max=MOST_JOBS, help="Processes to work with; default all cores, one for few trials."
     ),
 ]
 
@@ -157,7 +143,8 @@ def recover(
 
     Errors are those that the scenario states, or drawn from the prior where it states none. Exit status 1, naming what
     fails: z-scores of every parameter (with drawn errors standard normal; with stated ones no wider, the value inside
-    its interval as often as promised), chi-square, targets and stations. Writes recovery.json and trials.csv to --out.
+    its interval as often as promised), chi-square, targets and stations. A parameter of your calibrator without a sigma
+    or a tolerance is not checked, which is status 1 too. Writes recovery.json and trials.csv to --out.
 
     Example: ltsim recover paper-workshop-re-aimed --trials 1000 --jobs 2
     """
@@ -171,33 +158,42 @@ def recover(
     beside = {TRIALS.file: result.table("trials").csv()}
     checks = result.checks()
     content = RecoveryFile(
-        passed=all(check.passed for check in checks),
+        passed=result.passed,
         errors=result.errors,
         trials=len(result.trials),
         converged=len(result.converged),
         seed=options["seed"],
         checks=tuple(checks),
+        unchecked=result.unchecked(),
+        problem=result.problem,
     )
     content = terminal.kept(content, lambda: beside)
     if junit is not None:
         write_text(junit, junit_xml(result, str(scenario)))
     terminal.answer(content.content())
     terminal.say(result.table("parameters").text() if len(result.converged) > 1 else "hardly a trial gave a result")
-    failures = result.failures()
-    for failure in failures:
-        streams.write(failure.sentence(), sys.stderr)
-    if failures:
+    for sentence in result.problems():
+        streams.write(sentence, sys.stderr)
+    if not result.passed:
         raise typer.Exit(1)
     rate = "" if result.tolerance else f" (a correct model fails this check in {100 * FALSE_ALARM:.0f} % of runs)"
     done = f"{len(result.trials)} trials, errors {MODES[result.errors]}"
-    terminal.say(f"{done}: everything is recovered within {result.what}{rate}")
+    terminal.say(f"{done}: {result.verdict()}{rate}")
 
 
 def junit_xml(result: Recovery, suite: str) -> str:
     """The checks as JUnit XML: a test case each, with value and limits; they share the time of all trials."""
     checks = result.checks()
-    failed, each = str(sum(not check.passed for check in checks)), f"{result.seconds / len(checks):.3f}"
-    counts = {"tests": str(len(checks)), "failures": failed, "errors": "0", "time": f"{result.seconds:.3f}"}
+    unchecked = result.unchecked()
+    failed, each = sum(not check.passed for check in checks), f"{result.seconds / len(checks):.3f}"
+    lost = 0 if result.allow_unchecked else len(unchecked)
+    counts = {
+        "tests": str(len(checks) + len(unchecked)),
+        "failures": str(failed + lost),
+        "errors": "0",
+        "skipped": str(len(unchecked) - lost),
+        "time": f"{result.seconds:.3f}",
+    }
     root = Element("testsuite", {"name": f"ltsim recover {suite}", **counts})
     for check in checks:
         case = SubElement(root, "testcase", classname=f"recover.{check.what}", name=check.statistic, time=each)
@@ -206,4 +202,7 @@ def junit_xml(result: Recovery, suite: str) -> str:
             SubElement(inside, "property", name=name, value=f"{getattr(check, name):.6g}")
         if not check.passed:
             SubElement(case, "failure", message=check.sentence())
+    for name in unchecked:
+        case = SubElement(root, "testcase", classname=f"recover.{name}", name="not checked", time="0.000")
+        SubElement(case, "failure" if lost else "skipped", message=f"{name} is not checked: no sigma in every trial")
     return tostring(root, encoding="unicode", xml_declaration=True) + "\n"

@@ -12,6 +12,7 @@ import typer
 
 import ltsim as lt
 from ltsim.cli import streams
+from ltsim.cli.examples import example_text
 from ltsim.cli.options import ReadingOptions, Source
 from ltsim.cli.terminal import ResultTerminal, Terminal
 from ltsim.errors import NetworkError, RecordError, SetupError
@@ -35,7 +36,8 @@ MpeOption = Annotated[
     ),
 ]
 Watch = Annotated[bool, typer.Option("--watch", help="Follow a recording that grows; say at once what goes wrong.")]
-AcceptFile = Annotated[Path, typer.Argument(metavar="FILE", help="An acceptance file (ltsim-acceptance/1).")]
+AcceptFile = Annotated[Path | None, typer.Argument(metavar="FILE", help="An acceptance file (ltsim-acceptance/1).")]
+Template = Annotated[bool, typer.Option("--show", help="Print a commented file to edit, and do nothing else.")]
 BenchTable = Annotated[Path, typer.Argument(metavar="FILE", help="A table angle_deg,length_um,probe_um.")]
 POLL = 1.0
 """[s] between two looks at the files of a recording that grows."""
@@ -146,13 +148,18 @@ def _key(item: Item) -> tuple[str, str, tuple[str, ...]]:
     return item.station, item.kind, item.targets
 
 
-def accept(file: AcceptFile, *, terminal: ResultTerminal) -> int:
+def accept(file: AcceptFile = None, show: Template = False, *, terminal: ResultTerminal) -> int:
     """Predict acceptance tests of a tracker, or judge errors that were found, against its maker's limits.
 
     Writes accept.json and accept.csv to --out. Exit status 1 when an error that was found is over its limit.
 
     Example: ltsim accept my-tracker.toml --out acceptance
     """
+    if show:
+        print(example_text("acceptance.toml"), end="")
+        return 0
+    if file is None:
+        raise SetupError("ltsim accept needs a FILE; ltsim accept --show prints one to edit")
     from ltsim.acceptance.files import TESTS, AcceptanceFile
 
     terminal.claim(AcceptanceFile, TESTS.file)
@@ -182,7 +189,7 @@ def bench(file: BenchTable, *, terminal: ResultTerminal, **options: Any) -> None
 
 
 Second = Annotated[Path, typer.Argument(metavar="REC2", help="The later recording, of the same points.")]
-TaskFile = Annotated[Path, typer.Argument(metavar="FILE", help="A task file (ltsim-tasks/1).")]
+TaskFile = Annotated[Path | None, typer.Argument(metavar="FILE", help="A task file (ltsim-tasks/1).")]
 TaskSource = Annotated[
     str | None, typer.Option("--source", metavar="REC", help="Recording or scenario instead of the file's own.")
 ]
@@ -236,9 +243,10 @@ def _listed(path: Path, terminal: Terminal) -> Coordinates | Path:
 
 
 def uncertainty(
-    file: TaskFile,
+    file: TaskFile = None,
     source: TaskSource = None,
     against: Against = None,
+    show: Template = False,
     *,
     terminal: ResultTerminal,
     **options: Any,
@@ -249,6 +257,11 @@ def uncertainty(
 
     Example: ltsim uncertainty flange.toml --out my-uncertainty
     """
+    if show:
+        print(example_text("uncertainty.toml"), end="")
+        return 0
+    if file is None:
+        raise SetupError("ltsim uncertainty needs a FILE; ltsim uncertainty --show prints one to edit")
     from ltsim.pages.sections import section_of
     from ltsim.recording.result_file import read_result
     from ltsim.tasks.files import BUDGET, RESULTS, UncertaintyFile, compared

@@ -28,6 +28,7 @@ UsageProblem: type[Exception] = next(c for c in typer.BadParameter.__mro__ if c.
 # To add a verb: a function of its name in one of these modules, and one line here.
 VERBS = {
     "demo": ("simulate", "simulate, calibrate, repeat, hide, diagnose: one page"),
+    "examples": ("examples", "sample data and commented files, copied into a folder"),
     "simulate": ("simulate", "measure a virtual workshop once"),
     "check": ("check", "go or no-go in the field: two faces, drift, bumps"),
     "adjust": ("adjustment", "adjust the network of a recording, no instrument parameters"),

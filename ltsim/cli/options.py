@@ -8,18 +8,17 @@ import re
 import tomllib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields, is_dataclass
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_args, get_type_hints
 
 import typer
 
 import ltsim as lt
+from ltsim.arguments import BOUNDS, MOST_JOBS, check_bounds, check_choice, range_words
 from ltsim.cli import streams
 from ltsim.cli.places import OutputPlace, check_outputs
 from ltsim.cli.terminal import Terminal
 from ltsim.errors import SPECIAL, RecordError, SetupError
-from ltsim.workers import MOST
 
 if TYPE_CHECKING:
     from ltsim.recording import Hints, Recording
@@ -31,7 +30,7 @@ _IN_FILE = typer.Option("--calibration", metavar="FILE", help="A calibration.jso
 CalibrationFile = Annotated[Path, _IN_FILE]
 OptionalCalibrationFile = Annotated[Path | None, _IN_FILE]
 Jobs = Annotated[
-    int, typer.Option("--jobs", "-j", min=1, max=MOST, help="Processes to work with; the result is the same.")
+    int, typer.Option("--jobs", "-j", min=1, max=MOST_JOBS, help="Processes to work with; the result is the same.")
 ]
 FormatName = Annotated[
     str | None, typer.Option("--format", metavar="NAME", help="Format of REC, where its content does not tell.")
@@ -190,10 +189,6 @@ def _option(name: str, kind: Any, default: Any) -> inspect.Parameter:
 
 PROGRAMS = ("advise", "again", "geometry", "about", "format", "hints", "follower")
 """Parameters that only a program gives, or that their verb reads in its own way."""
-BOUNDS: dict[str, tuple[float, float | None]] = {
-    "seed": (0, None), "trial": (0, 10**12), "trials": (2, 10**9), "starts": (1, 10**4), "injections": (1, 10**5),
-    "jobs": (1, MOST), "level": (1e-6, 0.5), "noncentrality": (1e-3, None), "length_sigma": (1e-6, None),
-}  # fmt: skip
 LARGEST = 1e12
 """Of a number in an option that is a mapping, as in a table."""
 SHORT = {"trials": "-n", "jobs": "-j"}
@@ -217,7 +212,7 @@ def _toml(text: str) -> Any:
 
 def _place(text: str) -> tuple[float, ...]:
     place = tuple(_number(part) for part in text.split(","))
-    if len(place) not in (2, 3):
+    if len(place) not in (2, 3, 4):
         raise ValueError
     return place
 
@@ -226,7 +221,11 @@ PAIRS: dict[str, tuple[str, str, Callable[[str], Any]]] = {
     "hold": ("NAME=VALUE", "NAME=VALUE with a number, e.g. beam-tilt=2.5", _number),
     "tolerance": ("NAME=QUANTITY", "NAME=QUANTITY, such as beam-tilt='2 urad'", lambda text: text.strip("'\"")),
     "changes": ("KEY=VALUE", "KEY=VALUE, such as work.faces=2", _toml),
-    "move": ("STATION=X,Y[,Z]", "STATION=X,Y or STATION=X,Y,Z in mm, such as S2=5000,3000", _place),
+    "move": (
+        "STATION=X,Y[,Z[,YAW]]",
+        "STATION=X,Y or STATION=X,Y,Z or STATION=X,Y,Z,YAW in mm and degrees, such as S2=5000,3000",
+        _place,
+    ),
 }
 """Options that are mappings: how they are written, what is said of a wrong one, how a value is read."""
 
@@ -265,7 +264,6 @@ class Public:
     @property
     def parameter(self) -> inspect.Parameter:
         """For Typer."""
-        low, high = BOUNDS.get(self.name, (None, None))
         words = [self.flag, *([SHORT[self.name]] if self.name in SHORT else [])]
         kind: Any = float if "float" in self.kind else int if "int" in self.kind else str
         metavar = PAIRS[self.name][0] if self.name in PAIRS else METAVARS.get(self.name)
@@ -273,26 +271,33 @@ class Public:
             kind = bool
             words = words if self.default is False else [f"{self.flag}/--no-{self.flag[2:]}"]
         elif self.choices:
-            kind, metavar = StrEnum(self.name.title(), {c: c for c in self.choices}), None
+            kind, metavar = str, f"[{'|'.join(self.choices)}]"
         elif self.names:
             metavar = "NAME,..."
-        elif low is None and metavar is None:
+        elif self.name in BOUNDS:
+            metavar = f"NUMBER: {range_words(self.name)}"
+        elif metavar is None:
             metavar = "FILE" if "Path" in self.kind else "NAME" if kind is str else "N"
         default = self.default
         if self.several or default is None or default == ():
             kind, default = (list[str] if self.several else kind) | None, None
-        option = typer.Option(*words, help=self.help, metavar=metavar, min=low, max=high)
+        complete = (lambda: self.choices) if self.choices else None
+        option = typer.Option(*words, help=self.help, metavar=metavar, autocompletion=complete)
         return _option(self.name, Annotated[kind, option], default)
 
     def value(self, given: Any) -> Any:
         """What the function is called with; raises SetupError for what cannot be read."""
         if given is None or given == []:
             return self.default
+        if self.name in BOUNDS:
+            check_bounds(**{self.name: given})
+        if self.choices:
+            check_choice(self.name, given, self.choices)
         if self.name in PAIRS:
             return dict(self._pair(text) for text in given)
         if self.names:
             return names_of(given)
-        return tuple(given) if self.several else given.value if self.choices else given
+        return tuple(given) if self.several else given
 
     def _pair(self, text: str) -> tuple[str, Any]:
         _, form, read = PAIRS[self.name]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -16,7 +17,7 @@ from ltsim.errors import RecordError, SetupError
 
 if TYPE_CHECKING:
     from ltsim.effects.signature import Signature
-    from ltsim.planning.planner import Plan
+    from ltsim.planning.plan import Plan
     from ltsim.planning.survey import Survey
     from ltsim.planning.verbs import Alternative
     from ltsim.recording import Recording
@@ -72,7 +73,8 @@ def plan(
     Example: ltsim plan paper-workshop --out my-plan
     """
     from ltsim.planning.loading import plan_names, plan_text
-    from ltsim.planning.schema import NEXT, TABLES, NextFile, PlanResult
+    from ltsim.planning.result import NextFile, PlanResult
+    from ltsim.planning.tables import NEXT, TABLES
 
     if after is not None:
         if source is not None:
@@ -90,7 +92,7 @@ def plan(
     if without is not None and (changes or out is not None):
         raise SetupError("--without lists places for a station; judge one of them with --move, which takes --out")
     if without is not None:
-        return _show_places(terminal, lt.without_station(source, without))
+        return _show_places(terminal, source, lt.without_station(source, without))
     nowhere = terminal.as_json or bool(changes)
     folder = out if out is not None or nowhere else Path(f"plan-{Path(source).stem}")
     claim(folder, PlanResult, (*(table.file for table in TABLES), "scenario.toml", FLOOR, TRADE_OFF, PAGE), force=force)
@@ -102,12 +104,17 @@ def plan(
     return _write(terminal, made, folder)
 
 
-def _show_places(terminal: Terminal, found: Sequence[Alternative]) -> None:
-    terminal.answer([{"what": one.words, "verdict": one.verdict} for one in found])
+def _show_places(terminal: Terminal, source: str, found: Sequence[Alternative]) -> None:
+    terminal.answer([{"what": one.words, "verdict": one.verdict, "good": one.good, "move": one.move} for one in found])
     for one in found:
         terminal.say(f"- {one.words}: {one.verdict}.")
-    if len(found) == 1:
+    places = [one for one in found if one.move]
+    if not places:
         terminal.say("No other place on the floor is allowed for it; widen the floor, or search with one station less.")
+        return
+    out = Path(f"{Path(source).stem}-moved")
+    command = shlex.join(["ltsim", "plan", source, "--move", places[0].move, "--out", str(out)])
+    terminal.say(f"To take the best of these places: {command}")
 
 
 def _searched(terminal: Terminal, source: str, folder: Path | None, how: dict[str, Any]) -> Plan:
@@ -138,7 +145,7 @@ def _searched(terminal: Terminal, source: str, folder: Path | None, how: dict[st
 
 
 def _write(terminal: Terminal, made: Plan, folder: Path | None) -> None:
-    from ltsim.planning.files import write_plan
+    from ltsim.planning.plan import write_plan
 
     with terminal.progress("writing tables, pictures and the work order"):
         content = write_plan(made, folder, {} if folder is None else _drawn(made))
@@ -153,9 +160,8 @@ def _drawn(made: Plan) -> dict[str, bytes]:
     from ltsim.pages.figures.parameters import trade_off
     from ltsim.pages.style import png
     from ltsim.pages.work_order import work_order_page
-    from ltsim.planning.files import plan_file
 
-    content = plan_file(made)
+    content = made.content
     drawn = {PAGE: work_order_page(made).encode(), FLOOR: png(made.plot())}
     return drawn | ({TRADE_OFF: png(trade_off(content, next(iter(content.quality))))} if content.tradeoff else {})
 
@@ -184,7 +190,7 @@ def _explanations(between: str | None) -> tuple[str, ...]:
 def _after(terminal: Terminal, recording: Recording, between: tuple[str, ...], out: Path | None) -> None:
     from ltsim.diagnosis.separate import open_question
     from ltsim.planning.files import next_csv, next_file
-    from ltsim.planning.schema import NEXT
+    from ltsim.planning.tables import NEXT
     from ltsim.recording.result_file import SourceEntry, write_result
 
     terminal.say(recording.headline)

@@ -35,7 +35,7 @@ from ltsim.pages.sections.plain import budget_of
 from ltsim.pages.verbs import View
 from ltsim.pages.workshop import from_recording, from_scenario
 from ltsim.planning.files import planned_scenario
-from ltsim.planning.planner import Plan
+from ltsim.planning.plan import Plan
 from ltsim.recording import Recording
 from ltsim.remedies.next_measurement import NextMeasurement
 from ltsim.results import Result

@@ -20,7 +20,8 @@ from ltsim.diagnosis import schema as diagnosis
 from ltsim.evaluation.bench import BENCH, BenchFile
 from ltsim.evaluation.criteria import NOMINAL, CriteriaFile
 from ltsim.fieldcheck import items as checks
-from ltsim.planning import schema as plan
+from ltsim.planning import tables as plan_tables
+from ltsim.planning.result import NextFile, PlanResult
 from ltsim.planning.spec import PlanFile
 from ltsim.recording.files import write_texts
 from ltsim.recording.result_file import ResultFile
@@ -36,8 +37,8 @@ RESULTS: tuple[type[ResultFile], ...] = (
     HistoryFile,
     CriteriaFile,
     diagnosis.DiagnosisFile,
-    plan.PlanResult,
-    plan.NextFile,
+    PlanResult,
+    NextFile,
     ManifestFile,
     RecoveryFile,
     uncertainty.UncertaintyFile,
@@ -65,8 +66,8 @@ TABLES: dict[str, tuple[Table, ...]] = {
     BenchFile.FILE: (BENCH,),
     "truth.json": (NOMINAL,),
     diagnosis.DiagnosisFile.FILE: (diagnosis.TARGETS, RESIDUALS, diagnosis.BEFORE),
-    plan.PlanResult.FILE: plan.TABLES,
-    plan.NextFile.FILE: (plan.NEXT,),
+    PlanResult.FILE: plan_tables.TABLES,
+    NextFile.FILE: (plan_tables.NEXT,),
     ManifestFile.FILE: (summary_table({"FACTOR": "number"}), ROWS),
     checks.CheckFile.FILE: (checks.TWO_FACE,),
     comparison.Comparison.FILE: (comparison.DISPLACEMENTS,),

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 
+from ltsim.arguments import check_choice
 from ltsim.errors import require
 from ltsim.pages.page import NAME, UNREADABLE, document, render
 from ltsim.pages.workshop import PlacedWorkshop, from_recording, from_scenario, with_cad
@@ -13,6 +14,7 @@ from ltsim.recording.exchange import read
 from ltsim.recording.files import write_text
 from ltsim.recording.setup import About
 from ltsim.results import Result
+from ltsim.scene.cad import WORDS
 from ltsim.simulation.builtin import builtin_names
 from ltsim.simulation.scenario import Scenario
 
@@ -68,7 +70,7 @@ def view(
         A recording (adjusted first), a scenario, the file of either, or the name of a built-in scenario.
     cad : str or Path, optional
         STL, OBJ, PLY, GLB, STEP or IGES to stand in the room.
-    cad_unit : {`mm`, `m`}, optional
+    cad_unit : {`mm`, `m`, `in`}, optional
         Unit of its coordinates; default by its format (glTF: metres; STEP: its own; others: millimetres).
     cad_up : {`y`, `z`}, optional
         Its axis that points up; default by its format (glTF: y).
@@ -86,6 +88,9 @@ def view(
     >>> lt.view("paper-workshop")
     View: The paper's workshop: 5 stations, 28 targets; png(), html() or show()
     """
+    check_choice("cad_unit", cad_unit, tuple(WORDS))
+    check_choice("cad_up", cad_up, ("y", "z"))
+    check_choice("colour", colour, ("incidence", "residual"))
     require(("pyvista", "trame_vtk"), "3D views", "view")
     shown = _workshop_of(source).coloured(colour)
     return View(shown if cad is None else with_cad(shown, Path(cad), cad_unit, cad_up))

@@ -3,7 +3,7 @@
 from ltsim.pages.document import Block, Document, Grid, Note, Notes, Picture, Section
 from ltsim.pages.page import render, versions
 from ltsim.pages.words import duration
-from ltsim.planning.planner import Plan
+from ltsim.planning.plan import Plan
 from ltsim.planning.work_order import checks, settings_of
 from ltsim.units import MILLIMETRE
 

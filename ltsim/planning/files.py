@@ -1,28 +1,26 @@
 """A plan as files: plan.json for programs, tables for people, a scenario to simulate it with."""
 
-import math
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ltsim.effects import CATALOGUE
 from ltsim.errors import SetupError
-from ltsim.planning import schema
+from ltsim.planning import tables
 from ltsim.planning.information import ExpectedErrors
 from ltsim.planning.loading import load_plan
-from ltsim.planning.planner import Evaluated, Option, Plan
+from ltsim.planning.planner import Evaluated, Option, PlannedNetwork
 from ltsim.planning.reasons import fewest, reasons
-from ltsim.planning.schema import NextFile, PlanResult, in_millimetres
+from ltsim.planning.result import NextFile, PlanResult
+from ltsim.planning.schema import in_millimetres
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import Survey
-from ltsim.planning.tolerances import reached
-from ltsim.recording.result_file import SourceEntry, read_result, write_result
-from ltsim.remedies.detectability import Detectability, MinimalSize, detectability
+from ltsim.planning.tolerances import keeps
+from ltsim.recording.result_file import SourceEntry, read_result
+from ltsim.remedies.detectability import Detectability, MinimalSize
 from ltsim.remedies.next_measurement import NextMeasurement
 from ltsim.results import Table
-from ltsim.simulation.scenario import Scenario, load_scenario, scenario_to_toml
+from ltsim.simulation.scenario import Scenario, load_scenario
 from ltsim.simulation.sections import PlannedStation, PlannedTarget
 from ltsim.simulation.workshop import bodies_of
 from ltsim.units import DEGREE, FACTOR, MICROMETRE, MILLIMETRE
@@ -33,9 +31,9 @@ PLAN = "plan.toml"
 """The plan that the board saves beside it."""
 
 
-def plan_file(plan: Plan, found: Detectability | None = None) -> PlanResult:
+def plan_file(plan: PlannedNetwork, found: Detectability | None = None) -> PlanResult:
     """The content of `plan.json`."""
-    sentences, few, kept = reasons(plan), fewest(plan), plan.kept
+    sentences, few, kept, judged = reasons(plan), fewest(plan), plan.kept, plan.verdict
     content: dict[str, Any] = {
         "title": plan.file.title or plan.scenario.title,
         "summary": sentences[0],
@@ -50,7 +48,7 @@ def plan_file(plan: Plan, found: Detectability | None = None) -> PlanResult:
         "changes_tried": plan.changes.summary,
         "starts": plan.spread,
         "bodies": [body.words for body in bodies_of(plan.scenario)],
-        "reached": None if kept is None else reached(plan.demands, kept, plan.losses),
+        "reached": None if judged is None else judged.reached,
         "tolerances_kept": None if kept is None else kept.good,
         "losses": [{**vars(loss), "kept": loss.good} for loss in plan.losses],
         "settings": plan.file.model_dump(mode="json"),
@@ -63,11 +61,11 @@ def plan_file(plan: Plan, found: Detectability | None = None) -> PlanResult:
     return PlanResult.model_validate(content)
 
 
-def _layout(layout: Evaluated, plan: Plan | None = None) -> dict[str, Any]:
+def _layout(layout: Evaluated, plan: PlannedNetwork | None = None) -> dict[str, Any]:
     """The keys of a `LayoutEntry`; those of a plan's own layout hold its tolerances."""
     information, survey = layout.information, layout.survey
     return {
-        "allowed": math.isfinite(layout.value),
+        "broken_rules": [rule.words for rule in layout.broken],
         **_work(survey),
         "quality": layout.qualities,
         "stations": _stations(layout),
@@ -114,9 +112,8 @@ def _stations(layout: Evaluated) -> list[dict[str, Any]]:
     ]
 
 
-def _reflectors(layout: Evaluated, plan: Plan | None) -> list[dict[str, Any]]:
+def _reflectors(layout: Evaluated, plan: PlannedNetwork | None) -> list[dict[str, Any]]:
     survey, information = layout.survey, layout.information
-    kept = plan.kept.radius if plan is not None and plan.kept is not None else {}
     expanded = 2.0 * np.sqrt(np.einsum("tii->ti", information.target_covariance)) / MICROMETRE
     rows: list[dict[str, Any]] = []
     for t, name in enumerate(survey.target_names):
@@ -130,9 +127,11 @@ def _reflectors(layout: Evaluated, plan: Plan | None) -> list[dict[str, Any]]:
                 "seen_from": [survey.station_names[s] for s in np.flatnonzero(survey.seen[:, t])],
             }
         )
-        if plan is not None and name in kept:
-            rows[-1]["within_mm"] = round(kept[name] / MILLIMETRE, 5)
+        if plan is not None and plan.kept is not None and name in plan.kept.radius:
+            rows[-1]["within_mm"] = plan.kept.radius[name] / MILLIMETRE
             rows[-1]["tolerance_mm"] = plan.demands.tolerance[name] / MILLIMETRE
+            rows[-1]["used"] = plan.kept.used(name)
+            rows[-1]["kept"] = keeps(plan.kept.used(name))
     return rows
 
 
@@ -162,7 +161,7 @@ def _detectable(row: MinimalSize) -> dict[str, Any]:
     return {**vars(row), "worst_at": row.worst_place, **{key: size / FACTOR[row.unit] for key, size in sizes.items()}}
 
 
-def planned_scenario(plan: Plan) -> Scenario:
+def planned_scenario(plan: PlannedNetwork) -> Scenario:
     """The scenario with the plan's stations, reflectors and way of working: what `ltsim simulate` takes."""
     return with_layout(plan.scenario, plan.chosen.survey, plan.file.title or plan.scenario.title)
 
@@ -188,7 +187,7 @@ def with_layout(scenario: Scenario, survey: Survey, title: str = "") -> Scenario
         "seconds_per_pointing": survey.seconds_per_pointing,
         "minutes_per_move": survey.seconds_per_move / 60.0,
     }
-    work = scenario.work.model_copy(update=way)
+    work = scenario.work.model_copy(update=way | {"stations": None})
     return scenario.model_copy(
         update={"title": title or scenario.title, "stations": stations, "targets": targets, "work": work}
     )
@@ -228,21 +227,6 @@ def _degrees(angle: float) -> float:
     return round(float(angle) / DEGREE % 360, 2)
 
 
-def write_plan(plan: Plan, folder: Path | None, pictures: Mapping[str, bytes] | None = None) -> PlanResult:
-    """Write plan.json, the tables, scenario.toml and pictures, where a folder is given; the content of plan.json."""
-    content = plan_file(plan, detectability(plan.chosen.information.adjustment, CATALOGUE))
-    if folder is not None:
-        tables = (
-            *tables_of(content).values(),
-            schema.VISIBILITY.filled(_visibility(plan.chosen)),
-            schema.WORK.filled(_pointings(plan)),
-        )
-        scenario, cad = with_cad_beside(planned_scenario(plan))
-        texts = {table.file: table.csv() for table in tables} | {SCENARIO: scenario_to_toml(scenario)}
-        return write_result(folder, content, {**texts, **cad, **(pictures or {})})
-    return content
-
-
 def next_file(made: NextMeasurement, summary: str = "", source: SourceEntry | None = None) -> NextFile:
     """The content of `next.json`: proposals of further measurements after a recording."""
     content = {
@@ -270,46 +254,26 @@ def next_file(made: NextMeasurement, summary: str = "", source: SourceEntry | No
 
 def next_csv(content: NextFile) -> str:
     """The content of `next.csv`."""
-    return schema.NEXT.filled({**vars(p), "tells_apart": " ".join(p.tells_apart)} for p in content.proposals).csv()
+    return tables.NEXT.filled({**vars(p), "tells_apart": " ".join(p.tells_apart)} for p in content.proposals).csv()
 
 
-def tables_of(content: PlanResult) -> dict[str, Table]:
-    """The tables that this content fills, by name."""
-    own = {p.name: p.sigma for p in content.reference.parameters} if content.reference else {}
-    filled = [
-        schema.STATIONS.filled(
-            [s.name, *s.position_mm, s.yaw_deg, *s.sigma_position_um, s.reflectors_seen] for s in content.stations
-        ),
-        schema.REFLECTORS.filled(
-            [r.name, *r.position_mm, r.sigma_um, *r.u_um, r.within_mm, r.tolerance_mm, " ".join(r.seen_from)]
-            for r in content.reflectors
-        ),
-        schema.TRADEOFF.filled(content.tradeoff),
-        schema.PARAMETERS.filled(
-            [p.name, p.unit, p.sigma, own.get(p.name), p.prior_sigma, p.gain] for p in content.parameters
-        ),
-        *([schema.EFFECTS.filled(content.detectable)] if "detectable" in content.model_fields_set else []),
-        schema.NOMINALS.filled([r.name, *r.position_mm] for r in content.reflectors),
-    ]
-    return {table.name: table for table in filled}
-
-
-def _visibility(layout: Evaluated) -> list[list[Any]]:
+def visibility_table(layout: Evaluated) -> Table:
+    """`visibility.csv`: every pair of a station and a target."""
     words, table, survey = layout.table.words(), layout.table, layout.survey
-    return [
+    return tables.VISIBILITY.filled(
         [
             station, target, "no" if words[s][t] else "yes", words[s][t], round(float(table.range_[s, t]) * 1e3, 1),
             round(float(table.elevation[s, t]) / DEGREE, 2), round(float(table.incidence[s, t]) / DEGREE, 2),
         ]
         for s, station in enumerate(survey.station_names)
         for t, target in enumerate(survey.target_names)
-    ]  # fmt: skip
+    )  # fmt: skip
 
 
-def _pointings(plan: Plan) -> list[list[Any]]:
-    """Rows of `work-order.csv`: every pointing with the readings of a perfect instrument at its place."""
+def work_table(plan: PlannedNetwork) -> Table:
+    """`work-order.csv`: every pointing with the readings of a perfect instrument at its place."""
     recording = plan.chosen.survey.recording(plan.chosen.information.construction)
-    return [
+    return tables.WORK.filled(
         [
             i + 1, recording.stations[recording.station[i]], recording.targets[recording.target[i]],
             int(recording.face[i]), int(recording.repeat[i]), round(float(recording.time[i]) / 60.0, 2),
@@ -317,4 +281,4 @@ def _pointings(plan: Plan) -> list[list[Any]]:
             round(float(reading[0]) / MILLIMETRE, 1),
         ]
         for i, reading in enumerate(recording.readings)
-    ]  # fmt: skip
+    )  # fmt: skip

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import combinations
 from typing import Annotated
 
 import numpy as np
+import shapely
 from pydantic import Field, model_validator
 
 from ltsim.arrays import Bools, Floats
@@ -165,10 +165,13 @@ class Area:
     def holds(self, position: Floats) -> Bools:
         """(N,): positions (N, 3) [m] of an instrument that may stand here."""
         low, high = self.heights
-        good = inside(self.outline, position[:, :2])
-        good &= (position[:, 2] > low - EDGE) & (position[:, 2] < high + EDGE)
+        return np.asarray(self.covers(position[:, :2]) & (position[:, 2] > low - EDGE) & (position[:, 2] < high + EDGE))
+
+    def covers(self, places: Floats) -> Bools:
+        """(N,): places (N, 2) [m] in the area, its holes left out."""
+        good = inside(self.outline, places)
         for hole in self.holes:
-            good &= ~inside(hole, position[:, :2])
+            good &= ~inside(hole, places)
         return good
 
 
@@ -186,55 +189,30 @@ class KeepOut:
 
 
 def distance(outline: Floats, places: Floats) -> Floats:
-    """(N,) [m]: from places (N, 2) to the nearest edge of an outline (k, 2)."""
-    start, way = outline, np.roll(outline, -1, axis=0) - outline
-    along = np.einsum("nki,ki->nk", places[:, None] - start, way) / np.maximum((way**2).sum(axis=1), 1e-30)
-    foot = start + np.clip(along, 0, 1)[:, :, None] * way
-    return np.linalg.norm(places[:, None] - foot, axis=2).min(axis=1)
+    """(N,) [m]: from places (N, 2) to the nearest edge of an outline (k, 2), or to the way between two ends (2, 2)."""
+    edges = shapely.linearrings(outline) if len(outline) > 2 else shapely.linestrings(outline)
+    return np.asarray(shapely.distance(edges, shapely.points(places)))
 
 
 def inside(outline: Floats, places: Floats) -> Bools:
     """(N,): places (N, 2) inside an outline (k, 2) or within a nanometre of its edge."""
-    start, end = outline, np.roll(outline, -1, axis=0)
-    x, y = places[:, 0, None], places[:, 1, None]
-    spans = (start[:, 1] > y) != (end[:, 1] > y)
-    rise = np.where(end[:, 1] == start[:, 1], 1.0, end[:, 1] - start[:, 1])
-    left = x < start[:, 0] + (y - start[:, 1]) * (end[:, 0] - start[:, 0]) / rise
-    crossings: Bools = (spans & left).sum(axis=1) % 2 == 1
-    return crossings | (distance(outline, places) < EDGE)
+    return np.asarray(shapely.distance(shapely.polygons(outline), shapely.points(places)) < EDGE)
 
 
 def fault(outline: Floats) -> str:
     """What keeps corners (k, 2) from being an outline, in words; empty for one that is simple and has an area."""
-    count = len(outline)
-    for i in range(count):
-        if np.linalg.norm(outline[i] - outline[i - 1]) < EDGE:
-            return f"its corner {i + 1} stands where the one before it stands"
-    for i, j in combinations(range(count), 2):
-        beside = j == i + 1 or (i == 0 and j == count - 1)
-        if not beside and _cross(outline[i], outline[(i + 1) % count], outline[j], outline[(j + 1) % count]):
+    count, then = len(outline), np.roll(outline, -1, axis=0)
+    same = np.flatnonzero(np.linalg.norm(outline - np.roll(outline, 1, axis=0), axis=1) < EDGE)
+    if len(same):
+        return f"its corner {same[0] + 1} stands where the one before it stands"
+    sides = shapely.linestrings(np.stack([outline, then], axis=1))
+    first, second = np.nonzero(np.triu(shapely.dwithin(sides[:, None], sides, EDGE), 2))
+    for i, j in zip(first.tolist(), second.tolist(), strict=True):
+        if (i, j) != (0, count - 1):  # which have a corner in common
             return (
                 f"its side from corner {i + 1} crosses the one from corner {j + 1}; give the corners in order around it"
             )
-    x, y = outline.T
-    area = 0.5 * abs(float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y)))
-    return "" if area > EDGE else "its corners lie in a line"
-
-
-def _cross(a: Floats, b: Floats, c: Floats, d: Floats) -> bool:
-    """Whether two sides, a to b and c to d, have a point in common."""
-
-    def side(p: Floats, q: Floats, r: Floats) -> float:
-        return float((q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0]))
-
-    def between(p: Floats, q: Floats, r: Floats) -> bool:
-        return bool(np.all(np.minimum(p, q) <= r + EDGE) and np.all(r <= np.maximum(p, q) + EDGE))
-
-    turns = side(a, b, c), side(a, b, d), side(c, d, a), side(c, d, b)
-    if turns[0] * turns[1] < 0 and turns[2] * turns[3] < 0:
-        return True
-    ends = ((a, b, c), (a, b, d), (c, d, a), (c, d, b))
-    return any(abs(turn) < EDGE and between(*three) for turn, three in zip(turns, ends, strict=True))
+    return "" if shapely.area(shapely.polygons(outline)) > EDGE else "its corners lie in a line"
 
 
 def grid_step(areas: Sequence[Area], grid_mm: float | None) -> float:
@@ -257,6 +235,24 @@ def may_stand(
     if obstacles is not None and good.any():
         good[good] = ~obstacles.encloses(position[good])
     return good
+
+
+def objection(
+    areas: Sequence[Area], keep_outs: Sequence[KeepOut], obstacles: Obstacles | None, position: Floats
+) -> str:
+    """Why no tripod may stand under an instrument at a position (3,) [m], with the key; empty where one may."""
+    if may_stand(areas, keep_outs, obstacles, position[None])[0]:
+        return ""
+    place, under = position[None, :2], [area for area in areas if area.covers(position[None, :2])[0]]
+    if not under:
+        return "outside the floor where tripods may stand (floor.corners_mm, floor.areas, floor.margin_mm)"
+    if not any(area.holds(position[None])[0] for area in under):
+        low, high = min(area.heights[0] for area in under), max(area.heights[1] for area in under)
+        span = f"{low / MILLIMETRE:g} to {high / MILLIMETRE:g} mm (floor.height_mm)"
+        return f"with its head at {position[2] / MILLIMETRE:.0f} mm, expected {span}"
+    if any(free.holds(place)[0] for free in keep_outs):
+        return "where the floor is kept free (floor.keep_outs, floor.doors)"
+    return "inside an obstacle (workshop.obstacles)"
 
 
 def over(area: Area, step: float, heights: int) -> Floats:

@@ -13,7 +13,8 @@ from ltsim.arrays import Floats
 from ltsim.effects import CATALOGUE
 from ltsim.errors import RecordError, SetupError, as_setup_error
 from ltsim.planning.floor import grid_step, ground_of, may_stand, over
-from ltsim.planning.site import FEWEST, Placement
+from ltsim.planning.rules import FEWEST
+from ltsim.planning.site import Placement
 from ltsim.planning.spec import WALLS, PlanFile, Point
 from ltsim.recording.coordinates import Points, read_points as read_coordinates
 from ltsim.recording.files import comma_number, shown

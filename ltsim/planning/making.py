@@ -7,16 +7,16 @@ import numpy as np
 
 from ltsim.errors import NetworkError, SetupError
 from ltsim.planning.floor import grid_step
-from ltsim.planning.planner import Option, Plan, Tried, judge, measure
+from ltsim.planning.plan import Plan
+from ltsim.planning.planner import Option, Tried, judge, measure
 from ltsim.planning.search import LayoutSearcher
 from ltsim.planning.site import Placement, Site
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.starts import Layouts, PlanningProblem, SearchTask, expected_seconds, gathered, search_one
 from ltsim.planning.survey import Survey
 from ltsim.planning.tolerances import Demands, holds
-from ltsim.planning.workshop import SIGHTS, objective_of, site_of, ways
+from ltsim.planning.workshop import fewest_sights, objective_of, site_of, ways
 from ltsim.randomness import stream
-from ltsim.recording.recording import OBSERVABLES
 from ltsim.remedies.next_measurement import Progress, quiet
 from ltsim.simulation.scenario import Scenario
 from ltsim.units import MICROMETRE
@@ -64,13 +64,14 @@ def make_plan(file: PlanFile, scenario: Scenario, *, jobs: int = 1, follower: Fo
     made = judge(search.file, scenario, best.survey)
     heard.progress("judging tolerances and changes", 1.0)
     own = search.found.get((len(best.survey.position), len(best.survey.faces)), [])
-    return replace(
+    network = replace(
         made,
         options=search.options(search.found),
         spread=tuple(sorted(value for value, _, _ in own)),
         tried=tuple(search.tried),
         stopped=search.stopped,
     )
+    return Plan.of(network)
 
 
 @dataclass
@@ -149,9 +150,9 @@ class _Search:
         """
         demands, scenario = Demands.of(self.file), self.problem.scenario
         alone = demands.robust == "no"
-        if "seen_from" not in self.file.stations.model_fields_set:
-            least = (1 if scenario.instrument.observables == OBSERVABLES else SIGHTS) + (not alone)
-            self.problem = replace(self.problem, file=_seen_from(self.file, least))
+        if not self.file.asks_for_sights:
+            least = fewest_sights(scenario) + (not alone)
+            self.problem = replace(self.problem, file=self.file.with_seen_from(least))
         file, faces = self.file, self.ways[0]
         seen_from = file.stations.seen_from
         first = max(FEWEST if alone else 3, len(file.stations.fixed), 1 if seen_from == "all" else seen_from)
@@ -239,10 +240,6 @@ def _lacking(site: Site, placement: Placement) -> str:
     return site.lacking(placement, placement.stations(len(own) - len(site.fixed), site.least))
 
 
-def _seen_from(file: PlanFile, least: int) -> PlanFile:
-    return file.model_copy(update={"stations": file.stations.model_copy(update={"seen_from": least})})
-
-
 def _check_size(file: PlanFile, scenario: Scenario) -> None:
     """Refuse a grid of set-ups that no memory holds."""
     step = file.search.grid_mm
@@ -291,10 +288,10 @@ def with_reachable_sights(file: PlanFile, site: Site) -> PlanFile:
             return problem
         return None
 
-    if "seen_from" not in file.stations.model_fields_set and found:
+    if not file.asks_for_sights and found:
         while found > 1 and refused(found):
             found -= 1
-        return _seen_from(file, found)
+        return file.with_seen_from(found)
     problem = refused(site.least)
     if problem is None:
         return file

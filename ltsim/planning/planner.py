@@ -1,6 +1,5 @@
 """What a plan is, and everything that is known of a layout before anything is measured."""
 
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,16 +10,15 @@ from ltsim.planning.fast import Reducer
 from ltsim.planning.information import ExpectedErrors, LayoutInformation, Predictor
 from ltsim.planning.objective import Objective
 from ltsim.planning.reflectors import Changes, reflector_changes
+from ltsim.planning.rules import BrokenRule
 from ltsim.planning.site import Site
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import Survey
-from ltsim.planning.tolerances import Demands, Kept, every_loss, judged
+from ltsim.planning.tolerances import Demands, Kept, PlanVerdict, every_loss, judged, verdict
 from ltsim.planning.workshop import fixed_of, objective_of, site_of, survey_of
-from ltsim.results import Columns, Result
 from ltsim.scene.visibility import Visibility, aimed_normals, visibility
 from ltsim.simulation.physics import planned_construction
 from ltsim.simulation.scenario import Scenario
-from ltsim.units import MILLIMETRE
 from ltsim.values import Valued
 
 
@@ -53,6 +51,8 @@ class Evaluated(Valued):
     table: Visibility
     expected: ExpectedErrors | None
     """The paper's criteria; None where some target is not seen whole from everywhere."""
+    broken: tuple[BrokenRule, ...] = ()
+    """Rules of the plan that it breaks."""
 
 
 @dataclass(frozen=True)
@@ -69,8 +69,8 @@ class Tried:
 
 
 @dataclass(frozen=True, repr=False)
-class Plan(Result):
-    """The answer."""
+class PlannedNetwork(Valued):
+    """A layout with all that the planner knows of it, as arrays; `Plan` is the result that is made of it."""
 
     file: PlanFile
     scenario: Scenario
@@ -96,38 +96,20 @@ class Plan(Result):
     stopped: bool = False
     """Somebody ended the search."""
 
-    def _lines(self) -> list[str]:
-        qualities = ", ".join(f"{name} {value:.4g}" for name, value in self.chosen.qualities.items())
-        return [f"Plan: {self.chosen.survey.words}", f"{qualities}; {len(self.options)} ways of working compared"]
-
-    def _tables(self) -> Mapping[str, Callable[[], Columns]]:
-        return {"stations": self._stations, "options": self._options}
-
-    def _stations(self) -> Columns:
-        survey = self.chosen.survey
-        places = (survey.position / MILLIMETRE).T.tolist()
-        return {
-            "station": list(survey.station_names),
-            **dict(zip(("x_mm", "y_mm", "z_mm"), places, strict=True)),
-            "yaw_deg": np.degrees(survey.yaw).tolist(),
-            "reflectors_seen": survey.seen.sum(axis=1).tolist(),
-        }
-
-    def _options(self) -> Columns:
-        return {
-            "stations": [len(option.survey.position) for option in self.options],
-            "faces": [len(option.survey.faces) for option in self.options],
-            "repeats": [option.survey.repeats for option in self.options],
-            **{name: [getattr(option, name) for option in self.options] for name in ("hours", "value", "efficient")},
-        }
+    @property
+    def verdict(self) -> PlanVerdict | None:
+        """The layout against the plan's rules and tolerances; None without tolerances."""
+        if self.kept is None:
+            return None
+        return verdict(self.demands, self.kept, self.losses, self.chosen.broken)
 
 
-def judge(file: PlanFile, scenario: Scenario, survey: Survey) -> Plan:
+def judge(file: PlanFile, scenario: Scenario, survey: Survey) -> PlannedNetwork:
     """The plan of a layout as it is, without a search."""
     built, demands = planned_construction(scenario), Demands.of(file)
     site = site_of(file, scenario, stations=len(survey.position), faces=len(survey.faces), repeats=survey.repeats)
     objective = objective_of(file, survey)
-    return Plan(
+    return PlannedNetwork(
         file=file,
         scenario=scenario,
         site=site,
@@ -160,11 +142,11 @@ def evaluated(site: Site, survey: Survey, objective: Objective, built: Construct
     table = sight_table(site, survey)
     survey = survey.replace(seen=table.visible)
     information = LayoutInformation.of(survey, built)
-    allowed = site.allowed(survey.position).all() and site.joined(survey.position[None], survey.seen[None])[0]
+    broken = site.broken_rules(survey)
     value, qualities = measure(survey, objective, built)
     compared = survey.is_whole and survey.seen.all() and len(survey.position) > 1
     expected = Predictor.of(information).expected() if compared else None
-    return Evaluated(survey, value if allowed else np.inf, qualities, information, table, expected)
+    return Evaluated(survey, np.inf if broken else value, qualities, information, table, expected, broken)
 
 
 def sight_table(site: Site, survey: Survey) -> Visibility:

@@ -9,9 +9,10 @@ from ltsim.errors import NetworkError
 from ltsim.notation import listing
 from ltsim.planning.information import LayoutInformation
 from ltsim.planning.objective import DIAGNOSIS, INSTRUMENT, TARGETS, Objective
-from ltsim.planning.planner import Evaluated, Option, Plan, Tried, measure
+from ltsim.planning.planner import Evaluated, Option, PlannedNetwork, Tried, measure
+from ltsim.planning.rules import too_near, words_of
 from ltsim.planning.site import MOST_NAMED
-from ltsim.planning.tolerances import sentences, verdict
+from ltsim.planning.tolerances import against, keeps, sentences
 from ltsim.planning.workshop import objective_of
 from ltsim.units import MICROMETRE, MILLIMETRE
 
@@ -22,13 +23,13 @@ CRITERION_WORDS = {
 }
 
 
-def reasons(plan: Plan) -> list[str]:
+def reasons(plan: PlannedNetwork) -> list[str]:
     """The sentences, the answer first."""
     found = [*_headline(plan), *_tolerances(plan), *_against_reference(plan), *_what_each_station_does(plan)]
     return [*found, *_air(plan), *_limits(plan), *_curve(plan), *_undetermined(plan), *_search(plan)]
 
 
-def _quality_words(plan: Plan) -> str:
+def _quality_words(plan: PlannedNetwork) -> str:
     said = {
         INSTRUMENT: "instrument parameters known to {:.3f} of their prior sigma "
         + CRITERION_WORDS[plan.file.goal.criterion],
@@ -39,27 +40,28 @@ def _quality_words(plan: Plan) -> str:
     return ", ".join(said[name].format(factor.get(name, 1.0) * value) for name, value in plan.chosen.qualities.items())
 
 
-def _headline(plan: Plan) -> list[str]:
+def _headline(plan: PlannedNetwork) -> list[str]:
     work = f"{plan.chosen.survey.words}; {_quality_words(plan)}"
-    if plan.kept is not None:
-        return [f"{verdict(plan.demands, plan.kept, plan.losses)}.", f"{work}."]
+    if plan.verdict is not None:
+        return [f"{plan.verdict.words}.", f"{work}."]
     sigma = plan.chosen.information.target_sigma
     worst = int(np.argmax(sigma))
     name = plan.chosen.survey.target_names[worst]
-    return [f"{work}; no tolerance is asked for, the worst point is {name} ({_shown(TARGETS, sigma[worst])})."]
+    broken = f"The layout breaks a rule of the plan: {words_of(plan.chosen.broken)}. " if plan.chosen.broken else ""
+    return [f"{broken}{work}; no tolerance is asked for, the worst point is {name} ({_shown(TARGETS, sigma[worst])})."]
 
 
-def _tolerances(plan: Plan) -> list[str]:
+def _tolerances(plan: PlannedNetwork) -> list[str]:
     return [] if plan.kept is None else [*_numbers(plan), *sentences(plan.losses)]
 
 
-def _numbers(plan: Plan) -> list[str]:
+def _numbers(plan: PlannedNetwork) -> list[str]:
     """Which numbers of stations were searched, and what came of each."""
     if not plan.tried:
         return []
     *fewer, last = plan.tried
     found = _came_of(fewer, plan.site.least)
-    good = last.ratio is not None and last.ratio <= 1.0
+    good = last.ratio is not None and keeps(last.ratio)
     count = len(plan.chosen.survey.position)
     said = [f"{last.stations} stations are the fewest that were found to keep the goal."] if good else []
     if not good:
@@ -78,7 +80,7 @@ def _came_of(tried: Sequence[Tried], least: int) -> list[str]:
 
     def words(one: Tried) -> str:
         if one.ratio is not None and np.isfinite(one.ratio):
-            return f"the best found has an error of {one.ratio:.2f} times its tolerance"
+            return f"the best found has an error of {against(one.ratio, 1.0)} times its tolerance"
         in_sight = f"in sight{f' of {least}' if least > 1 else ''}"
         return "the best found leaves a point open" if one.found else f"no layout was found with every point {in_sight}"
 
@@ -90,7 +92,7 @@ def _came_of(tried: Sequence[Tried], least: int) -> list[str]:
     return [came_of(said, list(same)) for said, same in groupby(tried, key=words)]
 
 
-def _air(plan: Plan) -> list[str]:
+def _air(plan: PlannedNetwork) -> list[str]:
     """What the figures hold of the air."""
     survey = plan.chosen.survey
     if survey.air is None:
@@ -99,17 +101,17 @@ def _air(plan: Plan) -> list[str]:
     return [f"All errors of points hold the {survey.air.words(longest)}; other numbers: [air] of the plan."]
 
 
-def _against_reference(plan: Plan) -> list[str]:
+def _against_reference(plan: PlannedNetwork) -> list[str]:
     reference, chosen = plan.reference, plan.chosen
     if plan.file.workshop is not None:
         return []
     if reference is None:
         return ["The scenario's own layout does not determine its poses and targets; the plan's does."]
     found = []
-    if not np.isfinite(reference.value):
+    if reference.broken:
         lost = reference.table.lost(reference.survey.station_names, reference.survey.target_names)
         why = f" ({lost[0]}{', and more' if len(lost) > 1 else ''})" if lost else ""
-        found.append(f"The scenario's own layout does not keep the plan's rules{why}.")
+        found.append(f"The scenario's own layout does not keep the plan's rules: {words_of(reference.broken)}{why}.")
     for name in [name for name in chosen.qualities if name in reference.qualities]:
         factor = reference.qualities[name] / chosen.qualities[name]
         found.append(
@@ -142,7 +144,7 @@ def _parameters(reference: Evaluated, chosen: Evaluated) -> list[str]:
     return found + ([f"Parameters known less well than there: {'; '.join(lost)}."] if lost else [])
 
 
-def _what_each_station_does(plan: Plan) -> list[str]:
+def _what_each_station_does(plan: PlannedNetwork) -> list[str]:
     """What is lost without a station, and which parameter it serves most."""
     survey, now, qualities = plan.chosen.survey, plan.chosen.information, plan.chosen.qualities
     objective, found = Objective({INSTRUMENT: 1.0}, plan.file.goal.criterion), []
@@ -167,16 +169,20 @@ def _what_each_station_does(plan: Plan) -> list[str]:
     return found
 
 
-def _limits(plan: Plan) -> list[str]:
+def _limits(plan: PlannedNetwork) -> list[str]:
     """Rules that hold the layout: the floor's edge, the elevation limits, the spacing."""
     survey, site = plan.chosen.survey, plan.site
     names, found = survey.station_names, []
-    gap = np.linalg.norm(survey.position[:, None, :2] - survey.position[None, :, :2], axis=2)
-    close = [f"{names[i]} and {names[j]}" for i, j in np.argwhere(np.triu(gap < 1.02 * site.spacing, 1))]
+    near = too_near(survey.position[None], 1.02 * site.spacing) & ~too_near(survey.position[None], site.spacing)
+    close = [f"{names[i]} and {names[j]}" for i, j in np.argwhere(near[0]).tolist()]
     if close:
         found.append(f"The least distance of {site.spacing:g} m holds {', '.join(close)} apart.")
     steps = 0.03 * np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]])
-    edge = [n for n, place in zip(names, survey.position, strict=True) if not site.allowed(place + steps).all()]
+    edge = [
+        name
+        for name, place in zip(names, survey.position, strict=True)
+        if site.allowed(place[None])[0] and not site.allowed(place + steps).all()
+    ]
     if edge:
         verb = "stands" if len(edge) == 1 else "stand"
         found.append(f"{', '.join(edge)} {verb} at the edge of the allowed floor; more room there may help.")
@@ -197,12 +203,12 @@ def _limits(plan: Plan) -> list[str]:
     return found
 
 
-def _same_way(plan: Plan, option: Option) -> bool:
+def _same_way(plan: PlannedNetwork, option: Option) -> bool:
     chosen = plan.chosen.survey
     return option.survey.faces == chosen.faces and option.survey.repeats == chosen.repeats
 
 
-def fewest(plan: Plan) -> Option | None:
+def fewest(plan: PlannedNetwork) -> Option | None:
     """The option with the fewest stations that is as good as the scenario's own layout, worked in the same way."""
     if plan.reference is None or not plan.reference.qualities:
         return None
@@ -211,7 +217,7 @@ def fewest(plan: Plan) -> Option | None:
     return min(good, key=lambda o: (len(o.survey.position), o.value), default=None)
 
 
-def _curve(plan: Plan) -> list[str]:
+def _curve(plan: PlannedNetwork) -> list[str]:
     """Fewer stations that are enough, and what a better layout costs."""
     found, few, reference = [], fewest(plan), plan.reference
     if few is not None and reference is not None and len(few.survey.position) < len(reference.survey.position):
@@ -237,14 +243,14 @@ def _curve(plan: Plan) -> list[str]:
     return found
 
 
-def _reference_value(plan: Plan) -> float:
+def _reference_value(plan: PlannedNetwork) -> float:
     if plan.reference is None:
         return float("inf")
     survey = plan.reference.survey
     return measure(survey, objective_of(plan.file, survey), plan.chosen.information.construction)[0]
 
 
-def _undetermined(plan: Plan) -> list[str]:
+def _undetermined(plan: PlannedNetwork) -> list[str]:
     information = plan.chosen.information
     found = []
     for direction, cure in zip(information.undetermined, information.cures(), strict=True):
@@ -253,7 +259,7 @@ def _undetermined(plan: Plan) -> list[str]:
     return found
 
 
-def _search(plan: Plan) -> list[str]:
+def _search(plan: PlannedNetwork) -> list[str]:
     count = len(plan.spread)
     if plan.stopped:
         return ["The search was stopped: this is the best layout that it had found by then."]

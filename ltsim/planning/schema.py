@@ -1,13 +1,12 @@
-"""plan.json, next.json and the tables beside them: what stands in them, for writers and readers."""
+"""Entries of plan.json and next.json, for writers and readers."""
 
-from typing import Any, ClassVar, Literal
+from typing import Literal
 
 from pydantic import Field
 
 from ltsim.arrays import Floats
 from ltsim.calibration.schema import Combination
-from ltsim.recording.result_file import Entry, Finite, Known, ResultFile, Vector
-from ltsim.results import Table, columns_of, numbers, texts
+from ltsim.recording.result_file import Entry, Finite, Known, Vector
 from ltsim.units import MILLIMETRE
 
 Qualities = dict[str, Known]
@@ -17,64 +16,6 @@ def in_millimetres(place: Floats, decimals: int = 1) -> Vector:
     """A place (3,) [m] as a result file has it."""
     x, y, z = (round(float(v) / MILLIMETRE, decimals) for v in place)
     return x, y, z
-
-
-PLACE = numbers(".10g", ".3f", x_mm="place in the workshop, to 0.001 mm", y_mm="as x_mm", z_mm="as x_mm")
-STATIONS = Table(
-    "stations.csv",
-    "where the tripod goes",
-    (
-        *texts(station="name"),
-        *numbers(shown=".0f", x_mm="place in the workshop", y_mm="as x_mm", z_mm="as x_mm"),
-        *numbers(shown=".0f", yaw_deg="where azimuth zero looks to"),
-        *numbers(sigma_x_um="expected standard deviation", sigma_y_um="as x", sigma_z_um="as x"),
-        *numbers(reflectors_seen="how many it sees"),
-    ),
-)
-REFLECTORS = Table(
-    "reflectors.csv",
-    "reflectors and how well they become known",
-    (
-        *texts(target="name"),
-        *PLACE,
-        *numbers(sigma_um="expected, of the point"),
-        *numbers(U_x_um="expanded uncertainty, k = 2", U_y_um="as U_x_um", U_z_um="as U_x_um"),
-        *numbers(within_mm="distance that its error keeps at the goal's level", tolerance_mm="what that may be"),
-        *texts(seen_from="stations that see it"),
-    ),
-)
-PARAMETERS = Table(
-    "parameters.csv",
-    "how well the instrument becomes known",
-    (
-        *texts(parameter="name", unit="of the sigmas"),
-        *numbers(sigma="expected", sigma_of_own_layout="with the scenario's own stations", prior_sigma="without data"),
-        *numbers(gain="share of the prior variance that the data remove"),
-    ),
-)
-VISIBILITY = Table(
-    "visibility.csv",
-    "which station sees which target",
-    (
-        *texts(station="name", target="name", sees="yes or no", why_not="what is in the way"),
-        *numbers(distance_mm="between them", elevation_deg="of the beam", incidence_deg="on the reflector"),
-    ),
-)
-NOMINALS = Table(
-    "nominals.csv",
-    "every point in the hall's axes, for the tracker's software",
-    (*texts(name="of the point"), *PLACE),
-)
-WORK = Table(
-    "work-order.csv",
-    "every pointing in the order of the work, with what the tracker should show",
-    (
-        *numbers(step="from 1"),
-        *texts(station="name", target="name"),
-        *numbers(face="1 or 2", round="from 1", minutes="since the first pointing"),
-        *numbers(azimuth_deg="expected", elevation_deg="expected", distance_mm="expected"),
-    ),
-)
 
 
 class StationEntry(Entry):
@@ -111,6 +52,10 @@ class ReflectorEntry(Entry):
     """Distance that its error keeps at the goal's level; of points with a tolerance."""
     tolerance_mm: Known = None
     """What it may be."""
+    used: Known = None
+    """The first over the second."""
+    kept: bool | None = None
+    """The tolerance is kept; null without any."""
 
 
 class PlannedParameterEntry(Entry):
@@ -157,8 +102,8 @@ class WorkEntry(Entry):
 class LayoutEntry(WorkEntry):
     """A layout with what is known of it before measuring."""
 
-    allowed: bool = True
-    """It keeps the plan's rules."""
+    broken_rules: tuple[str, ...] = ()
+    """Rules of the plan that it breaks, a sentence each."""
     stations: tuple[StationEntry, ...]
     """Where the tripods go."""
     reflectors: tuple[ReflectorEntry, ...] = ()
@@ -267,52 +212,6 @@ class LossEntry(Entry):
     """Points with a tolerance that nobody sees any more."""
 
 
-class PlanResult(ResultFile, LayoutEntry):
-    """`plan.json`: from `plan`."""
-
-    FILE: ClassVar[str] = "plan.json"
-    format: Literal["ltsim-plan-result/1"] = "ltsim-plan-result/1"
-    """Which format and version this file is in."""
-    title: str = ""
-    """Free text."""
-    summary: str
-    """The answer in a sentence."""
-    reasons: tuple[str, ...] = ()
-    """Why."""
-    frame: str = ""
-    """Of all coordinates."""
-    reference: LayoutEntry | None = None
-    """The scenario's own layout."""
-    fewest_stations: OptionEntry | None = None
-    """The fewest that match the scenario's own layout."""
-    tradeoff: tuple[OptionEntry, ...] = ()
-    """All ways of working that were tried, the cheapest first."""
-    starts: tuple[Known, ...] = ()
-    """Value that each independent search found."""
-    reflector_changes: tuple[PlanChange, ...] = ()
-    """One reflector moved, added or left out, the best first."""
-    changes_tried: str = ""
-    """How many such changes were tried, and how many help."""
-    bodies: tuple[str, ...] = ()
-    """What stands in the hall: what its file was taken for, its size and its place."""
-    reached: bool | None = None
-    """The goal is reached: tolerances are kept, after any one loss too where that is asked for; null without any."""
-    tolerances_kept: bool | None = None
-    """All points keep their tolerances while nothing is lost; null without any."""
-    losses: tuple[LossEntry, ...] = ()
-    """What remains of the tolerances without each station, and without each sight of such a point."""
-    settings: dict[str, Any] = Field(default_factory=dict)
-    """The plan file."""
-    seed: int | None = None
-    """Root of the search."""
-    detectable: tuple[DetectableSize, ...] = ()
-    """How small effects may be and still be found."""
-    alike: tuple[AlikeEntry, ...] = ()
-    """Pairs that it could not tell apart."""
-    silent: tuple[str, ...] = ()
-    """Effects that leave no trace."""
-
-
 class ProposalEntry(Entry):
     """One further measurement; factors are on standard deviations, `evidence` is chi-square between explanations."""
 
@@ -338,41 +237,3 @@ class ProposalEntry(Entry):
     """Of a further station."""
     yaw_deg: Known = None
     """Of a further station."""
-
-
-class NextFile(ResultFile):
-    """`next.json`: from `plan --after`."""
-
-    FILE: ClassVar[str] = "next.json"
-    format: Literal["ltsim-next/1"] = "ltsim-next/1"
-    """Which format and version this file is in."""
-    diagnosis: str = ""
-    """What the diagnosis said."""
-    between: tuple[str, ...] = ()
-    """The explanations to decide between."""
-    evidence_now: dict[str, Finite] = Field(default_factory=dict)
-    """Chi-square between them as it is."""
-    advice: str = ""
-    """What to do first, in a sentence."""
-    proposals: tuple[ProposalEntry, ...] = Field(min_length=1)
-    """The best first."""
-
-
-TRADEOFF = Table(
-    "tradeoff.csv",
-    "ways of working, each with the best layout found for it",
-    columns_of(OptionEntry, "stations faces repeats pointings hours value efficient"),
-)
-EFFECTS = Table("effects.csv", "smallest effects that would be found", columns_of(DetectableSize))
-NEXT = Table(
-    "next.csv",
-    "proposals of further measurements, the best first",
-    columns_of(
-        ProposalEntry,
-        "kind minutes sharper serves serves_factor tells_apart decides do",
-        tells_apart={"kind": "text"},
-        decides={"kind": "text"},
-    ),
-)
-TABLES = (NOMINALS, WORK, STATIONS, REFLECTORS, TRADEOFF, PARAMETERS, VISIBILITY, EFFECTS)
-"""Beside plan.json."""

@@ -12,14 +12,13 @@ from scipy.optimize import Bounds, LinearConstraint, milp
 from ltsim.arrays import Bools, Floats, Ints
 from ltsim.errors import SetupError
 from ltsim.notation import listing
-from ltsim.planning.floor import Area, KeepOut, may_stand, over
+from ltsim.planning.floor import Area, KeepOut, may_stand, objection, over
+from ltsim.planning.rules import FEWEST, TOUCH, BrokenRule, short_of_sights, short_of_targets, too_near
 from ltsim.planning.survey import Survey
 from ltsim.scene.meshes import Obstacles
 from ltsim.scene.visibility import SightLimits, narrowest_cone, visibility
 from ltsim.values import Valued
 
-FEWEST = 3
-"""Targets in sight that a station needs."""
 NEST_STEPS = 60
 NEST_MARGIN = 0.004
 """Steps of the iteration that aims fixed nests, and what is kept free for it [rad]."""
@@ -89,15 +88,51 @@ class Site(Valued):
         return good
 
     def joined(self, position: Floats, seen: Bools) -> Bools:
-        """(B,): layouts (B, S, 3) that keep stations apart, targets in sight and nests served; `seen` (B, S, T)."""
-        good: Bools = (seen.sum(axis=1) >= self.least).all(axis=1)
-        good &= (seen.sum(axis=2) >= FEWEST).all(axis=1)
-        gap = np.linalg.norm(position[:, :, None, :2] - position[:, None, :, :2], axis=3)
-        first, second = np.triu_indices(position.shape[1], k=1)
-        good &= (gap[:, first, second] > self.spacing - 1e-9).all(axis=1)
+        """(B,): layouts (B, S, 3) that keep the spacing, targets in sight and nests served; `seen` (B, S, T)."""
+        good: Bools = np.asarray(~short_of_sights(seen, self.least).any(axis=1))
+        good &= ~short_of_targets(seen).any(axis=1)
+        good &= ~too_near(position, self.spacing).any(axis=(1, 2))
         if self.aimed.any() and good.any():
-            good[good] = self._served(position[good])
+            good[good] = self._served(position[good]).all(axis=1)
         return good
+
+    def broken_rules(self, survey: Survey) -> tuple[BrokenRule, ...]:
+        """All rules that a layout breaks, those of places first; none for a layout that the search would take."""
+        return (*self.broken_places(survey), *self.broken_sights(survey))
+
+    def broken_places(self, survey: Survey) -> tuple[BrokenRule, ...]:
+        """Rules that the places of stations break, whoever sees whom."""
+        names, position = survey.station_names, survey.position
+        rules = []
+        for name, place in zip(names, position, strict=True):
+            if why := objection(self.areas, self.keep_outs, self.obstacles, place):
+                rules.append(BrokenRule(f"{name} stands {why}", (name,)))
+        for s, t in np.argwhere(np.linalg.norm(position[:, None] - survey.points, axis=2) < TOUCH).tolist():
+            rules.append(BrokenRule(f"{names[s]} stands in {survey.target_names[t]}", (names[s],)))
+        for first, second in np.argwhere(too_near(position[None], self.spacing)[0]).tolist():
+            gap = np.linalg.norm(position[first, :2] - position[second, :2])
+            words = f"{names[first]} and {names[second]} stand {gap:.2f} m apart, nearer than {self.spacing:g} m"
+            rules.append(BrokenRule(f"{words} (stations.spacing_mm)", (names[first], names[second])))
+        return tuple(rules)
+
+    def broken_sights(self, survey: Survey) -> tuple[BrokenRule, ...]:
+        """Rules that the sights of a layout break: its `seen` holds."""
+        seen, targets, rules = survey.seen[None], survey.target_names, []
+        few = [targets[t] for t in np.flatnonzero(short_of_sights(seen, self.least)[0])]
+        if few:
+            verb, stations = "is" if len(few) == 1 else "are", f"{self.least} station{'s' if self.least > 1 else ''}"
+            named = listing(few, MOST_NAMED)
+            rules.append(BrokenRule(f"{named} {verb} seen from fewer than {stations} (stations.seen_from)"))
+        for s in np.flatnonzero(short_of_targets(seen)[0]):
+            count = int(survey.seen[s].sum())
+            rules.append(BrokenRule(f"{survey.station_names[s]} sees {count} targets, fewer than {FEWEST}"))
+        if self.aimed.any():
+            aimed = [self.survey.target_names[t] for t in np.flatnonzero(self.aimed)]
+            turned = [name for name, ok in zip(aimed, self._served(survey.position[None])[0], strict=True) if not ok]
+            if turned:
+                words = f"no fixed nest of {listing(turned, MOST_NAMED)} returns the beam to all stations"
+                rules.append(BrokenRule(f"{words} (smr.acceptance_deg)"))
+        return tuple(rules)
 
     def bonds(self, seen: Bools) -> Floats:
         """(B,): how many stations hang on the first one by two targets or more, then how many are shared at all."""
@@ -106,12 +141,12 @@ class Site(Valued):
         return np.asarray(linked.sum(axis=1) + shared.mean(axis=(1, 2)) / (FEWEST + 1))
 
     def _served(self, position: Floats) -> Bools:
-        """(B,): every fixed nest can be aimed so that all stations fall within the reflector's acceptance."""
+        """(B, N): fixed nests that can be aimed so that all stations fall within the reflector's acceptance."""
         back = position[:, None] - self.survey.points[self.aimed][:, None, :]
         range_ = np.linalg.norm(back, axis=3, keepdims=True)
         cosine = np.einsum("btsk,btk->bts", back / range_, narrowest_cone(back / range_, NEST_STEPS))
         incidence = np.arccos(np.clip(cosine, -1.0, 1.0)) + self.play / range_[..., 0]
-        return np.asarray(incidence.max(axis=(1, 2)) < self.limits.acceptance - NEST_MARGIN)
+        return np.asarray(incidence.max(axis=2) < self.limits.acceptance - NEST_MARGIN)
 
     def out_of_sight(self, hidden: Ints) -> str:
         """A sentence on targets that no place on the floor sees, and what helps."""

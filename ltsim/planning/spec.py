@@ -223,6 +223,15 @@ class PlanFile(TomlSection):
     search: Search = Search()
     """How hard to look."""
 
+    def with_seen_from(self, least: int) -> PlanFile:
+        """The file that asks for `least` stations in sight of each reflector."""
+        return self.model_copy(update={"stations": self.stations.model_copy(update={"seen_from": least})})
+
+    @property
+    def asks_for_sights(self) -> bool:
+        """It says from how many stations each reflector must be seen."""
+        return "seen_from" in self.stations.model_fields_set
+
     @property
     def chooses(self) -> bool:
         """The way of working is a matter of choice: by a budget of hours, or as the quickest that keeps tolerances."""

@@ -13,6 +13,7 @@ from ltsim.errors import NetworkError
 from ltsim.model.construction import Construction
 from ltsim.notation import listing
 from ltsim.planning.information import LayoutInformation
+from ltsim.planning.rules import BrokenRule, words_of
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import Survey
 from ltsim.units import MILLIMETRE
@@ -25,6 +26,22 @@ SIGHT = "the sight"
 """How the name of a lost sight begins."""
 APART = "the network falls apart"
 """What is left of one that no longer determines its points."""
+
+
+def keeps(ratio: float) -> bool:
+    """True where an error keeps its tolerance: `ratio` is the error over the tolerance, neither of them rounded."""
+    return ratio <= 1.0
+
+
+def against(value: float, limit: float, digits: int = 3) -> str:
+    """A value with the fewest digits, from `digits` on, that show on which side of its limit it is."""
+    texts = (f"{value:.{count}g}" for count in range(digits, 17))
+    return next((text for text in texts if (float(text) > limit) == (value > limit)), repr(value))
+
+
+def percent(ratio: float) -> str:
+    """An error over its tolerance in per cent: `100.4 %` for one that is 0.4 % too large."""
+    return f"{against(100.0 * ratio, 100.0)} %"
 
 
 @dataclass(frozen=True)
@@ -97,7 +114,7 @@ class Kept:
     @property
     def good(self) -> bool:
         """All tolerances are kept."""
-        return self.ratio <= 1.0
+        return keeps(self.ratio)
 
     @property
     def of_sight(self) -> bool:
@@ -107,7 +124,11 @@ class Kept:
     @property
     def over(self) -> list[str]:
         """Points with a place whose errors are too large."""
-        return [name for name, value in self.radius.items() if value > self.tolerance[name]]
+        return [name for name in self.radius if not keeps(self.used(name))]
+
+    def used(self, name: str) -> float:
+        """Error of a point over its tolerance."""
+        return self.radius[name] / self.tolerance[name]
 
     @property
     def worst_words(self) -> str:
@@ -117,9 +138,9 @@ class Kept:
     @property
     def worst_point(self) -> str:
         """The worst point with its margin, or how far it is missed, where there is one."""
-        left = 100 * (1 - self.ratio)
-        margin = f"margin {left:.0f} %" if left >= 0 else f"{-left:.0f} % too large"
-        margin = margin if np.isfinite(left) else "seen from nowhere"
+        excess = 100 * (self.ratio - 1)
+        margin = f"margin {-excess:.0f} %" if self.good else f"{excess:{'.0f' if excess >= 1 else '.1g'}} % too large"
+        margin = margin if np.isfinite(excess) else "seen from nowhere"
         return f"worst {self.worst_words} ({margin})" if self.radius else APART
 
     @property
@@ -132,14 +153,15 @@ class Kept:
         if not self.radius:
             found.append(APART)
         if self.over:
-            worst = max(self.over, key=lambda name: self.radius[name] / self.tolerance[name])
+            worst = max(self.over, key=self.used)
             others = f", {len(self.over) - 1} more too" if len(self.over) > 1 else ""
             found.append(f"{self.numbers(worst)} is too large{others}")
         return ", ".join(found)
 
     def numbers(self, name: str) -> str:
         """A point with its error and its tolerance."""
-        return f"{name} with {self.radius[name] / MILLIMETRE:.3g} of {self.tolerance[name] / MILLIMETRE:.3g} mm"
+        error, tolerance = self.radius[name] / MILLIMETRE, self.tolerance[name] / MILLIMETRE
+        return f"{name} with {against(error, tolerance)} of {tolerance:.6g} mm"
 
 
 def judged(survey: Survey, demands: Demands, built: Construction, lost: str = "") -> Kept:
@@ -147,6 +169,8 @@ def judged(survey: Survey, demands: Demands, built: Construction, lost: str = ""
     seen: Bools = np.asarray(survey.seen.any(axis=0))
     unseen = tuple(n for n, s in zip(survey.target_names, seen, strict=True) if not s and n in demands.tolerance)
     try:
+        if not seen.any():
+            raise NetworkError("no station sees a target")
         information = LayoutInformation.of(survey.only(seen), built)
     except NetworkError:
         return Kept(lost, demands.tolerance, {}, np.inf, "", unseen)
@@ -191,17 +215,23 @@ def holds(survey: Survey, demands: Demands, built: Construction) -> tuple[bool, 
     if not own.good or demands.robust == "no":
         return own.good, own.ratio
     worst = max(kept.ratio for kept in after_losses(survey, demands, built, demands.robust))
-    return worst <= 1.0, worst
+    return keeps(worst), worst
 
 
-def reached(demands: Demands, kept: Kept, losses: Sequence[Kept]) -> bool:
-    """The goal is reached: all tolerances are kept, after any one loss too where that is asked for."""
+@dataclass(frozen=True)
+class PlanVerdict:
+    """A layout against the rules of its plan and its tolerances: the same for search, move, board and page."""
+
+    reached: bool
+    """No rule is broken and all tolerances are kept, after any one loss too where that is asked for."""
+    words: str
+    """It in a sentence without its full stop."""
+
+
+def verdict(demands: Demands, kept: Kept, losses: Sequence[Kept], broken: Sequence[BrokenRule] = ()) -> PlanVerdict:
+    """Reached or not, broken rules, the worst point and its margin, and the worst of it with any one station lost."""
     asked = [loss for loss in losses if demands.robust == ("sight" if loss.of_sight else "station")]
-    return kept.good and all(loss.good for loss in asked)
-
-
-def verdict(demands: Demands, kept: Kept, losses: Sequence[Kept]) -> str:
-    """Reached or not, the worst point and its margin, and the worst of it with any one station lost."""
+    reached = not broken and kept.good and all(loss.good for loss in asked)
     count = len(demands.tolerance)
     what = f"all {count}" if kept.good else f"{len(kept.radius) - len(kept.over)} of {count}"
     words = f"{what} tolerances kept at {100 * demands.level:g} %, {kept.worst_point}"
@@ -209,7 +239,8 @@ def verdict(demands: Demands, kept: Kept, losses: Sequence[Kept]) -> str:
     if worst is not None:
         lost = "all kept too" if worst.good else f"not kept without {worst.lost}"
         words += f"; with any one station lost {lost}, {worst.worst_point}"
-    return f"{'Reached' if reached(demands, kept, losses) else 'Not reached'}: {words}"
+    rules = f"the layout breaks a rule ({words_of(broken)}); " if broken else ""
+    return PlanVerdict(reached, f"{'Reached' if reached else 'Not reached'}: {rules}{words}")
 
 
 def sentences(losses: Sequence[Kept]) -> list[str]:

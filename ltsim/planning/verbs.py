@@ -1,22 +1,25 @@
 """Where to put the tripod, what if it cannot stand there, and what to measure next."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from ltsim.arguments import check_bounds
 from ltsim.arrays import Floats
-from ltsim.errors import SetupError, unknown_name
+from ltsim.errors import SetupError, option, unknown_name
 from ltsim.planning.files import opened
 from ltsim.planning.making import Follower, make_plan
-from ltsim.planning.planner import Plan, judge
+from ltsim.planning.plan import Plan
+from ltsim.planning.planner import judge
+from ltsim.planning.rules import words_of
 from ltsim.planning.site import Site
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.starts import PlanningProblem
 from ltsim.planning.survey import Survey
 from ltsim.planning.tolerances import Demands, judged, losses_of, verdict
-from ltsim.planning.workshop import site_of
+from ltsim.planning.workshop import as_it_stands
 from ltsim.remedies.next_measurement import Progress, next_measurement as next_measurement, quiet
 from ltsim.simulation.scenario import Scenario
 from ltsim.units import DEGREE, MICROMETRE, MILLIMETRE
@@ -25,6 +28,7 @@ CLEAR = 2.0
 """[m]: how far from an impossible place, and from each other, places for its station are."""
 MOST = 4
 """Places that are proposed."""
+MOVE_FORM = "x, y, x, y, z or x, y, z, yaw in mm and degrees, such as S2=5000,3000"
 
 
 def plan(
@@ -35,7 +39,7 @@ def plan(
     jobs: int = 1,
     progress: Progress = quiet,
     follower: Follower | None = None,
-    move: Mapping[str, tuple[float, ...]] | None = None,
+    move: Mapping[str, Sequence[float]] | None = None,
 ) -> Plan:
     """Find a layout of stations and reflectors, with its reasons and its curve of cost against quality.
 
@@ -54,8 +58,8 @@ def plan(
     follower : Follower, optional
         In place of `progress`: also hears how long it may take, and is given the best layout so far.
     move : mapping, optional
-        Nothing is searched: the layout as it stands, with these stations at other places (x, y and z in mm; z may be
-        left out).
+        Nothing is searched: the layout as it stands, with these stations at other places: x, y, z in mm and yaw in
+        degrees; yaw, or z and yaw, may be left out.
 
     Raises
     ------
@@ -67,8 +71,9 @@ def plan(
     >>> import ltsim as lt
     >>> made = lt.plan("small-plan.toml")
     >>> made.to_dataframe("stations").shape
-    (3, 6)
+    (3, 9)
     """
+    check_bounds(starts=starts, seed=seed, jobs=jobs)
     file, scenario = opened(source)
     if move is not None:
         return _moved(file, scenario, move)
@@ -88,6 +93,10 @@ class Alternative:
     """What it is worth."""
     worth: float
     """Largest error over its tolerance, after the losses that matter too; without tolerances the largest sigma [m]."""
+    good: bool
+    """No rule is broken, and the goal is reached where there are tolerances."""
+    move: str = ""
+    """The value of `--move` that judges it; empty for the layout without the station."""
 
 
 def without_station(source: str | Path, station: str) -> tuple[Alternative, ...]:
@@ -105,9 +114,9 @@ def without_station(source: str | Path, station: str) -> tuple[Alternative, ...]
     SetupError
         When there is no such station, or no place for it.
     """
-    file, scenario = opened(source)
-    problem = PlanningProblem(file, scenario)
-    site, survey = _as_it_stands(file, scenario)
+    named, scenario = opened(source)
+    file, site = as_it_stands(named, scenario)
+    problem, survey = PlanningProblem(file, scenario), site.survey
     slot = _index(survey, station)
     others = [s for s in range(len(survey.position)) if s != slot]
     work = problem.searcher(site.replace(survey=survey, fixed=tuple(others), least=0))
@@ -127,28 +136,32 @@ def without_station(source: str | Path, station: str) -> tuple[Alternative, ...]
         position[slot], yaw[slot] = table.position[best], table.yaw[best]
         there = survey.replace(position=position, yaw=yaw, seen=site.seen(position))
         words = f"{_at(station, position[slot])}, turned by {yaw[slot] / DEGREE:.0f} deg"
-        found.append(_alternative(problem, there, words))
-    alone = _alternative(problem, survey.without(slot), f"without {station}")
-    return (alone, *sorted(found, key=lambda one: one.worth))
+        x, y, z = position[slot] / MILLIMETRE
+        move = f"{station}={x:.1f},{y:.1f},{z:.1f},{yaw[slot] / DEGREE:g}"
+        found.append(_alternative(problem, site, there, words, move))
+    alone = _alternative(problem, site, survey.without(slot), f"without {station}")
+    return (alone, *sorted(found, key=lambda one: (not one.good, one.worth)))
 
 
-def _as_it_stands(file: PlanFile, scenario: Scenario) -> tuple[Site, Survey]:
-    """The freedom of a plan, and its layout as it stands in its scenario."""
-    work = scenario.work
-    site = site_of(file, scenario, stations=len(scenario.stations), faces=work.faces, repeats=work.repeats)
-    return site, site.survey.replace(seen=site.seen(site.survey.position))
+def _moved(named: PlanFile, scenario: Scenario, to: Mapping[str, Sequence[float]]) -> Plan:
+    """The plan with stations at other places: x, y, z [mm] and yaw [deg] of each, the last of them left out.
 
-
-def _moved(file: PlanFile, scenario: Scenario, to: Mapping[str, tuple[float, ...]]) -> Plan:
-    """The plan with stations at other places: x, y and, where it changes, z [mm] of each; raises SetupError."""
-    site, survey = _as_it_stands(file, scenario)
-    position = survey.position.copy()
-    for name, place in to.items():
-        there = position[_index(survey, name)]
-        there[: len(place)] = np.array(place) * MILLIMETRE
-        if not site.allowed(there[None])[0]:
-            raise SetupError(f"{_at(name, there)}: no tripod may stand there")
-    return judge(file, scenario, survey.replace(position=position, seen=site.seen(position)))
+    Raises SetupError where no tripod may stand there.
+    """
+    file, site = as_it_stands(named, scenario)
+    survey = site.survey
+    position, yaw = survey.position.copy(), survey.yaw.copy()
+    for name, given in to.items():
+        slot, place = _index(survey, name), np.array(given, dtype=np.float64).ravel()
+        if not 2 <= len(place) <= 4 or not np.all(np.isfinite(place)):
+            raise SetupError(f"{option('move')} {name}: expected {MOVE_FORM}")
+        position[slot, : len(place[:3])] = place[:3] * MILLIMETRE
+        yaw[slot] = place[3] * DEGREE if len(place) == 4 else yaw[slot]
+    survey = survey.replace(position=position, yaw=yaw)
+    wrong = [rule for rule in site.broken_places(survey) if {*rule.stations} & {*to}]
+    if wrong:
+        raise SetupError(f"{option('move')}: {words_of(wrong)}")
+    return Plan.of(judge(file, scenario, survey.replace(seen=site.seen(position))))
 
 
 def _at(station: str, place: Floats) -> str:
@@ -166,17 +179,20 @@ def _index(survey: Survey, name: str) -> int:
     return survey.station_names.index(name)
 
 
-def _alternative(problem: PlanningProblem, survey: Survey, words: str) -> Alternative:
-    """What a layout is worth: against its tolerances where it has some, else by its worst point."""
-    demands, built = Demands.of(problem.file), problem.built
+def _alternative(problem: PlanningProblem, site: Site, survey: Survey, words: str, move: str = "") -> Alternative:
+    """A layout against the rules and its tolerances where it has some, else by its worst point."""
+    demands, built, broken = Demands.of(problem.file), problem.built, site.broken_rules(survey)
     if demands:
         kept = judged(survey, demands, built)
         losses = losses_of(survey, demands, built)
         ratio = max([kept.ratio, *([loss.ratio for loss in losses] if demands.robust != "no" else [])])
-        return Alternative(words, survey, verdict(demands, kept, losses), ratio)
+        judgement = verdict(demands, kept, losses, broken)
+        return Alternative(words, survey, judgement.words, ratio, judgement.reached, move)
     kept = judged(survey, Demands(dict.fromkeys(survey.target_names, np.inf)), built)
+    rules = f"it breaks a rule ({words_of(broken)}); " if broken else ""
     if not kept.radius or kept.unseen:
-        return Alternative(words, survey, kept.remains, np.inf)
+        return Alternative(words, survey, rules + kept.remains, np.inf, False, move)
     worst = max(kept.radius, key=lambda name: kept.radius[name])
     size = kept.radius[worst]
-    return Alternative(words, survey, f"worst {worst}, within {size / MICROMETRE:.1f} um at 95 %", size)
+    said = f"{rules}worst {worst}, within {size / MICROMETRE:.1f} um at 95 %"
+    return Alternative(words, survey, said, size, not broken, move)

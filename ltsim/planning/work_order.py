@@ -10,7 +10,7 @@ import numpy as np
 
 from ltsim.arrays import Bools, Floats
 from ltsim.model.measurement import sightings_of
-from ltsim.planning.planner import Plan
+from ltsim.planning.planner import PlannedNetwork
 from ltsim.units import DEGREE, MILLIMETRE
 
 REACH = 2.2
@@ -73,7 +73,7 @@ class Setting:
     """Of pointing."""
 
 
-def settings_of(plan: Plan) -> tuple[Setting, ...]:
+def settings_of(plan: PlannedNetwork) -> tuple[Setting, ...]:
     """The stations of a plan in the order of the work."""
     survey, built = plan.chosen.survey, plan.chosen.information.construction
     recording = survey.recording(built)
@@ -105,7 +105,7 @@ def settings_of(plan: Plan) -> tuple[Setting, ...]:
     return tuple(found)
 
 
-def _marks(plan: Plan, place: Floats, seen: Bools) -> list[Tape]:
+def _marks(plan: PlannedNetwork, place: Floats, seen: Bools) -> list[Tape]:
     """What a station can be taped to: in reach of a tape first, then along the floor, then the nearest.
 
     Along the floor: points that can be plumbed and corners of the room, if the way is free; else straight to any
@@ -163,7 +163,7 @@ def lacking(tapes: Sequence[Tape], place: Floats) -> str:
     return f"The tapes meet a second time, at x {mirror[0]:.2f}, y {mirror[1]:.2f} m: that is the wrong side."
 
 
-def _towards(plan: Plan, place: Floats, yaw: float, seen: Bools) -> str:
+def _towards(plan: PlannedNetwork, place: Floats, yaw: float, seen: Bools) -> str:
     """Where azimuth zero looks: the target in sight that is nearest to it, and how far beside."""
     survey = plan.chosen.survey
     way = survey.points[seen] - place
@@ -174,7 +174,7 @@ def _towards(plan: Plan, place: Floats, yaw: float, seen: Bools) -> str:
     return name if degrees == 0 else f"{degrees}° {'right' if off[best] > 0 else 'left'} of {name}"
 
 
-def checks(plan: Plan) -> list[str]:
+def checks(plan: PlannedNetwork) -> list[str]:
     """What to check and when, in the order of the work."""
     survey, file = plan.chosen.survey, plan.file
     found = [

@@ -86,7 +86,7 @@ def site_of(plan: PlanFile, scenario: Scenario, *, stations: int, faces: int, re
     wanted = plan.stations.seen_from
     least = stations if wanted == "all" else min(wanted, stations)
     if not survey.is_whole and least < SIGHTS:
-        if stations < SIGHTS or "seen_from" in plan.stations.model_fields_set:
+        if stations < SIGHTS or plan.asks_for_sights:
             raise SetupError(f"ranges alone place a reflector from {SIGHTS} stations, not from {least}; ask for more")
         least = SIGHTS
     return Site(
@@ -111,6 +111,22 @@ def site_of(plan: PlanFile, scenario: Scenario, *, stations: int, faces: int, re
         nest_names=names,
         reflector_spacing=plan.reflectors.spacing_mm * mm,
     )
+
+
+def fewest_sights(scenario: Scenario) -> int:
+    """Stations that a reflector must be seen from for its place: one, or several where ranges alone are recorded."""
+    return 1 if scenario.instrument.observables == OBSERVABLES else SIGHTS
+
+
+def as_it_stands(file: PlanFile, scenario: Scenario) -> tuple[PlanFile, Site]:
+    """A plan for a layout that is not searched, and its freedom, whose survey is that layout, with its sights.
+
+    Where the plan does not say from how many stations a reflector must be seen, the fewest that place it are enough.
+    """
+    asked = file if file.asks_for_sights else file.with_seen_from(fewest_sights(scenario))
+    work = scenario.work
+    site = site_of(asked, scenario, stations=len(scenario.stations), faces=work.faces, repeats=work.repeats)
+    return asked, site.replace(survey=site.survey.replace(seen=site.seen(site.survey.position)))
 
 
 def ways(plan: PlanFile, scenario: Scenario) -> tuple[list[int], list[int]]:

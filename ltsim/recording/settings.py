@@ -24,7 +24,6 @@ _TOML = re.compile(
     re.DOTALL,
 )
 """Strings and comments of TOML as wholes, and the characters that make its structure."""
-_BARE = re.compile(r"[A-Za-z0-9_-]+")
 _COMPLETE = ("\n", '"', "'", "]", "}", "true", "false")
 
 
@@ -264,43 +263,6 @@ def setup_to_toml(setup: Setup) -> str:
 
 def to_toml(table: Mapping[str, Any]) -> str:
     """Nested tables as the text of a TOML file, arrays in one line."""
-    return "\n".join(_table_lines(table, ())).strip() + "\n"
+    import tomlkit  # a fiftieth of a second that reading need not wait for
 
-
-def _table_lines(table: Mapping[str, Any], path: tuple[str, ...]) -> list[str]:
-    """Lines of one table: its values first, then the tables below it."""
-    lines = []
-    below: list[tuple[str, Any]] = []
-    for key, value in table.items():
-        is_list_of_tables = isinstance(value, (list, tuple)) and value and isinstance(value[0], dict)
-        if isinstance(value, dict) or is_list_of_tables:
-            below.append((key, value))
-        else:
-            lines.append(f"{_key(key)} = {_value(value)}")
-    for key, value in below:
-        here = (*path, key)
-        heading = ".".join(_key(part) for part in here)
-        if isinstance(value, dict):
-            inner = _table_lines(value, here)
-            is_group = len(path) == 0 and key in ("stations", "targets", "instruments", "reflectors")
-            bare = any(not isinstance(v, dict) for v in value.values()) or not (value or is_group)
-            lines += (["", f"[{heading}]"] if bare else []) + inner
-        else:
-            for entry in value:
-                lines += ["", f"[[{heading}]]", *_table_lines(entry, here)]
-    return lines
-
-
-def _key(key: str) -> str:
-    return key if _BARE.fullmatch(key) else _value(key)
-
-
-def _value(value: Any) -> str:
-    """One TOML value."""
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, (int, float)):
-        return repr(value)
-    if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
-    return "[" + ", ".join(_value(v) for v in value) + "]"
+    return tomlkit.dumps(table).strip() + "\n"

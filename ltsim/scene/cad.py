@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from ltsim.arrays import Floats
-from ltsim.errors import SetupError, installed, require
+from ltsim.errors import SetupError, installed
 from ltsim.limits import CAD_BYTES, MIB
 from ltsim.recording.files import shown
 from ltsim.scene.cad_process import EXACT, FACETS, triangles_in
@@ -21,6 +21,11 @@ from ltsim.units import FACTOR
 GLTF = (".glb", ".gltf")
 SUFFIXES = (*FACETS, *GLTF, *EXACT)
 WORDS = {"mm": "millimetres", "m": "metres", "in": "inches"}
+STEP = 1.0
+"""[mm] between neighbouring single-precision numbers at the place of a body, above which a file is refused:
+halls are planned to the millimetre, and sights pass bodies at a few centimetres."""
+SINGLE = (".stl", *GLTF)
+"""Suffixes of files whose coordinates may be in single precision."""
 SMALL = FACTOR["mm"] / FACTOR["in"]
 """Of the room's length: a body that is shorter may be one whose numbers are inches."""
 BEYOND = 0.05
@@ -80,7 +85,7 @@ def read_mesh(path: Path, unit: str | None = None, up: str | None = None) -> Cad
 @lru_cache(maxsize=8)
 def _triangles(path: Path, _changed: int, factor: float, up: str) -> Floats:
     """Triangles (m, 3, 3) [m], z up, of a file whose numbers are `factor` metres, whatever its format and order."""
-    triangles = factor * _as_written(path)
+    triangles = factor * _as_written(path, factor)
     corners = np.round(PER_METRE * (triangles @ UPRIGHT.T if up == "y" else triangles)).astype(np.int64)
     first = np.lexsort(np.moveaxis(corners, 2, 0)[::-1], axis=1)[:, :1]
     corners = np.take_along_axis(corners, ((first + np.arange(3)) % 3)[..., None], axis=1)
@@ -90,9 +95,8 @@ def _triangles(path: Path, _changed: int, factor: float, up: str) -> Floats:
     return settled
 
 
-def _as_written(path: Path) -> Floats:
-    """Triangles (m, 3, 3) in the numbers and axes of a file, of an exact one [m]."""
-    require(("trimesh",), "CAD files", "cad")
+def _as_written(path: Path, factor: float) -> Floats:
+    """Triangles (m, 3, 3) in the numbers (of `factor` metres) and axes of a file, of an exact one [m]."""
     suffix = path.suffix.lower()
     if suffix in EXACT and not installed("cascadio"):
         raise SetupError(
@@ -104,7 +108,22 @@ def _as_written(path: Path) -> Floats:
             f"{path}: keeps its surfaces in other files ({shown(others[0].decode(errors='replace'))}); export it as "
             ".glb, or as .gltf with everything in it"
         )
-    return triangles_in(path)
+    triangles = triangles_in(path)
+    _check_precision(path, triangles, factor)
+    return triangles
+
+
+def _check_precision(path: Path, triangles: Floats, factor: float) -> None:
+    """Raise SetupError where single precision rounds coordinates (in units of `factor` metres) more than `STEP`."""
+    single = triangles.astype(np.float32)
+    if path.suffix.lower() not in SINGLE or not np.array_equal(single, triangles):
+        return
+    step = float(np.spacing(np.abs(single).max())) * factor / FACTOR["mm"]
+    if step > STEP:
+        raise SetupError(
+            f"{path}: its coordinates are in single precision and reach {np.abs(triangles).max():.4g}, where they have "
+            f"steps of {step:.4g} mm; export it with its origin near the body, or as OBJ"
+        )
 
 
 def extent(triangles: Floats) -> str:

@@ -26,10 +26,10 @@ class Sightings:
     station: Ints
     target: Ints
     instrument: Ints
-    """(n,) each."""
+    """(n,) each: numbers, from 0; those of stations and targets count in `station_names` and `target_names`."""
     face: Ints
     repeat: Ints
-    """(n,) each."""
+    """(n,) each: face 1 or 2, number of the round."""
     time: Floats
     """(n,) [s]."""
     position: Floats

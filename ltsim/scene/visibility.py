@@ -79,6 +79,8 @@ class Visibility:
     """(S, T) [rad]: in the instrument's frame."""
     incidence: Floats
     """(S, T) [rad]: on the reflector; 0 where it is re-aimed, NaN where its nest is unknown."""
+    limits: tuple[SightLimits, ...]
+    """(S,): of each station's instrument."""
 
     @property
     def visible(self) -> Bools:
@@ -87,12 +89,36 @@ class Visibility:
 
     def words(self) -> list[list[str]]:
         """The reason of each pair in words, '' where the station sees the target."""
+        return [[self._why(s, t) for t in range(self.reason.shape[1])] for s in range(self.reason.shape[0])]
+
+    def kinds(self) -> list[list[str]]:
+        """As `words`, without the numbers of the pair."""
         return [[WORDS[code] for code in line] for line in self.reason.tolist()]
+
+    def _why(self, station: int, target: int) -> str:
+        """The reason of a pair, with its number, the limit and the key that states it where one does."""
+        code, limits = self.reason[station, target], self.limits[station]
+        range_, elevation = self.range_[station, target], self.elevation[station, target] / DEGREE
+        key, number = {
+            Reason.RANGE: (
+                "range_min_mm" if range_ < limits.range_min else "range_max_mm",
+                f"{range_:.2f} m, {limits.range_min:g} to {limits.range_max:g} m can be measured",
+            ),
+            Reason.BELOW: (
+                "elevation_min_deg",
+                f"{elevation:.1f} deg, {limits.elevation_min / DEGREE:.4g} is the least",
+            ),
+            Reason.ABOVE: (
+                "elevation_max_deg",
+                f"{elevation:.1f} deg, {limits.elevation_max / DEGREE:.4g} is the most",
+            ),
+        }.get(code, ("", ""))
+        return f"{WORDS[code]} ({number}: instrument.limits.{key})" if key else WORDS[code]
 
     def lost(self, stations: Sequence[str], targets: Sequence[str]) -> list[str]:
         """One sentence for every pair that does not see each other."""
         return [
-            f"{stations[s]} does not see {targets[t]}: {WORDS[self.reason[s, t]]}"
+            f"{stations[s]} does not see {targets[t]}: {self._why(s, t)}"
             for s, t in np.argwhere(~self.visible).tolist()
         ]
 
@@ -149,13 +175,15 @@ def visibility(
         reason[holds] = code
     if obstacles is not None:
         _add_obstacles(reason, position, points, obstacles)
-    return Visibility(reason, range_, elevation, incidence)
+    return Visibility(reason, range_, elevation, incidence, (limits,) * len(position))
 
 
 def in_order(tables: Sequence[Visibility], order: Ints) -> Visibility:
     """The tables of several groups of stations as one, its stations (S,) taken in `order` from those of the groups."""
     columns = [(t.reason, t.range_, t.elevation, t.incidence) for t in tables]
-    return Visibility(*(np.concatenate(column)[order] for column in zip(*columns, strict=True)))
+    reason, range_, elevation, incidence = (np.concatenate(column)[order] for column in zip(*columns, strict=True))
+    limits = [limits for table in tables for limits in table.limits]
+    return Visibility(reason, range_, elevation, incidence, tuple(limits[s] for s in order.tolist()))
 
 
 def _incidence(beam: Floats, nest_normal: Floats | None, reaimed: Bools | None) -> Floats:

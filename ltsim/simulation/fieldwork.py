@@ -98,7 +98,7 @@ def _notes(layout: Layout, table: Visibility) -> tuple[str, ...]:
     lost = table.lost(layout.stations, layout.targets)
     if len(lost) <= NOTES:
         return tuple(lost)
-    reasons = Counter(reason for line in table.words() for reason in line if reason)
+    reasons = Counter(reason for line in table.kinds() for reason in line if reason)
     told = ", ".join(f"{count} {reason}" for reason, count in reasons.most_common())
     return (f"{len(lost)} of {table.visible.size} pairs of station and target do not see each other: {told}",)
 

@@ -37,6 +37,7 @@ PRESETS: MappingProxyType[str, dict[str, Any]] = MappingProxyType(
         "modern": {
             "noise": {"distance_mm": 0.002, "distance_ppm": 0.15, "azimuth_arcsec": 0.2, "elevation_arcsec": 0.2},
             "prior": {"range_scale_ppm": 0.5, "range_offset_mm": 0.005, "angle_arcsec": 1.0, "offset_mm": 0.005},
+            "limits": {"range_min_mm": 100.0, "range_max_mm": 35_000.0},
         },
         "after-transport": {
             "prior": {"range_scale_ppm": 2.0, "range_offset_mm": 0.03, "angle_arcsec": 8.0, "offset_mm": 0.06},
@@ -46,7 +47,8 @@ PRESETS: MappingProxyType[str, dict[str, Any]] = MappingProxyType(
 """Instruments by name, as changes to the defaults below.
 
 `paper`: half of the specified 3.5 um/m across the beam, an ADM better than 15 um, the resolutions of section
-2.1.1; `modern`: a current tracker, half of its maker's limits; `after-transport`: the paper's instrument with the
+2.1.1; `modern`: a current tracker, half of its maker's limits, with the ranges of the rated conditions of a FARO
+Vantage E (0.1 to 35 m, as its calibration certificates state them); `after-transport`: the paper's instrument with the
 misalignments that a knock leaves.
 """
 

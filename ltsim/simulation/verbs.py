@@ -2,8 +2,9 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
+from ltsim.arguments import check_bounds, check_choice
 from ltsim.recording import Recording
 from ltsim.simulation.scenario import Scenario, changed, load_scenario
 from ltsim.simulation.simulator import Geometry, simulate as measured
@@ -64,8 +65,8 @@ def simulate(
         Root of all random draws: the same seed and trial, the same recording.
     trial : int
         Which of the trials that a campaign of this scenario and seed has: calibrated, the recording gives its row.
-    geometry : str
-        ``shared`` or ``per-trial``, as the campaign's.
+    geometry : {`shared`, `per-trial`}
+        As the campaign's.
     changes : mapping of str to value, optional
         As of `scenario`.
 
@@ -90,4 +91,6 @@ def simulate(
     >>> truth.to_dataframe("instrument").shape
     (16, 3)
     """
+    check_bounds(seed=seed, trial=trial)
+    check_choice("geometry", geometry, get_args(Geometry))
     return Simulated(*measured(scenario(source, changes), seed, trial, geometry))

@@ -136,10 +136,19 @@ class Evaluation(Result):
 
 
 @refusing_singular
-@in_one_thread
-def evaluate_tasks(source: Recording | Coordinates, tasks: Tasks) -> Evaluation:
+def evaluate_tasks(recording: Recording, tasks: Tasks) -> Evaluation:
     """Results of tasks with their uncertainty by propagation and by Monte Carlo; errors as of `lt.uncertainty`."""
-    inputs = Inputs.listed(source, tasks) if isinstance(source, Coordinates) else Inputs.of(source, tasks)
+    return _evaluated(Inputs.of(recording, tasks), tasks)
+
+
+def evaluate_listed_tasks(coordinates: Coordinates, tasks: Tasks) -> Evaluation:
+    """The same of coordinates with their covariance."""
+    return _evaluated(Inputs.listed(coordinates, tasks), tasks)
+
+
+@in_one_thread
+def _evaluated(inputs: Inputs, tasks: Tasks) -> Evaluation:
+    """Results of tasks on points whose covariance is known."""
     measurands = tuple(Measurand.of(task, inputs.targets, inputs.points) for task in tasks.task)
     stretch = expansion_of(tasks.growth)
     linear = propagate(inputs, measurands, stretch)

@@ -61,7 +61,7 @@ def uncertainty(
         given = given.model_copy(update={"monte_carlo": given.monte_carlo.model_copy(update={"seed": seed})})
     listed = _coordinates_of(recording)
     if listed is not None:
-        return evaluate_tasks(listed, given)
+        return evaluate_listed_tasks(listed, given)
     return evaluate_tasks(recording_of(recording), given)  # type: ignore[arg-type]
 
 

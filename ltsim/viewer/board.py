@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,18 +13,18 @@ import numpy as np
 from ltsim.arrays import Floats
 from ltsim.errors import LtsimError, SetupError
 from ltsim.model.construction import Construction
-from ltsim.notation import listing
 from ltsim.pages.scene3d import Camera
 from ltsim.pages.scene_page import scene_page
 from ltsim.pages.workshop import from_scenario
 from ltsim.planning.files import PLAN, SCENARIO, opened, with_cad_beside, with_layout
 from ltsim.planning.information import LayoutInformation
 from ltsim.planning.planner import sight_table
+from ltsim.planning.rules import TOUCH, words_of
 from ltsim.planning.site import Site
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import Survey
-from ltsim.planning.tolerances import Demands, judged, losses_of, radius, verdict
-from ltsim.planning.workshop import site_of
+from ltsim.planning.tolerances import Demands, judged, keeps, losses_of, percent, radius, verdict
+from ltsim.planning.workshop import as_it_stands
 from ltsim.recording.files import write_texts
 from ltsim.recording.settings import to_toml
 from ltsim.scene.meshes import Obstacles
@@ -34,8 +35,10 @@ from ltsim.units import DEGREE, MICROMETRE, MILLIMETRE
 
 MOST_TRIANGLES = 20_000
 """Of obstacles seen from above that are drawn, the largest."""
-TOUCH = 1e-3
-"""[m] from a point within which no station can look at it."""
+FEWEST_STATIONS, MOST_STATIONS = 2, 40
+"""Of a layout, as of a plan file."""
+NAME = r"\w[\w.\-]{0,39}"
+"""Of a station."""
 FAR = 1e6
 """[mm] beyond which no station is put."""
 
@@ -56,15 +59,9 @@ class Board:
     @classmethod
     def of(cls, source: str | Path) -> Board:
         """The board of a plan file, a scenario, or a folder that `ltsim plan` wrote; raises SetupError, RecordError."""
-        file, scenario = opened(source)
-        count, work = len(scenario.stations), scenario.work
-        site = site_of(file, scenario, stations=count, faces=work.faces, repeats=work.repeats)
+        named, scenario = opened(source)
+        file, site = as_it_stands(named, scenario)
         return cls(file, scenario, site, planned_construction(scenario), Demands.of(file))
-
-    @property
-    def least(self) -> int:
-        """From how many stations each point must be seen: what the plan asks for, else one."""
-        return self.site.least if "seen_from" in self.file.stations.model_fields_set else 1
 
     def hall(self) -> dict[str, Any]:
         """What does not move, for the page: lengths in metres, outlines seen from above; and where stations begin."""
@@ -98,25 +95,45 @@ class Board:
         }  # fmt: skip
 
     def survey(self, stations: Sequence[Mapping[str, Any]]) -> Survey:
-        """The survey with its stations elsewhere: `mm` (3) and `yaw` [deg] of each, in its order; raises SetupError."""
+        """The survey with these stations: `name`, `mm` (3) and `yaw` [deg] of each; raises SetupError.
+
+        Stations that the plan does not have are further ones, which work in the order of those before them.
+        """
         survey = self.site.survey
         try:
+            names = tuple(str(s["name"]) for s in stations)
             place = np.array([s["mm"] for s in stations], dtype=np.float64).reshape(-1, 3)
             yaw = np.array([s["yaw"] for s in stations], dtype=np.float64)
         except (KeyError, TypeError, ValueError):
-            raise SetupError("expected stations with mm (x, y, z) and yaw") from None
-        if len(place) != len(survey.position) or not np.all(np.abs([*place.ravel(), *yaw]) < FAR):
-            raise SetupError(f"expected {len(survey.position)} stations at places in millimetres, and turns in degrees")
-        return survey.replace(position=place * MILLIMETRE, yaw=yaw * DEGREE)
+            raise SetupError("expected stations with name, mm (x, y, z) and yaw") from None
+        if not np.all(np.abs([*place.ravel(), *yaw]) < FAR):
+            raise SetupError("expected stations at places in millimetres, and turns in degrees")
+        if not FEWEST_STATIONS <= len(names) <= MOST_STATIONS:
+            raise SetupError(f"expected {FEWEST_STATIONS} to {MOST_STATIONS} stations, found {len(names)}")
+        if len({*names}) < len(names) or not all(re.fullmatch(NAME, name) for name in names):
+            raise SetupError("expected a different name for each station")
+        before = survey.station_names
+        like = [before.index(name) if name in before else k % len(before) for k, name in enumerate(names)]
+        return survey.replace(
+            station_names=names,
+            position=place * MILLIMETRE,
+            yaw=yaw * DEGREE,
+            seen=survey.seen[like],
+            rank=None if survey.rank is None else survey.rank[like],
+        )
+
+    def _site(self, survey: Survey) -> Site:
+        """The freedom of the plan for a survey, whose stations may be more or fewer than the plan's."""
+        asked = self.file.stations.seen_from
+        return self.site.replace(survey=survey, least=len(survey.position) if asked == "all" else asked)
 
     def judged(self, stations: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         """What the layout would tell: who sees whom, how well each point becomes known, what breaks a rule."""
         survey = self.survey(stations)
-        gap = np.linalg.norm(survey.position[:, None] - survey.points, axis=2)
-        if gap.min() < TOUCH:
-            s, t = np.unravel_index(gap.argmin(), gap.shape)
-            return {"problem": f"{survey.station_names[s]} stands in {survey.target_names[t]}"}
-        table = sight_table(self.site, survey)
+        site, places = self._site(survey), self.site.broken_places(survey)
+        if _touches(survey):
+            return {"problem": words_of(places)}
+        table = sight_table(site, survey)
         survey = survey.replace(seen=table.visible)
         found = {
             "reasons": table.reason.tolist(),
@@ -124,7 +141,7 @@ class Board:
             "may_stand": self.site.allowed(survey.position).tolist(),
             "shadow": shadow_radius(survey.position, 0.0, self.site.limits.cone_opening).tolist(),
             "hours": survey.seconds / 3600.0,
-            "problem": self._broken_rule(survey),
+            "problem": words_of((*places, *site.broken_sights(survey))),
         }
         seen = np.asarray(survey.seen.any(axis=0))
         try:
@@ -132,36 +149,25 @@ class Board:
             covariance = information.target_covariance
         except LtsimError as problem:
             return found | {"problem": f"{problem}"}
-        points: list[dict[str, float] | None] = [None] * len(seen)
+        points: list[dict[str, Any] | None] = [None] * len(seen)
         sigma, within = information.target_sigma, radius(covariance, self.demands.level)
         for k, t in enumerate(np.flatnonzero(seen)):
-            points[t] = {"sigma_um": float(sigma[k]) / MICROMETRE, "within_um": float(within[k]) / MICROMETRE}
+            known = {"sigma_um": float(sigma[k]) / MICROMETRE, "within_um": float(within[k]) / MICROMETRE}
+            tolerance = self.demands.tolerance.get(survey.target_names[t])
+            points[t] = known | (_against(float(within[k]) / tolerance) if tolerance else {})
         return found | {"points": points, "rms_um": information.target_rms / MICROMETRE}
 
-    def _broken_rule(self, survey: Survey) -> str:
-        """Which rule of the plan a layout breaks; empty for none."""
-        count = survey.seen.sum(axis=0)
-        few = [name for name, n in zip(survey.target_names, count, strict=True) if n < self.least]
-        gap = np.linalg.norm(survey.position[:, None, :2] - survey.position[None, :, :2], axis=2)
-        close = np.argwhere(np.triu(gap < self.site.spacing - 1e-9, 1))
-        off = np.flatnonzero(~self.site.allowed(survey.position))
-        if len(off):
-            return f"{survey.station_names[off[0]]} stands where no tripod may stand"
-        if len(close):
-            first, second = (survey.station_names[i] for i in close[0])
-            return f"{first} and {second} stand nearer than {self.site.spacing:g} m"
-        if few:
-            return f"{listing(few, 1)} seen from fewer than {self.least} station{'s' if self.least > 1 else ''}"
-        return ""
-
-    def verdict(self, stations: Sequence[Mapping[str, Any]]) -> str:
-        """Whether the tolerances are kept, and still are with any one station or sight lost; empty without any."""
+    def verdict(self, stations: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:
+        """Whether rules and tolerances are kept, and still are with any one station lost; None without tolerances."""
         survey = self.survey(stations)
-        if not self.demands or np.linalg.norm(survey.position[:, None] - survey.points, axis=2).min() < TOUCH:
-            return ""
-        survey = survey.replace(seen=sight_table(self.site, survey).visible)
+        if not self.demands or _touches(survey):
+            return None
+        site = self._site(survey)
+        survey = survey.replace(seen=sight_table(site, survey).visible)
         losses = losses_of(survey, self.demands, self.construction)
-        return verdict(self.demands, judged(survey, self.demands, self.construction), losses)
+        kept = judged(survey, self.demands, self.construction)
+        judgement = verdict(self.demands, kept, losses, site.broken_rules(survey))
+        return {"reached": judgement.reached, "words": judgement.words}
 
     def moved(self, stations: Sequence[Mapping[str, Any]]) -> Scenario:
         """The scenario with its stations there."""
@@ -184,6 +190,16 @@ class Board:
         texts = {SCENARIO: scenario_to_toml(scenario), PLAN: to_toml(plan)}
         write_texts(folder, {**cad, **texts})
         return [folder / name for name in texts]
+
+
+def _against(ratio: float) -> dict[str, Any]:
+    """An error over its tolerance, in per cent, and whether it keeps it."""
+    return {"ratio": ratio, "used": percent(ratio), "kept": keeps(ratio)}
+
+
+def _touches(survey: Survey) -> bool:
+    """True where a station stands in a target: nothing can be judged there."""
+    return bool(np.linalg.norm(survey.position[:, None] - survey.points, axis=2).min() < TOUCH)
 
 
 def _from_above(obstacles: Any) -> str:

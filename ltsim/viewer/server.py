@@ -54,6 +54,7 @@ class StationPlace(BaseModel):
 
     model_config = ConfigDict(strict=True)
 
+    name: str
     mm: Triple
     yaw: FiniteFloat
 

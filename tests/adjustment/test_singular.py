@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
@@ -15,6 +17,15 @@ from tests.campaigns.workshop import workshop
 @pytest.fixture(scope="module")
 def recording() -> Recording:
     return workshop()[0]
+
+
+def refusal(verb: Callable[[Recording], object], recording: Recording) -> str:
+    """The sentence with which a verb refuses a recording; empty where it answers."""
+    try:
+        verb(recording)
+    except NetworkError as refused:
+        return str(refused)
+    return ""
 
 
 @pytest.mark.parametrize("verb", [lt.adjust, lt.calibrate, lt.diagnose, lt.evaluate], ids=lambda verb: verb.__name__)
@@ -47,17 +58,12 @@ def test_a_known_length_of_targets_in_one_place_is_no_fault(recording: Recording
     readings = recording.readings.copy()
     readings[:, 2] = 0.0
     for verb in (lt.adjust, lt.check):
-        try:
-            verb(recording.with_readings(readings))
-        except NetworkError as refused:
-            assert str(refused)
+        assert refusal(verb, recording.with_readings(readings)) != "nan"
 
 
 def test_a_range_of_zero_is_a_sentence_of_every_verb(recording: Recording) -> None:
     readings = recording.readings.copy()
     readings[3, 0] = 0.0
     for verb in (lt.adjust, lt.check):
-        try:
-            verb(recording.with_readings(readings))
-        except NetworkError as refused:
-            assert "singular" in str(refused)
+        said = refusal(verb, recording.with_readings(readings))
+        assert said == "" or "singular" in said

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import subprocess
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
 import trimesh
 
-from ltsim.campaigns.campaign import run_campaign
+from ltsim.campaigns.campaign import commit, run_campaign
 from ltsim.campaigns.results import Results
 from ltsim.campaigns.store import Store
 from ltsim.errors import LtsimError, SetupError
@@ -152,3 +154,38 @@ def test_no_row_is_written_through_a_link_that_leaves_the_folder(name: str, file
     with pytest.raises(LtsimError):
         run_campaign(file, tmp_path / "out")
     assert list(place.iterdir()) == [] if name == "rows" else place.read_text() == "mine"
+
+
+@pytest.mark.parametrize(
+    ("place", "tracked", "own"),
+    [("", True, True), ("vendor", True, False), (".venv/lib/site-packages", False, False), ("", False, False)],
+)
+def test_a_commit_is_of_the_checkout_of_ltsim_alone(
+    place: str, tracked: bool, own: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def git(*words: str) -> str:
+        command = ["git", "-c", "user.name=a", "-c", "user.email=a@b", "-c", "commit.gpgsign=false", *words]
+        return subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True).stdout.strip()
+
+    file = tmp_path / place / "ltsim" / "campaigns" / "campaign.py"
+    file.parent.mkdir(parents=True)
+    file.write_text("")
+    (tmp_path / "readme").write_text("")
+    git("init", "-q")
+    git("add", *(["."] if tracked else ["readme"]))
+    git("commit", "-q", "-m", "first")
+    monkeypatch.setattr("ltsim.campaigns.campaign.__file__", str(file))
+    monkeypatch.setenv("GIT_DIR", str(Path(__file__).parents[2] / ".git"))  # of no account
+    monkeypatch.delenv("GIT_DIR" if own else "GIT_NOTHING", raising=False)
+    assert commit() == (git("rev-parse", "HEAD") if own else None)
+
+
+def test_a_campaign_says_which_ltsim_made_it(file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run_campaign(file, tmp_path / "out")
+    content = json.loads((tmp_path / "out" / "manifest.json").read_text())
+    assert content["versions"]["ltsim"] == version("ltsim")
+    content["commit"] = None
+    (tmp_path / "out" / "manifest.json").write_text(json.dumps(content))
+    monkeypatch.setattr("ltsim.campaigns.campaign.commit", lambda: "0123abc")
+    notes = run_campaign(file, tmp_path / "out", resume=True).notes
+    assert any("begun with an installed ltsim, continued with commit 0123abc of ltsim" in note for note in notes)

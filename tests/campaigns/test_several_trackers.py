@@ -11,7 +11,7 @@ import pytest
 import ltsim as lt
 from ltsim.campaigns.columns import labels_of, parameter_columns
 from ltsim.campaigns.engine import Engine
-from ltsim.campaigns.recovery import from_prior
+from ltsim.campaigns.recovery_trials import from_prior
 from ltsim.campaigns.truth import truth_of
 from ltsim.randomness import stream
 from ltsim.simulation.scenario import changed, load_scenario

@@ -37,7 +37,7 @@ ONLY_THERE: dict[str, set[str]] = {
 }
 """What only a program gives: callables, and what the command line reads from the place of a file."""
 SPELLED = {"scale": "scaled", "source": None, "scenario": None, "second": None, "file": None, "sources": None}
-OTHERS = {"demo", "effects", "campaign", "plan", "view", "report", "simulate"}
+OTHERS = {"demo", "effects", "examples", "campaign", "plan", "view", "report", "simulate"}
 """Verbs that say more than one function, or whose function is about objects."""
 SAME = sorted(set(VERBS) - OTHERS)
 

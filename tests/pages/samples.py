@@ -183,7 +183,7 @@ def plan_folder(folder: Path) -> Path:
     """A plan in the form of the planner's files, own-made, with the paper's workshop as its scenario."""
     scenario = load_scenario("paper-workshop")
     own = {
-        "allowed": True, "hours": 2.25, "pointings": 140, "quality": {"instrument": 0.2},
+        "broken_rules": [], "hours": 2.25, "pointings": 140, "quality": {"instrument": 0.2},
         "stations": [
             {"name": name, "position_mm": s.position_mm, "yaw_deg": s.yaw_deg, "sigma_position_um": [1, 2, 3]}
             for name, s in scenario.stations.items()

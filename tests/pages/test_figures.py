@@ -35,7 +35,8 @@ from ltsim.pages.residuals import Residuals
 from ltsim.pages.sections.campaign import coverage_words
 from ltsim.pages.words import distinct_labels, typeset
 from ltsim.pages.workshop import from_adjustment, from_scenario
-from ltsim.planning.schema import PlanChange, PlannedParameterEntry as PlannedEntry, PlanResult
+from ltsim.planning.result import PlanResult
+from ltsim.planning.schema import PlanChange, PlannedParameterEntry as PlannedEntry
 from ltsim.randomness import stream
 from ltsim.recording.specification import sheet
 from ltsim.simulation.scenario import load_scenario

@@ -293,7 +293,7 @@ def test_tapes_meet_in_one_point_or_say_what_they_lack(hall: Path, monkeypatch) 
 def test_a_network_that_falls_apart_keeps_no_tolerance() -> None:
     tolerance = dict.fromkeys("ABC", 1e-4)
     kept, lost = Kept("", tolerance, {}, np.inf, "C", ("C",)), Kept("S1", tolerance, {}, np.inf, "")
-    assert verdict(Demands(tolerance), kept, [lost]) == (
+    assert verdict(Demands(tolerance), kept, [lost]).words == (
         "Not reached: 0 of 3 tolerances kept at 95 %, the network falls apart; "
         "with any one station lost not kept without S1, the network falls apart"
     )
@@ -304,7 +304,7 @@ def test_numbers_without_a_layout_name_the_points_that_the_nearest_one_lacks() -
     tried = [Tried(3, None, False, "M1, M2"), Tried(4, None, False, "M2"), Tried(5, 1.2, True)]
     assert reasons._came_of(tried, 2) == [
         "3 to 4 stations: no layout was found with every point in sight of 2 (the nearest one lacks M2)",
-        "5 stations: the best found has an error of 1.20 times its tolerance",
+        "5 stations: the best found has an error of 1.2 times its tolerance",
     ]
     site = SimpleNamespace(least=2, survey=SimpleNamespace(target_names=["M1", "M2", "M3"]))
     seen = np.array([[True, True, True], [True, False, False], [True, False, True]])

@@ -87,6 +87,8 @@ box_mm = [28000, 4000, 6000]
 position_mm = [20000, 12500, 0]
 [instrument]
 preset = "modern"
+[instrument.limits]
+range_max_mm = 20000
 [[floor.areas]]
 corners_mm = [[1000, 1000], [39000, 1000], [39000, 2500], [1000, 2500]]
 [[floor.areas]]

@@ -11,8 +11,9 @@ from scipy import stats
 
 import ltsim as lt
 from ltsim.calibration.network import calibrate_network
-from ltsim.campaigns.recovery import How, Recovery, from_prior, run_trials
+from ltsim.campaigns.recovery import Recovery
 from ltsim.campaigns.recovery_checks import FALSE_ALARM, mean_check, parameter_checks
+from ltsim.campaigns.recovery_trials import How, from_prior, run_trials
 from ltsim.campaigns.scoring import NetworkScore, Trial
 from ltsim.model.construction import Construction, misalignment
 from ltsim.simulation.fieldwork import fieldwork

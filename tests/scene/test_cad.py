@@ -227,3 +227,21 @@ def test_a_body_that_cannot_be_meant_so_is_a_question(
     if "beyond_room" in str(caught.value):
         plan.write_text(plan.read_text().replace("position_mm", "beyond_room = true\nposition_mm", 1))
         load_plan(plan)
+
+
+@pytest.mark.parametrize("suffix", ["stl", "obj"])
+def test_single_precision_at_grid_coordinates_is_refused_where_it_is_lost(suffix: str, tmp_path: Path) -> None:
+    far = trimesh.creation.box((1000.0, 800.0, 600.0))
+    far.apply_translation((2.7e9, 5.3e9, 4.7e5))
+    far.export(tmp_path / f"far.{suffix}")
+    if suffix == "obj":
+        assert np.ptp(read_mesh(tmp_path / "far.obj").triangles, axis=(0, 1)) == pytest.approx([1.0, 0.8, 0.6])
+        return
+    with pytest.raises(SetupError, match=r"in single precision .* steps of 512 mm; export it with its origin near"):
+        read_mesh(tmp_path / "far.stl")
+    with pytest.raises(SetupError, match=r"steps of 5.12e\+05 mm"):
+        read_mesh(tmp_path / "far.stl", unit="m")
+    near = trimesh.creation.box((1000.0, 800.0, 600.0))
+    near.apply_translation((2.7e5, 5.3e5, 4.7e3))
+    near.export(tmp_path / "near.stl")
+    assert np.ptp(read_mesh(tmp_path / "near.stl").triangles, axis=(0, 1)) == pytest.approx([1.0, 0.8, 0.6], abs=1e-4)

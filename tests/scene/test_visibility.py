@@ -135,3 +135,15 @@ def test_aimed_normals_are_the_axes_of_the_narrowest_cones() -> None:
     tries /= np.linalg.norm(tries, axis=2, keepdims=True)
     worst = np.arccos(np.einsum("tck,tsk->tcs", tries, back).min(axis=2))
     assert np.all(half < worst.min(axis=1) + 1e-3)
+
+
+def test_out_of_range_gives_the_number_the_limit_and_the_key() -> None:
+    limits = SightLimits(range_min=1.0, range_max=5.0)
+    points = np.array([at(0.0, 5.1)[0], at(0.0, 0.9)[0], at(77.1)[0]]).reshape(-1, 3)
+    table = visibility(HEAD, points, limits)
+    assert table.words()[0] == [
+        "out of range (5.10 m, 1 to 5 m can be measured: instrument.limits.range_max_mm)",
+        "out of range (0.90 m, 1 to 5 m can be measured: instrument.limits.range_min_mm)",
+        "above the elevation limit (77.1 deg, 77 is the most: instrument.limits.elevation_max_deg)",
+    ]
+    assert table.kinds()[0][:2] == ["out of range", "out of range"]

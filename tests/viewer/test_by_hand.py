@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import signal
 import subprocess
 import sys
@@ -57,10 +58,50 @@ def test_the_verdict_says_when_a_station_less_is_too_few(hall: Path) -> None:
     survey = survey.replace(seen=sight_table(board.site, survey).visible)
     lost = [judged(survey.without(s), board.demands, board.construction) for s in range(3)]
     said = board.verdict(stations)
-    assert said.startswith(("Reached: all 8 tolerances", "Not reached: "))
-    assert ("with any one station lost all kept too" in said) == all(one.good for one in lost)
+    assert said is not None
+    assert said["words"].startswith("Reached: all 8 tolerances" if said["reached"] else "Not reached: ")
+    assert ("with any one station lost all kept too" in said["words"]) == all(one.good for one in lost)
     stations[0]["mm"] = [1000.0 * v for v in board.site.survey.points[0]]
-    assert board.verdict(stations) == ""
+    assert board.verdict(stations) is None
+
+
+def test_a_layout_that_breaks_a_rule_is_never_reached(hall: Path) -> None:
+    text = hall.read_text()
+    hall.write_text(text.replace("within_mm = 0.05", "within_mm = 5"))
+    board = Board.of(hall)
+    stations = board.hall()["stations"]
+    assert board.verdict(stations)["reached"] and board.judged(stations)["problem"] == ""  # type: ignore[index]
+    stations[1]["mm"][:2] = stations[0]["mm"][:2]
+    said = board.verdict(stations)
+    rule = "S1 and S2 stand 0.00 m apart, nearer than 1 m (stations.spacing_mm)"
+    assert said is not None and not said["reached"]
+    assert said["words"].startswith(f"Not reached: the layout breaks a rule ({rule}); all 8 tolerances kept")
+    assert board.judged(stations)["problem"] == rule
+    place = ",".join(f"{v}" for v in stations[0]["mm"])
+    move = {name: [float(v) for v in place.split(",")] for name in ("S1", "S2")}
+    with pytest.raises(SetupError, match=re.escape(f"move: {rule}")):
+        lt.plan(hall, move=move)
+
+
+def test_stations_are_added_and_removed(hall: Path, tmp_path: Path) -> None:
+    board = Board.of(hall)
+    stations = board.hall()["stations"]
+    more = [*stations, {"name": "S9", "mm": [1500.0, 6500.0, 1600.0], "yaw": 10.0}]
+    found = board.judged(more)
+    assert len(found["reasons"]) == 4 and found["rms_um"] < board.judged(stations)["rms_um"]
+    assert found["hours"] > board.judged(stations)["hours"]
+    fewer = board.judged(stations[:2])
+    assert len(fewer["reasons"]) == 2 and fewer["rms_um"] > found["rms_um"]
+    board.save(more, tmp_path / "moved")
+    _, scenario = load_plan(tmp_path / "moved" / "plan.toml")
+    assert list(scenario.stations) == ["S1", "S2", "S3", "S9"]
+    for wrong, says in (
+        (stations[:1], "expected 2 to 40 stations, found 1"),
+        ([*stations, stations[0]], "a different name"),
+        ([*stations[:2], {**stations[2], "name": "<b>"}], "a different name"),
+    ):
+        with pytest.raises(SetupError, match=says):
+            board.judged(wrong)
 
 
 def test_what_breaks_a_rule_is_said_and_judged_all_the_same(hall: Path) -> None:
@@ -68,15 +109,15 @@ def test_what_breaks_a_rule_is_said_and_judged_all_the_same(hall: Path) -> None:
     stations = board.hall()["stations"]
     stations[0]["mm"][:2] = [4700.0, 1500.0]  # in the crane way
     found = board.judged(stations)
-    assert found["problem"] == f"{stations[0]['name']} stands where no tripod may stand"
+    assert found["problem"] == "S1 stands where the floor is kept free (floor.keep_outs, floor.doors)"
     assert found["may_stand"][0] is False
     assert found["points"]
     stations[0]["mm"][:2] = [6000.0, 4000.0]  # inside the machine: it sees nothing
-    assert "S1" in board.judged(stations)["problem"]
+    assert "S1 stands outside the floor where tripods may stand" in board.judged(stations)["problem"]
     stations[0]["mm"][:2] = stations[1]["mm"][:2]
     assert "nearer than 1 m" in board.judged(stations)["problem"]
     stations[0]["mm"] = [1000.0 * v for v in board.site.survey.points[0]]
-    assert board.judged(stations) == {"problem": "S1 stands in M00"}
+    assert "S1 stands in M00" in board.judged(stations)["problem"]
 
 
 def test_what_is_saved_is_planned_and_simulated_where_it_stands(hall: Path, tmp_path: Path) -> None:
@@ -166,6 +207,12 @@ def test_a_dragged_station_changes_the_accuracy_on_the_page(hall: Path, tmp_path
             assert after[0]["shadow"] == pytest.approx(judged["shadow"])
             assert tab.value("layer.sights.childElementCount") > 0
             tab.until("/eached: /.test(document.querySelector('#verdict').textContent)")
+            assert tab.value("document.querySelector('#verdict').className") in ("reached", "lost")
+            tab.value("document.querySelector('#add').click()")
+            tab.until("!busy && told.reasons.length === 4 && stations.length === 4")
+            tab.value("document.querySelector('[aria-label=\"Remove S4\"]').click()")
+            tab.until("!busy && told.reasons.length === 3")
+            assert tab.value("layer.tripods.childElementCount") == 3
             tab.until("document.querySelector('#space iframe')?.contentWindow.global?.renderWindow")
             tab.value("document.querySelector('#save').click()")
             assert "plan.toml" in tab.until("document.querySelector('#saved').textContent")

@@ -18,7 +18,8 @@ from ltsim.results import Table
 
 if TYPE_CHECKING:
     from ltsim.calibration.history_schema import CourseEntry
-    from ltsim.planning.schema import PlannedParameterEntry, PlanResult
+    from ltsim.planning.result import PlanResult
+    from ltsim.planning.schema import PlannedParameterEntry
 
 
 def names_of(rows: Sequence[ParameterEntry]) -> list[str]:

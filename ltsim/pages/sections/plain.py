@@ -14,7 +14,7 @@ from ltsim.notation import number, with_sigma
 from ltsim.pages import figures
 from ltsim.pages.document import Beside, Block, Fact, Grid, Note, Notes, Picture, Section, mood, table_block, table_of
 from ltsim.pages.words import count, distinct_labels, duration, listing, natural, sentence
-from ltsim.planning.schema import NextFile
+from ltsim.planning.result import NextFile
 from ltsim.tasks.comparison import DISPLACEMENTS, Comparison
 from ltsim.tasks.files import UncertaintyFile
 

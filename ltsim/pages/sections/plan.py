@@ -5,7 +5,7 @@ from functools import partial
 
 import numpy as np
 
-from ltsim.notation import NONE, number
+from ltsim.notation import number
 from ltsim.pages import figures
 from ltsim.pages.document import (
     Beside,
@@ -19,13 +19,11 @@ from ltsim.pages.document import (
     Section,
     mood,
     table_block,
-    table_of,
 )
 from ltsim.pages.sections.network import scene, undetermined
 from ltsim.pages.words import QUALITY, count, duration, of_presets
-from ltsim.planning.files import tables_of
 from ltsim.planning.floor import Floor
-from ltsim.planning.schema import LayoutEntry, PlanResult
+from ltsim.planning.result import PlanResult
 from ltsim.simulation.scenario import Scenario, load_scenario
 from ltsim.units import MILLIMETRE
 
@@ -38,28 +36,28 @@ def plan_section(content: PlanResult, beside: Beside) -> Section:
     RecordError, SetupError
         When a file is malformed.
     """
-    tables = tables_of(content)
     frame = f"{content.frame[:1].upper()}{content.frame[1:]}." if content.frame else ""
-    blocks: list[Block] = [*table_block("Where to put the tripod", tables["stations"], note=frame)]
+    blocks: list[Block] = [*table_block("Where to put the tripod", content.table("stations"), note=frame)]
     file = beside.file("scenario.toml", content)
     scenario = None if file is None else load_scenario(file)
     drawn, changed = _pictures(content, scenario, turn=beside.detail == "turn")
     blocks += drawn
     if content.not_seen:
-        blocks.append(Grid("Who does not see whom", ["sight"], [[words] for words in content.not_seen]))
+        blocks.append(Notes("Who does not see whom", content.not_seen))
     if content.reasons:
         blocks.append(Notes("Why this plan", content.reasons))
     blocks += _tolerances(content) + _changes(content) + changed
-    blocks += _curve(content) + _parameters(content) + _expected(content)
+    blocks += _curve(content) + _parameters(content)
+    blocks += table_block("Expected by the paper's criteria", content.table("expected"))
     blocks += undetermined("Not determined by this layout", content.undetermined, decimals=0)
     blocks += _effects(content)
     note = "U: expanded uncertainty, k = 2, in the frame that all points define together."
-    points = tables["reflectors"].only("target x_mm y_mm z_mm U_x_um U_y_um U_z_um seen_from")
+    points = content.table("reflectors").only("target x_mm y_mm z_mm U_x_um U_y_um U_z_um seen_from")
     blocks += table_block("Points", points, note=note)
     if content.bodies:
         blocks.append(Notes("What stands in the hall", content.bodies))
     blocks.append(Listing("Settings of the plan", json.dumps(content.settings, indent=1)))
-    good = mood(content.allowed and content.reached is not False)
+    good = mood(not content.broken_rules and content.reached is not False)
     return Section(
         title=content.title or "Plan of a network", kind="Plan", answer=content.summary, mood=good,
         facts=_facts(content), blocks=blocks, seed="" if content.seed is None else str(content.seed),
@@ -70,39 +68,21 @@ def plan_section(content: PlanResult, beside: Beside) -> Section:
 
 def _tolerances(content: PlanResult) -> list[Block]:
     """Points against their tolerances, and what remains after a loss."""
-    rows = [
-        [r.name, number(r.within_mm), number(r.tolerance_mm), f"{100 * r.within_mm / r.tolerance_mm:.0f} %"]
-        for r in content.reflectors
-        if r.within_mm is not None and r.tolerance_mm
-    ]  # fmt: skip
-    if not rows:
+    asked = content.table("tolerances")
+    if not asked.rows:
         return []
     level = content.settings.get("goal", {}).get("level_pct", 95)
-    over = frozenset(i for i, row in enumerate(rows) if float(row[3].removesuffix(" %")) > 100)
-    header = ["point", "within [mm]", "tolerance [mm]", "used"]
-    blocks: list[Block] = [Grid(f"Points against their tolerances, at {level:g} %", header, rows, marked=over)]
-    lost = [
-        [loss.lost, "yes" if loss.kept else "no", loss.worst,
-         NONE if loss.ratio is None else f"{100 * loss.ratio:.0f} %", " ".join(loss.unseen)]
-        for loss in sorted(content.losses, key=lambda loss: loss.kept)
-    ]  # fmt: skip
-    header = ["lost", "tolerances kept", "worst point", "of its tolerance", "seen from nowhere"]
-    return [*blocks, Grid("When a station or a sight is lost", header, lost, 3)]
+    over = frozenset(i for i, kept in enumerate(asked.column("kept")) if not kept)
+    blocks: list[Block] = [*table_block(f"Points against their tolerances, at {level:g} %", asked, marked=over)]
+    return [*blocks, *table_block("When a station or a sight is lost", content.table("losses"))]
 
 
 def _changes(content: PlanResult) -> list[Block]:
     """Which reflector to move, to add, to leave out."""
-    title = "Reflectors to move, to add, to leave out"
-    rows = [
-        [f"{i}: {c.deed}", f"{c.gain_um:+.2f}", f"{100 * (1 - c.quality):+.1f} %",
-         f"{c.serves} (sigma {100 * (c.serves_factor - 1):+.1f} %)"]
-        for i, c in enumerate(content.reflector_changes, 1)
-    ]  # fmt: skip
-    if not rows:
+    title, changes = "Reflectors to move, to add, to leave out", content.table("changes")
+    if not changes.rows:
         return [Note(title, content.changes_tried)] if content.changes_tried else []
-    header = ["one reflector", "gain of the others [um]", "better", "changes most"]
-    note = f"Gain: by how much the point error of all other points falls, root mean square. {content.changes_tried}"
-    return [Grid(title, header, rows, 1, note)]
+    return [*table_block(title, changes, note=content.changes_tried)]
 
 
 def _facts(content: PlanResult) -> list[Fact]:
@@ -113,8 +93,7 @@ def _facts(content: PlanResult) -> list[Fact]:
     ]
     if content.reached is not None:
         facts.insert(0, Fact("goal", "reached" if content.reached else "not reached", mood(content.reached)))
-    if not content.allowed:
-        facts.append(Fact("layout", "breaks a rule of the plan", "bad"))
+    facts += [Fact("broken rule", rule, "bad") for rule in content.broken_rules]
     for name, value in content.quality.items():
         if value is not None:
             label, factor = QUALITY.get(name, (name, 1.0))
@@ -176,26 +155,12 @@ def _parameters(content: PlanResult) -> list[Block]:
     return [Picture("What will be known of the instrument", figure, text)] if rows else []
 
 
-def _expected(content: PlanResult) -> list[Block]:
-    named: list[tuple[str, LayoutEntry | None]] = [("this plan", content), ("reference layout", content.reference)]
-    rows = [
-        [layout, name, number(e.before_um), number(e.after_um), f"{e.improvement_percent:.1f} %"]
-        for layout, entry in named
-        if entry is not None and entry.expected_improvement
-        for name, e in entry.expected_improvement.items()
-    ]
-    header = ["layout", "criterion", "before [um]", "after [um]", "improvement"]
-    return [Grid("Expected by the paper's criteria", header, rows, text_columns=2)] if rows else []
-
-
 def _effects(content: PlanResult) -> list[Block]:
     """Smallest effects that would be seen, those that would be mixed up, those that leave no trace."""
-    blocks: list[Block] = []
     note = "Found in most recordings of this layout if at least this large; best and worst are over its places."
-    fields = ("effect", "parameter", "best", "typical", "worst", "worst_at", "plausible", "unit")
-    blocks += table_of("Smallest effects that would be found", content.detectable, *fields, note=note)
+    blocks: list[Block] = [*table_block("Smallest effects that would be found", content.table("effects"), note=note)]
     note = "Share of the first effect's trace that the second one explains."
-    blocks += table_of("Effects that look alike here", content.alike, "effect", "taken_for", "share=alike", note=note)
+    blocks += table_block("Effects that look alike here", content.table("alike"), note=note)
     if content.silent:
         blocks.append(Notes("Effects that would leave no trace", content.silent))
     return blocks

@@ -1,0 +1,53 @@
+"""`ltsim examples`: sample data and commented files, copied into a folder to try and to edit."""
+
+from __future__ import annotations
+
+from importlib.resources import files
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ltsim.cli.places import Force, claim_file
+from ltsim.cli.terminal import Terminal
+from ltsim.recording.files import write_texts
+from ltsim.simulation.builtin import builtin_text
+
+Folder = Annotated[Path, typer.Argument(metavar="DIR", help="Folder to write to.")]
+TRY = {
+    "survey.csv": "ltsim diagnose survey.csv --frame hall.csv --out diagnosis",
+    "hall.csv": "",
+    "workshop.toml": "ltsim simulate workshop.toml --seed 7 --out recording",
+    "machine-plan.toml": "ltsim plan machine-plan.toml --out machine-plan",
+    "machine-points.csv": "",
+    "campaign.toml": "ltsim campaign campaign.toml --set trials=100 --jobs 2",
+    "uncertainty.toml": "ltsim uncertainty uncertainty.toml --out uncertainty",
+    "acceptance.toml": "ltsim accept acceptance.toml --out acceptance",
+}
+"""Files that are written, each with a command to try; a file without one belongs to that before it."""
+
+
+def example_text(name: str) -> str:
+    """The content of an example file."""
+    if name == "workshop.toml":
+        return builtin_text("paper-workshop")
+    package = files("ltsim")
+    place = package / "campaigns" / "example.toml" if name == "campaign.toml" else package / "examples" / name
+    return place.read_text(encoding="utf-8")
+
+
+def examples(folder: Folder = Path("ltsim-examples"), force: Force = False, *, terminal: Terminal) -> None:
+    """Copy sample data: a survey with its hall, a workshop, a plan, a campaign, tasks, an acceptance test.
+
+    Every file is commented, to be edited; a command to try stands beside it.
+
+    Example: ltsim examples my-folder
+    """
+    for name in TRY:
+        claim_file(folder / name, force=force)
+    write_texts(folder, {name: example_text(name) for name in TRY})
+    terminal.answer({"folder": str(folder), "files": list(TRY), "commands": [line for line in TRY.values() if line]})
+    terminal.say(f"written to {folder}; try there:")
+    width = max(map(len, TRY))
+    for name, command in TRY.items():
+        terminal.say(f"  {name:{width}}  {command}".rstrip())
