@@ -289,7 +289,7 @@ def recover(
     Examples
     --------
     >>> import ltsim as lt
-    >>> lt.recover("paper-workshop-re-aimed", trials=12).failures()
+    >>> lt.recover("paper-workshop", trials=12).failures()
     []
     """
     check_bounds(trials=trials, seed=seed, jobs=jobs)

@@ -146,7 +146,7 @@ def recover(
     its interval as often as promised), chi-square, targets and stations. A parameter of your calibrator without a sigma
     or a tolerance is not checked, which is status 1 too. Writes recovery.json and trials.csv to --out.
 
-    Example: ltsim recover paper-workshop-re-aimed --trials 1000 --jobs 2
+    Example: ltsim recover paper-workshop --trials 1000 --jobs 2
     """
     from ltsim.campaigns.recovery_checks import FALSE_ALARM
     from ltsim.campaigns.schema import TRIALS, RecoveryFile

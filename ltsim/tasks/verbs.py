@@ -13,7 +13,7 @@ from ltsim.recording.exchange import RecordingSource, recording_of
 from ltsim.recording.recording import Recording
 from ltsim.tasks.comparison import Comparison
 from ltsim.tasks.epochs import compare as compared, compare_coordinates
-from ltsim.tasks.evaluation import Evaluation, evaluate_tasks
+from ltsim.tasks.evaluation import Evaluation, evaluate_listed_tasks, evaluate_tasks
 from ltsim.tasks.spec import FORMAT, Tasks, load_tasks, tasks_from
 
 
