@@ -14,8 +14,8 @@ from ltsim.solve.design import Design, median_deviation
 HUBER = 2.0
 """Residual, in robust standard deviations, up to which an observation has its full weight (Huber 1964)."""
 STEPS = 25
-STILL = 1e-3
-"""Squared length of a step for each unknown, in standard deviations, after which the state moves no more."""
+STILL = 1e-2
+"""Squared length of a step, in standard deviations, after which the state moves no more."""
 
 
 def observations(problem: NetworkProblem) -> int:
@@ -40,7 +40,7 @@ def robust_state(problem: NetworkProblem, state: State) -> tuple[State, Floats]:
             break
         state = problem.retract(state, step)
         residual = problem.residual(state)
-        if float(np.sum((weighted @ step) ** 2)) < STILL * problem.unknowns.size:
+        if float(np.sum((weighted @ step) ** 2)) < STILL:
             break
     return state, residual
 

@@ -16,8 +16,10 @@ from ltsim.adjustment.robust import robust_state
 from ltsim.adjustment.snooping import LARGEST_ERROR, snooped, without_loose
 from ltsim.adjustment.start import reached_network
 from ltsim.adjustment.stated import KnownInRows, KnownValue, common_scale, known_values, without
-from ltsim.arrays import Bools, Floats
+from ltsim.arrays import Bools, Floats, Ints
 from ltsim.effects.signature import Signature
+from ltsim.errors import NetworkError
+from ltsim.geometry.polar import wrap
 from ltsim.identification.evidence import occam, occam_of_variance, variance_factor
 from ltsim.identification.hypothesis import Correction, Hypothesis, NoiseFactor, Omission, Shift
 from ltsim.identification.prior import log_prior_of
@@ -140,6 +142,22 @@ class Fit:
         whole = replace(self.whole, sigma=sigma)
         problem, solution = snooped(whole, self.state)
         return replace(self, whole=whole, problem=problem, solution=solution)
+
+    def without_distances(self, rows: Ints) -> Fit | None:
+        """The fit, from the beginning, without the distances of some rows; None where that is no network."""
+        readings = self.network.recording.readings.copy()
+        readings[rows, 0] = np.nan
+        network = replace(self.network, recording=self.network.recording.with_readings(readings))
+        try:
+            return Fit.of(network, self.hypotheses)
+        except NetworkError:
+            return None
+
+    def residuals_of(self, recording: Recording) -> Floats:
+        """Readings (n, 3) of a recording with the same pointings less the predicted ones [m, rad, rad]."""
+        gap = recording.readings - self.problem.model.predict(self.state)
+        gap[:, 1:] = wrap(gap[:, 1:])
+        return gap
 
     @property
     def state(self) -> State:

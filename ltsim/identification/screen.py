@@ -27,6 +27,8 @@ AT_ONCE = 4_000_000
 """Numbers of signatures that are projected at once."""
 EXACT = 3_000_000
 """Numbers of all signatures that are projected off the network exactly; of more the best by their own rows alone."""
+MANY, HALF, PLACES = 6, 0.4, 5
+"""Outliers, and their share of a place's pointings, from which its distances are put aside; places where they are."""
 STEPS = 6
 """Reweightings of a shift that is estimated from the residuals of its own rows."""
 
@@ -47,6 +49,7 @@ def looks(fit: Fit) -> list[tuple[float, Hypothesis]]:
         gains = np.maximum(gains, local)
     found = [(float(gains[i]), i) for i in np.argsort(-gains).tolist() if gains[i] > 0.0]
     made = [(gain, every[i].hypothesis(guesses[i])) for gain, i in _one_a_place(found, every)]
+    made += _distances_aside(fit, every) if fit.outliers.sum() > MANY else []
     for space, behind in spaces:
         made += [(gain + behind, h) for gain, h in _references(fit, space.adjustment)]
     if fit.outliers.any():
@@ -192,6 +195,34 @@ def _saved(g: Floats, r: Floats, out: Bools, price: float) -> tuple[float, Float
         a = np.linalg.lstsq(unit[fits], r[fits], rcond=1e-10)[0]
     found[size > 0] = a / size[size > 0]
     return float(before - np.minimum(0.5 * (r - unit @ a) ** 2, price).sum()), found
+
+
+def _distances_aside(fit: Fit, every: Sequence[Candidate]) -> list[tuple[float, Hypothesis]]:
+    """Offsets and scale errors of the distances at the places with most outliers, by a network without these distances.
+
+    Distances that are wrong by far displace the target or the station itself, and its angles look as wrong as they.
+    """
+    tried = [c for c in every if c.family.acts_on == "distance" and np.isneginf(c.since)]
+    share = {id(c): float(fit.outliers[c.rows].any(axis=1).mean()) for c in tried}
+    price = -log_prior_of("outlier", int(fit.whole.use.sum())) - float(occam(10.0, 1))
+    found, fits = list[tuple[float, Hypothesis]](), dict[str, Fit | None]()
+    for c in sorted(tried, key=lambda c: -share[id(c)]):
+        if c.name not in fits:
+            if len(fits) == PLACES or not share[id(c)] > HALF:
+                continue
+            fits[c.name] = fit.without_distances(c.rows)
+        aside = fits[c.name]
+        if aside is None:
+            continue
+        use = c.rows[fit.whole.use[c.rows, 0]]
+        g = c.family.design[use, 0, 0] / fit.problem.sigma[use, 0]
+        r = aside.residuals_of(fit.recording)[use, 0] / fit.problem.sigma[use, 0]
+        acts = g != 0.0
+        guess = float(np.median(r[acts] / g[acts]))
+        rest = float(np.minimum(0.5 * (r - g * guess) ** 2, price).sum())
+        gain = aside.log_evidence - rest - fit.log_evidence + float(occam(10.0, 1)) + c.log_prior
+        found.append((gain, c.hypothesis(np.array([guess]))))
+    return found
 
 
 def _paid(fit: Fit, rows: Ints) -> float:
