@@ -182,7 +182,7 @@ def _adjusted(
     effects: Sequence[Signature] = (),
 ) -> Adjustment:
     how: dict[str, Any] = {"robust": robust, "variance_components": grouping, "datum": datum, "prior": prior}
-    if selection is not None and selection.displaces:
+    if selection is not None and selection.leads:
         found = _adapted(recording, construction, selection, effects, **how)
         require_result(found)
         return _in_frame(found, datum)

@@ -14,11 +14,10 @@ from ltsim.diagnosis.findings import place_of
 from ltsim.diagnosis.schema import Equivalent, Estimate, Evidence, Finding
 from ltsim.identification import Selection, Test, outcomes
 from ltsim.identification.hypothesis import Hypothesis, NoiseFactor, Omission, Shift
+from ltsim.identification.selection import WRONG_PLACE
 from ltsim.model.construction import Construction
 from ltsim.recording.recording import OBSERVABLES, Recording
 
-WRONG_PLACE = 0.1
-"""[m] Miss of a reference value from which a network that is adjusted with it may not converge."""
 EFFECTS = {
     ("constant-offset", "distance"): "range-offset",
     ("constant-offset", "elevation"): "vertical-index",
@@ -37,7 +36,7 @@ EFFECTS = {
 
 def gross_causes(selection: Selection | None) -> list[Hypothesis]:
     """Shifts beyond any error of a tracker, reference values that are far off, and with these all that was chosen."""
-    if selection is None:
+    if selection is None or not selection.leads:
         return []
     fit, chosen = selection.fit, [c.hypothesis for c in selection.choices]
     limits = {Shift: LARGEST_ERROR, Omission: WRONG_PLACE}

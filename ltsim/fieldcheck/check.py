@@ -146,6 +146,7 @@ def check(recording: RecordingSource, *, level: float = LEVEL, mpe: tuple[float,
     """
     whole = recording_of(recording)
     selection = identified(whole)
+    selection = selection if selection is not None and selection.leads else None
     causes = () if selection is None else outcomes(selection)
     corrected = whole if selection is None else selection.fit.corrected(whole)
     family = Family(level, 2 * TESTS * max(len(whole.stations), 1))

@@ -24,6 +24,10 @@ LEAST_GAIN = 3.0
 """Log evidence that a hypothesis must gain: odds of 20 to 1, on the scale of Kass and Raftery (1995) strong."""
 MOST = 8
 """Hypotheses that are chosen at most: a network with more simple causes is measured again."""
+SHARED = ("constant-offset", "scale-error", "orientation", "reflector-radius")
+"""Kinds of causes that all readings of one observable, or of one set-up, share."""
+WRONG_PLACE = 0.1
+"""[m] Miss of a reference value from which a network that is adjusted with it may not converge."""
 TRIED = 4
 """Hypotheses that are fitted in a step, in the order of what they promise."""
 LARGE = 1500
@@ -64,9 +68,17 @@ class Selection:
     choices: tuple[Choice, ...]
 
     @property
-    def displaces(self) -> bool:
-        """Whether a cause displaces readings or reference values: outliers and noise do not."""
-        return any(not isinstance(c.hypothesis.change, NoiseFactor) for c in self.choices)
+    def leads(self) -> bool:
+        """Whether a network is to be adjusted with what was chosen in its model from the start.
+
+        With an error that all readings of a set-up or a target share, or a reference value that is far off, nothing
+        else of a network can be judged. Single motions and reference values are left to their own tests.
+        """
+        return any(
+            c.hypothesis.kind in SHARED
+            or (c.hypothesis.kind == "reference-value" and self.fit.displacement(c.hypothesis) > WRONG_PLACE)
+            for c in self.choices
+        )
 
 
 Looked = tuple[Fit, list[tuple[Hypothesis, Fit]]]

@@ -59,7 +59,7 @@ def test_nothing_is_identified_in_a_clean_hall() -> None:
     selection = identified(hall()[0])
     assert selection.choices == ()
     assert selection.fit.outliers.sum() <= 1
-    assert not selection.displaces
+    assert not selection.leads
 
 
 @pytest.mark.parametrize("size", [2e-4, 12.7e-3, 0.4])
@@ -165,7 +165,7 @@ def test_noise_other_than_declared(factor: float) -> None:
     assert the_one(selection) == ("noise-level", (), ())
     (test,) = [t for t in outcomes(selection) if t.kind == "noise-level"]
     assert test.estimate == pytest.approx(factor, rel=0.1)
-    assert not selection.displaces
+    assert not selection.leads
 
 
 def test_two_causes_at_once() -> None:
