@@ -5,8 +5,8 @@ from typing import ClassVar, Literal, Self
 from pydantic import Field, model_validator
 from scipy import special
 
-from ltsim.calibration.schema import Fit, NotNegative
-from ltsim.recording.result_file import Entry, Finite, Known, ResultFile
+from ltsim.calibration.schema import Fit
+from ltsim.recording.result_file import Entry, Finite, Known, NotNegative, ResultFile
 
 
 class ChiSquareEntry(Entry):

@@ -1,10 +1,10 @@
 """calibration.json and the tables beside it: what stands in them, for writers and readers."""
 
 import math
-from typing import Annotated, ClassVar, Literal, Self
+from typing import ClassVar, Literal, Self
 
 import numpy as np
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import Field, model_validator
 from scipy import special
 
 from ltsim.arrays import Floats
@@ -12,13 +12,9 @@ from ltsim.chances import p_is
 from ltsim.evaluation.criteria import CriterionEntry
 from ltsim.identification.tests import Test
 from ltsim.notation import number, with_sigma
-from ltsim.recording.result_file import Entry, Finite, Known, ResultFile, Vector, known
+from ltsim.recording.result_file import Entry, Finite, Known, NotNegative, Positive, ResultFile, Sigma, Vector
 from ltsim.results import Table, numbers, texts
 from ltsim.units import ARCSECOND, MILLIMETRE
-
-NotNegative = Annotated[Finite, Field(ge=0)]
-Sigma = Annotated[NotNegative | None, BeforeValidator(known)]
-Positive = Annotated[Finite, Field(gt=0)]
 
 COORDINATES = (
     *texts(target="name"),

@@ -8,12 +8,12 @@ from typing import Annotated
 
 import typer
 
-from ltsim.cli.places import Force, claim_file
+from ltsim.cli.places import FOLDER, Force, claim_file
 from ltsim.cli.terminal import Terminal
 from ltsim.recording.files import write_texts
 from ltsim.simulation.builtin import builtin_text
 
-Folder = Annotated[Path, typer.Argument(metavar="DIR", help="Folder to write to.")]
+Folder = Annotated[Path, typer.Argument(metavar="DIR", help="Folder to write to."), FOLDER]
 TRY = {
     "survey.csv": "ltsim diagnose survey.csv --frame hall.csv --out diagnosis",
     "hall.csv": "",

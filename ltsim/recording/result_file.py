@@ -47,6 +47,9 @@ def known(value: Any) -> Any:
 Finite = FiniteFloat
 Known = Annotated[FiniteFloat | None, BeforeValidator(known)]
 """A number, or null where there is none: JSON has neither NaN nor infinities."""
+NotNegative = Annotated[Finite, Field(ge=0)]
+Sigma = Annotated[NotNegative | None, BeforeValidator(known)]
+Positive = Annotated[Finite, Field(gt=0)]
 Vector = tuple[Finite, Finite, Finite]
 
 

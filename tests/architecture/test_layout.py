@@ -64,15 +64,6 @@ def test_only_the_command_line_prints(path: Path) -> None:
     assert not prints, f"{named(path)} prints in lines {prints}"
 
 
-def test_every_class_name_has_one_owner() -> None:
-    owners: dict[str, list[str]] = {}
-    for path in MODULES:
-        for node in ast.walk(ast.parse(path.read_text())):
-            if isinstance(node, ast.ClassDef):
-                owners.setdefault(node.name, []).append(named(path))
-    assert {name: paths for name, paths in owners.items() if len(paths) > 1} == {}
-
-
 def test_every_room_is_a_package() -> None:
     """The layers are checked only in folders with an `__init__.py`."""
     rooms = {path.parent for path in MODULES}

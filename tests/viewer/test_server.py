@@ -86,7 +86,7 @@ def board(hall: Path) -> Iterator[Open]:
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert process.stdout is not None
     _, _, place, token, _ = process.stdout.readline().strip().split("/")
-    stations = [{"mm": s["mm"], "yaw": s["yaw"]} for s in Board.of(hall).hall()["stations"]]
+    stations = [{"name": s["name"], "mm": s["mm"], "yaw": s["yaw"]} for s in Board.of(hall).hall()["stations"]]
     yield Open(int(place.partition(":")[2]), token, folder, stations)
     process.send_signal(signal.SIGINT)
     _, said = process.communicate(timeout=60)
@@ -151,10 +151,11 @@ BODIES = {
     "no stations": b"{}",
     "stations of another kind": b'{"stations": [1, 2, 3]}',
     "stations by name": b'{"stations": {"mm": 1}}',
-    "one station of three": b'{"stations": [{"mm": [0, 0, 0], "yaw": 0}]}',
-    "no number": b'{"stations": [{"mm": [NaN, 0, 0], "yaw": 0}]}',
+    "one station of three": b'{"stations": [{"name": "S1", "mm": [0, 0, 0], "yaw": 0}]}',
+    "no number": b'{"stations": [{"name": "S1", "mm": [NaN, 0, 0], "yaw": 0}]}',
     "a number of 5000 digits": b'{"stations": [{"mm": [' + b"9" * 5000 + b', 0, 0], "yaw": 0}]}',
-    "a huge number": b'{"stations": [{"mm": [1e308, 0, 0], "yaw": 1e308}, {"mm": [1e308, 0, 0], "yaw": 1e308}]}',
+    "a huge number": b'{"stations": [{"name": "a", "mm": [1e308, 0, 0], "yaw": 1e308}, '
+    b'{"name": "b", "mm": [1e308, 0, 0], "yaw": 1e308}]}',
     "a camera of another kind": b'{"stations": [], "camera": 5}',
     "a camera of words": b'{"stations": [], "camera": [["a"], 2, {}]}',
 }

@@ -160,14 +160,19 @@ def distinct_titles(columns: Sequence[TableColumn]) -> list[TableColumn]:
     return found
 
 
+def _part(form: re.Pattern[str], title: str) -> re.Match[str] | None:
+    """The match of a title that ends with a unit; None for one that is too long to be a title."""
+    return form.fullmatch(title) if len(title) <= LONGEST_TITLE else None
+
+
 def _with_parts(columns: list[TableColumn]) -> list[TableColumn]:
     """The columns, with degrees, minutes and perhaps seconds of one angle in adjacent ones as one angle."""
     found = list(columns)
     for place, column in enumerate(columns):
-        stem = _PARTS[0].fullmatch(column.title)
+        stem = _part(_PARTS[0], column.title)
         names = [stem[1] if stem is not None else column.title]
         for form, after in zip(_PARTS[1:], columns[place + 1 : place + 3], strict=False):
-            part = form.fullmatch(after.title)
+            part = _part(form, after.title)
             whole_word = part is not None and not part[1] and not (len(after.title) == 1 and after.title.isalpha())
             if part is None or not (whole_word or _folded(part[1]) == _folded(names[0])):
                 break
