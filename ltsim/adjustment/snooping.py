@@ -10,7 +10,7 @@ import numpy as np
 
 from ltsim.adjustment.problem import NetworkProblem
 from ltsim.adjustment.reliability import UNCHECKED, critical_w, normalised, redundancy_of, scale_of
-from ltsim.adjustment.robust import robust_state
+from ltsim.adjustment.robust import HUBER, STILL
 from ltsim.adjustment.singular import refusing_singular
 from ltsim.adjustment.start import reached_network
 from ltsim.arrays import Bools, Floats
@@ -33,7 +33,8 @@ FACTOR = 30.0
 PASSES = 20
 SETTLED = 0.9
 """A gross miss that still shrinks to less than this share of itself in a pass is not settled yet."""
-ROUNDS = 8
+RELAXATIONS = 8
+ROUNDS = 20
 """Solutions until what is left out does not change: what alternates longer is on the edge."""
 STEPS = 10
 """Iterations of a solution on the way; the last has as many as it needs."""
@@ -203,7 +204,12 @@ def snooped(problem: NetworkProblem, state: State) -> tuple[NetworkProblem, Solu
     Reweighting (Huber) finds a network that many outliers together do not bend; readings that it rejects are left
     out; then the usual snooping goes on, and whatever was left out is tested again against the network without it.
     """
-    state, _ = robust_state(problem, state)
+    for _ in range(RELAXATIONS):
+        whitened = _whitened(problem, state)
+        scale = max(median_deviation(whitened[problem.use]), 1e-3)
+        state, length = _step(problem, state, np.sqrt(np.maximum(np.nan_to_num(whitened) / (HUBER * scale), 1.0)))
+        if length < STILL:
+            break
     try:
         factor = BlockFactor(problem.linearise(state))
     except SingularSystemError:

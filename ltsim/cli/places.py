@@ -50,10 +50,11 @@ def check_outputs(outputs: Iterable[tuple[str, Path, OutputPlace]], *, force: bo
         place = os.path.realpath(path)
         if place in names and not is_device(path):
             raise SetupError(f"{names[place]} and {name} both name {path}; each needs a place of its own")
-        folder = str(Path(place).parent)
-        if folder in names and path.name in _names_of_results():
-            raise SetupError(f"{name} names {path}, which {names[folder]} may write; give another name")
         names[place] = name
+    for place, name in names.items():
+        folder = str(Path(place).parent)
+        if folder in names and Path(place).name in _names_of_results():
+            raise SetupError(f"{name} names {place}, which {names[folder]} may write; give another name")
 
 
 def _names_of_results() -> set[str]:

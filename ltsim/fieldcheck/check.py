@@ -145,7 +145,7 @@ def check(recording: RecordingSource, *, level: float = LEVEL, mpe: tuple[float,
     True
     """
     whole = recording_of(recording)
-    selection = identified(whole)
+    selection = identified(whole) if len(whole.stations) > 1 else None
     selection = selection if selection is not None and selection.leads else None
     causes = () if selection is None else outcomes(selection)
     corrected = whole if selection is None else selection.fit.corrected(whole)

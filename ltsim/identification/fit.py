@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy import special
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.known import loosened
@@ -31,6 +32,8 @@ from ltsim.solve.design import median_deviation
 from ltsim.solve.gauss_newton import Solution
 from ltsim.units import ARCSECOND, MILLIMETRE
 
+TOLD = 4.0
+"""Standard deviations of a shift below which no network supports it: four are exceeded by chance in one of 16,000."""
 FAR = 50.0
 """Residual of a reference value at a robust state, in standard deviations of the readings, that no noise explains."""
 FREE = 1e6
@@ -98,7 +101,23 @@ class Fit:
         fit = cls(network, tuple(hypotheses), whole, *snooped(whole, start))
         for _ in range(2 if any(isinstance(h.change, NoiseFactor) for h in hypotheses) else 0):
             fit = fit._reweighted()
-        return fit if fit.solution.converged else None
+        return fit if fit.solution.converged and fit._is_determined else None
+
+    @property
+    def _is_determined(self) -> bool:
+        """Whether each shift is told by the readings: one that a place of its own may as well be has no size."""
+        return all(self._length(h) > TOLD for h in self.hypotheses if isinstance(h.change, Shift))
+
+    def _length(self, hypothesis: Hypothesis) -> float:
+        """Length of the estimate of a shift in its standard deviations."""
+        first = 0
+        for h in self.hypotheses:
+            if isinstance(h.change, Shift):
+                own = slice(first, first := first + len(h.change.effect.parameters))
+                if h is hypothesis:
+                    values, covariance = self.state.extra[own], self.adjustment.extra_covariance[own, own]
+                    return float(np.sqrt(max(float(values @ np.linalg.pinv(covariance) @ values), 0.0)))
+        return 0.0
 
     @staticmethod
     def _problem(
@@ -254,6 +273,11 @@ class Fit:
         """(n, 3): readings that miss by more than any error of a tracker."""
         return np.abs(np.nan_to_num(self.residuals)) * _arms(self.adjustment.sightings) > LARGEST_ERROR
 
+    @property
+    def p_value(self) -> float:
+        """Chance of a larger chi-square if the model with its hypotheses holds."""
+        return float(special.chdtrc(max(self.problem.dof, 1), self.solution.cost))
+
     @cached_property
     def outlier_terms(self) -> float:
         """Log of the Occam factors and priors of all outliers."""
@@ -265,13 +289,9 @@ class Fit:
         """Log marginal likelihood up to a constant of the recording: fit, Occam factors and priors of all causes."""
         total = -0.5 * self.solution.cost + sum(h.log_prior for h in self.hypotheses)
         total += self.outlier_terms
-        first = 0
         for h in self.hypotheses:
             if isinstance(h.change, Shift):
-                own = slice(first, first := first + len(h.change.effect.parameters))
-                values, covariance = self.state.extra[own], self.adjustment.extra_covariance[own, own]
-                length = float(np.sqrt(max(float(values @ np.linalg.pinv(covariance) @ values), 0.0)))
-                total += float(occam(length, len(values)))
+                total += float(occam(self._length(h), len(h.change.effect.parameters)))
             elif isinstance(h.change, NoiseFactor):
                 chosen = h.change.readings & self.problem.use
                 redundancy = np.nansum(self.redundancy[chosen])

@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import special
 
+from ltsim.adjustment.snooping import LARGEST_ERROR
 from ltsim.errors import LtsimError, NetworkError
 from ltsim.identification.fit import Fit, Network
 from ltsim.identification.hypothesis import Hypothesis, NoiseFactor
@@ -24,6 +24,8 @@ LEAST_GAIN = 3.0
 """Log evidence that a hypothesis must gain: odds of 20 to 1, on the scale of Kass and Raftery (1995) strong."""
 MOST = 8
 """Hypotheses that are chosen at most: a network with more simple causes is measured again."""
+BEYOND_DOUBT = 7.0
+"""Log evidence of a cause, odds of 1000 to 1, from which the whole network is adjusted with it."""
 SHARED = ("constant-offset", "scale-error", "orientation", "reflector-radius")
 """Kinds of causes that all readings of one observable, or of one set-up, share."""
 WRONG_PLACE = 0.1
@@ -69,16 +71,17 @@ class Selection:
 
     @property
     def leads(self) -> bool:
-        """Whether a network is to be adjusted with what was chosen in its model from the start.
+        """Whether a network is to be adjusted with what was chosen in its model from the start: that makes it agree.
 
         With an error that all readings of a set-up or a target share, or a reference value that is far off, nothing
         else of a network can be judged. Single motions and reference values are left to their own tests.
         """
-        return any(
-            c.hypothesis.kind in SHARED
-            or (c.hypothesis.kind == "reference-value" and self.fit.displacement(c.hypothesis) > WRONG_PLACE)
-            for c in self.choices
-        )
+        sure = [c.hypothesis for c in self.choices if c.gain > BEYOND_DOUBT]
+        shared = [h for h in sure if h.kind in SHARED]
+        far = [h for h in sure if h.kind == "reference-value" and self.fit.displacement(h) > WRONG_PLACE]
+        gross = any(self.fit.displacement(h) > LARGEST_ERROR for h in shared) or len(far) == 1
+        noisy = any(isinstance(c.hypothesis.change, NoiseFactor) for c in self.choices)
+        return gross or (bool(shared) and not noisy and self.fit.p_value > AGREES)
 
 
 Looked = tuple[Fit, list[tuple[Hypothesis, Fit]]]
@@ -118,8 +121,7 @@ def _agrees(fit: Fit) -> bool:
     """
     if len(fit.recording) < LARGE:
         return False
-    chance = float(special.chdtrc(max(fit.problem.dof, 1), fit.solution.cost))
-    return chance > AGREES and not fit.hypotheses and fit.outliers.sum() < FEW * fit.whole.use.sum()
+    return fit.p_value > AGREES and not fit.hypotheses and fit.outliers.sum() < FEW * fit.whole.use.sum()
 
 
 def identified(recording: Recording, construction: Construction | None = None) -> Selection | None:

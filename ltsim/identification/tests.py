@@ -258,7 +258,7 @@ def _plain(value: float) -> str:
 
 def usual_size(value: float, sigma: float) -> str:
     """The usual cause of an offset [m] of such a size; empty for none."""
-    near = [cause for size, cause in USUAL_SIZES.items() if abs(abs(value) - size) < max(NEAR, 3.0 * sigma)]
+    near = [cause for size, cause in USUAL_SIZES.items() if abs(abs(value) - size) < NEAR and sigma < NEAR]
     return near[0] if near else ""
 
 

@@ -28,7 +28,12 @@ def calibration(make, drawn):
 
 def test_keys_and_units_of_the_file(calibration, tmp_path: Path) -> None:
     write_calibration(calibration, tmp_path)
-    assert {p.name for p in tmp_path.iterdir()} == {"calibration.json", "targets.csv", "residuals.csv"}
+    assert {p.name for p in tmp_path.iterdir()} == {
+        "calibration.json",
+        "residuals.csv",
+        "targets.covariance.csv",
+        "targets.csv",
+    }
     content = json.loads((tmp_path / "calibration.json").read_text())
     assert content["format"] == "ltsim-calibration/1"
     assert (content["method"], content["construction"]) == ("network", "misalignment")

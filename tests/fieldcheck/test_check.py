@@ -432,7 +432,7 @@ def test_readings_to_targets_that_scatter_are_told_as_that_and_none_is_gross() -
         assert not [item for item in failed if item.rows]
 
 
-@pytest.mark.parametrize(("scenario", "seed"), [("paper-workshop-two-face", 5), ("paper-workshop", 10)])
+@pytest.mark.parametrize(("scenario", "seed"), [("paper-workshop-two-face", 5), ("paper-workshop", 13)])
 def test_what_an_uncalibrated_instrument_does_to_near_targets_is_no_scatter_of_theirs(scenario: str, seed: int) -> None:
     recording, _ = lt.simulate(scenario, seed=seed)
     assert len(adjust(recording).restless[0])

@@ -301,4 +301,4 @@ def test_tolerances_of_a_plan_are_a_table(tmp_path: Path) -> None:
     assert table.column("tolerance_mm") == [0.5, 0.5, 0.5]
     assert made.kept is not None
     assert table.column("within_mm") == pytest.approx([1e3 * made.kept.radius[name] for name in "ABC"])
-    assert made.table("losses").column("lost")[:2] == ["S1", "S2"]
+    assert {"S1", "S2"} <= set(made.table("losses").column("lost"))
