@@ -276,7 +276,7 @@ def criteria_of(
             return evaluate(recording, use=use)
         applied = values[0] if len(values) == 1 else values[recording.instrument]
         model, state = adjustment.problem.model, adjustment.state
-        shift = model.linearised(state).by_extra @ state.extra if len(state.extra) else None
+        shift = model.extra_shift(adjustment.sightings, state.extra) if len(state.extra) else None
         return evaluate(recording, construction, applied, shift=shift, use=use)
     except NetworkError:
         return None

@@ -17,9 +17,10 @@ from ltsim.campaigns.distance import BatchDistance
 from ltsim.campaigns.engine import Calibrated, Calibrator, Engine, Single, suspects
 from ltsim.campaigns.judge import Judge
 from ltsim.campaigns.kernels import readings_of
-from ltsim.campaigns.network import BatchNetwork, NetworkKnowns, Stacked
+from ltsim.campaigns.network import BatchNetwork, NetworkKnowns
 from ltsim.campaigns.program import ChainProgram
 from ltsim.campaigns.spec import Method
+from ltsim.campaigns.stacked import Stacked
 from ltsim.campaigns.truth import Block, CellTruth
 from ltsim.effects.effect import Effect
 from ltsim.errors import NetworkError, SetupError
@@ -101,6 +102,12 @@ class Stack(CellTruth):
 
     def _design_of(self, effects: tuple[Effect, ...]) -> Floats:
         return self.gathered(truth.design_of(effects)[..., 0] for truth in self.truths)
+
+    @cached_property
+    def stated(self) -> tuple[Floats, Floats]:
+        """As of `CellTruth`, ending in the trial."""
+        shifts, designs = zip(*(truth.stated for truth in self.truths), strict=True)
+        return self.gathered(shift[..., 0] for shift in shifts), self.gathered(design[..., 0] for design in designs)
 
     def _laid_out(self, built: Construction) -> tuple[ChainProgram, Floats]:
         """The chain of all trials, and the derivative (n, 3, p, B)."""
@@ -198,7 +205,7 @@ class StackCalibrator(Calibrator):
         except SetupError:
             return np.arange(len(parts))
         status = np.zeros(len(parts), dtype=np.int64)
-        together = Calibrated(fit.values, network.sigma_values, fit.points, fit.chi2, status)
+        together = Calibrated(fit.values, network.sigma_values, fit.points, fit.chi2, status, stated=fit.stated)
         doubtful = ~fit.converged | suspects(block.deviation, stack.local)
         for trial in np.flatnonzero(~doubtful):
             found.take(int(trial), together, int(trial))

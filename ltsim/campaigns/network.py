@@ -15,7 +15,6 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg.lapack import dpotrs
 
 from ltsim.adjustment.frame import Frame
 from ltsim.adjustment.problem import NetworkProblem
@@ -26,8 +25,10 @@ from ltsim.effects.effect import Effect
 from ltsim.errors import SetupError
 from ltsim.geometry.rigid import pose_design
 from ltsim.model.construction import Construction
+from ltsim.model.incidence import IncidenceErrors
 from ltsim.model.measurement import MeasurementModel, Prediction, State, sightings_of
 from ltsim.recording.recording import Recording
+from ltsim.scene.sightings import Sightings
 from ltsim.solve.chain import inverse_of
 from ltsim.solve.design import as_dense, cholesky_where_determined, unit_diagonal
 
@@ -48,6 +49,8 @@ class BatchFit:
     """(I, p, B) [SI]."""
     extra: Floats
     """(q, B) [SI]."""
+    stated: Floats
+    """(k, B): errors of a known size, in standard deviations."""
     chi2: Floats
     """(B,)."""
     left: Floats
@@ -83,19 +86,26 @@ class BatchNetwork:
     program: ChainProgram
     """Its chain around the nominal readings."""
     effects: tuple[Effect, ...] = ()
-    """Further effects that are estimated."""
+    """Further effects that are estimated. The errors that the recording states are estimated too (`stated`)."""
     known: NetworkKnowns | None = None
     """Without it everything is found out; not for networks with further effects."""
     recorded: Bools = field(default_factory=lambda: np.ones(3, dtype=bool))
     """(3,): which of range, azimuth and elevation are adjusted."""
 
     @cached_property
+    def model(self) -> MeasurementModel:
+        """The forward model that a single adjustment has."""
+        model = MeasurementModel(self.recording, self.construction, self.effects)
+        if self.known is not None:
+            vars(model)["stated"] = self.known.network.model.stated
+        return model
+
+    @cached_property
     def problem(self) -> NetworkProblem:
         """The problem at the nominal state; the same rows that a single adjustment has."""
-        model = MeasurementModel(self.recording, self.construction, self.effects)
         if self.known is None:
-            return NetworkProblem.of(model, use=np.tile(self.recorded, (len(self.recording), 1)))
-        return self.known.network.problem.elsewhere(model)
+            return NetworkProblem.of(self.model, use=np.tile(self.recorded, (len(self.recording), 1)))
+        return self.known.network.problem.elsewhere(self.model)
 
     @cached_property
     def nominal(self) -> State:
@@ -106,7 +116,7 @@ class BatchNetwork:
             self.state.rotation,
             self.state.points,
             np.zeros((instruments, self.construction.size)),
-            np.zeros(sum(len(e.parameters) for e in self.effects)),
+            np.zeros(self.model.extra_size),
         )
 
     @cached_property
@@ -140,8 +150,8 @@ class BatchNetwork:
     @cached_property
     def _system(self) -> tuple[Floats, Floats]:
         """Whitened design (m, K) of all rows, its columns in the order of the problem, and their residuals (m,)."""
-        known = self.problem.model.linearised(self.nominal) if self.known is None else self._prediction(self.known)
-        system = self.problem.system(self.nominal, known)
+        found = self.problem.model.linearised(self.nominal) if self.known is None else self._prediction(self.known)
+        system = self.problem.system(self.nominal, replace(found, by_extra=self._extra_design))
         return as_dense(system.design), system.residual
 
     def _prediction(self, known: NetworkKnowns) -> Prediction:
@@ -199,18 +209,35 @@ class BatchNetwork:
         return sightings_of(self.recording, self.state).jacobian if self.known is None else self.known.by_point
 
     @cached_property
-    def _extra_design(self) -> Floats:
-        """Change (n, 3, q) of the readings per unit of the further effects' parameters, nests by the floor plan.
+    def _frame(self) -> Frame:
+        return Frame.of(self.recording) if self.known is None else self.known.network._frame
 
-        On the floor plan, where the full solver lets such a network stand: rough places then turn nests in neither.
-        """
+    @cached_property
+    def _extra_sightings(self) -> Sightings:
+        """The pointings on the floor plan, where the full solver lets such a network stand: nests are known there."""
         state = self.nominal
-        motion = Frame.of(self.recording).plan_motion(state.position, state.rotation)
+        motion = self._frame.plan_motion(state.position, state.rotation)
         if motion is not None:
             turn, shift = motion
             places = {"position": state.position @ turn.T + shift, "points": state.points @ turn.T + shift}
             state = replace(state, rotation=turn @ state.rotation, **places)
-        return self.problem.model.linearised(state).by_extra
+        if self.known is None:
+            return self.model.sightings(state)
+        return self.known.network._extra_sightings.at(state.position, state.rotation, state.points)
+
+    @cached_property
+    def _extra_design(self) -> Floats:
+        """Change (n, 3, q) of the readings per unit of the parameters of effects and stated errors."""
+        if not self.model.beside:
+            return np.zeros((len(self.recording), 3, 0))
+        return self.model.extra_design(self._extra_sightings)
+
+    @cached_property
+    def _expected_shift(self) -> Floats | None:
+        """Change (n, 3, 1) of the readings that bench tests of reflectors let expect; None for none."""
+        if not any(isinstance(error, IncidenceErrors) and error.mean.any() for error in self.model.stated):
+            return None
+        return self.model.extra_shift(self._extra_sightings, self.nominal.extra)[:, :, None]
 
     @cached_property
     def sigma(self) -> Floats:
@@ -230,6 +257,8 @@ class BatchNetwork:
 
     def fit(self, deviation: Floats, gauge_error: Floats | None = None) -> BatchFit:
         """Adjust trials with readings less nominal readings (n, 3, B) and errors of the known lengths (g, B) [m]."""
+        if self._expected_shift is not None:
+            deviation = deviation - self._expected_shift
         x, predicted = self._linear_start(deviation, gauge_error)
         before = np.full(x.shape[1], np.inf)
         gradient, cost = np.empty_like(x), np.empty(x.shape[1])
@@ -242,17 +271,35 @@ class BatchNetwork:
             if not np.any(left >= TOLERANCE):
                 break
             before = squared
-        return BatchFit(*self.split(x)[1:], cost - squared, left)
+        _, points, values, extra = self.split(x)
+        own = self.model.effects_size
+        return BatchFit(points, values, extra[:own], extra[own:], cost - squared, left)
+
+    @property
+    def _has_extra(self) -> bool:
+        return self.sizes[3] > self.sizes[2]
+
+    @cached_property
+    def _felt(self) -> tuple[Ints, Floats, Floats]:
+        """Readings (r,) of all (3 n,) that effects and stated errors change; their design (r, q), plain and whitened.
+
+        Designs end in the trial where the state does.
+        """
+        own = self._extra_design
+        flat, sigma = own.reshape(-1, *own.shape[2:]), self.sigma.reshape(-1, 1, *self.sigma.shape[2:])
+        rows = np.flatnonzero(flat.any(axis=tuple(range(1, flat.ndim))))
+        return rows, np.ascontiguousarray(flat[rows]), flat[rows] / sigma[rows]
 
     @cached_property
     def _start_matrices(self) -> tuple[Floats, Floats, Floats]:
-        """From deviations (3 n,) and other rows (r,) to the first step (K,); from that to predicted readings (3 n,)."""
+        """From deviations (3 n,) and other rows (r,) to the first step (K,); from part of that to predicted readings.
+
+        Poses, targets and parameters predict readings; all else is taken off the measured ones.
+        """
         use, design = self.problem.use, np.zeros((3 * len(self.recording), self.sizes[-1]))
         design[use.ravel()] = self._system[0][: int(use.sum()), self.order]  # whitened; zero where nothing is measured
         # A reading that is not measured has no row; its prediction starts at the nominal reading.
-        predicting = np.where(use, self.problem.sigma, 0.0).reshape(-1, 1) * design
-        if self.effects:
-            predicting[:, self.sizes[2] :] -= self._extra_design.reshape(len(design), -1)
+        predicting = np.where(use, self.problem.sigma, 0.0).reshape(-1, 1) * design[:, : self.sizes[2]]
         by_reading = self.covariance @ (design / self.sigma.reshape(-1, 1)).T
         return by_reading, self.covariance @ self._others[0].T, predicting
 
@@ -261,12 +308,7 @@ class BatchNetwork:
         by_reading, by_other, predicting = self._start_matrices
         nowhere = np.zeros((self.sizes[-1], deviation.shape[2]))
         x = by_reading @ deviation.reshape(len(predicting), -1) + by_other @ self._other_rows(nowhere, gauge_error)
-        return x, (predicting @ x).reshape(deviation.shape)
-
-    def _shift(self, x: Floats) -> Floats:
-        """Shift (n, 3, B) of the readings by the further effects."""
-        extra = self.split(x)[3]
-        return np.tensordot(self._extra_design, extra, axes=1)
+        return x, (predicting @ x[: self.sizes[2]]).reshape(deviation.shape)
 
     def _gradient(
         self,
@@ -279,19 +321,20 @@ class BatchNetwork:
     ) -> None:
         """Gradient (K, B) and cost (B,) at increments x (K, B)."""
         gradient[:], cost[:] = 0.0, 0.0
-        if self.effects:
-            deviation = deviation - self._shift(x)
-        pose, points, values, _ = self.split(x)
+        pose, points, values, extra = self.split(x)
+        if self._has_extra:
+            rows, design, whitened = self._felt
+            deviation = deviation.copy()
+            deviation.reshape(-1, len(cost))[rows] -= each_times(design, extra)
         by_pose, by_points, by_values, by_extra = self.split(gradient)
         residual = np.empty(deviation.shape)
         arrays = (self.program, *self._geometry, deviation, pose, points, values, predicted)
         network_gradient(*arrays, residual, by_pose, by_points, by_values, cost)
-        if self.effects:
-            whitened = self._extra_design / self.sigma[:, :, None]
-            by_extra += np.tensordot(whitened, residual, axes=([0, 1], [0, 1]))
-        rows = self._other_rows(x, gauge_error)
-        gradient += _each(np.swapaxes(self._others[0], -2, -1), rows)
-        cost += np.sum(rows**2, axis=0)
+        if self._has_extra:
+            by_extra += each_times(np.swapaxes(whitened, -2, -1), residual.reshape(-1, len(cost))[rows])
+        others = self._other_rows(x, gauge_error)
+        gradient += each_times(np.swapaxes(self._others[0], -2, -1), others)
+        cost += np.sum(others**2, axis=0)
 
     def _other_rows(self, x: Floats, gauge_error: Floats | None) -> Floats:
         """Whitened residuals (r, B) of known lengths, control points, levels, priors and datum.
@@ -299,7 +342,7 @@ class BatchNetwork:
         They are linear, but for the lengths, which are exact.
         """
         design, nominal = self._others
-        rows = nominal - _each(design, x)
+        rows = nominal - each_times(design, x)
         gauge = self.problem.gauge
         if len(gauge):
             moved = self.split(x)[1]
@@ -314,58 +357,7 @@ class BatchNetwork:
         return rows
 
 
-@dataclass(frozen=True)
-class Stacked(BatchNetwork):
-    """Networks of the same pointings in different places, a trial each, adjusted side by side.
-
-    Its state, its program and what is below end in the trial; `recording` is that of the first.
-    """
-
-    parts: tuple[BatchNetwork, ...] = ()
-    """The network of each trial."""
-
-    @cached_property
-    def problem(self) -> NetworkProblem:
-        """The problem of the first trial."""
-        return self.parts[0].problem
-
-    def step(self, gradient: Floats) -> Floats:
-        """The step of each trial by its own normal matrix."""
-        step = np.empty_like(gradient)
-        for trial, (root, scale) in enumerate(part.root for part in self.parts):
-            step[:, trial] = scale * dpotrs(root.T, scale * gradient[:, trial])[0]
-        return step
-
-    @cached_property
-    def sigma_values(self) -> Floats:
-        """Standard deviation (I, p, B) [SI] of the parameters."""
-        return np.stack([part.sigma_values for part in self.parts], axis=-1)
-
-    @cached_property
-    def sigma(self) -> Floats:
-        """Standard deviation (n, 3, B) of the readings."""
-        return np.stack([part.sigma for part in self.parts], axis=-1)
-
-    @cached_property
-    def _by_point(self) -> Floats:
-        return np.stack([part._by_point for part in self.parts], axis=-1)
-
-    @cached_property
-    def _others(self) -> tuple[Floats, Floats]:
-        designs, nominal = zip(*(part._others for part in self.parts), strict=True)
-        return np.stack(designs), np.concatenate(nominal, axis=1)
-
-    def _linear_start(self, deviation: Floats, gauge_error: Floats | None) -> tuple[Floats, Floats]:
-        x, predicted = np.zeros((self.sizes[-1], deviation.shape[2])), np.zeros_like(deviation)
-        gradient, cost = np.empty_like(x), np.empty(x.shape[1])
-        arguments = deviation, gauge_error, predicted, gradient, cost
-        self._gradient(x, *arguments)
-        x += self.step(gradient)
-        self._gradient(x, *arguments)  # the predicted readings settle
-        return x, predicted
-
-
-def _each(matrix: Floats, columns: Floats) -> Floats:
+def each_times(matrix: Floats, columns: Floats) -> Floats:
     """The product with columns (k, B) of one matrix, or of one (B, j, k) for each of them."""
     if matrix.ndim == 2:
         return matrix @ columns

@@ -26,9 +26,10 @@ import numpy as np
 from pydantic import Field, TypeAdapter, ValidationError
 from scipy.spatial.transform import Rotation
 
-from ltsim.arrays import Floats
+from ltsim.arrays import Floats, Ints
 from ltsim.calibration.calibration import Calibration
 from ltsim.campaigns.schema import Errors
+from ltsim.effects.smr_incidence import SmrIncidence
 from ltsim.errors import RecordError, SetupError
 from ltsim.recording import Recording, write as write_recording
 from ltsim.recording.files import shown
@@ -166,31 +167,86 @@ def check_known(names: Sequence[str], true: Mapping[str, float], truth: Truth) -
         )
 
 
+@dataclass(frozen=True)
+class ExpectedTruth:
+    """What a truth is to an estimator with a prior: P parameters in prior sigmas, of instruments and stated errors."""
+
+    mean: Floats
+    """(P,): where the truth was drawn; the truth itself where it was not."""
+    drawn: Floats
+    """(P,): standard deviation of the draw."""
+    missed: Floats
+    """(P, P): what the estimates miss of the truth, noise aside: -missed @ truth."""
+    columns: Ints
+    """(P,): columns of the adjusted network, in the order of these; empty without one."""
+    units: Floats
+    """(P,) [SI]: prior sigmas."""
+
+    @classmethod
+    def of(cls, found: Calibration, truth: Truth, law: Mapping[str, tuple[float, float]]) -> ExpectedTruth:
+        """The truth of a simulated recording; `law` as of `score`."""
+        prior = found.prior_sigma.ravel()
+        mean, drawn = np.array([law[name] for name in found.names]).T / prior
+        adjustment = found.adjustment
+        if adjustment is None or found.method != "network":
+            return cls(mean, drawn, found.missed, np.zeros(0, dtype=np.int64), prior)
+        model, unknowns = adjustment.problem.model, adjustment.problem.unknowns
+        reflectors = [np.linalg.solve(e.root, _reflector_error(truth) - e.mean) for e in model.incidence]
+        more = np.concatenate([np.zeros(0), *reflectors])
+        first = model.effects_size + sum(len(heads.parameters) for heads in model.heads)
+        columns = np.concatenate([unknowns.instrument.ravel(), unknowns.extra[first : first + len(more)]])
+        free = np.concatenate([~found.held.ravel(), np.ones(len(more), dtype=bool)])
+        units = np.concatenate([prior, np.ones(len(more))])
+        missed = adjustment.kept_covariance[columns[:, None], columns] / np.outer(units, units)
+        missed = np.where(free[:, None] & free, missed, 0.0)
+        return cls(np.append(mean, more), np.append(drawn, 0.0 * more), missed, columns, units)
+
+    @property
+    def is_prior(self) -> bool:
+        """True for a truth that is drawn from the prior."""
+        return not np.any(self.mean) and bool(np.all(self.drawn == 1.0))
+
+    @property
+    def undrawn(self) -> Floats:
+        """(P,): share of the prior's variance that the draw lacks."""
+        return 1.0 - self.drawn**2
+
+
+def _reflector_error(truth: Truth) -> Floats:
+    """True parameters (p,) [SI] of the reflectors' incidence error."""
+    total = SmrIncidence().values_of_table
+    for applied in truth.effects:
+        if isinstance(applied.effect, SmrIncidence) and not applied.effect.place:
+            total = total + applied.effect.values_of_table + applied.values
+    return total
+
+
 def score(found: Calibration, truth: Truth, law: Mapping[str, tuple[float, float]]) -> Trial:
     """What ltsim's calibration says of a truth; raises SetupError where that lacks parameters of the calibration.
 
     `law` holds mean and standard deviation [SI] from which each true parameter was drawn; 0 for a stated one.
     """
     check_known(found.names, truth.instrument, truth)
+    expected, count = ExpectedTruth.of(found, truth, law), len(found.names)
     true = np.array([truth.instrument[name] for name in found.names])
     prior = found.prior_sigma.ravel()
-    mean, drawn = np.array([law[name] for name in found.names]).T / prior
     error, stated = (found.values.ravel() - true) / prior, found.sigma.ravel() / prior
-    left = stated**2 - found.missed**2 @ (1.0 - drawn**2)
+    missed = expected.missed[:count]
+    left = stated**2 - missed**2 @ expected.undrawn
     noisy = left > NOISELESS * stated**2
-    standard = np.where(noisy, (error + found.missed @ mean) / np.sqrt(np.where(noisy, left, 1.0)), np.nan)
+    standard = np.where(noisy, (error + missed @ expected.mean) / np.sqrt(np.where(noisy, left, 1.0)), np.nan)
     network = NetworkScore(
-        *_network_scores(found, truth, mean, drawn), found.fit.chi2, found.fit.dof, *_chi2(found, mean, drawn)
+        *_network_scores(found, truth, expected), found.fit.chi2, found.fit.dof, *_chi2(found, expected)
     )
     units = tuple(truth.units[name] for name in found.names)
     factor = np.array([FACTOR[unit] for unit in units])
     own = np.stack([found.values.ravel() / factor, found.sigma.ravel() / factor, true / factor, standard])
     more = true_values(truth)
     fitted = {name: entry for name, entry in _of_effects(found).items() if name in more}
-    plain = 1.0 if _as_the_prior(mean, drawn) else np.nan  # else the parameters' priors move effects too
+    plain = np.all(expected.drawn[:count] == 1.0) and not np.any(expected.mean[:count])  # else priors move effects too
     beside = np.array([[e.value, e.sigma or np.nan, more[name] / FACTOR[e.unit]] for name, e in fitted.items()])
     beside = beside.reshape(-1, 3).T
-    z = plain * (beside[0] - beside[2]) / beside[1]
+    z = (1.0 if plain else np.nan) * (beside[0] - beside[2]) / beside[1]
     value, sigma, right, scores = np.concatenate([own, np.vstack([beside, z])], axis=1)
     names, shown = tuple(found.names) + tuple(fitted), units + tuple(e.unit for e in fitted.values())
     return Trial(names, shown, value, sigma, right, scores, network)
@@ -208,29 +264,24 @@ def _of_effects(found: Calibration) -> dict[str, ParameterEstimate]:
     }
 
 
-def _chi2(found: Calibration, mean: Floats, drawn: Floats) -> tuple[float, float]:
-    """Mean and standard deviation of chi-square with truths of a mean and a spread (p,) [prior sigmas]."""
+def _chi2(found: Calibration, expected: ExpectedTruth) -> tuple[float, float]:
+    """Mean and standard deviation of chi-square with such truths."""
     dof, sigma = found.fit.dof, found.fit.chi2_sigma
     if found.method != "network":
-        return (dof, sigma) if _as_the_prior(mean, drawn) and sigma is not None else (np.nan, np.nan)
-    told = np.eye(len(mean)) - found.missed
+        return (dof, sigma) if expected.is_prior and sigma is not None else (np.nan, np.nan)
+    told, mean = np.eye(len(expected.mean)) - expected.missed, expected.mean
     lean = float(mean @ told @ mean)
-    return dof + lean - float(np.diag(told) @ (1.0 - drawn**2)), float(np.sqrt(2 * dof + 4 * lean))
+    return dof + lean - float(np.diag(told) @ expected.undrawn), float(np.sqrt(2 * dof + 4 * lean))
 
 
-def _as_the_prior(mean: Floats, drawn: Floats) -> bool:
-    """Whether truths of a mean and a spread (p,) [prior sigmas] are drawn from the prior."""
-    return not np.any(mean) and bool(np.all(drawn == 1.0))
-
-
-def _network_scores(found: Calibration, truth: Truth, mean: Floats, drawn: Floats) -> tuple[float, float]:
+def _network_scores(found: Calibration, truth: Truth, expected: ExpectedTruth) -> tuple[float, float]:
     """Mean square of error over sigma of targets and poses, where the first station is held; NaN in another frame.
 
-    Both as they are to be expected of truths of a mean and a spread (p,) [prior sigmas]; of stated ones for the network
-    method alone.
+    Both as they are to be expected of such truths; of those that are not drawn from the prior for the network method
+    alone.
     """
-    adjustment, plain = found.adjustment, _as_the_prior(mean, drawn)
-    unknown = found.method != "network" and not plain
+    adjustment = found.adjustment
+    unknown = found.method != "network" and not expected.is_prior
     if adjustment is None or unknown or adjustment.problem.free.shape[1] < 6:
         return float("nan"), float("nan")
     # The truth moved to where the first station is held.
@@ -238,11 +289,11 @@ def _network_scores(found: Calibration, truth: Truth, mean: Floats, drawn: Float
     turn = truth.rotation[0] @ held.rotation[0].T
     unknowns, size = adjustment.problem.unknowns, np.zeros(adjustment.problem.unknowns.size)
     bias, less = size.copy(), size.copy()
-    if not plain:
-        pick = np.zeros((len(size), len(mean)))
-        pick[unknowns.instrument.ravel(), np.arange(len(mean))] = 1.0 / found.prior_sigma.ravel()
+    if not expected.is_prior:
+        pick = np.zeros((len(size), len(expected.mean)))
+        pick[expected.columns, np.arange(len(expected.mean))] = 1.0 / expected.units
         missed = adjustment.factor.covariance_columns(pick)
-        bias, less = -missed @ mean, missed**2 @ (1.0 - drawn**2)
+        bias, less = -missed @ expected.mean, missed**2 @ expected.undrawn
     points = (truth.points - origin) @ turn + held.position[0]
     variance = np.einsum("tii->ti", found.target_covariance) - less[unknowns.target]
     targets = float(np.mean((found.points - points - bias[unknowns.target]) ** 2 / variance))

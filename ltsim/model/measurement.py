@@ -8,12 +8,14 @@ import numpy as np
 
 from ltsim.arrays import Bools, Floats
 from ltsim.effects.signature import Signature
+from ltsim.effects.smr_incidence import SmrIncidence
 from ltsim.errors import NetworkError
 from ltsim.geometry.alignment import align
 from ltsim.geometry.rigid import pose_design
 from ltsim.geometry.rotations import about_z, from_rotation_vector, smallest_turn
 from ltsim.model.construction import Construction
 from ltsim.model.heads import HeadHeights, head_heights
+from ltsim.model.incidence import IncidenceErrors, incidence_errors
 from ltsim.model.shared import shared_errors
 from ltsim.recording.recording import Recording
 from ltsim.recording.reflectors import excess_radii
@@ -156,9 +158,15 @@ class MeasurementModel:
         return head_heights(self.recording, verticals(self.recording))
 
     @cached_property
+    def incidence(self) -> tuple[IncidenceErrors, ...]:
+        """Incidence errors of reflectors in fixed nests; none where `effects` estimate them without a prior."""
+        free = any(isinstance(effect, SmrIncidence) and not effect.place for effect in self.effects)
+        return () if free or not has_plan(self.recording) else incidence_errors(self.recording)
+
+    @cached_property
     def stated(self) -> tuple[Signature, ...]:
-        """Errors of which the recording states how large they may be: of heights of heads, and what readings share."""
-        return *self.heads, *shared_errors(self.recording)
+        """Errors whose size is known beforehand: of heights of heads, of reflectors, and what readings share."""
+        return *self.heads, *self.incidence, *shared_errors(self.recording)
 
     @property
     def beside(self) -> tuple[Signature, ...]:
@@ -169,6 +177,11 @@ class MeasurementModel:
     def extra_size(self) -> int:
         """Number of parameters q of all that."""
         return sum(len(effect.parameters) for effect in self.beside)
+
+    @property
+    def effects_size(self) -> int:
+        """Number of those of the further effects, which come first."""
+        return sum(len(effect.parameters) for effect in self.effects)
 
     def _instrument_values(self, state: State) -> Floats:
         if len(state.instrument) == 1:
@@ -205,10 +218,18 @@ class MeasurementModel:
         """The same as far as no effect is concerned."""
         return self._nowhere.at(state.position, state.rotation, state.points)
 
-    def _extra_design(self, sightings: Sightings) -> Floats:
+    def extra_design(self, sightings: Sightings) -> Floats:
+        """Change (n, 3, q) of the readings per unit of all that is estimated beside network and instrument."""
         if not self.beside:
             return np.zeros((len(sightings), 3, 0))
         return np.concatenate([effect.design(sightings) for effect in self.beside], axis=2)
+
+    def extra_shift(self, sightings: Sightings, extra: Floats) -> Floats:
+        """Change (n, 3) of the readings by all that, at values (q,)."""
+        change = np.zeros((len(sightings), 3))
+        for effect, values in zip(self.beside, self._split(extra), strict=True):
+            change += effect.shift(sightings, values)
+        return change
 
     def predict(self, state: State) -> Floats:
         """Predicted raw readings (n, 3)."""
@@ -216,8 +237,7 @@ class MeasurementModel:
         raw = self._instrument_readings(sightings, state)
         if self.beside:
             sightings = self._completed(sightings, state, raw)
-        for effect, values in zip(self.beside, self._split(state.extra), strict=True):
-            raw = raw + effect.shift(sightings, values)
+            raw = raw + self.extra_shift(sightings, state.extra)
         if self._horizontal is not None:
             raw[self._horizontal, 0] *= np.abs(np.cos(raw[self._horizontal, 2]))
         return raw
@@ -237,9 +257,9 @@ class MeasurementModel:
             sightings = self._completed(sightings, state, raw)
         by_target = by_point @ np.swapaxes(state.rotation, 1, 2)[sightings.station]
         by_pose = pose_design(by_target, sightings.arm)
-        by_extra = self._extra_design(sightings)
-        for effect, extra in zip(self.beside, self._split(state.extra), strict=True):
-            raw = raw + effect.shift(sightings, extra)
+        by_extra = self.extra_design(sightings)
+        if self.beside:
+            raw = raw + self.extra_shift(sightings, state.extra)
         derivatives = by_pose, by_target, by_instrument, by_extra
         if self._horizontal is not None:
             reduce_to_horizontal(raw, derivatives, self._horizontal)
@@ -258,8 +278,18 @@ def reduce_to_horizontal(raw: Floats, derivatives: tuple[Floats, ...], flat: Boo
 
 UPRIGHT = 5 * DEGREE
 """How far the axes of instruments on tripods part, as seen in the length of their mean."""
+PLACES = 3
+"""Rough places of stations that turn the floor plan into the network's frame."""
 ROUGH = 3 * DEGREE
 """How well a floor plan knows directions: frames that agree so well are one frame."""
+
+
+def has_plan(recording: Recording) -> bool:
+    """True when the set-up turns directions on the floor plan into the network's frame (`plan_rotation`)."""
+    stations = [recording.station_setup(name) for name in recording.stations]
+    known = any(recording.target_setup(name).known_mm is not None for name in recording.targets)
+    placed = sum(station.position_mm is not None for station in stations)
+    return known or placed >= PLACES or any(station.yaw_deg is not None for station in stations)
 
 
 def plan_rotation(recording: Recording, position: Floats, rotation: Floats) -> Floats:
@@ -283,7 +313,7 @@ def plan_rotation(recording: Recording, position: Floats, rotation: Floats) -> F
 def _by_positions(stated: list[tuple[float, float, float] | None], position: Floats, rotation: Floats) -> Floats | None:
     """By the rough places of three or more stations; upright instruments know the vertical far better than these."""
     known = [i for i, p in enumerate(stated) if p is not None]
-    if len(known) < 3:
+    if len(known) < PLACES:
         return None
     plan = np.array([stated[i] for i in known], dtype=np.float64) * MILLIMETRE
     axis = rotation[known, :, 2].mean(axis=0)

@@ -11,7 +11,7 @@ twin, and a test holds both together.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from ltsim.effects.effect import Effect
 from ltsim.geometry.rigid import holds_pose, rigid_motion
 from ltsim.geometry.rotations import about_z, cross_matrix
 from ltsim.model.construction import Construction, misalignment
+from ltsim.model.incidence import IncidenceErrors
 from ltsim.model.measurement import MeasurementModel
 from ltsim.planning.survey import Survey
 from ltsim.scene.sightings import Sightings
@@ -33,7 +34,7 @@ POSE_SCALE = 1e-5
 
 @dataclass(frozen=True)
 class StationBlocks:
-    """N set-ups and what each contributes to the normal equations; P = instrument and effect parameters."""
+    """N set-ups and what each contributes to the normal equations; P = errors of reflectors, instrument and effects."""
 
     position: Floats
     """(N, 3) [m]."""
@@ -63,6 +64,13 @@ class StationBlocks:
         """A layout of these set-ups with another one (N = 1) as station `slot`."""
         stations = np.arange(len(self.position))
         return self.joined([self, other]).take(np.where(stations == slot, len(stations), stations))
+
+
+def by_target(errors: IncidenceErrors, target: Ints, targets: int) -> Floats:
+    """(T,): 1 for targets (n,) whose pointings have the errors of a reflector, else 0."""
+    acts = np.zeros(targets)
+    np.maximum.at(acts, target, errors.acts)
+    return acts
 
 
 @dataclass(frozen=True)
@@ -101,22 +109,26 @@ class Reducer:
         self._vertical = np.full((self.stations, 3), np.nan)
         self._vertical[problem.levels.station] = problem.levels.vertical
         self.prior_sigma = problem.prior.sigma[0]
+        self._reflectors = [(e, by_target(e, pointings.target, len(survey.points))) for e in problem.model.incidence]
+        self._nuisance = sum(len(errors.parameters) for errors in problem.model.incidence)
         sizes = [p.prior_sigma for effect in self.effects for p in effect.parameters]
-        self.scale = np.concatenate([self.prior_sigma, np.array(sizes, dtype=np.float64)])
+        self.scale = np.concatenate([np.ones(self._nuisance), self.prior_sigma, np.array(sizes, dtype=np.float64)])
         self._gauge = np.flatnonzero(problem.unknowns.target[:, 0] < problem.unknowns.kept)
         self.mesh = np.flatnonzero(problem.unknowns.target[:, 0] >= problem.unknowns.kept)
         rows = problem.linearise(state).design[int(problem.use.sum()) :]
         other = as_dense(rows[: rows.shape[0] - self._rank_free])
-        self._other_blocks(other, problem.unknowns.target, problem.unknowns.pose, problem.unknowns.instrument[0])
+        at = problem.unknowns
+        values = np.concatenate([at.extra[: self._nuisance], at.instrument[0]])
+        self._other_blocks(other, at.target, at.pose, values)
         self._weight, self._use = survey.weight, survey.used
         self._anchors_turn = problem.structure.anchors_turn
         self._motion = rigid_motion(survey.points) @ self._free
 
-    def _other_blocks(self, rows: Floats, target: Ints, pose: Ints, instrument: Ints) -> None:
+    def _other_blocks(self, rows: Floats, target: Ints, pose: Ints, values: Ints) -> None:
         """Normal equations of gauge, control, levels and priors, in this class's order and units."""
-        extra = np.zeros((len(rows), len(self.scale) - len(instrument)))
+        extra = np.zeros((len(rows), len(self.scale) - len(values)))
         front = [rows[:, pose.ravel()] * POSE_SCALE, rows[:, target[self._gauge].ravel()] * POSE_SCALE]
-        kept = np.hstack([*front, rows[:, instrument] * self.prior_sigma, extra])
+        kept = np.hstack([*front, rows[:, values] * self.scale[: len(values)], extra])
         mesh = rows[:, target[self.mesh].ravel()].reshape(len(rows), -1, 3) * POSE_SCALE
         self._other_kept = kept.T @ kept
         self._other_tt = np.einsum("mti,mtj->tij", mesh, mesh)
@@ -177,7 +189,8 @@ class Reducer:
         """Whitened derivative (n, 3, 3) by the target and (n, 3, P) by the parameters."""
         by_point, by_value = self.construction.reading_design(sightings.raw, np.zeros(self.construction.size))
         by_target = by_point @ np.swapaxes(sightings.rotation[sightings.station], 1, 2)
-        designs = [by_value, *(effect.design(sightings) for effect in self.effects)]
+        reflectors = [replace(e, acts=acts[sightings.target]).design(sightings) for e, acts in self._reflectors]
+        designs = [*reflectors, by_value, *(effect.design(sightings) for effect in self.effects)]
         sigma = self.survey.noise(sightings)
         if self.survey.air is not None:
             sigma = np.sqrt(sigma**2 + self.survey.air.variance(sightings))
@@ -203,7 +216,8 @@ class Reducer:
     def reduce(self, blocks: StationBlocks, chosen: Ints, *, targets: bool = False) -> Reduced:
         """Information of B layouts; `chosen` (B, S) are indices into `blocks`, a row a layout; and target errors."""
         schur, length, inverse, weights = self.eliminated(blocks, chosen)
-        information, rms = np.full((len(schur), *2 * self.scale.shape), np.nan), np.full(len(schur), np.nan)
+        size = len(self.scale) - self._nuisance
+        information, rms = np.full((len(schur), size, size), np.nan), np.full(len(schur), np.nan)
         held = blocks.held[chosen].all(axis=1) & np.isfinite(schur[:, 0, 0])
         information[held] = self.marginal(schur[held], length[held])
         if targets:
@@ -212,13 +226,13 @@ class Reducer:
         return Reduced(information, rms)
 
     def marginal(self, schur: Floats, length: Floats) -> Floats:
-        """Information (B, P, P) of the parameters: poses and gauge targets of normal matrices (B, K, K) eliminated.
+        """Information of the parameters (B, P, P): all else in normal matrices (B, K, K) is eliminated.
 
         NaN where these leave a direction open, of columns whose squared lengths (B, K) the design would have.
         """
         unit, scale = unit_diagonal(schur, length)
         roots, _ = cholesky_where_determined(unit)
-        last = slice(schur.shape[1] - len(self.scale), schur.shape[1])
+        last = slice(schur.shape[1] - len(self.scale) + self._nuisance, schur.shape[1])
         corner = roots[:, last, last] / scale[:, last, None]
         return corner @ np.swapaxes(corner, 1, 2)
 
@@ -300,16 +314,18 @@ class Reducer:
     def target_variance(self, schur: Floats, inverse: Floats, weights: Floats, mesh: Ints) -> Floats:
         """Squared point error (B, E + gauge) [m^2] of targets with inner constraints over them.
 
-        Effects are not estimated here, only the instrument's parameters. `schur` (B, K, K), `inverse` (B, E, 3, 3) and
-        `weights` (B, E, 3, K) are those of `eliminated`, of the targets that are asked about: `mesh` (E,) or (B, E).
+        Effects are not estimated here, only the instrument's parameters and the reflectors' errors. `schur` (B, K, K),
+        `inverse` (B, E, 3, 3) and `weights` (B, E, 3, K) are those of `eliminated`, of the targets that are asked
+        about: `mesh` (E,) or (B, E).
         Those of the gauge are asked about as well.
         """
-        layouts, size = len(schur), schur.shape[1] - (len(self.scale) - len(self.prior_sigma))
+        estimated = self._nuisance + len(self.prior_sigma)
+        layouts, size = len(schur), schur.shape[1] - (len(self.scale) - estimated)
         covariance = np.linalg.inv(schur[:, :size, :size])
         count, gauge = inverse.shape[1], len(self._gauge)
         carry = np.zeros((layouts, count + gauge, 3, size))
         carry[:, :count] = -weights[..., :size]
-        first = size - len(self.prior_sigma) - 3 * gauge
+        first = size - estimated - 3 * gauge
         for g in range(gauge):
             carry[:, count + g, :, first + 3 * g : first + 3 * g + 3] = np.eye(3)
         motion = np.broadcast_to(

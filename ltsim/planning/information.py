@@ -152,7 +152,7 @@ KINDS = {
     "range_scale": "range scale",
     "range_offset": "range offset",
 }
-RANGE_NOISE, ANGLE_NOISE, LENGTHS = "range noise", "angle noise", "gauge lengths"
+RANGE_NOISE, ANGLE_NOISE, LENGTHS, REFLECTORS = "range noise", "angle noise", "gauge lengths", "reflectors"
 
 
 @dataclass(frozen=True)
@@ -252,28 +252,33 @@ def _ways(information: LayoutInformation, left_out: Sequence[Effect]) -> tuple[t
     problem, sightings = adjustment.problem, adjustment.sightings
     design = adjustment.solution.system.design
     count, known, params = int(problem.use.sum()), len(problem.gauge), len(information.prior_sigma)
-    priors = design.shape[0] - problem.free.shape[1] - params
+    stated = problem.model.extra_size
+    priors = design.shape[0] - problem.free.shape[1] - params - stated
     mean = _means(information)
     _, by_reading, by_value = construction.linearised(sightings.raw, np.zeros(construction.size))
     noise = np.einsum("rn,nij->rinj", mean, by_reading).reshape(3 * len(mean), -1) * problem.sigma.ravel()
     parameters = -np.einsum("rn,nij->rij", mean, by_value).reshape(3 * len(mean), -1)
-    columns = np.eye(problem.unknowns.size)[:, problem.unknowns.instrument[0]]
+    places = np.concatenate([problem.unknowns.instrument[0], problem.unknowns.extra])
+    columns = np.eye(problem.unknowns.size)[:, places]
     answer = adjustment.factor.covariance_columns(columns).T @ design.T
+    by_stated = (noise / problem.sigma.ravel()) @ problem.model.extra_design(sightings).reshape(noise.shape[1], stated)
     errors = np.zeros((design.shape[0], 0))
     if left_out:
         space = ResidualSpace.of(adjustment)
         errors = np.hstack([space.signature(e) * [p.prior_sigma for p in e.parameters] for e in left_out])
     used = np.flatnonzero(problem.use.ravel())
-    kept = np.r_[0 : count + known, priors : priors + params]
+    kept = np.r_[0 : count + known, priors : priors + params + stated]
     before = np.zeros((len(noise), len(kept) + errors.shape[1]))
     before[:, :count] = noise[:, used]
-    before[:, count + known : len(kept)] = -parameters * information.prior_sigma
+    own = np.hstack([parameters, by_stated])
+    before[:, count + known : len(kept)] = -own * np.append(information.prior_sigma, problem.extra_sigma)
     before[:, len(kept) :] = noise[:, used] @ errors[:count]
     after = before.copy()
     after[:, count + known : len(kept)] = 0.0
-    after -= parameters @ np.hstack([answer[:, kept], answer @ errors])
+    after -= own @ np.hstack([answer[:, kept], answer @ errors])
     labels = np.where(used % 3 == 0, RANGE_NOISE, ANGLE_NOISE).tolist() + [LENGTHS] * known
     labels += [KINDS[p.prior_kind] for p in construction.parameters]
+    labels += [REFLECTORS] * stated
     return (before, after), labels + [e.name for e in left_out for _ in e.parameters]
 
 

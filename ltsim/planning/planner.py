@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ltsim.arrays import Bools
 from ltsim.errors import NetworkError
 from ltsim.model.construction import Construction
 from ltsim.planning.fast import Reducer
@@ -16,6 +17,7 @@ from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import Survey
 from ltsim.planning.tolerances import Demands, Kept, every_loss, judged
 from ltsim.planning.workshop import fixed_of, objective_of, site_of, survey_of
+from ltsim.recording.setup import Target
 from ltsim.results import Columns, Result
 from ltsim.saved import Valued
 from ltsim.scene.visibility import Visibility, aimed_normals, visibility
@@ -126,7 +128,7 @@ def judge(file: PlanFile, scenario: Scenario, survey: Survey) -> Plan:
     """The plan of a layout as it is, without a search."""
     built, demands = planned_construction(scenario), Demands.of(file)
     site = site_of(file, scenario, stations=len(survey.position), faces=len(survey.faces), repeats=survey.repeats)
-    objective = objective_of(file, survey)
+    survey, objective = with_aimed_nests(site, survey), objective_of(file, survey)
     return Plan(
         file=file,
         scenario=scenario,
@@ -158,7 +160,7 @@ def measure(survey: Survey, objective: Objective, built: Construction) -> tuple[
 def evaluated(site: Site, survey: Survey, objective: Objective, built: Construction) -> Evaluated:
     """Everything that is known of a layout before measuring; NetworkError where poses or targets stay open."""
     table = sight_table(site, survey)
-    survey = survey.replace(seen=table.visible)
+    survey = with_aimed_nests(site, survey.replace(seen=table.visible))
     information = LayoutInformation.of(survey, built)
     allowed = site.allowed(survey.position).all() and site.joined(survey.position[None], survey.seen[None])[0]
     value, qualities = measure(survey, objective, built)
@@ -169,12 +171,27 @@ def evaluated(site: Site, survey: Survey, objective: Objective, built: Construct
 
 def sight_table(site: Site, survey: Survey) -> Visibility:
     """Who sees whom, with fixed nests aimed at the layout's stations; reflectors of its own choice are in such too."""
-    normal = aimed_normals(survey.position, survey.points)[0]
-    aimed = np.full(len(survey.points), bool(site.aimed.any()))
-    aimed[: len(site.aimed)] = site.aimed[: len(survey.points)]
+    normal, aimed = aimed_normals(survey.position, survey.points)[0], _aimed(site, survey)
     return visibility(
         survey.position, survey.points, site.limits, nest_normal=normal, reaimed=~aimed, obstacles=site.obstacles
     )
+
+
+def _aimed(site: Site, survey: Survey) -> Bools:
+    """(T,): targets of a survey in fixed nests that are aimed at its stations."""
+    aimed = np.full(len(survey.points), bool(site.aimed.any()))
+    aimed[: len(site.aimed)] = site.aimed[: len(survey.points)]
+    return aimed
+
+
+def with_aimed_nests(site: Site, survey: Survey) -> Survey:
+    """The survey whose set-up says how its fixed nests are aimed at its stations."""
+    targets, normals = dict(survey.setup.targets), aimed_normals(survey.position, survey.points)[0]
+    for at in np.flatnonzero(_aimed(site, survey)).tolist():
+        name = survey.target_names[at]
+        aim = {"nest_normal": tuple(normals[at].tolist()), "reaimed": False}
+        targets[name] = targets.get(name, Target()).model_copy(update=aim)
+    return survey.replace(setup=survey.setup.model_copy(update={"targets": targets}))
 
 
 def _reference(file: PlanFile, scenario: Scenario, site: Site, built: Construction, way: Survey) -> Evaluated | None:

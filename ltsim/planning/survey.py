@@ -112,8 +112,10 @@ class Survey:
 
     def state(self, construction: Construction) -> State:
         """The nominal state: a perfect instrument at the planned places."""
-        count = len(self._empty().instruments)
-        return State(self.position, self.rotation, self.points, np.zeros((count, construction.size)))
+        empty = self._empty()
+        values = np.zeros((len(empty.instruments), construction.size))
+        errors = np.zeros(MeasurementModel(empty, construction).extra_size)
+        return State(self.position, self.rotation, self.points, values, errors)
 
     def recording(self, construction: Construction) -> Recording:
         """The recording of a perfect instrument without noise.

@@ -52,6 +52,8 @@ def symmetric(entries: tuple[float, ...]) -> Floats:
     return matrix + np.triu(matrix, 1).T
 
 
+FEWEST_ANGLES = 3
+"""Angles of a bench test: normal incidence and one on each side."""
 DEFINITE = 1e-9
 """Smallest eigenvalue of correlations that is told from none."""
 SHORT = 1e-6
@@ -313,6 +315,35 @@ class Reflector(TomlSection):
     the adjustment takes the radius for exact."""
 
 
+class BenchTest(TomlSection):
+    """Range error of a reflector against incidence from its bench test, a table `[[bench]]` that `ltsim bench` prints.
+
+    It holds for fixed nests, where the incidence error is estimated with the network.
+    """
+
+    reflector: str = ""
+    """Name of the SMR; without one it is that of every SMR that has no test."""
+    angle_deg: tuple[Annotated[float, Field(ge=-90, le=90, allow_inf_nan=False)], ...]
+    """Angles of incidence."""
+    error_um: tuple[Finite, ...]
+    """Range error at each angle, reading minus truth, from any zero."""
+    sigma_um: tuple[Sigma, ...]
+    """Standard deviation of each error."""
+    direction_deg: Finite = 0.0
+    """Where around the nest the positive angles look, 0 along the horizontal, as the mark of the SMR was held."""
+
+    @model_validator(mode="after")
+    def _whole(self) -> BenchTest:
+        counts = len(self.angle_deg), len(self.error_um), len(self.sigma_um)
+        if len(set(counts)) > 1 or counts[0] < FEWEST_ANGLES:
+            angles, errors, sigmas = counts
+            raise ValueError(
+                f"it has {angles} angles, {errors} errors and {sigmas} sigmas, expected as many of each, "
+                f"{FEWEST_ANGLES} or more"
+            )
+        return self
+
+
 class About(TomlSection):
     """Who measured what for whom, table `[report]`: the head of a report; nothing is computed from it."""
 
@@ -360,6 +391,8 @@ class Setup(TomlSection):
     reflectors: dict[str, Reflector] = Field(default_factory=dict)
     """SMRs with radii of their own, tables `[reflectors.NAME]`; the difference to the reference lies along the nest's
     normal. Without any, all SMRs are taken for one."""
+    bench: tuple[BenchTest, ...] = ()
+    """Bench tests of reflectors, a table `[[bench]]` each."""
     reference_radius_mm: NonNegative | None = None
     """A target is the centre of an SMR of this radius in its nest, 0 for the seat itself, whatever SMR was in it; the
     radius of the SMRs in use where they have one. It stands above the first table."""

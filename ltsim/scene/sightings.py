@@ -257,15 +257,14 @@ class Sightings:
     @cached_property
     def _nest(self) -> tuple[Floats, Floats]:
         """Incidence angle and its direction in the plane of the open face."""
-        normal = self.nest_normal[self.target]
-        back = -self.unit_vectors[0]
+        normal, back = self.nest_normal, -self.arm / np.linalg.norm(self.arm, axis=1, keepdims=True)
         side = side_by_side(-normal[:, 1], normal[:, 0], 0.0 * normal[:, 2])  # level, across the normal
         flat = np.linalg.norm(side, axis=1) < 1e-6
         side[flat] = [1.0, 0.0, 0.0]
         side /= np.linalg.norm(side, axis=1)[:, None]
-        above = np.cross(normal, side)
-        cosine = np.clip(np.sum(back * normal, axis=1), -1.0, 1.0)
-        angle = np.arctan2(np.sum(back * above, axis=1), np.sum(back * side, axis=1))
+        axes = np.stack([normal, side, np.cross(normal, side)], axis=1)
+        cosine, aside, above = np.einsum("nij,nj->in", axes[self.target], back)
+        cosine, angle = np.clip(cosine, -1.0, 1.0), np.arctan2(above, aside)
         return np.arccos(cosine), angle
 
     @property

@@ -21,6 +21,7 @@ from ltsim.randomness import trials_normal
 from ltsim.recording.lengths import KnownLengths
 from ltsim.recording.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
+from ltsim.simulation.physics import reflector_error
 from ltsim.simulation.scenario import Scenario
 from ltsim.units import MILLIMETRE
 
@@ -47,12 +48,14 @@ class EffectLaw:
 
 
 def effect_laws(scenario: Scenario, effects: tuple[Effect, ...]) -> tuple[EffectLaw, ...]:
-    """The laws of a scenario's effects, which are in the order of its entries; what has none is fixed at 0."""
+    """The laws of a scenario's effects, which are in the order of its entries; behind them the reflectors' error."""
     seen, laws = Counter[tuple[str, str]](), []
     for i, effect in enumerate(effects):
         entry = scenario.effects[i] if i < len(scenario.effects) else None
         given = {} if entry is None else entry.values
         mean = np.array([given.get(p.name, 0.0) * p.factor for p in effect.parameters])
+        if entry is None:
+            mean = reflector_error(scenario)
         free = [entry is not None and entry.draw and p.name not in given for p in effect.parameters]
         sigma = np.where(free, np.array([p.prior_sigma for p in effect.parameters]), 0.0)
         seen[effect.name, effect.place] += 1

@@ -79,13 +79,18 @@ def quantised(readings: Floats, step: Floats) -> Floats:
 def effects_of(scenario: Scenario) -> tuple[Effect, ...]:
     """The scenario's effects in the order of its file; the reflectors' incidence error, if it is on, is the last.
 
+    Its parameters are those of the table (`reflector_error`).
+
     Raises SetupError, naming the entry and what would be right.
     """
     effects = [_effect_of(entry, i + 1) for i, entry in enumerate(scenario.effects)]
-    if (smr := scenario.smr).incidence_error:
-        table = tuple(x * MICROMETRE for x in smr.table_um)
-        effects.append(SmrIncidence(table=table, direction=smr.direction_deg * DEGREE))
-    return tuple(effects)
+    return (*effects, SmrIncidence()) if scenario.smr.incidence_error else tuple(effects)
+
+
+def reflector_error(scenario: Scenario) -> Floats:
+    """Parameters (p,) [SI] of the effect `smr-incidence` that are the scenario's table."""
+    table = tuple(x * MICROMETRE for x in scenario.smr.table_um)
+    return SmrIncidence(table=table, direction=scenario.smr.direction_deg * DEGREE).values_of_table
 
 
 def _effect_of(entry: EffectEntry, number: int) -> Effect:

@@ -14,11 +14,13 @@ from ltsim.errors import NetworkError, SetupError
 from ltsim.geometry.rotations import from_rotation_vector
 from ltsim.model.construction import ideal, misalignment
 from ltsim.planning.fast import Reducer, StationBlocks
-from ltsim.planning.information import LayoutInformation
+from ltsim.planning.information import LayoutInformation, Predictor
 from ltsim.planning.objective import smallest_sizes
+from ltsim.planning.workshop import survey_of
 from ltsim.randomness import stream
 from ltsim.recording.setup import Station
 from ltsim.remedies.detectability import examine
+from ltsim.simulation.scenario import load_scenario
 from tests.planning.fixtures import POSITION, YAW, survey
 
 
@@ -198,3 +200,19 @@ def test_an_effect_that_knows_the_clock_is_the_same_in_the_batch(face_by_face: b
             )
             size = smallest_sizes(only, 16, [effect])[0] * effect.parameters[0].prior_sigma
             assert size == pytest.approx(seen.sizes[0][0], rel=1e-6)
+
+
+def test_fixed_nests_have_the_reflectors_error_in_both() -> None:
+    """It is a nuisance that costs information, the same in the batch and in its twin, and a group of the criteria."""
+    made = survey_of(load_scenario("paper-workshop"))
+    reducer, slow = Reducer(made), LayoutInformation.of(made)
+    out = reducer.reduce(reducer.blocks(made.position, made.yaw, np.arange(5)), np.arange(5)[None], targets=True)
+    assert np.abs(np.linalg.inv(out.information[0]) - slow.scaled_covariance).max() < 1e-9
+    assert out.target_rms[0] == pytest.approx(slow.target_rms, rel=1e-9)
+    targets = {name: target.model_copy(update={"reaimed": True}) for name, target in made.setup.targets.items()}
+    aimed = LayoutInformation.of(made.replace(setup=made.setup.model_copy(update={"targets": targets})))
+    ratio = slow.instrument_sigma / aimed.instrument_sigma
+    assert ratio.min() > 1.0 - 1e-9 and ratio.max() > 1.2
+    with_error, without = (Predictor.of(slow).expected({"reflectors": size}) for size in (1.0, 0.0))
+    assert with_error.distance_before[0] > without.distance_before[0]
+    assert with_error.distance_after[0] > without.distance_after[0]
