@@ -128,7 +128,7 @@ def judge(file: PlanFile, scenario: Scenario, survey: Survey) -> Plan:
     """The plan of a layout as it is, without a search."""
     built, demands = planned_construction(scenario), Demands.of(file)
     site = site_of(file, scenario, stations=len(survey.position), faces=len(survey.faces), repeats=survey.repeats)
-    survey, objective = with_aimed_nests(site, survey), objective_of(file, survey)
+    objective = objective_of(file, survey)
     return Plan(
         file=file,
         scenario=scenario,
@@ -160,8 +160,8 @@ def measure(survey: Survey, objective: Objective, built: Construction) -> tuple[
 def evaluated(site: Site, survey: Survey, objective: Objective, built: Construction) -> Evaluated:
     """Everything that is known of a layout before measuring; NetworkError where poses or targets stay open."""
     table = sight_table(site, survey)
-    survey = with_aimed_nests(site, survey.replace(seen=table.visible))
-    information = LayoutInformation.of(survey, built)
+    survey = survey.replace(seen=table.visible)
+    information = LayoutInformation.of(with_aimed_nests(site, survey), built)
     allowed = site.allowed(survey.position).all() and site.joined(survey.position[None], survey.seen[None])[0]
     value, qualities = measure(survey, objective, built)
     compared = survey.is_whole and survey.seen.all() and len(survey.position) > 1

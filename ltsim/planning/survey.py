@@ -15,8 +15,9 @@ from ltsim.geometry.rotations import about_z
 from ltsim.model.construction import Construction
 from ltsim.model.measurement import MeasurementModel, State
 from ltsim.recording.recording import OBSERVABLES, Recording, noise_sigma
-from ltsim.recording.setup import Setup
+from ltsim.recording.setup import Setup, Station
 from ltsim.scene.sightings import Sightings
+from ltsim.units import MILLIMETRE
 
 
 @dataclass(frozen=True)
@@ -135,6 +136,18 @@ class Survey:
             return np.asarray(number * len(self.points) + rank)
         return np.asarray(rank * len(self.faces) + number)
 
+    @property
+    def _placed_setup(self) -> Setup:
+        """The set-up with its stations where the survey has them: their rough places tell how nests look."""
+        places = zip(
+            self.station_names, (self.position / MILLIMETRE).tolist(), np.degrees(self.yaw).tolist(), strict=True
+        )
+        stated = {
+            name: self.setup.stations.get(name, Station()).model_copy(update={"position_mm": tuple(p), "yaw_deg": yaw})
+            for name, p, yaw in places
+        }
+        return self.setup.model_copy(update={"stations": stated})
+
     def _empty(self) -> Recording:
         rounds, faces = np.arange(1, self.repeats + 1), np.sort(self.faces)
         axes = np.arange(len(self.position)), rounds, faces, np.arange(len(self.points))
@@ -143,7 +156,7 @@ class Survey:
         order = order[self.seen[station[order], target[order]]]
         station, repeat, face, target = (axis[order].astype(np.int64) for axis in (station, repeat, face, target))
         return Recording(
-            setup=self.setup,
+            setup=self._placed_setup,
             stations=self.station_names,
             targets=self.target_names,
             station=station,
