@@ -245,7 +245,7 @@ def recover(
     Examples
     --------
     >>> import ltsim as lt
-    >>> lt.recover("paper-workshop-re-aimed", trials=12).failures()
+    >>> lt.recover("paper-workshop", trials=12).failures()
     []
     """
     if trials < 1:

@@ -156,7 +156,7 @@ def recover(
     fails: z-scores of every parameter (with drawn errors standard normal; with stated ones no wider, the value inside
     its interval as often as promised), chi-square, targets and stations. Writes recovery.json and trials.csv to --out.
 
-    Example: ltsim recover paper-workshop-re-aimed --trials 1000 --jobs 2
+    Example: ltsim recover paper-workshop --trials 1000 --jobs 2
     """
     from ltsim.campaigns.recovery_checks import FALSE_ALARM
     from ltsim.campaigns.schema import TRIALS, RecoveryFile

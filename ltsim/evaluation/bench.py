@@ -112,6 +112,9 @@ class BenchFile(ResultFile, Result):
         if [round(r.angle_deg, 3) for r in self.angles] == [round(float(a) / DEGREE, 3) for a in TABLE_ANGLES]:
             values = ", ".join(f"{r.error_um:.2f}" for r in self.angles)
             said.append(f"for a scenario: [smr] incidence_error = true, table_um = [{values}]")
+        for key, form in (("angle_deg", "g"), ("error_um", ".2f"), ("sigma_um", ".2f")):
+            values = ", ".join(format(getattr(row, key), form) for row in self.angles)
+            said.append(f"{'for a recording, in [[bench]]: ' if key == 'angle_deg' else ''}{key} = [{values}]")
         return said
 
     def _tables(self) -> Mapping[str, Callable[[], Table]]:

@@ -21,6 +21,8 @@ from ltsim.scene.sightings import Sightings
 from ltsim.units import DEGREE, MICROMETRE
 
 LAW = SmrIncidence()
+EXACT = 1e-3 * MICROMETRE
+"""Smallest standard deviation of a bench test's error: a tenth of what interferometers resolve."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +87,7 @@ def conditioned(test: BenchTest | None) -> tuple[Floats, Floats]:
     positive = np.where(angle < 0.0, np.pi, 0.0) + test.direction_deg * DEGREE
     terms = -SmrIncidence.terms(np.abs(angle) * DEGREE, positive)
     used = np.arange(len(angle)) != middle
-    spread = sigma[used, None] * MICROMETRE
+    spread = np.maximum(sigma[used, None] * MICROMETRE, EXACT)
     seen = (terms - terms[middle])[used] @ root / spread
     whitened = ((error - error[middle]) * MICROMETRE)[used] / spread[:, 0]
     left = np.linalg.inv(np.linalg.cholesky(np.eye(len(mean)) + seen.T @ seen))

@@ -327,8 +327,8 @@ class BenchTest(TomlSection):
     """Angles of incidence."""
     error_um: tuple[Finite, ...]
     """Range error at each angle, reading minus truth, from any zero."""
-    sigma_um: tuple[Sigma, ...]
-    """Standard deviation of each error."""
+    sigma_um: tuple[NonNegative, ...]
+    """Standard deviation of each error less that at normal incidence."""
     direction_deg: Finite = 0.0
     """Where around the nest the positive angles look, 0 along the horizontal, as the mark of the SMR was held."""
 
