@@ -187,8 +187,8 @@ def drawn(kept: dict[str, Any], tmp_path_factory: pytest.TempPathFactory) -> lis
 
 
 CHANCES = ("found", "placed", "named")
-WITHOUT = {"EffectList", "Truth", "Injected", "InjectionTruth"}
-"""What is a list of words and sizes: no picture says more."""
+WITHOUT = {"EffectList", "Truth", "Injected", "InjectionTruth", "PlanResult"}
+"""What is a list of words and sizes, and the content of a plan, which is drawn as the plan."""
 
 
 def test_every_result_is_drawn_with_what_its_axes_mean_and_has_a_table(drawn: list[Any]):
