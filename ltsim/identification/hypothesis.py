@@ -19,6 +19,7 @@ Kind = Literal[
     "orientation",
     "reflector-radius",
     "reference-value",
+    "reference-scale",
     "names",
     "unit",
     "height",

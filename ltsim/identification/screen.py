@@ -16,9 +16,10 @@ from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.known import KnownTest, known_tests, loosened
 from ltsim.adjustment.residual_space import VISIBLE, ResidualSpace
 from ltsim.arrays import Bools, Floats, Ints
+from ltsim.effects.gauge_scale import GaugeScale
 from ltsim.identification.evidence import occam, occam_of_variance, variance_factor
 from ltsim.identification.fit import Fit
-from ltsim.identification.hypothesis import Hypothesis
+from ltsim.identification.hypothesis import Hypothesis, Shift
 from ltsim.identification.library import Candidate, candidates, corrections, noises, omissions
 from ltsim.identification.prior import log_prior_of
 from ltsim.solve.gauss_newton import solve
@@ -29,6 +30,8 @@ EXACT = 3_000_000
 """Numbers of all signatures that are projected off the network exactly; of more the best by their own rows alone."""
 MANY, HALF, PLACES = 6, 0.4, 5
 """Outliers, and their share of a place's pointings, from which its distances are put aside; places where they are."""
+SEVERAL = 2
+"""Reference lengths from which they share a scale."""
 STEPS = 6
 """Reweightings of a shift that is estimated from the residuals of its own rows."""
 
@@ -52,6 +55,7 @@ def looks(fit: Fit) -> list[tuple[float, Hypothesis]]:
     made += _distances_aside(fit, every) if fit.outliers.sum() > MANY else []
     for space, behind in spaces:
         made += [(gain + behind, h) for gain, h in _references(fit, space.adjustment)]
+        made += [(gain + behind, h) for gain, h in _scale_of_lengths(fit, space)]
     if fit.outliers.any():
         made += [(_paid(fit, np.array(h.rows) - 1) + h.log_prior, h) for h in corrections(fit)]
         made += [(_paid(fit, _rows_of(fit, h)) + h.log_prior, h) for h in omissions(fit) if h.targets]
@@ -250,6 +254,17 @@ def _references(fit: Fit, adjustment: Adjustment) -> list[tuple[float, Hypothesi
         if test is not None and test.rank:
             found.append((_evidence(test.drop, test.rank) + h.log_prior, h))
     return found
+
+
+def _scale_of_lengths(fit: Fit, space: ResidualSpace) -> list[tuple[float, Hypothesis]]:
+    """The scale that all reference lengths share: their temperature, or that of the distances they are compared with."""
+    scale = GaugeScale()
+    if any(h.kind == "reference-scale" for h in fit.hypotheses) or len(fit.problem.gauge) < SEVERAL:
+        return []
+    drop, rank = space.explained(space.signature(scale))
+    prior = log_prior_of("reference-scale", 1)
+    found = Hypothesis("reference-scale", "length", (), (), prior, Shift(scale))
+    return [(_evidence(drop, rank) + prior, found)] if rank else []
 
 
 def _noises(fit: Fit) -> list[tuple[float, Hypothesis]]:

@@ -158,6 +158,8 @@ def _size(h: Hypothesis, values: Floats, covariance: Floats) -> dict[str, Any]:
     if isinstance(h.change.effect, ReadingShift):
         unit, factor = ("ppm", PPM) if h.kind == "scale-error" else (unit, factor)
         unit, factor = ("arcsec", ARCSECOND) if h.acts_on in ("azimuth", "elevation") else (unit, factor)
+    if h.kind == "reference-scale":
+        unit, factor = "ppm", PPM
     part, spread = values[:3], covariance[:3, :3]
     size = float(part[0]) if len(part) == 1 else float(np.linalg.norm(part))
     sigma = float(np.sqrt(max(float(part @ spread @ part), 0.0))) / max(abs(size), 1e-300)
@@ -216,6 +218,9 @@ def sentence_of(fit: Fit, h: Hypothesis) -> str:
         return f"The elevations from {at} are off by {size}: another vertical index at this set-up."
     if h.kind == "scale-error":
         return f"The distances from {at} are {size} too {more}: a wrong atmospheric correction or unit at this set-up."
+    if h.kind == "reference-scale":
+        causes = "a temperature, an expansion or the scale of the distances is not as stated"
+        return f"The reference lengths and the distances differ in scale by {size}: {causes}."
     if h.kind == "reflector-radius":
         cause = usual_size(float(values[0]), float(np.sqrt(covariance[0, 0]))) or "another SMR radius"
         return f"At {at} the centres of the SMRs are displaced along the normals of their nests by {size}: {cause}."
