@@ -257,7 +257,7 @@ def _references(fit: Fit, adjustment: Adjustment) -> list[tuple[float, Hypothesi
 
 
 def _scale_of_lengths(fit: Fit, space: ResidualSpace) -> list[tuple[float, Hypothesis]]:
-    """The scale that all reference lengths share: their temperature, or that of the distances they are compared with."""
+    """The scale that all reference lengths share: their temperature, or that of the distances beside them."""
     scale = GaugeScale()
     if any(h.kind == "reference-scale" for h in fit.hypotheses) or len(fit.problem.gauge) < SEVERAL:
         return []
