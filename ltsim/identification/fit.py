@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -29,13 +29,17 @@ from ltsim.model.measurement import MeasurementModel, State, with_plumb_lines
 from ltsim.recording.recording import SIGMA_COLUMNS, Recording
 from ltsim.scene.sightings import Sightings
 from ltsim.solve.design import median_deviation
-from ltsim.solve.gauss_newton import Solution
+from ltsim.solve.gauss_newton import Solution, solve
 from ltsim.units import ARCSECOND, MILLIMETRE
 
 TOLD = 4.0
 """Standard deviations of a shift below which no network supports it: four are exceeded by chance in one of 16,000."""
 FAR = 50.0
 """Residual of a reference value at a robust state, in standard deviations of the readings, that no noise explains."""
+REWEIGHTED, SAME_NOISE = 3, 0.05
+"""Estimates of noise factors at most, and the relative change that ends them: less moves no log evidence by 0.1."""
+OTHER_OUTLIERS = 0.2
+"""Relative change of the noise by which other readings become outliers."""
 FREE = 1e6
 """Plausible sizes to which a shift is held: nothing that happens is larger."""
 
@@ -99,25 +103,32 @@ class Fit:
             start = robust_state(problem, start)[0]
         whole = without_loose(problem, start)
         fit = cls(network, tuple(hypotheses), whole, *snooped(whole, start))
-        for _ in range(2 if any(isinstance(h.change, NoiseFactor) for h in hypotheses) else 0):
+        if any(isinstance(h.change, NoiseFactor) for h in hypotheses):
             fit = fit._reweighted()
         return fit if fit.solution.converged and fit._is_determined else None
 
     @property
     def _is_determined(self) -> bool:
         """Whether each shift is told by the readings: one that a place of its own may as well be has no size."""
-        return all(self._length(h) > TOLD for h in self.hypotheses if isinstance(h.change, Shift))
+        return all(self._length(h) > TOLD for h, _, _ in self.shifts)
 
-    def _length(self, hypothesis: Hypothesis) -> float:
-        """Length of the estimate of a shift in its standard deviations."""
+    @property
+    def shifts(self) -> Iterator[tuple[Hypothesis, Shift, slice]]:
+        """Hypotheses that are shifts, and where their parameters stand among those of the state."""
         first = 0
         for h in self.hypotheses:
             if isinstance(h.change, Shift):
-                own = slice(first, first := first + len(h.change.effect.parameters))
-                if h is hypothesis:
-                    values, covariance = self.state.extra[own], self.adjustment.extra_covariance[own, own]
-                    return float(np.sqrt(max(float(values @ np.linalg.pinv(covariance) @ values), 0.0)))
-        return 0.0
+                yield h, h.change, slice(first, first := first + len(h.change.effect.parameters))
+
+    def estimate(self, hypothesis: Hypothesis) -> tuple[Floats, Floats]:
+        """Estimate (p,) and covariance (p, p) of a shift of the model [SI]."""
+        at = next(at for h, _, at in self.shifts if h is hypothesis)
+        return self.state.extra[at], self.adjustment.extra_covariance[at, at]
+
+    def _length(self, hypothesis: Hypothesis) -> float:
+        """Length of the estimate of a shift in its standard deviations."""
+        values, covariance = self.estimate(hypothesis)
+        return float(np.sqrt(max(float(values @ np.linalg.pinv(covariance) @ values), 0.0)))
 
     @staticmethod
     def _problem(
@@ -140,9 +151,13 @@ class Fit:
         if len(start.extra) != model.extra_size:
             start = replace(start, extra=_guesses(hypotheses, model.extra_size, near))
         usable = np.ones((len(recording), 3), dtype=bool) if network.usable is None else network.usable
+        sigma = recording.sigma()
+        for h in hypotheses:
+            if isinstance(h.change, NoiseFactor):
+                sigma = np.where(h.change.readings, sigma * h.change.guess, sigma)
         problem = NetworkProblem.of(
             model,
-            sigma=recording.sigma(),
+            sigma=sigma,
             use=usable & ~lost[recording.target][:, None],
             held_to=FREE,
             prior=network.prior,
@@ -151,6 +166,21 @@ class Fit:
 
     def _reweighted(self) -> Fit:
         """The fit with its noise factors as the residuals have them (restricted maximum likelihood)."""
+        fit = self
+        for _ in range(REWEIGHTED):
+            sigma = fit._sigma()
+            changed = float(np.nanmax(np.abs(np.log(sigma / fit.whole.sigma))))
+            if not changed > SAME_NOISE:
+                break
+            whole, problem = replace(fit.whole, sigma=sigma), replace(fit.problem, sigma=sigma)
+            solution = solve(problem, fit.state)
+            if solution.factor is None or changed > OTHER_OUTLIERS:
+                problem, solution = snooped(whole, fit.state)
+            fit = replace(fit, whole=whole, problem=problem, solution=solution)
+        return fit
+
+    def _sigma(self) -> Floats:
+        """Standard deviations (n, 3) with the noise factors that the residuals show."""
         sigma = self.network.recording.sigma()
         for h in self.hypotheses:
             if isinstance(h.change, NoiseFactor):
@@ -158,9 +188,7 @@ class Fit:
                 squares = float(np.sum((self.residuals / sigma)[chosen] ** 2))
                 factor, _ = variance_factor(np.array(squares), np.array(float(np.nansum(self.redundancy[chosen]))))
                 sigma = np.where(h.change.readings, sigma * factor, sigma)
-        whole = replace(self.whole, sigma=sigma)
-        problem, solution = snooped(whole, self.state)
-        return replace(self, whole=whole, problem=problem, solution=solution)
+        return sigma
 
     def without_distances(self, rows: Ints) -> Fit | None:
         """The fit, from the beginning, without the distances of some rows; None where that is no network."""
@@ -197,12 +225,11 @@ class Fit:
     @property
     def effects(self) -> tuple[Signature, ...]:
         """The shifts in the model, each with a plausible size of at least its estimate."""
-        first, found = 0, list[Signature]()
-        for effect in self.problem.model.effects:
-            own = slice(first, first := first + len(effect.parameters))
-            times = float(np.max(np.abs(self.state.extra[own]) / effect.spread))
-            found.append(replace(effect, coarse=max(1.0, times)))  # type: ignore[type-var]
-        return tuple(found)
+        signatures = list[Signature]()
+        for _, shift, at in self.shifts:
+            times = float(np.max(np.abs(self.state.extra[at]) / shift.effect.spread))
+            signatures.append(replace(shift.effect, coarse=max(1.0, times)))  # type: ignore[type-var]
+        return tuple(signatures)
 
     def corrected(self, recording: Recording) -> Recording:
         """A recording without what is in the model: rows corrected, shifts subtracted, outliers left out.
@@ -210,19 +237,17 @@ class Fit:
         Noise that differs from the declared is declared so; reference values that are not believed are left out.
         """
         readings = self.recording.readings.copy()
-        sightings, first = self.adjustment.sightings, 0
-        for h in self.hypotheses:
-            if isinstance(h.change, Shift):
-                own = slice(first, first := first + len(h.change.effect.parameters))
-                readings -= h.change.effect.shift(sightings, self.state.extra[own])
+        for _, shift, at in self.shifts:
+            readings -= shift.effect.shift(self.adjustment.sightings, self.state.extra[at])
         readings[self.outliers] = np.nan
-        found = recording.replace(
+        corrected = recording.replace(
             readings=readings, target=self.recording.target, face=self.recording.face, setup=self.recording.setup
         )
         if not any(isinstance(h.change, NoiseFactor) for h in self.hypotheses):
-            return found
+            return corrected
         sigma = self.problem.sigma / [MILLIMETRE, ARCSECOND, ARCSECOND]
-        return found.replace(covariates={**found.covariates, **dict(zip(SIGMA_COLUMNS, sigma.T, strict=True))})
+        columns = dict(zip(SIGMA_COLUMNS, sigma.T, strict=True))
+        return corrected.replace(covariates={**corrected.covariates, **columns})
 
     @cached_property
     def residuals(self) -> Floats:
@@ -257,16 +282,13 @@ class Fit:
 
     def displacement(self, hypothesis: Hypothesis) -> float:
         """Largest displacement [m] of a reading, or miss of a reference value, by a hypothesis of the model."""
-        change, sightings, first = hypothesis.change, self.adjustment.sightings, 0
+        change, sightings = hypothesis.change, self.adjustment.sightings
         if isinstance(change, Omission):
             return float(np.abs(self.gap_of(change.value)).max())
-        for h in self.hypotheses:
-            if isinstance(h.change, Shift):
-                own = slice(first, first := first + len(h.change.effect.parameters))
-                if h is hypothesis:
-                    moved = np.abs(h.change.effect.design(sightings) @ self.state.extra[own])
-                    return float(np.max(moved * _arms(sightings)))
-        return 0.0
+        if not isinstance(change, Shift):
+            return 0.0
+        moved = np.abs(change.effect.design(sightings) @ self.estimate(hypothesis)[0])
+        return float(np.max(moved * _arms(sightings)))
 
     @property
     def is_gross(self) -> Bools:

@@ -54,9 +54,13 @@ class Correction:
 
 @dataclass(frozen=True)
 class NoiseFactor:
-    """Standard deviations of some readings (n, 3) that differ from the declared ones by a common factor."""
+    """Standard deviations of some readings (n, 3) that differ from the declared ones by a common factor.
+
+    The factor is estimated from a guess on: by the declared noise, readings that only scatter more are outliers.
+    """
 
     readings: Bools
+    guess: float = 1.0
 
 
 Change = Shift | Omission | Correction | NoiseFactor
@@ -96,3 +100,8 @@ class Hypothesis:
     def place(self) -> tuple[object, ...]:
         """What tells two hypotheses about different things apart; moments and guesses do not."""
         return self.kind, self.acts_on, self.stations, self.targets, self.rows
+
+    def competes(self, other: Hypothesis) -> bool:
+        """Whether both may explain the same readings: at one station or target, or one of them anywhere."""
+        places = [(*h.stations, *h.targets) for h in (self, other)]
+        return not all(places) or not set(places[0]).isdisjoint(places[1])

@@ -19,7 +19,7 @@ from ltsim.arrays import Bools, Floats, Ints
 from ltsim.effects.gauge_scale import GaugeScale
 from ltsim.identification.evidence import occam, occam_of_variance, variance_factor
 from ltsim.identification.fit import Fit
-from ltsim.identification.hypothesis import Hypothesis, Shift
+from ltsim.identification.hypothesis import Hypothesis, NoiseFactor, Shift
 from ltsim.identification.library import Candidate, candidates, corrections, noises, omissions
 from ltsim.identification.prior import log_prior_of
 from ltsim.solve.gauss_newton import solve
@@ -29,7 +29,7 @@ AT_ONCE = 4_000_000
 EXACT = 3_000_000
 """Numbers of all signatures that are projected off the network exactly; of more the best by their own rows alone."""
 MANY, HALF, PLACES = 6, 0.4, 5
-"""Outliers, and their share of a place's pointings, from which its distances are put aside; places where they are."""
+"""Outliers, and the share of gross ones among a place's pointings, from which its distances are put aside; places."""
 SEVERAL = 2
 """Reference lengths from which they share a scale."""
 STEPS = 6
@@ -52,7 +52,6 @@ def looks(fit: Fit) -> list[tuple[float, Hypothesis]]:
         gains = np.maximum(gains, local)
     found = [(float(gains[i]), i) for i in np.argsort(-gains).tolist() if gains[i] > 0.0]
     made = [(gain, every[i].hypothesis(guesses[i])) for gain, i in _one_a_place(found, every)]
-    made += _distances_aside(fit, every) if fit.outliers.sum() > MANY else []
     for space, behind in spaces:
         made += [(gain + behind, h) for gain, h in _references(fit, space.adjustment)]
         made += [(gain + behind, h) for gain, h in _scale_of_lengths(fit, space)]
@@ -60,6 +59,8 @@ def looks(fit: Fit) -> list[tuple[float, Hypothesis]]:
         made += [(_paid(fit, np.array(h.rows) - 1) + h.log_prior, h) for h in corrections(fit)]
         made += [(_paid(fit, _rows_of(fit, h)) + h.log_prior, h) for h in omissions(fit) if h.targets]
     made += _noises(fit)
+    if fit.outliers.sum() > MANY:
+        made += _distances_aside(fit, every)
     made.sort(key=lambda one: -one[0])
     return made
 
@@ -206,8 +207,9 @@ def _distances_aside(fit: Fit, every: Sequence[Candidate]) -> list[tuple[float, 
 
     Distances that are wrong by far displace the target or the station itself, and its angles look as wrong as they.
     """
+    gross = np.asarray((fit.outliers & fit.is_gross).any(axis=1))
     tried = [c for c in every if c.family.acts_on == "distance" and np.isneginf(c.since)]
-    share = {id(c): float(fit.outliers[c.rows].any(axis=1).mean()) for c in tried}
+    share = {id(c): float(gross[c.rows].mean()) for c in tried}
     price = -log_prior_of("outlier", int(fit.whole.use.sum())) - float(occam(10.0, 1))
     found, fits = list[tuple[float, Hypothesis]](), dict[str, Fit | None]()
     for c in sorted(tried, key=lambda c: -share[id(c)]):
@@ -222,6 +224,8 @@ def _distances_aside(fit: Fit, every: Sequence[Candidate]) -> list[tuple[float, 
         g = c.family.design[use, 0, 0] / fit.problem.sigma[use, 0]
         r = aside.residuals_of(fit.recording)[use, 0] / fit.problem.sigma[use, 0]
         acts = g != 0.0
+        if not acts.any():
+            continue
         guess = float(np.median(r[acts] / g[acts]))
         rest = float(np.minimum(0.5 * (r - g * guess) ** 2, price).sum())
         gain = aside.log_evidence - rest - fit.log_evidence + float(occam(10.0, 1)) + c.log_prior
@@ -268,10 +272,23 @@ def _scale_of_lengths(fit: Fit, space: ResidualSpace) -> list[tuple[float, Hypot
 
 
 def _noises(fit: Fit) -> list[tuple[float, Hypothesis]]:
-    found = []
-    for h, readings in noises(fit):
-        chosen = readings & fit.problem.use
-        redundancy = np.array(float(np.nansum(fit.redundancy[chosen])))
-        _, gain = variance_factor(np.array(float(np.sum(fit.whitened[chosen] ** 2))), redundancy)
-        found.append((float(gain) + h.log_prior + float(occam_of_variance(redundancy)), h))
-    return found
+    """Changes of the noise; readings that are outliers by the declared noise may be none by another."""
+    return [_noise(fit, h, readings) for h, readings in noises(fit)]
+
+
+def _noise(fit: Fit, hypothesis: Hypothesis, readings: Bools) -> tuple[float, Hypothesis]:
+    """Log evidence of a change of the noise, of the number of largest outliers that stay out the best, and its guess."""
+    within, out = readings & fit.problem.use, readings & fit.outliers
+    squares, redundancy = float(np.sum(fit.whitened[within] ** 2)), float(np.nansum(fit.redundancy[within]))
+    sizes = np.sort(np.abs(fit.whitened[out]))
+    price = -occam(sizes, 1) - log_prior_of("outlier", int(fit.whole.use.sum()))
+    again = np.arange(len(sizes) + 1)  # this many of the smaller ones are outliers no more
+    squares = squares + np.concatenate([[0.0], np.cumsum(sizes**2)])
+    redundancy = redundancy + again
+    factor, gain = variance_factor(squares, redundancy)
+    # `variance_factor` compares with all readings within the declared noise; those left out have paid their price
+    saved = np.concatenate([[0.0], np.cumsum(price - 0.5 * sizes**2)])
+    best = int(np.argmax(gain + saved + occam_of_variance(redundancy)))
+    total = float(gain[best] + saved[best] + occam_of_variance(redundancy[best]))
+    change = NoiseFactor(readings, float(factor[best]))
+    return total + hypothesis.log_prior, replace(hypothesis, change=change)

@@ -6,7 +6,6 @@ reference values, the other hypotheses. Nothing is corrected before.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,6 +18,7 @@ from ltsim.identification.library import conventions, omissions_of
 from ltsim.identification.screen import looks
 from ltsim.model.construction import Construction, stated_construction
 from ltsim.recording.recording import Recording
+from ltsim.solve.threads import in_one_thread
 
 LEAST_GAIN = 3.0
 """Log evidence that a hypothesis must gain: odds of 20 to 1, on the scale of Kass and Raftery (1995) strong."""
@@ -38,6 +38,12 @@ AGREES, FEW = 0.01, 0.01
 """Chance of a larger chi-square above which a large network agrees, and share of outliers below which it does."""
 AFTER_ALL = 0.5
 """Share of its promise that a hypothesis must gain from where the network stands; else it is fitted from the start."""
+BENDS = 50.0
+"""Log evidence of a shift of ten standard deviations: a smaller one does not bend a network out of reach of itself."""
+KEPT_PROMISE = 0.8
+"""Share of its promise, a quadratic form at the present state, from which the look at the others may be trusted too."""
+ALTERNATIVE = 5.0
+"""Log evidence behind a choice from which a hypothesis has less than 1 % of its probability."""
 
 
 @dataclass(frozen=True)
@@ -88,6 +94,7 @@ Looked = tuple[Fit, list[tuple[Hypothesis, Fit]]]
 """A fit, and the hypotheses that were fitted beside its own."""
 
 
+@in_one_thread
 def select(network: Network, least: float = LEAST_GAIN) -> Selection:
     """Select the simple causes of a recording.
 
@@ -147,16 +154,25 @@ def _beginning(network: Network) -> Fit:
     return fit
 
 
-def _fitted(fit: Fit, barred: Sequence[Hypothesis] = ()) -> list[tuple[Hypothesis, Fit]]:
-    """The hypotheses that promise most, fitted beside the others; the best first."""
+def _fitted(fit: Fit, at_least: float = 0.0, instead_of: Hypothesis | None = None) -> list[tuple[Hypothesis, Fit]]:
+    """The hypotheses that promise most, `at_least` so much log evidence, fitted beside the others; the best first.
+
+    Where the first keeps its promise, only what may explain the same readings is fitted beside it: the order in which
+    causes at different places are chosen does not matter.
+    """
+    first = 0.0
     tried: list[tuple[Hypothesis, Fit]] = []
-    places = {h.place for h in (*fit.hypotheses, *barred) if isinstance(h.change, NoiseFactor)}
+    places = {h.place for h in fit.hypotheses if isinstance(h.change, NoiseFactor)}
+    places |= {instead_of.place} if instead_of is not None else set()
     for promised, hypothesis in looks(fit):
         best = max((made.log_evidence for _, made in tried), default=-np.inf) - fit.log_evidence
-        if promised <= 0.0 or len(tried) >= TRIED or best > promised:
+        if promised <= max(at_least, 0.0) or len(tried) >= TRIED or best > promised:
             break
         if hypothesis.place in places or any(hypothesis.place == h.place for h, _ in tried):
             continue
+        if tried and best > KEPT_PROMISE * first and not hypothesis.competes(tried[0][0]):
+            continue
+        first = promised if not tried else first
         made = refitted(fit, hypothesis, promised)
         if made is not None:
             tried.append((hypothesis, made))
@@ -174,7 +190,8 @@ def refitted(fit: Fit, hypothesis: Hypothesis, promised: float) -> Fit | None:
             made = None
         if made is not None and (best is None or made.log_evidence > best.log_evidence):
             best = made
-        if best is not None and best.log_evidence - fit.log_evidence > AFTER_ALL * promised:
+        disappoints = best is None or best.log_evidence - fit.log_evidence < AFTER_ALL * promised
+        if not disappoints or promised < BENDS:
             break
     return best
 
@@ -182,7 +199,7 @@ def refitted(fit: Fit, hypothesis: Hypothesis, promised: float) -> Fit | None:
 def _without_needless(fit: Fit, least: float, first: int) -> Fit:
     """The fit without hypotheses, from the `first` to the last but one, that the last one leaves nothing to explain."""
     for h in fit.hypotheses[first:-1]:
-        rest = _less(fit, h)
+        rest = _less(fit, h) if h.competes(fit.hypotheses[-1]) else None
         if rest is not None and rest.log_evidence > fit.log_evidence - least:
             fit = rest
     return fit
@@ -209,10 +226,11 @@ def _judged_again(fit: Fit, least: float, beginning: Fit, last: Looked | None) -
         if rest is None:
             choices.append(Choice(h, np.inf, ()))
             continue
-        tried = last[1] if last is not None and is_last else _fitted(rest)
+        gain = fit.log_evidence - rest.log_evidence
+        tried = last[1] if last is not None and is_last else _fitted(rest, gain - ALTERNATIVE, h)
         others = [(other, made) for other, made in tried if other.place != h.place]
         if others and others[0][1].log_evidence > fit.log_evidence + least:
             return _judged_again(others[0][1], least, beginning, None)
         gains = tuple((other, made.log_evidence - rest.log_evidence) for other, made in others)
-        choices.append(Choice(h, fit.log_evidence - rest.log_evidence, gains))
+        choices.append(Choice(h, gain, gains))
     return Selection(fit, tuple(sorted(choices, key=lambda c: -c.gain)))

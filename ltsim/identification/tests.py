@@ -99,7 +99,7 @@ def _accepted(fit: Fit, choice: Choice) -> Test:
     told: dict[str, Any] = {}
     drop, rank = max(2.0 * min(choice.gain, 1e300), 0.0), 1
     if isinstance(h.change, Shift):
-        values, covariance = shift_of(fit, h)
+        values, covariance = fit.estimate(h)
         rank = len(values)
         drop = float(values @ np.linalg.pinv(covariance) @ values)
         told = _size(h, values, covariance)
@@ -131,17 +131,6 @@ def _accepted(fit: Fit, choice: Choice) -> Test:
         sentence=sentence_of(fit, h),
         **told,
     )
-
-
-def shift_of(fit: Fit, hypothesis: Hypothesis) -> tuple[Floats, Floats]:
-    """Estimate (p,) and covariance (p, p) of an accepted shift."""
-    first = 0
-    for h in fit.hypotheses:
-        if isinstance(h.change, Shift):
-            own = slice(first, first := first + len(h.change.effect.parameters))
-            if h is hypothesis:
-                return fit.state.extra[own], fit.adjustment.extra_covariance[own, own]
-    raise KeyError(hypothesis)
 
 
 def noise_factor(fit: Fit, hypothesis: Hypothesis) -> float:
@@ -205,7 +194,7 @@ def sentence_of(fit: Fit, h: Hypothesis) -> str:
         plural = h.change.value.kind == "point"
         verb, them = ("are", "them") if plural else ("is", "it")
         return f"{REFERENCES[h.change.value.kind]} {h.name} {verb} off by {_plain(miss / factor)} {unit}: check {them}."
-    values, covariance = shift_of(fit, h)
+    values, covariance = fit.estimate(h)
     told = _size(h, values, covariance)
     size = f"{with_sigma(abs(told['estimate']), told['sigma'], told['unit'])}"
     more = "long" if told["estimate"] > 0 else "short"
