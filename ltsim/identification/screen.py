@@ -277,18 +277,15 @@ def _noises(fit: Fit) -> list[tuple[float, Hypothesis]]:
 
 
 def _noise(fit: Fit, hypothesis: Hypothesis, readings: Bools) -> tuple[float, Hypothesis]:
-    """Log evidence of a change of the noise, of the number of largest outliers that stay out the best, and its guess."""
+    """A change of the noise with its log evidence and a guess, where the best number of outliers stays out."""
     within, out = readings & fit.problem.use, readings & fit.outliers
-    squares, redundancy = float(np.sum(fit.whitened[within] ** 2)), float(np.nansum(fit.redundancy[within]))
-    sizes = np.sort(np.abs(fit.whitened[out]))
-    price = -occam(sizes, 1) - log_prior_of("outlier", int(fit.whole.use.sum()))
-    again = np.arange(len(sizes) + 1)  # this many of the smaller ones are outliers no more
-    squares = squares + np.concatenate([[0.0], np.cumsum(sizes**2)])
-    redundancy = redundancy + again
+    sizes = np.sort(np.abs(fit.whitened[out]))  # as many of the smaller ones as is best are outliers no more
+    squares = np.sum(fit.whitened[within] ** 2) + np.append(0.0, np.cumsum(sizes**2))
+    redundancy = np.nansum(fit.redundancy[within]) + np.arange(len(sizes) + 1)
     factor, gain = variance_factor(squares, redundancy)
-    # `variance_factor` compares with all readings within the declared noise; those left out have paid their price
-    saved = np.concatenate([[0.0], np.cumsum(price - 0.5 * sizes**2)])
-    best = int(np.argmax(gain + saved + occam_of_variance(redundancy)))
-    total = float(gain[best] + saved[best] + occam_of_variance(redundancy[best]))
+    # `variance_factor` compares with all of them within the declared noise; but outliers have paid another price
+    price = -occam(sizes, 1) - log_prior_of("outlier", int(fit.whole.use.sum()))
+    gain = gain + np.append(0.0, np.cumsum(price - 0.5 * sizes**2)) + occam_of_variance(redundancy)
+    best = int(np.argmax(gain))
     change = NoiseFactor(readings, float(factor[best]))
-    return total + hypothesis.log_prior, replace(hypothesis, change=change)
+    return float(gain[best]) + hypothesis.log_prior, replace(hypothesis, change=change)
