@@ -146,12 +146,13 @@ def check(recording: RecordingSource, *, level: float = LEVEL, mpe: tuple[float,
     """
     whole = recording_of(recording)
     selection = identified(whole) if len(whole.stations) > 1 else None
-    selection = selection if selection is not None and selection.leads else None
+    selection = selection if selection is not None and (selection.leads or selection.explains) else None
     causes = () if selection is None else outcomes(selection)
     corrected = whole if selection is None else selection.fit.corrected(whole)
+    paired = whole if selection is None else selection.fit.corrected(whole, outliers=True)
     family = Family(level, 2 * TESTS * max(len(whole.stations), 1))
     every = range(len(whole.stations))
-    setups, network = tuple(_set_up(corrected, s, family, mpe) for s in every), tuple[Item, ...]()
+    setups, network = tuple(_set_up(corrected, paired, s, family, mpe) for s in every), tuple[Item, ...]()
     if len(whole.stations) > 1:
         motions = tuple(motion for setup in setups for motion in setup.motions)
         plain = plain_network(corrected, motions)
@@ -160,7 +161,7 @@ def check(recording: RecordingSource, *, level: float = LEVEL, mpe: tuple[float,
             shown, scattering = with_own_noise(corrected, plain)
             read = mended(shown, mistakes(plain))
         if read is not corrected:  # a set-up is not blamed for what has a name
-            setups = tuple(_set_up(read, s, family, mpe) for s in every)
+            setups = tuple(_set_up(read, read, s, family, mpe) for s in every)
         shared = Family(level, 2 * NETWORK_TESTS)
         together = items_of_network(shown, plain, shared, motions, own_noise=shown is not corrected)
         network = (*scattering, *together)
@@ -208,13 +209,18 @@ def write_check(check: Check, folder: Path, further: Mapping[str, str]) -> Check
 
 
 @refusing_singular
-def _set_up(whole: Recording, station: int, family: Family, mpe: tuple[float, float] | None) -> SetUp:
+def _set_up(
+    whole: Recording, paired: Recording, station: int, family: Family, mpe: tuple[float, float] | None
+) -> SetUp:
+    """Tests of a set-up; its two faces are compared as `paired` has them, outliers among them."""
     at = np.flatnonzero(whole.station == station)
     recording, rows, name = whole.select(at), at + 1, whole.stations[station]
     construction = stated_construction(recording)
     visit = StationOccupation.of(recording, construction)
     judged = _judged(visit, construction, family, rows) if visit.dof > 0 else _Judged((), visit, (), recording)
-    items, faces = list[Item](), Faces.of(recording, judged.still, construction, family.share, mpe)
+    both, still = paired.select(at), judged.still.readings
+    still = np.where(np.isnan(still), both.readings, still)
+    items, faces = list[Item](), Faces.of(both, both.with_readings(still), construction, family.share, mpe)
     if faces is not None:
         limit = "noise and guarantee" if mpe is None else "the limit"
         sentence, targets, worst = face_sentence(faces, recording, limit)

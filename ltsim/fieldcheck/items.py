@@ -79,7 +79,8 @@ def item_of(test: Test) -> Item:
     """The item of a cause that was identified: noise that is less than declared is no reason to stop."""
     passed = test.kind == "noise-level" and (test.estimate or 0.0) <= 1.0
     at, targets = ", ".join(test.where.stations), test.where.targets
-    kind, sentence = OF_TEST.get(test.kind, "cause"), test.sentence.rstrip(".")
+    kind: Kind = "level" if test.acts_on == "level" else OF_TEST.get(test.kind, "cause")
+    sentence = test.sentence.rstrip(".")
     return Item.of(at, kind, passed, sentence, test.p_value, targets=targets, rows=test.rows)
 
 

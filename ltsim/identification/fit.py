@@ -231,15 +231,16 @@ class Fit:
             signatures.append(replace(shift.effect, coarse=max(1.0, times)))  # type: ignore[type-var]
         return tuple(signatures)
 
-    def corrected(self, recording: Recording) -> Recording:
-        """A recording without what is in the model: rows corrected, shifts subtracted, outliers left out.
+    def corrected(self, recording: Recording, outliers: bool = False) -> Recording:
+        """A recording without what is in the model: rows corrected, shifts subtracted; `outliers` stay or are left out.
 
         Noise that differs from the declared is declared so; reference values that are not believed are left out.
         """
         readings = self.recording.readings.copy()
         for _, shift, at in self.shifts:
             readings -= shift.effect.shift(self.adjustment.sightings, self.state.extra[at])
-        readings[self.outliers] = np.nan
+        if not outliers:
+            readings[self.outliers] = np.nan
         corrected = recording.replace(
             readings=readings, target=self.recording.target, face=self.recording.face, setup=self.recording.setup
         )

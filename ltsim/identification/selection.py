@@ -13,7 +13,7 @@ import numpy as np
 from ltsim.adjustment.snooping import LARGEST_ERROR
 from ltsim.errors import LtsimError, NetworkError
 from ltsim.identification.fit import Fit, Network
-from ltsim.identification.hypothesis import Hypothesis, NoiseFactor
+from ltsim.identification.hypothesis import Hypothesis, NoiseFactor, Omission
 from ltsim.identification.library import conventions, omissions_of
 from ltsim.identification.screen import looks
 from ltsim.model.construction import Construction, stated_construction
@@ -88,6 +88,20 @@ class Selection:
         gross = any(self.fit.displacement(h) > LARGEST_ERROR for h in shared) or len(far) == 1
         noisy = any(isinstance(c.hypothesis.change, NoiseFactor) for c in self.choices)
         return gross or (bool(shared) and not noisy and self.fit.p_value > AGREES)
+
+    @property
+    def explains(self) -> bool:
+        """Whether the network agrees with what was chosen, each choice beyond doubt: then nothing else is wrong.
+
+        A set-up in another unit or sense is no such choice, for its rows are to be read anew; nor is noise that is
+        less than declared, for what it makes outliers of may be none. Reference values and tripods over marks have
+        tests that know more about them.
+        """
+        changes = [c.hypothesis.change for c in self.choices]
+        quieter = any(isinstance(change, NoiseFactor) and change.guess < 1.0 for change in changes)
+        others = any(isinstance(change, Omission) for change in changes) or any(self.fit.problem.marks.names)
+        sure = all(c.gain > BEYOND_DOUBT and c.hypothesis.kind != "unit" for c in self.choices)
+        return bool(changes) and sure and not quieter and not others and self.fit.p_value > AGREES
 
 
 Looked = tuple[Fit, list[tuple[Hypothesis, Fit]]]
