@@ -198,7 +198,7 @@ def _step(problem: NetworkProblem, state: State, loose: Floats) -> tuple[State, 
 # --- within the adjustment ----------------------------------------------------------------------------------------
 
 
-def snooped(problem: NetworkProblem, state: State) -> tuple[NetworkProblem, Solution[State]]:
+def snooped(problem: NetworkProblem, state: State, rounds: int = ROUNDS) -> tuple[NetworkProblem, Solution[State]]:
     """The problem without its outliers, and its solution; every reading in `use` may be used, `state` is near it.
 
     Reweighting (Huber) finds a network that many outliers together do not bend; readings that it rejects are left
@@ -234,7 +234,7 @@ def snooped(problem: NetworkProblem, state: State) -> tuple[NetworkProblem, Solu
         new = _retested(problem, kept, solution, rejected, limit)
         if np.array_equal(new, rejected):
             return kept, solution if solution.converged else solve(kept, state)
-        if new.tobytes() in seen or len(seen) == ROUNDS:  # On the edge: what is out in either stays out.
+        if new.tobytes() in seen or len(seen) >= rounds:  # On the edge: what is out in either stays out.
             last = without_loose(replace(problem, use=problem.use & ~(new | rejected)), state)
             ended = solve(last, state)
             return (kept, solve(kept, state)) if ended.factor is None else (last, ended)

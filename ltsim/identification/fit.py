@@ -40,6 +40,8 @@ REWEIGHTED, SAME_NOISE = 3, 0.05
 """Estimates of noise factors at most, and the relative change that ends them: less moves no log evidence by 0.1."""
 OTHER_OUTLIERS = 0.2
 """Relative change of the noise by which other readings become outliers."""
+ROUNDS = 6
+"""Solutions in which outliers are left out and taken back: what still alternates is left out, and tells no cause."""
 FREE = 1e6
 """Plausible sizes to which a shift is held: nothing that happens is larger."""
 
@@ -102,7 +104,7 @@ class Fit:
         if fresh:
             start = robust_state(problem, start)[0]
         whole = without_loose(problem, start)
-        fit = cls(network, tuple(hypotheses), whole, *snooped(whole, start))
+        fit = cls(network, tuple(hypotheses), whole, *snooped(whole, start, ROUNDS))
         if any(isinstance(h.change, NoiseFactor) for h in hypotheses):
             fit = fit._reweighted()
         return fit if fit.solution.converged and fit._is_determined else None
@@ -175,7 +177,7 @@ class Fit:
             whole, problem = replace(fit.whole, sigma=sigma), replace(fit.problem, sigma=sigma)
             solution = solve(problem, fit.state)
             if solution.factor is None or changed > OTHER_OUTLIERS:
-                problem, solution = snooped(whole, fit.state)
+                problem, solution = snooped(whole, fit.state, ROUNDS)
             fit = replace(fit, whole=whole, problem=problem, solution=solution)
         return fit
 
