@@ -48,9 +48,7 @@ class BatchFit:
     values: Floats
     """(I, p, B) [SI]."""
     extra: Floats
-    """(q, B) [SI]."""
-    stated: Floats
-    """(k, B): errors of a known size, in standard deviations."""
+    """(q, B) [SI]: of the further effects."""
     chi2: Floats
     """(B,)."""
     left: Floats
@@ -272,8 +270,7 @@ class BatchNetwork:
                 break
             before = squared
         _, points, values, extra = self.split(x)
-        own = self.model.effects_size
-        return BatchFit(points, values, extra[:own], extra[own:], cost - squared, left)
+        return BatchFit(points, values, extra[: self.model.effects_size], cost - squared, left)
 
     @property
     def _has_extra(self) -> bool:
