@@ -280,12 +280,11 @@ class BatchNetwork:
     def _felt(self) -> tuple[Ints, Floats, Floats]:
         """Readings (r,) of all (3 n,) that effects and stated errors change; their design (r, q), plain and whitened.
 
-        Designs end in the trial where the state does.
+        Designs begin with the trial where the state ends in it.
         """
-        own = self._extra_design
-        flat, sigma = own.reshape(-1, *own.shape[2:]), self.sigma.reshape(-1, 1, *self.sigma.shape[2:])
-        rows = np.flatnonzero(flat.any(axis=tuple(range(1, flat.ndim))))
-        return rows, np.ascontiguousarray(flat[rows]), flat[rows] / sigma[rows]
+        flat = self._extra_design.reshape(self.sigma.size, -1)
+        rows = np.flatnonzero(flat.any(axis=1))
+        return rows, flat[rows], flat[rows] / self.sigma.reshape(-1, 1)[rows]
 
     @cached_property
     def _start_matrices(self) -> tuple[Floats, Floats, Floats]:
