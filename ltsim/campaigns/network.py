@@ -167,7 +167,7 @@ class BatchNetwork:
         Raises SetupError when the network does not determine its unknowns.
         """
         design = self._system[0]
-        normal = (design.T @ design)[self.order[:, None], self.order]
+        normal = (design.T @ design).take(self.order, 0).take(self.order, 1)
         unit, scale = unit_diagonal(normal, np.diag(normal))
         roots, determined = cholesky_where_determined(unit[None])
         if not determined.all():
