@@ -56,8 +56,9 @@ def calibrate_network(
     choice : Choice, optional
         Which parameters to estimate and from what prior; default all, from what the set-up states.
     weigh : bool
-        Find out what of the estimates is worth applying (`calibration.worth`), and let constants that contradict their
-        prior follow the readings; without it the estimates are those of the stated priors, linear in the readings.
+        Find out what of the estimates is worth applying (`calibration.worth`), let constants that contradict their
+        prior follow the readings, and identify simple causes; without it the model is the stated one whatever the
+        readings show, and the estimates are those of the stated priors, linear in the readings.
     extra_effects : sequence of Wanted
         Effects of the catalogue, and laws, to estimate too.
     """
@@ -70,7 +71,7 @@ def calibrate_network(
     prior, informed = chosen.over(expected, recording, built), chosen.prior is not None
     freed, grouping = np.zeros(prior.mean.shape, dtype=bool), _grouping(noise_from_data)
     quiet_by, heard = "", True
-    selection = identified(recording, built)
+    selection = identified(recording, built) if weigh else None
     for left in reversed(range(PASSES if weigh else 1)):
         adjusted = partial(_adjusted, recording, built, robust, grouping, datum, prior.widened(freed), selection)
         try:

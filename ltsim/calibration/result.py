@@ -268,7 +268,10 @@ def directions_of(covariance: Floats, prior_sigma: Floats) -> list[list[Directio
 def criteria_of(
     recording: Recording, adjustment: Adjustment, construction: Construction, values: Floats
 ) -> Criteria | None:
-    """The paper's criteria without the pointings that were left out; None where stations cannot be compared."""
+    """The paper's criteria without the pointings that were left out; None where stations cannot be compared.
+
+    Errors whose size was known beforehand, of reflectors among them, stay in the readings, where `correct` leaves them.
+    """
     use: Bools = np.asarray(~adjustment.rejected.any(axis=1))
     recording = _one_smr(recording, adjustment)
     try:
@@ -276,7 +279,7 @@ def criteria_of(
             return evaluate(recording, use=use)
         applied = values[0] if len(values) == 1 else values[recording.instrument]
         model, state = adjustment.problem.model, adjustment.state
-        shift = model.extra_shift(adjustment.sightings, state.extra) if len(state.extra) else None
+        shift = model.effects_shift(adjustment.sightings, state.extra) if model.effects else None
         return evaluate(recording, construction, applied, shift=shift, use=use)
     except NetworkError:
         return None

@@ -103,12 +103,6 @@ class Stack(CellTruth):
     def _design_of(self, effects: tuple[Effect, ...]) -> Floats:
         return self.gathered(truth.design_of(effects)[..., 0] for truth in self.truths)
 
-    @cached_property
-    def stated(self) -> tuple[Floats, Floats]:
-        """As of `CellTruth`, ending in the trial."""
-        shifts, designs = zip(*(truth.stated for truth in self.truths), strict=True)
-        return self.gathered(shift[..., 0] for shift in shifts), self.gathered(design[..., 0] for design in designs)
-
     def _laid_out(self, built: Construction) -> tuple[ChainProgram, Floats]:
         """The chain of all trials, and the derivative (n, 3, p, B)."""
         flat = np.swapaxes(self.nominal, 1, 2).reshape(-1, 3)
@@ -205,7 +199,7 @@ class StackCalibrator(Calibrator):
         except SetupError:
             return np.arange(len(parts))
         status = np.zeros(len(parts), dtype=np.int64)
-        together = Calibrated(fit.values, network.sigma_values, fit.points, fit.chi2, status, stated=fit.stated)
+        together = Calibrated(fit.values, network.sigma_values, fit.points, fit.chi2, status)
         doubtful = ~fit.converged | suspects(block.deviation, stack.local)
         for trial in np.flatnonzero(~doubtful):
             found.take(int(trial), together, int(trial))

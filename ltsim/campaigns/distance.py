@@ -112,8 +112,7 @@ class BatchDistance(Engine):
         fit = self._adjusted(block, values)
         spread = np.sqrt(np.diag(self.estimate.covariance)).reshape(values.shape[:2]) * self.problem.prior_sigma
         status = np.zeros(len(moved), dtype=np.int64)
-        found = Calibrated(values, spread, fit.points, fit.chi2, status, stated=fit.stated)
-        return found, (moved < CLOSED) & fit.converged
+        return Calibrated(values, spread, fit.points, fit.chi2, status), (moved < CLOSED) & fit.converged
 
     def _squares(self, block: Block) -> tuple[Floats, Floats]:
         """Parameters (I, p, B) [SI], and the largest last move (B,) in prior sigmas."""

@@ -24,7 +24,6 @@ from ltsim.errors import LtsimError
 from ltsim.evaluation.clouds import on_points
 from ltsim.geometry.rigid import rigid_motion
 from ltsim.model.construction import Construction, ideal
-from ltsim.model.measurement import MeasurementModel
 from ltsim.recording.lengths import KnownLengths
 from ltsim.recording.recording import Recording
 from ltsim.simulation.simulator import certified_by
@@ -52,8 +51,6 @@ class Calibrated:
     """(q, B) [SI]: parameters of further effects; empty for none."""
     extra_sigma: Floats = field(default_factory=lambda: np.zeros((0, 0)))
     """(q, 1) or (q, B) [SI]."""
-    stated: Floats = field(default_factory=lambda: np.zeros((0, 0)))
-    """(k, B): errors that the recording states, in standard deviations; empty where they are not estimated."""
 
     @property
     def estimates(self) -> tuple[Floats, Floats]:
@@ -72,14 +69,12 @@ class Calibrated:
         points = np.full((*truth.state.points.shape[:2], trials), np.nan)
         extra = np.full((sum(len(e.parameters) for e in effects), trials), np.nan)
         lost = np.full(trials, STATUSES.index(FAILED))
-        model = MeasurementModel(truth.recording, ideal(), tuple(effects))
-        stated = np.full((model.extra_size - model.effects_size, trials), np.nan)
-        return cls(values, values.copy(), points, np.full(trials, np.nan), lost, extra, extra.copy(), stated)
+        return cls(values, values.copy(), points, np.full(trials, np.nan), lost, extra, extra.copy())
 
     def take(self, trial: int, source: Calibrated, place: int) -> None:
         """Take a trial over from others, of which it is one; its sigmas where each trial has its own."""
         own = ("sigma", "extra_sigma") if self.sigma.ndim == 3 else ()
-        for name in ("chi2", "status", "values", "points", "extra", "stated", *own):
+        for name in ("chi2", "status", "values", "points", "extra", *own):
             mine, theirs = getattr(self, name), getattr(source, name)
             if len(mine):
                 shared = theirs.ndim < mine.ndim
@@ -169,7 +164,7 @@ class Single(Calibrator):
                 continue
             found.values[:, :, trial], found.sigma[:, :, trial] = values, sigma
             own = len(found.extra)
-            found.extra[:, trial], found.stated[:, trial] = np.split(adjustment.state.extra, [own])
+            found.extra[:, trial] = adjustment.state.extra[:own]
             found.extra_sigma[:, trial] = np.sqrt(np.diag(adjustment.extra_covariance)[:own])
             true = self.truth.state.points
             found.points[:, :, trial] = placed_on(adjustment, true) - true
@@ -215,7 +210,7 @@ class Engine(Calibrator):
         status, sigma = np.zeros(len(fit.chi2), dtype=np.int64), network.sigma_values
         own = slice(network.sizes[2], network.sizes[2] + len(fit.extra))
         extra = np.sqrt(np.diag(network.covariance)[own, None]) if self.effects else np.zeros((0, 1))
-        return Calibrated(fit.values, sigma, fit.points, fit.chi2, status, fit.extra, extra, fit.stated), fit.converged
+        return Calibrated(fit.values, sigma, fit.points, fit.chi2, status, fit.extra, extra), fit.converged
 
     def calibrate(self, block: Block, wanted: Ints | None = None) -> Calibrated:
         """Calibrate a block; the wanted trials, by default all, are those that the single calibrator is asked for."""

@@ -141,13 +141,14 @@ class Judge:
     def after(
         self, block: Block, found: Calibrated, construction: Construction, effects: Sequence[Effect] = ()
     ) -> Columns:
-        """Columns of a method: criteria and errors after its parameters and what it estimated beside them."""
+        """Columns of a method: criteria and errors after its parameters and the effects that it estimated.
+
+        As in `calibrate` and `evaluate`, errors whose size was known beforehand, of reflectors among them, stay in the
+        readings: the true parameters leave them there too.
+        """
         deviation = block.deviation
         if effects:
             deviation = deviation - np.einsum("ncqb,qb->ncb", self.truth.design_of(tuple(effects)), found.extra)
-        if len(found.stated):
-            shift, design = self.truth.stated
-            deviation = deviation - shift - np.einsum("ncqb,qb->ncb", design, found.stated)
         calibrated = self.clouds(deviation, construction, found.values)
         columns: Columns = self.criteria(calibrated, "after") if self.comparable else {}
         columns["error_calibrated_um"] = self.cloud_error(calibrated)

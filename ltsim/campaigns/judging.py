@@ -1,7 +1,7 @@
 """Calibrations of one recording held against each other by the error of points that none of them has seen."""
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +30,7 @@ JUDGED = Table(
         *numbers(
             shown=".1f",
             error_raw_um="readings as they are",
-            error_calibrated_um="readings corrected as found",
+            error_calibrated_um="readings corrected by the estimates, or by what is applied of them",
             error_true_parameters_um="readings corrected by the true parameters: the floor",
         ),
         *numbers(shown=".3f", share_removed="of the mean square above the floor"),
@@ -69,13 +69,15 @@ def judge(
     calibrations: Calibration | Mapping[str, Calibration],
     judge_in: str | Path,
     *,
+    applied: bool = False,
     seed: int = 0,
     trial: int = 0,
 ) -> Judged:
     """Compare calibrations of one simulated recording by points that they were not calibrated on.
 
     The same instruments, with the errors that they have in that recording, measure in another place with noise of its
-    own; each calibration corrects what they read. A campaign with `judge_in` has the same numbers in the trial's row.
+    own; the estimates of each calibration correct what they read. A campaign with `judge_in` has the same numbers in
+    the trial's row.
 
     Parameters
     ----------
@@ -85,6 +87,8 @@ def judge(
         By the names that the result calls them.
     judge_in : str or Path
         The other place: a scenario, or a table of points ``NAME.csv`` measured from the recording's own stations.
+    applied : bool
+        Judge what `correct` takes out of readings in place of the estimates, as for a campaign's method with `applied`.
     seed, trial : int
         Those of the recording.
 
@@ -121,5 +125,6 @@ def judge(
 
     raw = error(measured_points(recording))
     floor = error(measured_points(recording, work.construction, values[work.sightings.instrument]))
-    corrected = {name: measured_points(correct(recording, own, again=True)) for name, own in found.items()}
+    taken = found if applied else {name: replace(own, correction=None) for name, own in found.items()}
+    corrected = {name: measured_points(correct(recording, own, again=True)) for name, own in taken.items()}
     return Judged({name: ShareRemoved(raw, error(points), floor) for name, points in corrected.items()})

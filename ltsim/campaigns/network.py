@@ -48,9 +48,7 @@ class BatchFit:
     values: Floats
     """(I, p, B) [SI]."""
     extra: Floats
-    """(q, B) [SI]."""
-    stated: Floats
-    """(k, B): errors of a known size, in standard deviations."""
+    """(q, B) [SI]: of the further effects."""
     chi2: Floats
     """(B,)."""
     left: Floats
@@ -169,7 +167,7 @@ class BatchNetwork:
         Raises SetupError when the network does not determine its unknowns.
         """
         design = self._system[0]
-        normal = (design.T @ design)[self.order[:, None], self.order]
+        normal = (design.T @ design).take(self.order, 0).take(self.order, 1)
         unit, scale = unit_diagonal(normal, np.diag(normal))
         roots, determined = cholesky_where_determined(unit[None])
         if not determined.all():
@@ -272,8 +270,7 @@ class BatchNetwork:
                 break
             before = squared
         _, points, values, extra = self.split(x)
-        own = self.model.effects_size
-        return BatchFit(points, values, extra[:own], extra[own:], cost - squared, left)
+        return BatchFit(points, values, extra[: self.model.effects_size], cost - squared, left)
 
     @property
     def _has_extra(self) -> bool:
@@ -283,12 +280,11 @@ class BatchNetwork:
     def _felt(self) -> tuple[Ints, Floats, Floats]:
         """Readings (r,) of all (3 n,) that effects and stated errors change; their design (r, q), plain and whitened.
 
-        Designs end in the trial where the state does.
+        Designs begin with the trial where the state ends in it.
         """
-        own = self._extra_design
-        flat, sigma = own.reshape(-1, *own.shape[2:]), self.sigma.reshape(-1, 1, *self.sigma.shape[2:])
-        rows = np.flatnonzero(flat.any(axis=tuple(range(1, flat.ndim))))
-        return rows, np.ascontiguousarray(flat[rows]), flat[rows] / sigma[rows]
+        flat = self._extra_design.reshape(self.sigma.size, -1)
+        rows = np.flatnonzero(flat.any(axis=1))
+        return rows, flat[rows], flat[rows] / self.sigma.reshape(-1, 1)[rows]
 
     @cached_property
     def _start_matrices(self) -> tuple[Floats, Floats, Floats]:

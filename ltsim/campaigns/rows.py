@@ -269,8 +269,7 @@ class TrialBlock:
             return {}
         there, block, before = self.new_points
         nowhere = np.full((*there.truth.state.points.shape, len(found.chi2)), np.nan)  # no target is adjusted there
-        moved = replace(found, points=nowhere, stated=np.zeros((0, len(found.chi2))))  # nor are its reflectors these
-        after = there.after(block, moved, calibrator.construction, calibrator.effects)
+        after = there.after(block, replace(found, points=nowhere), calibrator.construction, calibrator.effects)
         return {f"new_point_{name}": own for name, own in (before | after).items() if name.startswith("error_")}
 
 

@@ -50,19 +50,18 @@ class Stacked(BatchNetwork):
         return np.stack([part._by_point for part in self.parts], axis=-1)
 
     @cached_property
-    def _extra_design(self) -> Floats:
-        return np.stack([part._extra_design for part in self.parts], axis=-1)
-
-    @cached_property
     def _expected_shift(self) -> Floats | None:
         shifts = [shift for part in self.parts if (shift := part._expected_shift) is not None]
         return np.concatenate(shifts, axis=-1) if shifts else None
 
     @cached_property
     def _felt(self) -> tuple[Ints, Floats, Floats]:
-        rows, design, whitened = super()._felt
-        trials_first = [np.ascontiguousarray(np.moveaxis(each, -1, 0)) for each in (design, whitened)]
-        return rows, trials_first[0], trials_first[1]
+        count = 3 * len(self.recording)
+        flat = [part._extra_design.reshape(count, -1) for part in self.parts]
+        rows = np.flatnonzero(np.any([design.any(axis=1) for design in flat], axis=0))
+        design = np.stack([design[rows] for design in flat])
+        sigma = np.stack([part.sigma.ravel()[rows] for part in self.parts])
+        return rows, design, design / sigma[:, :, None]
 
     @cached_property
     def _others(self) -> tuple[Floats, Floats]:

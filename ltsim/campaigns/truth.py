@@ -19,8 +19,8 @@ from ltsim.campaigns.program import ChainProgram
 from ltsim.effects.effect import Effect
 from ltsim.errors import SetupError
 from ltsim.geometry.polar import wrap
-from ltsim.model.construction import Construction, ideal
-from ltsim.model.measurement import MeasurementModel, State
+from ltsim.model.construction import Construction
+from ltsim.model.measurement import State
 from ltsim.randomness import BLOCK as BLOCK
 from ltsim.recording.recording import OBSERVABLES, Recording
 from ltsim.scene.sightings import Sightings
@@ -98,16 +98,6 @@ class CellTruth:
 
     def _design_of(self, effects: tuple[Effect, ...]) -> Floats:
         return np.concatenate([effect.design(self.sightings) for effect in effects], axis=2)[..., None]
-
-    @cached_property
-    def stated(self) -> tuple[Floats, Floats]:
-        """Expected change (n, 3, 1) of the readings by the errors that the recording states; design (n, 3, k, 1)."""
-        errors = MeasurementModel(self.recording, ideal()).stated
-        shift, designs = np.zeros((len(self.recording), 3, 1)), [np.zeros((len(self.recording), 3, 0))]
-        for error in errors:
-            shift += error.shift(self.sightings, np.zeros(len(error.parameters)))[..., None]
-            designs.append(error.design(self.sightings))
-        return shift, np.concatenate(designs, axis=2)[..., None]
 
     @cached_property
     def _chains(self) -> list[tuple[Construction, tuple[ChainProgram, Floats]]]:

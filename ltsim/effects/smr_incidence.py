@@ -85,7 +85,8 @@ class SmrIncidence(Effect):
     def terms(cls, incidence: Floats, direction: Floats) -> Floats:
         """Range error (n, 14) [m], reading - truth, per unit of minus each parameter, at angles (n,) [rad] each."""
         ramps, cubed = _ramps(incidence), (np.sin(np.minimum(incidence, EDGE)) / np.sin(EDGE)) ** 3
-        once, thrice = np.exp(1j * direction[:, None]), (cubed * np.exp(3j * direction))[:, None]
+        once = np.exp(1j * direction[:, None])
+        thrice = cubed[:, None] * once**3
         around = ramps * once.real, ramps * once.imag, thrice.real, thrice.imag
         return np.concatenate([ramps, *around], axis=1)
 

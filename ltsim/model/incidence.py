@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ltsim.arrays import Floats
+from ltsim.effects.effect import on_readings
 from ltsim.effects.signature import Parameter, Signature
 from ltsim.effects.smr_incidence import SmrIncidence
 from ltsim.recording.recording import Recording
@@ -47,16 +48,16 @@ class IncidenceErrors(Signature):
         return (Parameter("incidence-error", "", "error of a reflector against incidence", 1.0),) * self.root.shape[1]
 
     def _by_law(self, sightings: Sightings) -> Floats:
-        return LAW.design(sightings) * self.acts[:, None, None]
+        """Range error (n, p) per unit of each parameter of the law."""
+        return LAW.terms(*LAW.incidence(sightings)) * self.acts[:, None]
 
     def design(self, sightings: Sightings) -> Floats:
         """Change (n, 3, k) of the raw readings by each error."""
-        return self._by_law(sightings) @ self.root
+        return on_readings(sightings, distance=self._by_law(sightings) @ self.root)
 
     def shift(self, sightings: Sightings, values: Floats) -> Floats:
         """Change (n, 3) of the raw readings by errors (k,) around the mean."""
-        change: Floats = self._by_law(sightings) @ (self.mean + self.root @ values)
-        return change
+        return on_readings(sightings, distance=self._by_law(sightings) @ (self.mean + self.root @ values))
 
 
 def incidence_errors(recording: Recording) -> tuple[IncidenceErrors, ...]:

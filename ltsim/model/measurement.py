@@ -226,9 +226,17 @@ class MeasurementModel:
 
     def extra_shift(self, sightings: Sightings, extra: Floats) -> Floats:
         """Change (n, 3) of the readings by all that, at values (q,)."""
+        return self._shift(self.beside, sightings, extra)
+
+    def effects_shift(self, sightings: Sightings, extra: Floats) -> Floats:
+        """The same by the further effects alone."""
+        return self._shift(self.effects, sightings, extra)
+
+    def _shift(self, signatures: tuple[Signature, ...], sightings: Sightings, extra: Floats) -> Floats:
+        """Change (n, 3) by the first of all that is estimated beside network and instrument."""
         change = np.zeros((len(sightings), 3))
-        for effect, values in zip(self.beside, self._split(extra), strict=True):
-            change += effect.shift(sightings, values)
+        for signature, values in zip(signatures, self._split(extra), strict=False):
+            change += signature.shift(sightings, values)
         return change
 
     def predict(self, state: State) -> Floats:

@@ -7,7 +7,7 @@ from typing import Self
 
 import numpy as np
 
-from ltsim.arrays import Bools, Floats, Ints, side_by_side
+from ltsim.arrays import Bools, Floats, Ints
 from ltsim.geometry.polar import polar_jacobian, to_face, to_polar, unit_vectors, wrap
 from ltsim.kinematics.chain import point_and_derivatives
 from ltsim.kinematics.misalignment import MISALIGNMENT
@@ -257,15 +257,16 @@ class Sightings:
     @cached_property
     def _nest(self) -> tuple[Floats, Floats]:
         """Incidence angle and its direction in the plane of the open face."""
-        normal, back = self.nest_normal, -self.arm / np.linalg.norm(self.arm, axis=1, keepdims=True)
-        side = side_by_side(-normal[:, 1], normal[:, 0], 0.0 * normal[:, 2])  # level, across the normal
-        flat = np.linalg.norm(side, axis=1) < 1e-6
-        side[flat] = [1.0, 0.0, 0.0]
-        side /= np.linalg.norm(side, axis=1)[:, None]
-        axes = np.stack([normal, side, np.cross(normal, side)], axis=1)
-        cosine, aside, above = np.einsum("nij,nj->in", axes[self.target], back)
-        cosine, angle = np.clip(cosine, -1.0, 1.0), np.arctan2(above, aside)
-        return np.arccos(cosine), angle
+        x, y, z = self.nest_normal.T
+        level = np.hypot(x, y)
+        across_x = np.divide(-y, level, out=np.ones_like(y), where=~(level < 1e-6))
+        across_y = np.divide(x, level, out=np.zeros_like(x), where=~(level < 1e-6))
+        side = across_x, across_y, 0.0 * z  # level, across the normal
+        above = -z * across_y, z * across_x, x * across_y - y * across_x
+        axes = np.stack([(x, y, z), side, above])[:, :, self.target]
+        along, aside, up = -np.einsum("ijn,nj->in", axes, self.arm)
+        length = np.sqrt(np.einsum("nj,nj->n", self.arm, self.arm))
+        return np.arccos(np.clip(along / length, -1.0, 1.0)), np.arctan2(up, aside)
 
     @property
     def incidence(self) -> Floats:

@@ -97,12 +97,11 @@ def cholesky_where_determined(matrices: Floats) -> tuple[Floats, Bools]:
 
     A factor is NaN where one is open. Only matrices with a doubtful pivot pay for their eigenvalues.
     """
-    roots = np.full_like(matrices, np.nan)
     try:
-        roots = np.asarray(np.linalg.cholesky(matrices), dtype=np.float64)
+        roots: Floats = np.asarray(np.linalg.cholesky(matrices), dtype=np.float64)
         doubtful = ~(np.einsum("bii->bi", roots).min(axis=1, initial=1.0) ** 2 > DOUBTFUL)
     except np.linalg.LinAlgError:
-        doubtful = np.ones(len(matrices), dtype=bool)
+        roots, doubtful = np.full_like(matrices, np.nan), np.ones(len(matrices), dtype=bool)
     if doubtful.any():
         known = np.linalg.eigvalsh(matrices[doubtful])[:, 0] > FORMED
         found = np.full_like(matrices[doubtful], np.nan)

@@ -138,7 +138,8 @@ def reach_of(adjustment: Adjustment, at: Ints) -> Floats:
 def observed_sources(adjustment: Adjustment, reach: Floats) -> list[Source]:
     """The groups of observations; a standard deviation of each row is a variate. What only defines the frame is none.
 
-    Errors that known lengths share, of a coefficient of expansion or a thermometer, are sources of their own.
+    Errors that known lengths share, of a coefficient of expansion or a thermometer, are sources of their own, as are
+    the errors of a known size that the adjustment estimates: of heads, of reflectors, of readings together.
     """
     problem = adjustment.problem
     observable = np.nonzero(problem.use)[1]
@@ -161,7 +162,20 @@ def observed_sources(adjustment: Adjustment, reach: Floats) -> list[Source]:
         own = Source(LENGTHS, "A", by_length @ gauge.whitened(np.diag(gauge.certificate)))
         found.insert(sum(len(rows) > 0 for _, rows in groups[: len(OBSERVABLES)]), own)
     shared = ((name, by_length @ gauge.whitened(change)) for name, change in gauge.shared.items())
-    return [*found, *(Source(name, "B", response[:, None]) for name, response in shared)]
+    found += [Source(name, "B", response[:, None]) for name, response in shared]
+    return [*found, *_sources_of_known_size(adjustment, reach[at:])]
+
+
+def _sources_of_known_size(adjustment: Adjustment, reach: Floats) -> list[Source]:
+    """Errors whose size is known beforehand, kind by kind; `reach` begins with the rows of the further effects."""
+    model = adjustment.problem.model
+    finite = np.isfinite(adjustment.problem.extra_sigma[: model.effects_size])
+    at, reached = int(finite.sum()), dict[str, list[Floats]]()
+    for error in model.stated:
+        count = len(error.parameters)
+        reached.setdefault(error.parameters[0].meaning, []).append(reach[at : at + count].T)
+        at += count
+    return [Source(name, "B", np.concatenate(parts, axis=1)) for name, parts in reached.items()]
 
 
 def smr_sources(adjustment: Adjustment, reach: Floats) -> list[Source]:

@@ -137,11 +137,25 @@ def test_methods_are_compared_on_one_recording_as_the_campaign_compares_them_in_
         lt.judge(scenario, {}, "paper-laboratory", seed=3, trial=17)
 
 
+def test_what_is_applied_is_judged_as_a_campaign_judges_it(tmp_path: Path) -> None:
+    methods = [{"method": "network"}, {"name": "applied", "solver": "single", "applied": True}]
+    campaign = SWEEP | {"seed": 1, "trials": 2, "shard": 2, "methods": methods}
+    rows = lt.campaign(campaign, out=tmp_path / "rows")
+    recording, _ = lt.simulate("paper-workshop", seed=1, trial=1)
+    found = lt.calibrate(recording)
+    assert not np.array_equal(found.applied, found.values)  # else both are one
+    for method, applied in (("network", False), ("applied", True)):
+        judged = lt.judge("paper-workshop", found, "paper-laboratory", applied=applied, seed=1, trial=1)
+        sql = f"SELECT new_point_error_calibrated_um FROM rows WHERE trial = 1 AND method = '{method}'"
+        (row,) = rows.query(sql)
+        assert judged.table().column("error_calibrated_um") == pytest.approx([row[0]], rel=1e-4)
+
+
 def test_no_trials_and_no_workers_are_no_answer(tmp_path: Path) -> None:
     for trials in (0, -3):
-        with pytest.raises(SetupError, match=f"trials is {trials}, expected 1 or more"):
+        with pytest.raises(SetupError, match=f"trials is {trials}, expected a whole number, 2 to 1,000,000,000"):
             lt.recover("paper-workshop", trials=trials)
-    with pytest.raises(SetupError, match="jobs is 0, expected 1 or more"):
+    with pytest.raises(SetupError, match="jobs is 0, expected a whole number, 1 to 256"):
         lt.campaign({"trials": 2}, out=tmp_path / "rows", jobs=0)
     with pytest.raises(ModelError, match="one injection at least"):
         lt.injection_curve(lt.simulate("paper-workshop", seed=1).recording, "index-drift", strengths=[])

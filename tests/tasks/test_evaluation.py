@@ -16,7 +16,9 @@ from ltsim.errors import ModelError, SetupError
 from ltsim.model.construction import misalignment
 from ltsim.randomness import stream
 from ltsim.recording import write
+from ltsim.recording.recording import ENDINGS
 from ltsim.recording.result_file import read_result
+from ltsim.simulation.verbs import simulate
 from ltsim.tasks.evaluation import Evaluation, evaluate_tasks
 from ltsim.tasks.files import UncertaintyFile, compared, conformity, normalised_error
 from ltsim.tasks.inputs import Inputs, Source
@@ -57,6 +59,22 @@ def test_observed_sources_add_up_to_the_covariance_of_the_adjustment() -> None:
     for i, name in enumerate(inputs.targets):
         block = inputs.origin.target_covariance[inputs.origin.recording.targets.index(name)]
         assert np.allclose(own[3 * i : 3 * i + 3, 3 * i : 3 * i + 3], block, atol=1e-4 * block.max())
+
+
+def test_errors_of_a_known_size_are_in_the_budget() -> None:
+    """Of a reflector in fixed nests, and of readings together: all sources add up to the covariance."""
+    recording, _ = simulate("paper-workshop", seed=2)
+    shared = 3e-3 * np.sin(np.arange(len(recording)))
+    recording = recording.replace(covariates={**recording.covariates, f"shared_tripod_{ENDINGS[0]}": shared})
+    inputs = evaluate_tasks(recording, tasks(type_b=[])).inputs
+    names = {"error of a reflector against incidence", "error that readings share"}
+    assert {source.name for source in inputs.sources if source.kind == "B"} == names
+    for i, name in enumerate(inputs.targets):
+        block = inputs.origin.target_covariance[inputs.origin.recording.targets.index(name)]
+        own = inputs.covariance[3 * i : 3 * i + 3, 3 * i : 3 * i + 3]
+        assert np.allclose(own, block, atol=5e-4 * block.max())  # the rows of the datum are no source
+    largest = max(np.trace(source.covariance) for source in inputs.sources if source.kind == "B")
+    assert largest > 0.1 * np.trace(inputs.covariance)
 
 
 def test_a_datum_of_targets_reaches_the_points() -> None:
