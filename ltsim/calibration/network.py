@@ -71,7 +71,8 @@ def calibrate_network(
     prior, informed = chosen.over(expected, recording, built), chosen.prior is not None
     freed, grouping = np.zeros(prior.mean.shape, dtype=bool), _grouping(noise_from_data)
     quiet_by, heard = "", True
-    selection = identified(recording, built) if weigh else None
+    # Beside effects that are asked for, a simple cause would take what they are to take.
+    selection = identified(recording, built, prior) if weigh and not extra_effects else None
     for left in reversed(range(PASSES if weigh else 1)):
         adjusted = partial(_adjusted, recording, built, robust, grouping, datum, prior.widened(freed), selection)
         try:

@@ -28,6 +28,8 @@ from ltsim.identification.signatures import ReadingShift
 from ltsim.recording.recording import OBSERVABLES, Recording
 from ltsim.scene.sightings import Sightings
 
+LEAST_REPEATED = 4
+"""Pointings to a target from which it may have noise of its own: of two or three one that is wrong says as much."""
 LEAST_SEEN = 3
 """Pointings before and after the moment at which a station moves: with fewer a single reading explains as much."""
 MOST_MOMENTS = 60
@@ -225,7 +227,8 @@ def noises(fit: Fit) -> Iterator[tuple[Hypothesis, Bools]]:
         yield noise(observable, (), (), places, column), column
     for t, name in enumerate(recording.targets):
         rows = every & (recording.target == t)[:, None]
-        yield noise("noise", (), (name,), places, rows), rows
+        if rows[:, 0].sum() >= LEAST_REPEATED:
+            yield noise("noise", (), (name,), places, rows), rows
     for s, name in enumerate(recording.stations) if several else ():
         rows = every & (recording.station == s)[:, None]
         yield noise("noise", (name,), (), places, rows), rows

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ltsim.adjustment.prior import ParameterPrior
 from ltsim.adjustment.snooping import LARGEST_ERROR
 from ltsim.errors import LtsimError, NetworkError
 from ltsim.identification.fit import Fit, Network
@@ -22,6 +23,11 @@ from ltsim.solve.threads import in_one_thread
 
 LEAST_GAIN = 3.0
 """Log evidence that a hypothesis must gain: odds of 20 to 1, on the scale of Kass and Raftery (1995) strong."""
+AMONG_MISFIT = 30.0
+"""Log evidence that a hypothesis must gain where all readings scatter more than declared.
+
+A misfit of the model varies smoothly, so that its readings count several times: a tenth of this is what they tell.
+"""
 MOST = 8
 """Hypotheses that are chosen at most: a network with more simple causes is measured again."""
 BEYOND_DOUBT = 7.0
@@ -94,12 +100,14 @@ class Selection:
         """Whether the network agrees with what was chosen, each choice beyond doubt: then nothing else is wrong.
 
         A set-up in another unit or sense is no such choice, for its rows are to be read anew; nor is noise that is
-        less than declared, for what it makes outliers of may be none. Reference values and tripods over marks have
-        tests that know more about them.
+        less than declared, for what it makes outliers of may be none; nor more noise where outliers remain. Reference
+        values and tripods over marks have tests that know more about them.
         """
         changes = [c.hypothesis.change for c in self.choices]
         quieter = any(isinstance(change, NoiseFactor) and change.guess < 1.0 for change in changes)
         others = any(isinstance(change, Omission) for change in changes) or any(self.fit.problem.marks.names)
+        if _misfit(self.fit) and self.fit.outliers.any():
+            return False
         sure = all(c.gain > BEYOND_DOUBT and c.hypothesis.kind != "unit" for c in self.choices)
         return bool(changes) and sure and not quieter and not others and self.fit.p_value > AGREES
 
@@ -127,12 +135,19 @@ def select(network: Network, least: float = LEAST_GAIN) -> Selection:
     last: Looked | None = None
     while len(fit.hypotheses) < MOST and not _agrees(fit):
         tried = _fitted(fit)
-        if not tried or tried[0][1].log_evidence < fit.log_evidence + least:
+        needed = least if not _misfit(fit) else AMONG_MISFIT
+        if not tried or tried[0][1].log_evidence < fit.log_evidence + needed:
             break
         chosen = _without_needless(tried[0][1], least, len(beginning.hypotheses))
         last = (fit, tried) if chosen is tried[0][1] else None
         fit = chosen
     return _judged_again(fit, least, beginning, last)
+
+
+def _misfit(fit: Fit) -> bool:
+    """Whether all readings scatter more than declared: then what is left may be the misfit of the model, not noise."""
+    general = (h.change for h in fit.hypotheses if not h.stations and not h.targets)
+    return any(isinstance(change, NoiseFactor) and change.guess > 1.0 for change in general)
 
 
 def _agrees(fit: Fit) -> bool:
@@ -145,10 +160,12 @@ def _agrees(fit: Fit) -> bool:
     return fit.p_value > AGREES and not fit.hypotheses and fit.outliers.sum() < FEW * fit.whole.use.sum()
 
 
-def identified(recording: Recording, construction: Construction | None = None) -> Selection | None:
+def identified(
+    recording: Recording, construction: Construction | None = None, prior: ParameterPrior | None = None
+) -> Selection | None:
     """The simple causes of a recording, by default beside the errors of its instrument; None where it is no network."""
     try:
-        return select(Network(recording, construction or stated_construction(recording)))
+        return select(Network(recording, construction or stated_construction(recording), prior))
     except LtsimError:
         return None
 
