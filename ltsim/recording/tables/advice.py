@@ -12,6 +12,8 @@ from ltsim.recording.tables.header import MARKS, PLACE
 from ltsim.recording.tables.sheets import Sheet
 
 SAMPLE = 400
+LONGEST_SAMPLE = 20_000
+"""Rows of a table among which those of full width are looked for."""
 LONG_M = SHORTEST_MM
 """A distance or coordinate of a table without units is advised in metres below this number, in millimetres above."""
 Columns = Sequence[Sequence[str]]
@@ -20,8 +22,9 @@ ASK = '--columns "station=HEADER,target=HEADER,azimuth=HEADER[deg],elevation=HEA
 
 def unnamed(sheet: Sheet, serves: Callable[[str], bool]) -> str:
     """The sentence for a header that says nothing; `serves` tells whether ``--columns`` can read the sheet."""
-    head = next((row for row in sheet.rows if len(row.fields) > 2 and not row.values), None)
-    body = [row.fields for row in sheet.rows if row.values > 1]
+    sample = sheet.rows[:LONGEST_SAMPLE]
+    head = next((row for row in sample if len(row.fields) > 2 and not row.values), None)
+    body = [row.fields for row in sample if row.values > 1]
     if not body:
         return "holds no row with two numbers or more: nothing that could be a pointing"
     width = max(map(len, body))

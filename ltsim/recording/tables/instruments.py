@@ -7,7 +7,7 @@ from ltsim.recording.kinds import LIKE_TOTAL_STATION, NO_NOISE, TOTAL_STATION
 from ltsim.recording.setup import Instrument
 from ltsim.recording.tables.header import DISTANCE
 from ltsim.recording.tables.meaning import Meaning
-from ltsim.recording.tables.rows import PointingTable
+from ltsim.recording.tables.printed import PointingTable, as_decimals
 from ltsim.units import FACTOR
 
 TRACKER_RANGE_M = 160.0
@@ -33,7 +33,8 @@ def is_total_station(table: PointingTable, meaning: Meaning, readings: Floats) -
         return ""
     if ranges.max() > TRACKER_RANGE_M:
         return f"its longest range is {ranges.max():.4g} m, beyond any laser tracker"
-    printed = [value for p in table.pointings for role, value in p.values.items() if role in DISTANCE]
+    columns = [digits for role, digits in table.pointings.numbers.items() if role in DISTANCE]
+    printed = [value for digits in columns for value in as_decimals(digits) if value is not None]
     if len(printed) < LEAST_RANGES:
         return ""
     last = min(int(value.as_tuple().exponent) for value in printed)
