@@ -65,9 +65,8 @@ class Meaning:
 
     def readings(self, printed: Printed) -> Floats:
         """Raw ranges [m], azimuths, elevations [rad] (n, 3), in the numbers that a native file would hold."""
-        lengths, turns, upward = (
-            partial(operator.mul, ratio(unit, wanted))
-            for unit, wanted in ((self.length_unit, "mm"), (self.horizontal_unit, "deg"), (self.vertical_unit, "deg"))
+        turns, upward = (
+            partial(operator.mul, ratio(unit, "deg")) for unit in (self.horizontal_unit, self.vertical_unit)
         )
         azimuth = (lambda turn: _counter_clockwise(turns(turn))) if self.azimuth == "clockwise" else turns
         zenith = self.vertical == "zenith"
@@ -76,8 +75,12 @@ class Meaning:
             up = QUARTER - upward(number) if zenith else upward(number)
             return up + FULL if up < -QUARTER else up
 
-        columns = ((DISTANCE, lengths), (HORIZONTAL, azimuth), (VERTICAL, elevation))
-        found = [exactly(printed.of(roles), function) for roles, function in columns]
+        scale, lengths = ratio(self.length_unit, "mm"), printed.of(DISTANCE)
+        found = [
+            as_floats(lengths) if scale == 1 else exactly(lengths, partial(operator.mul, scale)),
+            exactly(printed.of(HORIZONTAL), azimuth),
+            exactly(printed.of(VERTICAL), elevation),
+        ]
         return np.stack(found, axis=1) * [MILLIMETRE, DEGREE, DEGREE]
 
     def unit_of(self, role: str) -> str:
@@ -233,7 +236,7 @@ def sigmas_of_places(table: PointingTable, readings: Floats, length: str) -> dic
     texts = [printed.further.get(title, nothing) for title, _ in titles]
     given = [list(map(cells.value, column, printed.grouping)) for column in texts]
     printed.further = {title: column for title, column in printed.further.items() if title not in dict(titles)}
-    stated = np.array([[float(s) if s is not None and s > 0 else np.nan for s in column] for column in given]).T
+    stated = np.stack([[float(s) if s is not None and s > 0 else np.nan for s in column] for column in given], axis=1)
     variance = (stated * [factor for _, factor in titles]) ** 2
     range_, azimuth, elevation = readings.T
     ways = np.stack(unit_vectors(azimuth, elevation), axis=1) ** 2

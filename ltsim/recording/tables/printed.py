@@ -27,6 +27,11 @@ BLOCK = 8192
 """Rows that are converted together: what lies between text and columns takes memory for so many rows alone."""
 
 
+def as_digits(texts: Sequence[str]) -> Digits:
+    """Numbers (n,) by their text, which `Decimal` reads."""
+    return np.array(texts, dtype=np.bytes_)
+
+
 def as_floats(digits: Digits) -> Floats:
     """The nearest floating-point numbers (n,); NaN where nothing is printed."""
     values = np.full(len(digits), np.nan)
@@ -38,14 +43,24 @@ def as_floats(digits: Digits) -> Floats:
 def as_decimals(digits: Digits) -> Iterator[Decimal | None]:
     """Exact numbers, None where nothing is printed."""
     for start in range(0, len(digits), BLOCK):
-        for text in digits[start : start + BLOCK].tolist():
-            yield Decimal(text.decode()) if text else None
+        for text in digits[start : start + BLOCK].astype(np.str_).tolist():
+            yield Decimal(text) if text else None
 
 
 def exactly(digits: Digits, function: Callable[[Decimal], Decimal]) -> Floats:
     """The nearest floating-point numbers (n,) to a function of the exact numbers; NaN where nothing is printed."""
-    found = (np.nan if number is None else float(function(number)) for number in as_decimals(digits))
-    return np.fromiter(found, dtype=np.float64, count=len(digits))
+    values = np.full(len(digits), np.nan)
+    filled = digits != b""
+    values[filled] = list(map(float, map(function, map(Decimal, digits[filled].astype(np.str_).tolist()))))
+    return values
+
+
+def decimal_places(digits: Digits) -> Ints:
+    """Place of the last digit (n,) behind the decimal point; negative where it stands before it."""
+    if np.any(np.char.find(np.char.lower(digits), b"e") >= 0):
+        return np.array([-int(number.as_tuple().exponent) for number in as_decimals(digits) if number is not None])
+    point = np.char.find(digits, b".")
+    return np.where(point < 0, 0, np.char.str_len(digits) - point - 1)
 
 
 @dataclass
@@ -81,6 +96,12 @@ class Printed:
             if role in self.numbers:
                 digits = np.where(digits == b"", self.numbers[role], digits)
         return digits
+
+    @property
+    def source(self) -> list[str]:
+        """File and line of each pointing."""
+        names = {key: file.name for key, file in dict(zip(map(id, self.file), self.file, strict=True)).items()}
+        return [f"{names[key]}, line {line}" for key, line in zip(map(id, self.file), self.line, strict=True)]
 
     def take(self, order: Iterable[int]) -> Printed:
         """The pointings at some places, in that order."""

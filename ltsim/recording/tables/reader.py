@@ -18,7 +18,7 @@ from ltsim.recording.tables.header import ALLOWED, TableColumn, names_places
 from ltsim.recording.tables.instruments import instrument_of, is_total_station
 from ltsim.recording.tables.meaning import Meaning, readings_of, sigmas_of_places
 from ltsim.recording.tables.poses import named_by_place
-from ltsim.recording.tables.printed import PointingTable, Printed, codes
+from ltsim.recording.tables.printed import PointingTable, Printed, as_digits, as_floats, codes
 from ltsim.recording.tables.rows import header_of, table_of
 from ltsim.recording.tables.setups import common_names, heights_not_applied, occupied, over_marks, split_occupations
 from ltsim.recording.tables.sheets import SUFFIXES, WORKBOOK, is_folder, rows_of_head, sheets_of
@@ -105,7 +105,7 @@ def assembled(
         np.array(times),
         covariates | sigmas,
         labels,
-        [f"{one.name}, line {line}" for one, line in zip(printed.file, printed.line, strict=True)],
+        printed.source,
     )
     return on_round_earth(recording_of_columns(columns, setup, notes=[n for notes in said for n in notes], file=file))
 
@@ -174,14 +174,18 @@ def _unit(column: TableColumn, meaning: Meaning) -> str:
 def _covariate(column: TableColumn, printed: Printed, meaning: Meaning) -> Floats | None:
     """Numbers of a column in the unit of its role, NaN where a cell is empty; None for a column of text."""
     texts = printed.further.get(column.title, [])
+    if not any(texts):
+        return None
+    if cells.are_numbers(texts) and not any(printed.grouping):
+        return as_floats(as_digits(texts)) * _factor(column, meaning)
     numbers = np.full(len(texts), NAN)
-    for i, (text, grouping) in enumerate(zip(texts, printed.grouping, strict=False)):
+    for i, (text, grouping) in enumerate(zip(texts, printed.grouping, strict=True)):
         if text:
             number = cells.quantity(text, grouping)
             if number is None:
                 return None
             numbers[i] = number
-    return numbers * _factor(column, meaning) if any(texts) else None
+    return numbers * _factor(column, meaning)
 
 
 def _factor(column: TableColumn, meaning: Meaning) -> float:

@@ -7,7 +7,7 @@ from functools import partial
 
 from ltsim.errors import RecordError
 from ltsim.recording.conventions import Hints
-from ltsim.recording.files import MAX_TEXT, FilePlace, shown
+from ltsim.recording.files import MAX_TEXT, FilePlace, is_number, shown
 from ltsim.recording.tables import cells
 from ltsim.recording.tables.advice import unnamed
 from ltsim.recording.tables.header import (
@@ -117,7 +117,7 @@ class _SheetReader:
     def _read(self, rows: Sequence[Row], *, every: bool = False) -> PointingTable:
         last = len(rows) - 1
         for i, row in enumerate(rows):
-            measured = (every and not row.comment) or any(cells.is_value(row.cell(place)) for place in self.wanted)
+            measured = (every and not row.comment) or self._is_measured(row)
             again = header_of(row, self.hints, self.sheet.file) if not measured else None
             if again is not None:
                 self._head(again, row.line)
@@ -134,6 +134,14 @@ class _SheetReader:
         self.table.pointings = joined(self.parts) if self.parts else Printed()
         return self.table
 
+    def _is_measured(self, row: Row) -> bool:
+        """Whether a cell of a reading holds a value: in a pointing the first one does as a rule."""
+        for place in self.wanted:
+            cell = row.cell(place)
+            if is_number(cell) or cells.is_value(cell):
+                return True
+        return False
+
     def _other(self, row: Row) -> None:
         """A line that is no pointing: it names the station of a block, or is left out."""
         line = " ".join(field for field in row.fields if field).rstrip(" \t;,")
@@ -147,7 +155,7 @@ class _SheetReader:
         if len(self.run) == BLOCK:
             self._convert()
         width = len(self.columns)
-        if any(row.fields[width:]):
+        if len(row.fields) > width and any(row.fields[width:]):
             self._convert()
             message = f"{len(row.fields)} fields, expected {width} as in the header"
             raise FilePlace(self.sheet.file, row.line).wrong(message)

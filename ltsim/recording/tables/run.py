@@ -5,10 +5,10 @@ from sys import intern
 
 import numpy as np
 
-from ltsim.recording.files import LONGEST_NUMBER, MAX_TEXT, NUMBER, FilePlace, shown
+from ltsim.recording.files import MAX_TEXT, FilePlace, shown
 from ltsim.recording.tables import cells
 from ltsim.recording.tables.header import DISTANCE, HORIZONTAL, READINGS, VERTICAL, TableColumn
-from ltsim.recording.tables.printed import Digits, Printed, as_floats, joined
+from ltsim.recording.tables.printed import Digits, Printed, as_digits, as_floats, joined
 from ltsim.recording.tables.sheets import Row, Sheet
 
 LARGEST = 10**9
@@ -82,15 +82,15 @@ class RunReader:
 
     def _numbers(self, texts: Sequence[str], column: TableColumn, rows: Sequence[Row]) -> Digits:
         """Digits (n,) of a column of readings: its cells where all are plain numbers, otherwise each cell converted."""
-        if column.unit != "dms" and not self.sheet.grouping and _are_plain(texts):
-            digits: Digits = np.array(texts, dtype=np.bytes_)
+        if column.unit != "dms" and not self.sheet.grouping and cells.are_numbers(texts):
+            digits = as_digits(texts)
             values = as_floats(digits)
             if not np.any(np.abs(values) >= LARGEST) and not (column.role in DISTANCE and np.any(values <= 0)):
                 return digits
         converted = [self._number(text, column, row) if text else "" for text, row in zip(texts, rows, strict=True)]
         if not column.unit and any(map(cells.is_marked, texts)):
             self.marked.add(column.title)
-        return np.array(converted, dtype=np.bytes_)
+        return as_digits(converted)
 
     def _number(self, text: str, column: TableColumn, row: Row) -> str:
         """Digits of one cell."""
@@ -123,11 +123,6 @@ class RunReader:
 def _padded(fields: Sequence[str], width: int) -> Sequence[str]:
     """Cells of a row for each column of the header."""
     return (*fields[:width], *[""] * (width - len(fields)))
-
-
-def _are_plain(texts: Sequence[str]) -> bool:
-    """Whether all cells are empty or decimal numbers in plain ASCII."""
-    return max(map(len, texts)) <= LONGEST_NUMBER and all(map(NUMBER.fullmatch, filter(None, texts)))
 
 
 def _both(one: Sequence[str] | None, other: Sequence[str] | None) -> list[str] | None:

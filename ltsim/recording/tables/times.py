@@ -5,7 +5,7 @@ from dataclasses import replace
 from ltsim.recording.conventions import Hints
 from ltsim.recording.files import shown
 from ltsim.recording.tables import cells
-from ltsim.recording.tables.printed import PointingTable
+from ltsim.recording.tables.printed import PointingTable, as_digits, as_floats
 from ltsim.units import FACTOR
 
 
@@ -38,6 +38,8 @@ def times_of(table: PointingTable, hints: Hints) -> tuple[list[float], str, list
     by_rows = "the order of the rows is taken as time"
     if not all(texts):
         return nothing, "", [f"column '{shown(column.title)}' is empty in places: {by_rows}"]
+    if cells.are_numbers(texts):
+        return (as_floats(as_digits(texts)) * FACTOR[column.unit or "s"]).tolist(), "", []
     numbers = [cells.number(text) for text in texts]
     if all(number is not None for number in numbers):
         factor = FACTOR[column.unit or "s"]
