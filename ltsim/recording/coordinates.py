@@ -129,12 +129,14 @@ def _without_header(sheet: Sheet) -> tuple[int, list[TableColumn]] | None:
 def _header_of(rows: Sequence[Row]) -> tuple[int, list[TableColumn]] | None:
     """The first row that names coordinates: the place of the one below it, and its columns."""
     for place, row in enumerate(rows):
+        if len(row.fields) < 2 or row.values:  # a name and a coordinate
+            continue
         columns = columns_of(row.fields)
         roles = {c.role for c in columns}
         if {"x", "y"} <= roles and "z" not in roles:
             columns = [replace(c, role="z") if c.role == "elevation" else c for c in columns]
         others = {*READINGS} - {*PLACE, "elevation"}
-        if row.values or not roles & {*PLACE} or roles & others or {"station", "target"} <= roles:
+        if not roles & {*PLACE} or roles & others or {"station", "target"} <= roles:
             continue
         if "target" in roles:
             return place + 1, columns

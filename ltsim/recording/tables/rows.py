@@ -26,6 +26,8 @@ from ltsim.recording.tables.sheets import Row, Sheet
 
 POSITIONS = ("station", "target", "azimuth", "vertical", "distance")
 """Roles of a table without a header whose lines are names and three numbers."""
+LEAST_TITLES = 2
+"""Columns of a header that names readings: two angles, or an angle and a distance."""
 _STATION = re.compile(r"#?\s*([^\W\d_]+)\s*[:=;,\t ]\s*(\S.*?)[\s;,]*")
 
 
@@ -56,7 +58,7 @@ def header_of(row: Row, hints: Hints, file: object = None) -> list[TableColumn] 
     """The columns that a row names as a header; None where it is none."""
     if hints.columns is not None:
         return mapped(row.fields, hints.columns, file) if any(row.fields) else None
-    if any(map(cells.is_value, row.fields)):
+    if len(row.fields) < LEAST_TITLES or any(map(cells.is_value, row.fields)):
         return None
     columns = columns_of(row.fields)
     return columns if is_header(columns) else None
