@@ -2,18 +2,18 @@
 
 from collections.abc import Callable, Sequence
 from decimal import Decimal
-from itertools import pairwise
+from itertools import accumulate, pairwise, takewhile
 
 from ltsim.recording.conventions import CIRCLE, Angle
 from ltsim.recording.files import shown
 from ltsim.recording.slips import FULL_RADIANS, SHORTEST_MM
 from ltsim.recording.tables import cells
 from ltsim.recording.tables.header import MARKS, PLACE
-from ltsim.recording.tables.sheets import Sheet
+from ltsim.recording.tables.sheets import Row, Sheet
 
 SAMPLE = 400
-LONGEST_SAMPLE = 20_000
-"""Rows of a table among which those of full width are looked for."""
+SAMPLE_CELLS = 100_000
+"""Cells of the first rows of a table by whose content it is advised."""
 LONG_M = SHORTEST_MM
 """A distance or coordinate of a table without units is advised in metres below this number, in millimetres above."""
 Columns = Sequence[Sequence[str]]
@@ -22,7 +22,7 @@ ASK = '--columns "station=HEADER,target=HEADER,azimuth=HEADER[deg],elevation=HEA
 
 def unnamed(sheet: Sheet, serves: Callable[[str], bool]) -> str:
     """The sentence for a header that says nothing; `serves` tells whether ``--columns`` can read the sheet."""
-    sample = sheet.rows[:LONGEST_SAMPLE]
+    sample = sample_of(sheet)
     head = next((row for row in sample if len(row.fields) > 2 and not row.values), None)
     body = [row.fields for row in sample if row.values > 1]
     if not body:
@@ -36,6 +36,13 @@ def unnamed(sheet: Sheet, serves: Callable[[str], bool]) -> str:
         return f'{header} does not say what its columns hold; say it, for instance --columns "{advice}"'
     reason = "no three of them can be two angles and a distance, or coordinates"
     return f"{header} does not say what its columns hold, and {reason}; if they can, say which: {ASK}"
+
+
+def sample_of(sheet: Sheet) -> list[Row]:
+    """The first rows of a sheet, `SAMPLE_CELLS` cells of it."""
+    cells_before = accumulate((len(row.fields) for row in sheet.rows), initial=0)
+    pairs = zip(sheet.rows, cells_before, strict=False)
+    return [row for row, _ in takewhile(lambda pair: pair[1] < SAMPLE_CELLS, pairs)]
 
 
 def _advised(titles: Sequence[str], body: Sequence[Sequence[str]]) -> list[str]:

@@ -191,6 +191,17 @@ def _kinds_in(columns: Sequence[TableColumn]) -> int:
     return sum(bool(roles.intersection(kind)) for kind in (HORIZONTAL, VERTICAL, DISTANCE))
 
 
+def count_of_roles(fields: Sequence[str]) -> int:
+    """Titles among some fields that have a role by themselves: quick to tell, and a header has two at least."""
+    return sum(map(_has_role, fields))
+
+
+@lru_cache(maxsize=65_536)
+def _has_role(title: str) -> bool:
+    degrees = _part(_PARTS[0], title)
+    return bool(_column(0, title).role) or (degrees is not None and bool(role_of(degrees[1])))
+
+
 def is_header(columns: Sequence[TableColumn]) -> bool:
     """Whether two of direction, vertical angle and distance are among the columns, or all three coordinates."""
     return _kinds_in(columns) > 1 or names_places(columns)

@@ -9,12 +9,13 @@ from ltsim.errors import RecordError
 from ltsim.recording.conventions import Hints
 from ltsim.recording.files import MAX_TEXT, FilePlace, is_number, shown
 from ltsim.recording.tables import cells
-from ltsim.recording.tables.advice import unnamed
+from ltsim.recording.tables.advice import sample_of, unnamed
 from ltsim.recording.tables.header import (
     READINGS,
     TableColumn,
     assignments,
     columns_of,
+    count_of_roles,
     is_header,
     mapped,
     role_of,
@@ -58,7 +59,7 @@ def header_of(row: Row, hints: Hints, file: object = None) -> list[TableColumn] 
     """The columns that a row names as a header; None where it is none."""
     if hints.columns is not None:
         return mapped(row.fields, hints.columns, file) if any(row.fields) else None
-    if len(row.fields) < LEAST_TITLES or any(map(cells.is_value, row.fields)):
+    if count_of_roles(row.fields) < LEAST_TITLES or any(map(cells.is_value, row.fields)):
         return None
     columns = columns_of(row.fields)
     return columns if is_header(columns) else None
@@ -193,7 +194,7 @@ def _doubled(columns: Sequence[TableColumn]) -> list[str]:
 
 def _serves(sheet: Sheet, hints: Hints, columns: str) -> bool:
     """Whether a sheet can be read by an assignment of columns."""
-    hints = replace(hints, columns=columns)
+    hints, sheet = replace(hints, columns=columns), replace(sheet, rows=sample_of(sheet), open_end=False)
     try:
         start = header_at(sheet, hints)
         return start is not None and len(_SheetReader(sheet, hints).read(start).pointings) > 0

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import starmap
+from itertools import accumulate, chain, starmap
 from pathlib import Path
 from typing import NamedTuple, overload
 
@@ -20,7 +20,8 @@ from ltsim.recording.tables.workbook import workbook_cells
 SUFFIXES = (".csv", ".tsv", ".txt", ".dat", ".asc", ".xlsx")
 WORKBOOK = b"PK\x03\x04"
 SEPARATORS = ("\t", ";", ",", " ")
-SAMPLE = 400
+SAMPLE, SAMPLE_CHARACTERS = 400, 100_000
+"""Lines, and characters of them, that decide on the separator."""
 
 
 class Row(NamedTuple):
@@ -156,10 +157,16 @@ def _rows(lines: Sequence[str], file: Path) -> TextRows:
     for i, line in enumerate(lines):
         says_separator = len(line) == 5 and line.lower().startswith("sep=")  # exports of some spreadsheets
         if line.strip().lstrip("#").strip() and not says_separator:
-            if len(line) >= FIELDS and len(fields := _split(line, separator)) > FIELDS:
-                raise FilePlace(file, i + 1).wrong(f"{len(fields)} fields, expected at most {FIELDS}")
+            if len(line) >= FIELDS:
+                _check_fields(_split(line, separator), i + 1, file)
             held.append((i + 1, line))
     return TextRows(held, separator)
+
+
+def _check_fields(fields: Sequence[str], line: int, file: Path) -> None:
+    """Raise RecordError for a row of more columns than a table has."""
+    if len(fields) > FIELDS:
+        raise FilePlace(file, line).wrong(f"{len(fields)} fields, expected at most {FIELDS}")
 
 
 def rows_of_head(head: str) -> list[Row]:
@@ -174,7 +181,8 @@ def _separator_of(lines: Sequence[str]) -> str:
 
     Lines of three columns count before those of two, and those before the mere number of columns.
     """
-    sample = [line for line in lines[:SAMPLE] if line.strip() and not line.lstrip().startswith("#")]
+    first = zip(lines[:SAMPLE], accumulate(map(len, lines[:SAMPLE]), initial=0), strict=False)
+    sample = [line for line, before in first if before < SAMPLE_CHARACTERS and line.strip() and line.lstrip()[0] != "#"]
     if sample and all(line.count("\t") == sample[0].count("\t") > 2 for line in sample):
         return "\t"
     width = {s: max((len(_split(line, s)) for line in sample[:1]), default=0) for s in SEPARATORS[:3]}
@@ -223,11 +231,10 @@ def table_rows(path: Path) -> tuple[list[str], list[tuple[int, dict[str, str]]]]
 
 def _workbook(file: Path) -> list[Sheet]:
     """Sheets of a workbook (xlsx) that hold something, each named; raises RecordError."""
-    return [
-        Sheet(file, rows, name)
-        for name, cells in workbook_cells(file)
-        if (rows := tuple(_row(*line) for line in cells))
-    ]
+    sheets = [Sheet(file, tuple(_row(*line) for line in cells), name) for name, cells in workbook_cells(file)]
+    for row in chain.from_iterable(sheet.rows for sheet in sheets):
+        _check_fields(row.fields, row.line, file)
+    return [sheet for sheet in sheets if sheet.rows]
 
 
 def _row(line: int, fields: Sequence[str]) -> Row:
