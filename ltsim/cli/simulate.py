@@ -164,7 +164,7 @@ HIDDEN: tuple[dict[str, Any], ...] = tuple(
     {"name": "smr-offset", "stations": [station], "values": {"radius-difference": size}}
     for station, size in (("S2", 0.2), ("S3", -0.25), ("S4", 0.25), ("S5", -0.2))
 )
-"""What the demonstration may conceal: an SMR of another radius; where is drawn by the seed and told to nobody."""
+"""Effects that the demonstration may conceal: an SMR of another radius, at a station drawn by the seed."""
 
 TITLE = "Demonstration: a fault is hidden in a simulated workshop, and found"
 CAMPAIGN = """format = "ltsim-campaign/1"

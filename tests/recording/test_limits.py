@@ -198,6 +198,28 @@ def test_20000_rows_are_converted_by_column(tmp_path: Path) -> None:
     assert found.covariates["temperature"][500] == 20.1
 
 
+def test_headers_of_a_table_are_bounded(tmp_path: Path) -> None:
+    lines = [
+        f"station,target,Hz[deg],zenith[deg],distance[mm],n{i % 2}\nS1,T{i % 9},{i % 360},80,3000,x"
+        for i in range(10_001)
+    ]
+    (tmp_path / "a.csv").write_text("\n".join(lines) + "\n")
+    with pytest.raises(RecordError, match="row 20001: holds more than 10000 headers"):
+        read(tmp_path / "a.csv")
+
+
+def test_advice_on_many_columns_looks_at_bounded_samples(tmp_path: Path) -> None:
+    """Each column was converted for each pair of angles: two minutes for eight megabytes."""
+    (tmp_path / "a.csv").write_text((",".join(["1.5"] * 300) + "\n") * 2000)
+
+    def refused() -> None:
+        with pytest.raises(RecordError, match="without a header does not say what its columns hold"):
+            read(tmp_path / "a.csv")
+
+    refused()
+    assert calls(refused) < 4_000_000
+
+
 @pytest.mark.long
 def test_400000_rows_take_10_s_and_400_mb(tmp_path: Path) -> None:
     used = means(READS, str(monitoring(400_000, tmp_path / "a.csv")))

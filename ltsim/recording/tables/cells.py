@@ -1,4 +1,4 @@
-"""What one cell says: a number with point or comma, degrees with minutes and seconds, a face, a moment."""
+"""Content of one cell: a number with point or comma, degrees with minutes and seconds, a face, a moment."""
 
 import re
 from collections.abc import Callable, Iterable, Sequence

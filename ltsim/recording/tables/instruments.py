@@ -1,4 +1,4 @@
-"""Which kind of instrument a table shows: a total station where a laser tracker cannot have written it."""
+"""Kind of instrument that a table shows: a total station where a laser tracker cannot have written it."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""What the numbers of a table mean: units, zenith or elevation, the sense of the circle; coordinates for readings.
+"""Meaning of the numbers of a table: units, zenith or elevation, the sense of the circle; coordinates for readings.
 
 What the header states is taken; the rest is decided by the data (`ltsim.recording.conventions`) or asked for. The
 mirror image of a network is a network: no data decide the sense of the circle, unless places are known. The words of
@@ -97,7 +97,7 @@ def _counter_clockwise(turn: Decimal) -> Decimal:
 
 
 def readings_of(table: PointingTable, poses: Mapping[int, Pose], hints: Hints, file: Path) -> tuple[Meaning, Floats]:
-    """What the table's numbers mean, and the raw readings (n, 3) [m, rad] that they are.
+    """Meaning of the table's numbers, and the raw readings (n, 3) [m, rad] that they are.
 
     Rough `poses` of stations, by the order in which the table names them, tell the sense of the circle.
 

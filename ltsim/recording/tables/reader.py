@@ -28,7 +28,7 @@ from ltsim.units import ARCSECOND, MILLIMETRE, ratio
 SETUP = "setup.toml"
 MOST_SHOWN = 3
 HEADS_SIGMA_MM = 1.0
-"""How well heads of one tripod, or of one pillar, stand at one height each time they are set up."""
+"""[mm] Standard deviation of the height of a head on one tripod or pillar each time it is set up."""
 
 
 def recognises(path: Path, head: str) -> bool:
@@ -126,7 +126,7 @@ def _setup_file(path: Path, hints: Hints) -> Path:
 
 
 def _setup(path: Path, hints: Hints) -> Setup | None:
-    """What a file states of noise and set-ups in addition to the table; None where there is none."""
+    """Noise and set-ups that a file states in addition to the table; None where there is none."""
     file = _setup_file(path, hints)
     return read_setup(file) if hints.setup is not None or file.is_file() else None
 

@@ -6,10 +6,11 @@ from dataclasses import replace
 from functools import partial
 
 from ltsim.errors import RecordError
+from ltsim.limits import HEADERS
 from ltsim.recording.conventions import Hints
 from ltsim.recording.files import MAX_TEXT, FilePlace, is_number, shown
 from ltsim.recording.tables import cells
-from ltsim.recording.tables.advice import sample_of, unnamed
+from ltsim.recording.tables.advice import unnamed
 from ltsim.recording.tables.header import (
     READINGS,
     TableColumn,
@@ -85,6 +86,7 @@ class _SheetReader:
         self.parts: list[Printed] = []
         self.columns: list[TableColumn] = []
         self.wanted: list[int] = []
+        self.headers = 0
         self.run: list[tuple[Row, str]] = []
         """Rows of pointings that are not converted yet, each with the station of its block."""
 
@@ -111,6 +113,9 @@ class _SheetReader:
         return self._read(self.sheet.rows, every=True)
 
     def _head(self, columns: list[TableColumn], row: int | None) -> None:
+        self.headers += 1
+        if self.headers > HEADERS:
+            raise FilePlace(self.sheet.file, row).wrong(f"holds more than {HEADERS} headers, the most that is read")
         if columns != self.columns:
             self._convert()
         self.table.take(columns, self.sheet.file, row)
@@ -194,7 +199,7 @@ def _doubled(columns: Sequence[TableColumn]) -> list[str]:
 
 def _serves(sheet: Sheet, hints: Hints, columns: str) -> bool:
     """Whether a sheet can be read by an assignment of columns."""
-    hints, sheet = replace(hints, columns=columns), replace(sheet, rows=sample_of(sheet), open_end=False)
+    hints = replace(hints, columns=columns)
     try:
         start = header_at(sheet, hints)
         return start is not None and len(_SheetReader(sheet, hints).read(start).pointings) > 0

@@ -229,7 +229,7 @@ def occupied(table: PointingTable) -> dict[str, list[str]]:
 
 
 def heights_not_applied(table: PointingTable, readings: Floats, height: Floats) -> list[str]:
-    """What is said where the readings are those between the heads themselves, whatever heights stand beside them.
+    """Note for readings that are those between the heads themselves, whatever heights stand beside them.
 
     Lines measured to and fro decide: their height differences cancel with the stated heights (n, 2) [m] of instrument
     and target, or without them.
