@@ -7,7 +7,7 @@ computed from them is exact, and an array of them becomes floating-point numbers
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from decimal import Decimal
 from itertools import chain
 from pathlib import Path
@@ -98,6 +98,12 @@ class Printed:
         return digits
 
     @property
+    def lists(self) -> tuple[list[Any], ...]:
+        """Columns that every row has, in the order of the fields."""
+        names = (self.station, self.target)
+        return (self.file, self.line, *names, self.face, self.moment, self.round, self.grouping)
+
+    @property
     def source(self) -> list[str]:
         """File and line of each pointing."""
         names = {key: file.name for key, file in dict(zip(map(id, self.file), self.file, strict=True)).items()}
@@ -106,21 +112,17 @@ class Printed:
     def take(self, order: Iterable[int]) -> Printed:
         """The pointings at some places, in that order."""
         places = list(order)
-        lists: dict[str, Any] = {name: [getattr(self, name)[i] for i in places] for name in LISTS}
+        lists: list[Any] = [[column[i] for i in places] for column in self.lists]
         numbers = {role: digits[places] for role, digits in self.numbers.items()}
         further = {title: [column[i] for i in places] for title, column in self.further.items()}
-        return Printed(**lists, numbers=numbers, further=further)
-
-
-LISTS = tuple(column.name for column in fields(Printed) if column.name not in ("numbers", "further"))
-"""Columns that every row has."""
+        return Printed(*[*lists, numbers, further])
 
 
 def joined(parts: Sequence[Printed]) -> Printed:
     """Pointings one after another; a column that some parts lack is empty there."""
     if len(parts) == 1:
         return parts[0]
-    lists: dict[str, Any] = {name: _chained(getattr(part, name) for part in parts) for name in LISTS}
+    lists: list[Any] = [_chained(columns) for columns in zip(*(part.lists for part in parts), strict=True)]
     roles = dict.fromkeys(role for part in parts for role in part.numbers)
     titles = dict.fromkeys(title for part in parts for title in part.further)
     numbers = {
@@ -128,7 +130,7 @@ def joined(parts: Sequence[Printed]) -> Printed:
         for role in roles
     }
     further = {title: _chained(part.further.get(title) or [""] * len(part) for part in parts) for title in titles}
-    return Printed(**lists, numbers=numbers, further=further)
+    return Printed(*[*lists, numbers, further])
 
 
 def _chained(columns: Iterable[list[T]]) -> list[T]:
