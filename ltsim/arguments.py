@@ -16,7 +16,7 @@ BOUNDS: dict[str, tuple[float, float | None]] = {
 
 
 def range_words(name: str) -> str:
-    """What an argument may be: `0 or more`, `1 to 256`."""
+    """Range of an argument in words: `0 or more`, `1 to 256`."""
     low, high = BOUNDS[name]
     number = ",d" if isinstance(low, int) else "g"
     return f"{low:g} or more" if high is None else f"{low:g} to {high:{number}}"

@@ -63,12 +63,12 @@ def read(path: str | Path, *, format: str | None = None, hints: Hints | None = N
 
 def _result_file(place: Path) -> Path | None:
     """The file of a result that a path names, itself or in a folder without a recording; None for a recording."""
-    from ltsim.pages.schemas import FILES
-
     if place.is_file():
         return place if place.suffix == ".json" and not is_recording(place) else None
     if (place / OBSERVATIONS).is_file():
         return None
+    from ltsim.pages.schemas import FILES  # which takes a second
+
     return next((place / name for name in FILES if name.endswith(".json") and (place / name).is_file()), None)
 
 

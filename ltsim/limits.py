@@ -15,6 +15,8 @@ LINE_CHARACTERS = 20_000
 """Characters of a line: a header of `FIELDS` names of 40 characters."""
 FIELDS = 500
 """Columns of a table."""
+HEADERS = 10_000
+"""Headers of a table, one for each set-up or page: rows between two are converted together, in a millisecond."""
 CELLS = 3_000_000
 """Cells of all sheets of a workbook together: 80 bytes each."""
 

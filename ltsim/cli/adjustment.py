@@ -1,4 +1,4 @@
-"""What recordings say of network and instrument: `ltsim adjust`, `calibrate`, `evaluate`, `diagnose` and so on."""
+"""Estimates of network and instrument from recordings: `ltsim adjust`, `calibrate`, `diagnose` and so on."""
 
 from __future__ import annotations
 

@@ -106,7 +106,7 @@ def campaign(
 
 
 def disagreement(end: dict[str, Any], results: Results) -> str:
-    """What a status of 1 means: which cell, how far, and how far it may be."""
+    """Sentence for status 1: the cell, its deviation and the limit."""
     cell = results.manifest.cells[end["cell"]].label
     return (
         f"cell {end['cell'] + 1} ({cell}), {end['method']}: the fast solver differs from the full one by up to "

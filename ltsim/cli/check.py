@@ -1,4 +1,4 @@
-"""What was measured, judged: `ltsim check`, `accept`, `bench`, `compare`, `uncertainty`."""
+"""Judgement of measurements: `ltsim check`, `accept`, `bench`, `compare`, `uncertainty`."""
 
 from __future__ import annotations
 

@@ -146,7 +146,7 @@ def _interrupted(kept: str = "nothing half-written was left") -> int:
 
 
 def _failed(problem: Exception) -> int:
-    """What no input should bring about, but for a disk that is full."""
+    """Internal error, which no input should bring about but for a disk that is full."""
     if isinstance(problem, OSError) and problem.errno in UNWRITABLE:
         streams.drop(sys.stdout)
         return _refuse(f"{problem.filename or 'the output'} cannot be written ({problem.strerror})")
@@ -157,7 +157,7 @@ def _failed(problem: Exception) -> int:
 
 
 def _usage_sentence(problem: Any) -> str:
-    """What is wrong with the usage, and where help is."""
+    """Sentence on wrong usage, with the command that prints help."""
     context = getattr(problem, "ctx", None)
     place = context.command_path if context is not None else "ltsim"
     message = str(problem.format_message()).rstrip(".")

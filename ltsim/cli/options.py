@@ -190,7 +190,7 @@ def _option(name: str, kind: Any, default: Any) -> inspect.Parameter:
 PROGRAMS = ("advise", "again", "geometry", "about", "format", "hints", "follower")
 """Parameters that only a program gives, or that their verb reads in its own way."""
 LARGEST = 1e12
-"""Of a number in an option that is a mapping, as in a table."""
+"""Largest number in an option that is a mapping, as in a table."""
 SHORT = {"trials": "-n", "jobs": "-j"}
 METAVARS = {"prior": "FILE|none", "with_effects": "EFFECT[:WHERE,...]", "calibrator": "'CMD {recording} {out}'"}
 

@@ -28,10 +28,10 @@ if TYPE_CHECKING:
 
 Force = Annotated[bool, typer.Option("--force", help="Replace what is there, also what this command did not write.")]
 GENERATOR = '<meta name="generator" content="ltsim'
-"""How a page says that it can be made again."""
+"""Mark of a page that can be made again."""
 HEAD = 4096
 OWN = re.compile(rf'"?format"? ?[:=] ?"ltsim-|{re.escape(GENERATOR)}')
-"""What the beginning of a file says that ltsim wrote, or that a person wrote for it."""
+"""Mark at the beginning of a file that ltsim wrote, or that a person wrote for it."""
 
 
 @dataclass(frozen=True)

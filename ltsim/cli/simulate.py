@@ -164,7 +164,7 @@ HIDDEN: tuple[dict[str, Any], ...] = tuple(
     {"name": "smr-offset", "stations": [station], "values": {"radius-difference": size}}
     for station, size in (("S2", 0.2), ("S3", -0.25), ("S4", 0.25), ("S5", -0.2))
 )
-"""What the demonstration may conceal: an SMR of another radius; where is drawn by the seed and told to nobody."""
+"""Effects that the demonstration may conceal: an SMR of another radius, at a station drawn by the seed."""
 
 TITLE = "Demonstration: a fault is hidden in a simulated workshop, and found"
 CAMPAIGN = """format = "ltsim-campaign/1"
@@ -196,6 +196,8 @@ def demo(
     require_packages()
     from ltsim.campaigns.kernels import compiled_before  # the compiler takes a second to load
 
+    for name, place in WRITTEN.items():
+        place.rule(out / name, True)
     said = []
     if not compiled_before():
         terminal.note("compiling the solver on the way, which takes half a minute: the first demo does")
@@ -268,4 +270,14 @@ STEPS: dict[str, Callable[[Path, int], str]] = {
     "hide an effect in another recording, and diagnose it": diagnosed,
     "write one page about it": reported,
 }
-"""What the demonstration does, in order; a step is one line here, and one function, which says what came out."""
+"""Steps of the demonstration in order; a step is one line here, and one function, which says what came out."""
+WRITTEN = {
+    "workshop/recording": RECORDING,
+    "workshop/truth.json": FILE,
+    "concealed": FOLDER,
+    "concealed/truth.json": FILE,
+    "campaign.toml": FILE,
+    "campaign": FOLDER,
+    "report.html": FILE,
+}
+"""Places that the steps write to, checked before the first of them."""

@@ -1,4 +1,4 @@
-"""What a verb says: lines for a person, JSON for a program, progress only where somebody watches."""
+"""Output of a verb: lines for a person, JSON for a program, progress only where somebody watches."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but er
 
 @dataclass(frozen=True)
 class Terminal:
-    """Where a verb prints."""
+    """Output of one verb."""
 
     quiet: Quiet = False
     as_json: Annotated[bool, typer.Option("--json", help="Print the answer as JSON, and nothing else.")] = False
@@ -46,7 +46,7 @@ class Terminal:
             streams.write(text, sys.stdout)
 
     def show(self, text: str) -> None:
-        """What was asked for, whatever else is to be silent: a file to edit, an address."""
+        """Output that was asked for, whatever else is to be silent: a file to edit, an address."""
         streams.write(text.removesuffix("\n"), sys.stdout)
 
     def at_once(self, text: str, *, bell: bool = False) -> None:

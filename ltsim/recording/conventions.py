@@ -1,4 +1,4 @@
-"""What the numbers of a polar file mean: unit, zenith or elevation, clockwise or not, metres or millimetres.
+"""Meaning of the numbers of a polar file: unit, zenith or elevation, clockwise or not, metres or millimetres.
 
 Decided from the data and said in a note, or asked for in one sentence; never guessed silently. Two faces
 tell unit and vertical angle at once, because they add up to a full or a half circle. Where there is one
@@ -35,7 +35,7 @@ CIRCLE = {"deg": 360.0, "gon": 400.0, "rad": 2 * np.pi}
 ANGLES: tuple[Angle, ...] = ("deg", "gon", "rad")
 VERTICALS: tuple[Vertical, ...] = ("zenith", "elevation")
 CLEARLY = 10.0
-"""How many times better one meaning must fit than the next to be decided by the data."""
+"""Factor by which one meaning must fit better than the next to be decided by the data."""
 ALIKE = 1e-3
 """Part of a network's size by which a mirror image may miss it and still be one."""
 MOST_NOTES = 3
@@ -46,7 +46,7 @@ LEAST_STEPS = 8
 
 @dataclass(frozen=True)
 class Hints:
-    """What a caller says about an ambiguous file; None leaves it to the data.
+    """Decisions of a caller on an ambiguous file; None leaves one to the data.
 
     `points` is a list of coordinates (name, x, y, z) in a right-handed frame that decides the sense of the
     azimuth; `station` names the set-up of a file that does not; `columns` says what the columns of a table hold
@@ -277,7 +277,7 @@ def pace(recording: Recording) -> tuple[str, ...]:
 
 
 def contradictions(recording: Recording) -> tuple[str, ...]:
-    """What set-ups or their stated places say against the sense of the azimuths: a mirror image fits, the readings not.
+    """Contradictions of set-ups or their rough places to the sense of the azimuths: only a mirror image fits.
 
     Coordinates in one plane, or a floor plan that fits neither, say nothing.
     """

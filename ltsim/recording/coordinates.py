@@ -22,7 +22,16 @@ from ltsim.arrays import Floats, Ints
 from ltsim.errors import RecordError
 from ltsim.recording.files import FilePlace, decoded, shown
 from ltsim.recording.tables import cells
-from ltsim.recording.tables.header import PLACE, READINGS, SIGMA, SIGMA_OF, TableColumn, columns_of, words_of
+from ltsim.recording.tables.header import (
+    PLACE,
+    READINGS,
+    SIGMA,
+    SIGMA_OF,
+    TableColumn,
+    columns_of,
+    count_of_roles,
+    words_of,
+)
 from ltsim.recording.tables.sheets import Row, Sheet, rows_of_head, sheets_of
 from ltsim.recording.xml import Node, banded, parse
 from ltsim.units import FACTOR, MILLIMETRE
@@ -129,12 +138,14 @@ def _without_header(sheet: Sheet) -> tuple[int, list[TableColumn]] | None:
 def _header_of(rows: Sequence[Row]) -> tuple[int, list[TableColumn]] | None:
     """The first row that names coordinates: the place of the one below it, and its columns."""
     for place, row in enumerate(rows):
+        if not count_of_roles(row.fields) or row.values:
+            continue
         columns = columns_of(row.fields)
         roles = {c.role for c in columns}
         if {"x", "y"} <= roles and "z" not in roles:
             columns = [replace(c, role="z") if c.role == "elevation" else c for c in columns]
         others = {*READINGS} - {*PLACE, "elevation"}
-        if row.values or not roles & {*PLACE} or roles & others or {"station", "target"} <= roles:
+        if not roles & {*PLACE} or roles & others or {"station", "target"} <= roles:
             continue
         if "target" in roles:
             return place + 1, columns

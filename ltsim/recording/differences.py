@@ -12,7 +12,7 @@ MUCH_BETTER = 0.1
 
 
 def places_of(recording: Recording) -> dict[str, int]:
-    """Where each mark stands among T targets and S set-ups: its target, else T + the first set-up over it.
+    """Place of each mark among T targets and S set-ups: its target, else T + the first set-up over it.
 
     T + S for one that nobody measured, but that is known.
     """

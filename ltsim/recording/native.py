@@ -233,7 +233,7 @@ def _check_gauge(recording: Recording, file: Path) -> None:
 
 
 def _check_smrs(recording: Recording, folder: Path) -> None:
-    """Where SMRs have radii, every pointing names one of them, and its nest has a normal if it needs one."""
+    """Check of SMRs with radii: every pointing names one of them, and its nest has a normal if it needs one."""
     excess_radii(recording, folder / SETUP)
     names = smrs_of(recording)
     if recording.setup.reflectors and "" in names:

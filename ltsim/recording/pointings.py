@@ -1,12 +1,12 @@
 """From pointings, or single observations, as a foreign file lists them to a recording."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
 
-from ltsim.arrays import Ints
+from ltsim.arrays import Floats, Ints
 from ltsim.errors import RecordError
 from ltsim.recording.files import FilePlace
 from ltsim.recording.recording import (
@@ -42,6 +42,23 @@ class Pointing:
     source: str = ""
 
 
+@dataclass(frozen=True)
+class PointingColumns:
+    """Pointings by column: names, faces (n,), readings (n, 3) [m, rad, rad], times (n,) [s], further columns, sources.
+
+    NaN stands for what is not measured or not stated.
+    """
+
+    station: Sequence[str]
+    target: Sequence[str]
+    face: Ints
+    readings: Floats
+    time: Floats
+    covariates: Mapping[str, Floats]
+    labels: Mapping[str, Sequence[str]]
+    sources: Sequence[str]
+
+
 def numbered(point: str, before: int) -> str:
     """The name of a set-up on a point that had some before: the point's, from the second on with a number."""
     return f"{point}#{before + 1}" if before else point
@@ -75,43 +92,61 @@ def recording_of(
     """
     if not pointings:
         raise RecordError("holds no pointings", file=file)
-    stations, station = indices((p.station for p in pointings), "station", file)
-    targets, target = indices((p.target for p in pointings), "target", file)
-    readings = np.array([[p.distance, p.azimuth, p.elevation] for p in pointings])
-    empty = np.flatnonzero(np.all(np.isnan(readings), axis=1))
+    numbers = dict.fromkeys(name for p in pointings for name in p.covariates)
+    words = dict.fromkeys(name for p in pointings for name in p.labels)
+    columns = PointingColumns(
+        [p.station for p in pointings],
+        [p.target for p in pointings],
+        np.array([p.face for p in pointings], dtype=np.int64),
+        np.array([[p.distance, p.azimuth, p.elevation] for p in pointings]),
+        np.array([p.time for p in pointings]),
+        {name: np.array([p.covariates.get(name, NAN) for p in pointings]) for name in numbers},
+        {word: [p.labels.get(word, "") for p in pointings] for word in words},
+        [p.source for p in pointings],
+    )
+    return recording_of_columns(columns, setup, notes=notes, file=file)
+
+
+def recording_of_columns(
+    columns: PointingColumns, setup: Setup, *, notes: Sequence[str] = (), file: object = None
+) -> Recording:
+    """A recording of columns of pointings; repeats are counted. Raises RecordError as `recording_of` does."""
+    stations, station = indices(columns.station, "station", file)
+    targets, target = indices(columns.target, "target", file)
+    empty = np.flatnonzero(np.all(np.isnan(columns.readings), axis=1))
     if len(empty):
         raise RecordError("nothing was measured here", file=file, row=int(empty[0]) + 1)
-    time = np.array([p.time for p in pointings])
-    has_clock = bool(np.all(np.isfinite(time)))
-    columns = dict.fromkeys(name for p in pointings for name in p.covariates)
-    words = dict.fromkeys(name for p in pointings for name in p.labels)
+    for texts in columns.labels.values():
+        for text in dict.fromkeys(texts):
+            FilePlace(file).text(text)
+    has_clock = bool(np.all(np.isfinite(columns.time)))
     return Recording(
         setup=setup,
         stations=stations,
         targets=targets,
         station=station,
         target=target,
-        face=np.array([p.face for p in pointings], dtype=np.int64),
-        repeat=_repeats(pointings),
-        time=time if has_clock else np.arange(len(pointings), dtype=np.float64),
-        readings=readings,
-        covariates={c: np.array([p.covariates.get(c, NAN) for p in pointings]) for c in columns},
-        labels={w: tuple(FilePlace(file).text(p.labels.get(w, "")) for p in pointings) for w in words},
+        face=columns.face,
+        repeat=_repeats(station, target, columns.face),
+        time=columns.time if has_clock else np.arange(len(station), dtype=np.float64),
+        readings=columns.readings,
+        covariates=dict(columns.covariates),
+        labels={name: tuple(texts) for name, texts in columns.labels.items()},
         has_clock=has_clock,
         notes=tuple(notes),
-        sources=tuple(p.source for p in pointings) if all(p.source for p in pointings) else (),
+        sources=tuple(columns.sources) if all(columns.sources) else (),
     )
 
 
-def _repeats(pointings: Sequence[Pointing]) -> Ints:
+def _repeats(station: Ints, target: Ints, face: Ints) -> Ints:
     """1, 2, ... for every further pointing of one station to one target on one face."""
-    seen: dict[tuple[str, str, int], int] = {}
-    repeat = []
-    for p in pointings:
-        key = (p.station, p.target, p.face)
-        seen[key] = seen.get(key, 0) + 1
-        repeat.append(seen[key])
-    return np.array(repeat, dtype=np.int64)
+    order = np.lexsort((face, target, station))
+    keys = np.stack([station, target, face], axis=1)[order]
+    begins = np.flatnonzero(np.any(np.diff(keys, axis=0, prepend=-1), axis=1))
+    counts = np.diff(begins, append=len(order))
+    repeat = np.empty(len(order), dtype=np.int64)
+    repeat[order] = np.arange(len(order)) - np.repeat(begins, counts) + 1
+    return repeat
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ SIGMA_COLUMNS = ("sigma_distance_mm", "sigma_azimuth_arcsec", "sigma_elevation_a
 """Covariates: the standard deviation of single readings, empty where the instrument's noise holds."""
 SIGMA_UNITS = (MILLIMETRE, ARCSECOND, ARCSECOND)
 ENDINGS = tuple(name.removeprefix("sigma_") for name in SIGMA_COLUMNS)
-"""How columns of each observable end, in these units."""
+"""Endings of the columns of each observable, in these units."""
 HEIGHT_COLUMNS = ("instrument_height_mm", "target_height_mm")
 """Covariates that state heights of single pointings; an empty cell leaves the set-up's height."""
 SHARED_COLUMN = re.compile(f"shared_(.+)_({'|'.join(ENDINGS)})")

@@ -36,7 +36,7 @@ from ltsim.results import LARGEST
 STEP = 1e-6
 """[m, rad] to which readings are rounded in a digest: writing and reading a recording keeps it."""
 OFFSET = 1.0 / np.pi
-"""Of the rounding, in steps: decimal readings lie off its limits."""
+"""Tolerance of the rounding, in steps: decimal readings lie off its limits."""
 
 
 def known(value: Any) -> Any:
@@ -90,7 +90,7 @@ class SourceEntry(Entry):
     pointings: int
     """How many."""
     digest: str
-    """Of who sighted what, and of the readings."""
+    """Digest of the sightings and of the readings."""
     measured: str | None = None
     """Day, or day and time, of the measurement in ISO form, where the set-up says it."""
 

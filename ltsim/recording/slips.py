@@ -19,12 +19,12 @@ from ltsim.units import DEGREE, FACTOR, MILLIMETRE
 
 @dataclass(frozen=True)
 class Slip:
-    """What is written down is factor * reading + offset in some columns."""
+    """A slip that writes factor * reading + offset in some columns."""
 
     name: str
     found: str
     expected: str
-    """What stands in the column, and what should."""
+    """The content of the column, and the right one."""
     changes: tuple[tuple[int, float, float], ...]
     """Column (0 range, 1 azimuth, 2 elevation), factor, and offset [rad]."""
 
@@ -170,7 +170,7 @@ def check_degrees(measured: Floats, station: Ints, target: Ints, face: Ints, fil
 
 
 def _sum_of_faces(slip: Slip) -> float | None:
-    """What the vertical angles of a target on both faces add up to [deg] under a slip; None if that is 180 too."""
+    """Sum [deg] of the vertical angles of a target on both faces under a slip; None if that is 180 too."""
     for column, factor, offset in slip.changes:
         if column == 2:
             total = factor * 180.0 + 2.0 * offset / DEGREE

@@ -1,4 +1,4 @@
-"""What a maker's data sheet permits (MPE), as limits of tests and as standard deviations and priors."""
+"""Maximum permissible errors (MPE) of data sheets, as limits of tests and as standard deviations and priors."""
 
 import csv
 import functools

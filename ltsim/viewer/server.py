@@ -196,6 +196,8 @@ class _Server(ThreadingHTTPServer):
     """Serves so many connections at once, closes those beyond, and says nothing of those that break."""
 
     daemon_threads = True
+    request_queue_size = 2 * MOST_CONNECTIONS
+    """Connections that wait to be accepted; those that find the queue full would try again after seconds."""
 
     def __init__(self, address: tuple[str, int], handler: type[_Handler]) -> None:
         self._free = threading.BoundedSemaphore(MOST_CONNECTIONS)

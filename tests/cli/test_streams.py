@@ -46,7 +46,12 @@ def test_a_verb_does_its_work_whatever_the_streams_are(streams: str, inputs: Pat
     done = shell(inputs, f"adjust rec --out {out}", streams)
     assert done.returncode == CLOSED[streams]
     assert b"Traceback" not in done.stderr and b"Exception" not in done.stderr
-    assert sorted(p.name for p in out.iterdir()) == ["calibration.json", "residuals.csv", "targets.csv"]
+    assert sorted(p.name for p in out.iterdir()) == [
+        "calibration.json",
+        "residuals.csv",
+        "targets.covariance.csv",
+        "targets.csv",
+    ]
 
 
 @pytest.mark.long

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import resource
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -138,8 +140,88 @@ READS = "import sys, ltsim as lt; lt.scenario(sys.argv[1]) if sys.argv[1].endswi
 @pytest.mark.parametrize("name", AT_LIMITS)
 def test_files_at_the_limits_take_500_mb_and_30_s(name: str, tmp_path: Path) -> None:
     (tmp_path / name).write_text(AT_LIMITS[name])
-    with subprocess.Popen([sys.executable, "-c", READS, str(tmp_path / name)], stderr=subprocess.DEVNULL) as process:
+    used = means(READS, str(tmp_path / name))
+    assert used.ru_maxrss < 500 * 1024
+    assert used.ru_utime + used.ru_stime < 30
+
+
+def means(code: str, *words: str) -> resource.struct_rusage:
+    """Memory and processor time of a process of Python that runs `code` with `words`."""
+    with subprocess.Popen([sys.executable, "-c", code, *words], stderr=subprocess.DEVNULL) as process:
         _, _, used = os.wait4(process.pid, 0)
         process.returncode = 0
-    assert isinstance(used, resource.struct_rusage)
-    assert used.ru_maxrss < 500 * 1024 and used.ru_utime + used.ru_stime < 30
+    return used
+
+
+def monitoring(rows: int, path: Path) -> Path:
+    """A table of eight set-ups that measure 500 targets again and again, with the time and the air temperature."""
+    grid = np.arange(500)
+    targets = np.stack([40 * grid - 9000.0, 37 * (7 * grid % 500) - 9000.0, 3.0 * (11 * grid % 500)], axis=1)
+    lines = ["station,target,face,Hz[deg],zenith[deg],distance[mm],time[s],temperature"]
+    for i in range(rows // 500):
+        way = targets - [800.0 * (i % 8), -600.0 * (i % 8), 1500.0]
+        length = np.linalg.norm(way, axis=1)
+        turn = np.degrees(np.arctan2(way[:, 0], way[:, 1])) % 360
+        zenith = np.degrees(np.arccos(way[:, 2] / length))
+        lines += [
+            f"S{i % 8},T{t:03d},1,{h:.6f},{z:.6f},{d:.4f},{500 * i + t},{20 + i % 7 / 10}"
+            for t, h, z, d in zip(grid.tolist(), turn.tolist(), zenith.tolist(), length.tolist(), strict=True)
+        ]
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def calls(work: Callable[[], object]) -> int:
+    """Calls of functions written in Python that a piece of work makes."""
+    counted = itertools.count()
+
+    def count(_: object, event: str, __: object) -> None:
+        if event == "call":
+            next(counted)
+
+    sys.setprofile(count)
+    try:
+        work()
+    finally:
+        sys.setprofile(None)
+    return next(counted)
+
+
+def test_20000_rows_are_converted_by_column(tmp_path: Path) -> None:
+    """Row by row they took 400 calls each."""
+    few, many = monitoring(500, tmp_path / "few.csv"), monitoring(20_500, tmp_path / "many.csv")
+    read(few)  # modules are loaded now
+    assert (calls(lambda: read(many)) - calls(lambda: read(few))) / 20_000 < 60
+    found = read(many)
+    assert len(found) == 20_500
+    assert found.repeat.max() == 6
+    assert found.covariates["temperature"][500] == 20.1
+
+
+def test_headers_of_a_table_are_bounded(tmp_path: Path) -> None:
+    lines = [
+        f"station,target,Hz[deg],zenith[deg],distance[mm],n{i % 2}\nS1,T{i % 9},{i % 360},80,3000,x"
+        for i in range(10_001)
+    ]
+    (tmp_path / "a.csv").write_text("\n".join(lines) + "\n")
+    with pytest.raises(RecordError, match="row 20001: holds more than 10000 headers"):
+        read(tmp_path / "a.csv")
+
+
+def test_advice_on_many_columns_looks_at_bounded_samples(tmp_path: Path) -> None:
+    """Each column was converted for each pair of angles: two minutes for eight megabytes."""
+    (tmp_path / "a.csv").write_text((",".join(["1.5"] * 300) + "\n") * 2000)
+
+    def refused() -> None:
+        with pytest.raises(RecordError, match="without a header does not say what its columns hold"):
+            read(tmp_path / "a.csv")
+
+    refused()
+    assert calls(refused) < 4_000_000
+
+
+@pytest.mark.long
+def test_400000_rows_take_10_s_and_400_mb(tmp_path: Path) -> None:
+    used = means(READS, str(monitoring(400_000, tmp_path / "a.csv")))
+    assert used.ru_maxrss < 400 * 1024
+    assert used.ru_utime + used.ru_stime < 10

@@ -1,4 +1,4 @@
-"""What files of CERN's LGC declare: points, with what is known of their coordinates, and polar instruments.
+"""Declarations in files of CERN's LGC: points, with what is known of their coordinates, and polar instruments.
 
 ``*POIN`` lines may end with ``SX``, ``SY``, ``SZ`` (standard deviations in mm, 0 for fixed; an axis without one is
 free) or ``APRICOV DIAG(...)`` or ``MAT(...)`` (covariance in square metres). ``*OBSXYZ`` lines observe a point: its

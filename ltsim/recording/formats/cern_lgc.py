@@ -255,7 +255,7 @@ def _finished(file: _File) -> Recording:
 
 
 def _learn(file: _File) -> None:
-    """What observed coordinates say of the points that are not fixed already."""
+    """Observed coordinates of the points that are not fixed already."""
     for name, place, covariance in file.placed:
         if name not in file.points:
             raise RecordError(f"*OBSXYZ observes {name}, which is in no block of points", file=file.path)

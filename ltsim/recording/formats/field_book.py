@@ -17,7 +17,7 @@ from ltsim.units import MILLIMETRE
 
 @dataclass
 class FieldBook:
-    """What a file of a total station has told so far."""
+    """Content of a file of a total station, as far as it is read."""
 
     path: Path
     station: str = ""

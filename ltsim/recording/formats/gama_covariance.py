@@ -1,4 +1,4 @@
-"""What GNU Gama states with a matrix: height differences, vectors, and errors that observations share."""
+"""Observations that GNU Gama states with a matrix: height differences, vectors, and errors that observations share."""
 
 import numpy as np
 from pydantic import ValidationError

@@ -1,4 +1,4 @@
-"""What an input file of GNU Gama holds, before it is a recording."""
+"""Content of an input file of GNU Gama, before it is a recording."""
 
 from collections import Counter
 from collections.abc import Iterator
@@ -15,7 +15,7 @@ FIXED_MM = 1e-4
 
 @dataclass
 class GamaPoint:
-    """What the file says of a point: coordinates [m] by axis, and the axes that are fixed, of the datum, or used."""
+    """A point of the file: coordinates [m] by axis, and the axes that are fixed, of the datum, or used."""
 
     values: dict[str, float] = field(default_factory=dict)
     fixed: str = ""
@@ -39,7 +39,7 @@ class GamaPoint:
 
 @dataclass
 class GamaNetwork:
-    """What was read so far."""
+    """Content read so far."""
 
     file: Path
     title: str = ""

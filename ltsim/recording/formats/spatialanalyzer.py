@@ -24,8 +24,9 @@ from ltsim.recording.recording import Recording
 from ltsim.recording.setup import Instrument, Setup, Station
 from ltsim.recording.tables.header import words_of
 from ltsim.recording.tables.meaning import readings_of
+from ltsim.recording.tables.printed import PointingTable
 from ltsim.recording.tables.reader import assembled
-from ltsim.recording.tables.rows import PointingTable, table_of
+from ltsim.recording.tables.rows import table_of
 from ltsim.recording.tables.sheets import Row, Sheet
 from ltsim.units import ANGLES, FACTOR, LENGTHS, NAMED
 
@@ -86,9 +87,11 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     hints = replace(hints, columns=COLUMNS, date=hints.date or "dmy")
     table = table_of([_sheet(*one, path) for one in zip(blocks, names, used, strict=True) if one[2]], hints, path)
     groups = {row.line: b.cell(row, "Group") for b, rows in zip(blocks, used, strict=True) for row in rows}
-    group = [p.where.text(groups[p.where.row or 0], "Group") for p in table.pointings]
+    group = [groups[line] for line in table.pointings.line]
+    for i, name in enumerate(group):
+        table.pointings.place(i).text(name, "Group")
     poses = {name: block.pose for name, block in zip(names, blocks, strict=True)}
-    order = dict.fromkeys(p.station for p in table.pointings)
+    order = dict.fromkeys(table.pointings.station)
     placed = {i: pose for i, name in enumerate(order) if (pose := poses[name]) is not None}
     meaning, readings = readings_of(table, placed, hints, path)
     table.notes += _tell_apart(table, group, readings, poses)
@@ -197,13 +200,14 @@ def _tell_apart(
 ) -> list[str]:
     """Put the group in front of the names of points that have several places, in place; what is said of it."""
     sightings: dict[str, dict[str, list[tuple[str, Floats]]]] = {}
-    for p, own, point in zip(table.pointings, group, from_polar(readings), strict=True):
-        pose = poses[p.station]
+    printed = table.pointings
+    for station, target, own, point in zip(printed.station, printed.target, group, from_polar(readings), strict=True):
+        pose = poses[station]
         place = point if pose is None else pose[0] @ point + pose[1]
-        sightings.setdefault(p.target, {}).setdefault(own, []).append((p.station, place))
+        sightings.setdefault(target, {}).setdefault(own, []).append((station, place))
     names = {name: _names_by_place(name, groups) for name, groups in sightings.items()}
     several = sorted(name for name, of in names.items() if any(new != name for new in of.values()))
-    table.pointings = [replace(p, target=names[p.target][own]) for p, own in zip(table.pointings, group, strict=True)]
+    printed.target = [names[target][own] for target, own in zip(printed.target, group, strict=True)]
     if not several:
         return []
     few = ", ".join(several[:4])

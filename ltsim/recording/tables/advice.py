@@ -1,43 +1,57 @@
-"""What to type for a table whose header does not say what its columns hold, by the content of the columns."""
+"""Advice for a table whose header does not say what its columns hold, by the content of the columns."""
 
 from collections.abc import Callable, Sequence
 from decimal import Decimal
-from itertools import pairwise
+from functools import lru_cache
+from itertools import accumulate, pairwise, takewhile
 
 from ltsim.recording.conventions import CIRCLE, Angle
 from ltsim.recording.files import shown
 from ltsim.recording.slips import FULL_RADIANS, SHORTEST_MM
 from ltsim.recording.tables import cells
 from ltsim.recording.tables.header import MARKS, PLACE
-from ltsim.recording.tables.sheets import Sheet
+from ltsim.recording.tables.sheets import Row, Sheet
 
 SAMPLE = 400
+MOST_TRIED = 20
+"""Assignments of columns that are tried on the whole sheet, the likelier first."""
+SAMPLE_CELLS = 100_000
+"""Cells of the first rows of a table by whose content it is advised."""
 LONG_M = SHORTEST_MM
 """A distance or coordinate of a table without units is advised in metres below this number, in millimetres above."""
-Columns = Sequence[Sequence[str]]
+Columns = Sequence[tuple[str, ...]]
 ASK = '--columns "station=HEADER,target=HEADER,azimuth=HEADER[deg],elevation=HEADER[deg],distance=HEADER[mm]"'
 
 
 def unnamed(sheet: Sheet, serves: Callable[[str], bool]) -> str:
     """The sentence for a header that says nothing; `serves` tells whether ``--columns`` can read the sheet."""
-    head = next((row for row in sheet.rows if len(row.fields) > 2 and not row.values), None)
-    body = [row.fields for row in sheet.rows if row.values > 1]
+    sample = sample_of(sheet)
+    head = next((row for row in sample if len(row.fields) > 2 and not row.values), None)
+    body = [row.fields for row in sample if row.values > 1]
     if not body:
         return "holds no row with two numbers or more: nothing that could be a pointing"
     width = max(map(len, body))
     named = head is not None and len(head.fields) == width
     titles = head.fields if head is not None and named else tuple(str(i + 1) for i in range(width))
     header = f"the header {shown(', '.join(titles), 80)}" if named else "a table without a header"
-    advice = next(filter(serves, _advised(titles, [row for row in body if len(row) == width][:SAMPLE])), None)
+    advised = _advised(titles, [row for row in body if len(row) == width][:SAMPLE])
+    advice = next(filter(serves, advised[:MOST_TRIED]), None)
     if advice is not None:
         return f'{header} does not say what its columns hold; say it, for instance --columns "{advice}"'
     reason = "no three of them can be two angles and a distance, or coordinates"
     return f"{header} does not say what its columns hold, and {reason}; if they can, say which: {ASK}"
 
 
+def sample_of(sheet: Sheet) -> list[Row]:
+    """The first rows of a sheet, `SAMPLE_CELLS` cells of it."""
+    cells_before = accumulate((len(row.fields) for row in sheet.rows), initial=0)
+    pairs = zip(sheet.rows, cells_before, strict=False)
+    return [row for row, _ in takewhile(lambda pair: pair[1] < SAMPLE_CELLS, pairs)]
+
+
 def _advised(titles: Sequence[str], body: Sequence[Sequence[str]]) -> list[str]:
     """Assignments of columns that the values allow, the likelier first: names, a face, then readings or coordinates."""
-    columns: list[list[str]] = [list(column) for column in zip(*body, strict=True)]
+    columns: list[tuple[str, ...]] = list(zip(*body, strict=True))
     times = [i for i, column in enumerate(columns) if any(column) and all(cells.has_clock(t) for t in column if t)]
     rest = [i for i in range(len(columns)) if i not in times and any(columns[i])]
     texts = [i for i in rest if not all(map(cells.is_value, columns[i]))]
@@ -63,7 +77,7 @@ def _advised(titles: Sequence[str], body: Sequence[Sequence[str]]) -> list[str]:
         if _is_sexagesimal(one, columns)
         for length in _length("flat", [i for i in numbers if i > one[-1]], titles, columns, one)
     ]
-    places = [i for i in numbers if _fraction(columns[i]) and columns[i] != sorted(columns[i])]
+    places = [i for i in numbers if _fraction(columns[i]) and list(columns[i]) != sorted(columns[i])]
     places = places[:3] if len(places) >= len(PLACE) else numbers[:3]
     unit = "m" if max((_largest(columns[i]) for i in places), default=0) < LONG_M else "mm"
     as_places = [f"{axis}={titles[i]}[{unit}]" for axis, i in zip(PLACE, places, strict=False)]
@@ -88,7 +102,7 @@ def _angles(numbers: Sequence[int], columns: Columns) -> list[tuple[int, ...]]:
     return found
 
 
-def _is_part(column: Sequence[str]) -> bool:
+def _is_part(column: tuple[str, ...]) -> bool:
     """Whether all are minutes or seconds: from 0 to 60."""
     return all(0 <= number < 60 for number in _numbers(column))
 
@@ -128,14 +142,16 @@ def _joined(places: Sequence[int], titles: Sequence[str]) -> str:
     return "+".join(titles[i] for i in places)
 
 
-def _numbers(column: Sequence[str]) -> list[Decimal]:
+@lru_cache(maxsize=1024)
+def _numbers(column: tuple[str, ...]) -> list[Decimal]:
     return [number for cell in column if (number := cells.value(cell)) is not None]
 
 
-def _largest(column: Sequence[str]) -> Decimal:
+def _largest(column: tuple[str, ...]) -> Decimal:
     return max(map(abs, _numbers(column)), default=Decimal(0))
 
 
-def _fraction(column: Sequence[str]) -> bool:
+@lru_cache(maxsize=1024)
+def _fraction(column: tuple[str, ...]) -> bool:
     """Whether some of the numbers are not whole."""
     return any(number != int(number) for number in _numbers(column))

@@ -1,17 +1,20 @@
-"""What one cell says: a number with point or comma, degrees with minutes and seconds, a face, a moment."""
+"""Content of one cell: a number with point or comma, degrees with minutes and seconds, a face, a moment."""
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from datetime import datetime, timedelta
 from decimal import Decimal
+from functools import partial
+from typing import TypeVar
 
 from ltsim.errors import RecordError
-from ltsim.recording.files import is_number
+from ltsim.recording.files import LONGEST_NUMBER, NUMBER, is_number
 
 FACES = {
     **dict.fromkeys(("1", "1.0", "i", "f1", "face1", "f", "front", "direct", "d", "l", "left", "links", "cl", "a"), 1),
     **dict.fromkeys(("2", "2.0", "ii", "f2", "face2", "b", "back", "reverse", "r", "right", "rechts", "cr"), 2),
 }
+T = TypeVar("T")
 DAY = timedelta(days=1)
 LONGEST = 60
 """Characters of a cell that can be a number or an angle."""
@@ -48,7 +51,8 @@ def grouping_of(rows: Iterable[Sequence[str]], file: object) -> str:
 
     Raises RecordError where one cell groups by points and another by commas.
     """
-    shown = {mark: cell for row in rows for cell in row for mark, form in _BOTH.items() if form.fullmatch(cell)}
+    mixed = (cell for row in rows for cell in row if "," in cell and "." in cell)
+    shown = {mark: cell for cell in mixed for mark, form in _BOTH.items() if form.fullmatch(cell)}
     if len(shown) > 1:
         raise RecordError(f"writes numbers both as {shown['.']} and as {shown[',']}: make them alike", file=file)
     return next(iter(shown), "")
@@ -56,7 +60,7 @@ def grouping_of(rows: Iterable[Sequence[str]], file: object) -> str:
 
 def is_value(text: str) -> bool:
     """Whether a cell is a number or an angle in degrees, minutes and seconds."""
-    return len(text) <= LONGEST and (is_number(plain(text)) or _sexagesimal(text) is not None)
+    return len(text) <= LONGEST and (is_number(text) or is_number(plain(text)) or _sexagesimal(text) is not None)
 
 
 def is_marked(text: str) -> bool:
@@ -73,6 +77,11 @@ def number(text: str, grouping: str = "") -> Decimal | None:
     return Decimal(bare) if is_number(bare) else None
 
 
+def are_numbers(texts: Sequence[str]) -> bool:
+    """Whether all cells of a column are empty or decimal numbers in plain ASCII."""
+    return max(map(len, texts), default=0) <= LONGEST_NUMBER and all(map(NUMBER.fullmatch, filter(None, texts)))
+
+
 def value(text: str, grouping: str = "") -> Decimal | None:
     """The number of a cell to its last digit (degrees for minutes and seconds); None where it is none.
 
@@ -84,7 +93,7 @@ def value(text: str, grouping: str = "") -> Decimal | None:
 
 def quantity(text: str, grouping: str = "") -> Decimal | None:
     """The value of a cell that may as well be a moment: None for a clock or a date."""
-    return None if is_moment(text) else value(text, grouping)
+    return None if not is_number(text) and is_moment(text) else value(text, grouping)
 
 
 def packed(text: str) -> Decimal | None:
@@ -127,14 +136,25 @@ def moments(texts: Sequence[str], order: str | None = None) -> tuple[list[float]
     strokes leave the order open (the text is "?" then).
     """
     texts = [_bare(text) for text in texts]
-    clocks = [_clock(text) for text in texts]
-    if None not in clocks:
-        return _since([datetime.min + clock for clock in _unwrapped(clocks)], dated=False)  # type: ignore[arg-type]
-    read = ([_stamp(text, letters, order) for text in texts] for letters in _ORDERS)
-    found = [_since(stamps, dated=True) for stamps in read if None not in stamps]  # type: ignore[arg-type]
+    clocks = _all(_clock, texts)
+    if clocks is not None:
+        return _since([datetime.min + clock for clock in _unwrapped(clocks)], dated=False)
+    read = (_all(partial(_stamp, letters=letters, order=order), texts) for letters in _ORDERS)
+    found = [_since(stamps, dated=True) for stamps in read if stamps is not None]
     if any(seconds != found[0][0] for seconds, _ in found):
         return None, "?"
     return found[0] if found else (None, "")
+
+
+def _all(convert: Callable[[str], T | None], texts: Sequence[str]) -> list[T] | None:
+    """Every text converted; None at the first that cannot be."""
+    found = []
+    for text in texts:
+        converted = convert(text)
+        if converted is None:
+            return None
+        found.append(converted)
+    return found
 
 
 def is_moment(text: str) -> bool:

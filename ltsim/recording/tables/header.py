@@ -1,4 +1,4 @@
-"""What a header means: roles of columns by English and German words, units in brackets, faces by number."""
+"""Meaning of a header: roles of columns by English and German words, units in brackets, faces by number."""
 
 import re
 import unicodedata
@@ -26,7 +26,7 @@ SIGMA_OF = {
 }
 """The role of a column with the standard deviation of another."""
 SIGMA = "sigma_mm"
-"""That of a column with the standard deviation of all three coordinates."""
+"""Role of a column with the standard deviation of all three coordinates."""
 WORDS = {
     "station": "station stn st setup standpunkt stp stand standort stationname stationid from fromstn fromstation von "
     "instrument tracker stationsname setupname",
@@ -124,6 +124,12 @@ class TableColumn:
 
 
 def columns_of(fields: Sequence[str]) -> list[TableColumn]:
+    """Columns of a header, each with the role and unit that its words have; see `_columns_of`."""
+    return list(_columns_of(tuple(fields)))
+
+
+@lru_cache(maxsize=64)
+def _columns_of(fields: tuple[str, ...]) -> list[TableColumn]:
     """Columns of a header, each with the role and unit that its words have.
 
     Of two columns for one role the first has it. Faces are told apart where every reading stands there twice.
@@ -189,6 +195,17 @@ def _with_parts(columns: list[TableColumn]) -> list[TableColumn]:
 def _kinds_in(columns: Sequence[TableColumn]) -> int:
     roles = {column.role for column in columns}
     return sum(bool(roles.intersection(kind)) for kind in (HORIZONTAL, VERTICAL, DISTANCE))
+
+
+def count_of_roles(fields: Sequence[str]) -> int:
+    """Titles among some fields that have a role by themselves: quick to tell, and a header has two at least."""
+    return sum(map(_has_role, fields))
+
+
+@lru_cache(maxsize=65_536)
+def _has_role(title: str) -> bool:
+    degrees = _part(_PARTS[0], title)
+    return bool(_column(0, title).role) or (degrees is not None and bool(role_of(degrees[1])))
 
 
 def is_header(columns: Sequence[TableColumn]) -> bool:

@@ -1,4 +1,4 @@
-"""Which kind of instrument a table shows: a total station where a laser tracker cannot have written it."""
+"""Kind of instrument that a table shows: a total station where a laser tracker cannot have written it."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from ltsim.recording.kinds import LIKE_TOTAL_STATION, NO_NOISE, TOTAL_STATION
 from ltsim.recording.setup import Instrument
 from ltsim.recording.tables.header import DISTANCE
 from ltsim.recording.tables.meaning import Meaning
-from ltsim.recording.tables.rows import PointingTable
+from ltsim.recording.tables.printed import PointingTable, decimal_places
 from ltsim.units import FACTOR
 
 TRACKER_RANGE_M = 160.0
@@ -33,11 +33,11 @@ def is_total_station(table: PointingTable, meaning: Meaning, readings: Floats) -
         return ""
     if ranges.max() > TRACKER_RANGE_M:
         return f"its longest range is {ranges.max():.4g} m, beyond any laser tracker"
-    printed = [value for p in table.pointings for role, value in p.values.items() if role in DISTANCE]
-    if len(printed) < LEAST_RANGES:
+    columns = [digits for role, digits in table.pointings.numbers.items() if role in DISTANCE]
+    places = np.concatenate([decimal_places(digits[digits != b""]) for digits in columns])
+    if len(places) < LEAST_RANGES:
         return ""
-    last = min(int(value.as_tuple().exponent) for value in printed)
-    digit = 10.0**last * FACTOR[meaning.length_unit]
+    digit = 10.0 ** -int(places.max()) * FACTOR[meaning.length_unit]
     if digit > COARSE_M:
         return f"its ranges are written to {1e3 * digit:.2g} mm"
     if table.column(("instrument_height_mm",)) is not None and digit > COARSE_M / 10:

@@ -1,4 +1,4 @@
-"""What the numbers of a table mean: units, zenith or elevation, the sense of the circle; coordinates for readings.
+"""Meaning of the numbers of a table: units, zenith or elevation, the sense of the circle; coordinates for readings.
 
 What the header states is taken; the rest is decided by the data (`ltsim.recording.conventions`) or asked for. The
 mirror image of a network is a network: no data decide the sense of the circle, unless places are known. The words of
@@ -6,10 +6,11 @@ a header do: `Hz`, `HA` are the horizontal circle of a theodolite, clockwise; az
 coordinates of a tracker, counter-clockwise. An azimuth beside a zenith angle can be either and is asked for.
 """
 
-from collections.abc import Mapping, Sequence
+import operator
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from decimal import Decimal
-from itertools import product
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -35,7 +36,7 @@ from ltsim.recording.recording import SIGMA_COLUMNS
 from ltsim.recording.slips import SHORTEST_MM
 from ltsim.recording.tables import cells
 from ltsim.recording.tables.header import DISTANCE, HEIGHTS, HORIZONTAL, PLACE, SIGMA, SIGMA_OF, VERTICAL, TableColumn
-from ltsim.recording.tables.rows import PointingTable, Printed
+from ltsim.recording.tables.printed import PointingTable, Printed, as_floats, exactly
 from ltsim.units import ARCSECOND, DEGREE, FACTOR, MILLIMETRE, ratio
 
 FULL, QUARTER = Decimal(360), Decimal(90)
@@ -62,21 +63,25 @@ class Meaning:
     azimuth: Azimuth
     notes: tuple[str, ...] = ()
 
-    def readings(self, p: Printed) -> tuple[float, float, float]:
-        """Raw range [m], azimuth, elevation [rad] of a pointing, in the numbers that a native file would hold."""
-        length = turn = up = Decimal("nan")
-        if (printed := _of(p, DISTANCE)) is not None:
-            length = printed * ratio(self.length_unit, "mm")
-        if (printed := _of(p, HORIZONTAL)) is not None:
-            turn = printed * ratio(self.horizontal_unit, "deg")
-            if self.azimuth == "clockwise":
-                turn = -turn % FULL
-                turn += FULL if turn < 0 else 0
-        if (printed := _of(p, VERTICAL)) is not None:
-            up = printed * ratio(self.vertical_unit, "deg")
-            up = QUARTER - up if self.vertical == "zenith" else up
-            up += FULL if up < -QUARTER else 0
-        return float(length) * MILLIMETRE, float(turn) * DEGREE, float(up) * DEGREE
+    def readings(self, printed: Printed) -> Floats:
+        """Raw ranges [m], azimuths, elevations [rad] (n, 3), in the numbers that a native file would hold."""
+        turns, upward = (
+            partial(operator.mul, ratio(unit, "deg")) for unit in (self.horizontal_unit, self.vertical_unit)
+        )
+        azimuth = (lambda turn: _counter_clockwise(turns(turn))) if self.azimuth == "clockwise" else turns
+        zenith = self.vertical == "zenith"
+
+        def elevation(number: Decimal) -> Decimal:
+            up = QUARTER - upward(number) if zenith else upward(number)
+            return up + FULL if up < -QUARTER else up
+
+        scale, lengths = ratio(self.length_unit, "mm"), printed.of(DISTANCE)
+        found = [
+            as_floats(lengths) if scale == 1 else exactly(lengths, partial(operator.mul, scale)),
+            exactly(printed.of(HORIZONTAL), azimuth),
+            exactly(printed.of(VERTICAL), elevation),
+        ]
+        return np.stack(found, axis=1) * [MILLIMETRE, DEGREE, DEGREE]
 
     def unit_of(self, role: str) -> str:
         """The unit of the readings that a column of sigmas or heights stands beside, where it states none."""
@@ -85,12 +90,14 @@ class Meaning:
         )
 
 
-def _of(p: Printed, kind: Sequence[str]) -> Decimal | None:
-    return next((p.values[role] for role in kind if role in p.values), None)
+def _counter_clockwise(turn: Decimal) -> Decimal:
+    """[deg] The azimuth of a clockwise circle, from 0 to 360."""
+    back = -turn % FULL
+    return back + FULL if back < 0 else back
 
 
 def readings_of(table: PointingTable, poses: Mapping[int, Pose], hints: Hints, file: Path) -> tuple[Meaning, Floats]:
-    """What the table's numbers mean, and the raw readings (n, 3) [m, rad] that they are.
+    """Meaning of the table's numbers, and the raw readings (n, 3) [m, rad] that they are.
 
     Rough `poses` of stations, by the order in which the table names them, tell the sense of the circle.
 
@@ -100,16 +107,16 @@ def readings_of(table: PointingTable, poses: Mapping[int, Pose], hints: Hints, f
         return _readings_of_places(table, hints, file)
     columns = {kind[0]: table.column(kind) for kind in (HORIZONTAL, VERTICAL, DISTANCE)}
     stated = {kind: c.unit if c is not None else "" for kind, c in columns.items()}
-    _, station = indices((p.station for p in table.pointings), "station", file)
-    _, target = indices((p.target for p in table.pointings), "target", file)
-    printed = [[_of(p, kind) for kind in (HORIZONTAL, VERTICAL, DISTANCE)] for p in table.pointings]
-    polar = PolarTable(station, target, *np.array(printed, dtype=np.float64).T)
+    printed = table.pointings
+    _, station = indices(printed.station, "station", file)
+    _, target = indices(printed.target, "target", file)
+    polar = PolarTable(station, target, *(as_floats(printed.of(kind)) for kind in (HORIZONTAL, VERTICAL, DISTANCE)))
     units, vertical, notes = _angles(columns, stated, polar, hints, file)
     length, more = _length(stated["distance"], polar, table, hints, file)
     found = Meaning(*units, length, vertical, "counter-clockwise")
     azimuth, why = _sense(table, found, polar, poses, hints, file)
     found = replace(found, azimuth=azimuth, notes=(*notes, *more, *why))
-    return found, np.array([found.readings(p) for p in table.pointings])
+    return found, found.readings(printed)
 
 
 def _angles(
@@ -147,8 +154,8 @@ def _length(stated: str, polar: PolarTable, table: PointingTable, hints: Hints, 
     if table.column(("flat",)) is not None:
         return "m", ["distances taken as m: they are horizontal ones, as surveyors write them"]
     column = next((c for c in table.columns if c.role in HEIGHTS and not c.unit), None)
-    heights = [] if column is None else [cells.value(p.further.get(column.title, "")) for p in table.pointings]
-    tall = [abs(float(height)) for height in heights if height]
+    texts = table.pointings.further.get(column.title, []) if column is not None else []
+    tall = [abs(float(height)) for height in map(cells.value, texts) if height]
     if column is not None and tall and TALL_M[0] < float(np.median(tall)) < TALL_M[1]:
         return "m", [f"distances taken as m: '{shown(column.title)}' beside them holds heights of metres"]
     message = f"distances of up to {longest:.6g} may be metres or millimetres; say which: --hint length=m or"
@@ -161,12 +168,13 @@ def _sense(
     """The sense of the circle: said, by known places, or by the words of the header."""
     if hints.azimuth is not None or not np.isfinite(polar.horizontal).any():
         return hints.azimuth or "counter-clockwise", []
-    local = from_polar(np.array([meaning.readings(p) for p in table.pointings]))
-    if hints.points is not None:
-        return known_sense(local, polar, list(dict.fromkeys(p.target for p in table.pointings)), hints.points)
-    azimuth = sense_by_poses(local, polar, poses) if len(poses) > 1 else None
-    if azimuth is not None:
-        return azimuth, [f"azimuths taken as {azimuth}: so the set-ups see the same points from their rough places"]
+    if hints.points is not None or len(poses) > 1:
+        local = from_polar(meaning.readings(table.pointings))
+        if hints.points is not None:
+            return known_sense(local, polar, list(dict.fromkeys(table.pointings.target)), hints.points)
+        azimuth = sense_by_poses(local, polar, poses)
+        if azimuth is not None:
+            return azimuth, [f"azimuths taken as {azimuth}: so the set-ups see the same points from their rough places"]
     column = table.column(HORIZONTAL)
     if table.positional or column is None:
         raise RecordError(SENSE_UNKNOWN, file=file)
@@ -186,11 +194,10 @@ def _readings_of_places(table: PointingTable, hints: Hints, file: Path) -> tuple
 
     Raises RecordError where a coordinate is missing, or all set-ups see their common targets in one frame.
     """
-    for p in table.pointings:
-        missing = next((axis for axis in PLACE if axis not in p.values), None)
-        if missing:
-            raise p.where.wrong(f"the coordinate {missing} is missing")
-    printed = np.array([[float(p.values[axis]) for axis in PLACE] for p in table.pointings])
+    printed = np.stack([as_floats(table.pointings.of((axis,))) for axis in PLACE], axis=1)
+    rows, axes = np.nonzero(np.isnan(printed))
+    if len(rows):
+        raise table.pointings.place(int(rows[0])).wrong(f"the coordinate {PLACE[axes[0]]} is missing")
     length = next((c.unit for c in table.columns if c.role in PLACE and c.unit), "")
     notes: list[str] = []
     if not length:
@@ -198,7 +205,7 @@ def _readings_of_places(table: PointingTable, hints: Hints, file: Path) -> tuple
     readings = to_polar(printed * FACTOR[length])
     near = np.flatnonzero(readings[:, 0] < MILLIMETRE)
     if len(near):
-        raise table.pointings[near[0]].where.wrong("lies in the instrument itself, expected coordinates from it")
+        raise table.pointings.place(int(near[0])).wrong("lies in the instrument itself, expected coordinates from it")
     _check_frames(table, printed * FACTOR[length], file)
     return Meaning("rad", "rad", length, "elevation", "counter-clockwise", (*notes, TOLD)), readings
 
@@ -207,9 +214,9 @@ def _check_frames(table: PointingTable, points: Floats, file: Path) -> None:
     """Refuse coordinates that were brought into one frame: as readings they would hold no network."""
     first: dict[str, tuple[str, Floats]] = {}
     gaps = []
-    for p, point in zip(table.pointings, points, strict=True):
-        station, place = first.setdefault(p.target, (p.station, point))
-        if station != p.station:
+    for own, target, point in zip(table.pointings.station, table.pointings.target, points, strict=True):
+        station, place = first.setdefault(target, (own, point))
+        if station != own:
             gaps.append(float(np.linalg.norm(point - place)))
     if len(gaps) > 2 and float(np.median(gaps)) < ONE_FRAME:
         message = (
@@ -219,20 +226,22 @@ def _check_frames(table: PointingTable, points: Floats, file: Path) -> None:
         raise RecordError(message, file=file)
 
 
-def sigmas_of_places(table: PointingTable, readings: Floats, length: str) -> list[dict[str, float]] | None:
-    """Standard deviations of each pointing's readings (n, 3) by those of x, y, z, where the table states them."""
+def sigmas_of_places(table: PointingTable, readings: Floats, length: str) -> dict[str, Floats]:
+    """Standard deviations (n,) of the readings (n, 3) by those of x, y, z, where the table states them: by column."""
     columns = [table.column((SIGMA_OF[axis],)) or table.column((SIGMA,)) for axis in PLACE]
     titles = [(c.title, FACTOR[c.unit or length]) for c in columns if c is not None]
     if not table.holds_places or len(titles) < len(PLACE):
-        return None
-    given = [[cells.value(p.further.get(title, ""), p.grouping) for title, _ in titles] for p in table.pointings]
-    for p, (title, _) in product(table.pointings, titles):
-        p.further.pop(title, None)
-    stated = np.array([[float(s) if s is not None and s > 0 else np.nan for s in row] for row in given])
+        return {}
+    printed, nothing = table.pointings, [""] * len(table.pointings)
+    texts = [printed.further.get(title, nothing) for title, _ in titles]
+    given = [list(map(cells.value, column, printed.grouping)) for column in texts]
+    printed.further = {title: column for title, column in printed.further.items() if title not in dict(titles)}
+    stated = np.stack([[float(s) if s is not None and s > 0 else np.nan for s in column] for column in given], axis=1)
     variance = (stated * [factor for _, factor in titles]) ** 2
     range_, azimuth, elevation = readings.T
     ways = np.stack(unit_vectors(azimuth, elevation), axis=1) ** 2
     level = np.maximum(range_ * np.cos(elevation), 1e-9)
     units = np.stack([np.full(len(range_), MILLIMETRE), level * ARCSECOND, range_ * ARCSECOND], axis=1)
     sigma = np.sqrt(np.einsum("nki,ni->nk", ways, variance)) / units
-    return [dict(zip(SIGMA_COLUMNS, row, strict=True)) if row[0] == row[0] else {} for row in sigma.tolist()]
+    sigma[np.isnan(sigma[:, 0])] = np.nan
+    return {} if np.isnan(sigma).all() else dict(zip(SIGMA_COLUMNS, sigma.T, strict=True))

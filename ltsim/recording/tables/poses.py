@@ -1,14 +1,15 @@
 """Tables without point names, or with one for all rows: positions of a target that moves (a robot, a T-MAC)."""
 
-from dataclasses import replace
+from itertools import product
+from operator import add, sub
 
 import numpy as np
 
-from ltsim.arrays import Floats, Ints
+from ltsim.arrays import Ints
 from ltsim.errors import RecordError
 from ltsim.recording.files import shown
 from ltsim.recording.tables.header import HORIZONTAL, PLACE, VERTICAL
-from ltsim.recording.tables.rows import PointingTable
+from ltsim.recording.tables.printed import PointingTable, as_floats
 
 SAME_SHARE = 3e-4
 """Share of the largest length by which rows at one place differ: 1 mm at 3 m, more than a robot repeats."""
@@ -23,19 +24,17 @@ def named_by_place(table: PointingTable, file: object) -> PointingTable:
 
     Raises RecordError where several set-ups have no names: nothing then tells which of their targets are the same.
     """
-    names = {p.target for p in table.pointings}
+    names, stations = {*table.pointings.target}, {*table.pointings.station}
     if len(names) > 1 or (names != {""} and len(table.pointings) < LEAST_ROWS):
         return table
     places = _places(table)
     count = int(places.max()) + 1
-    if names != {""} and (count < LEAST_ROWS or len({p.station for p in table.pointings}) > 1):
+    if names != {""} and (count < LEAST_ROWS or len(stations) > 1):
         return table
-    if len({p.station for p in table.pointings}) > 1:
+    if len(stations) > 1:
         message = "names no points, and nothing tells which targets of its set-ups are the same; add a column target"
         raise RecordError(message, file=file)
-    table.pointings = [
-        replace(p, target=f"pose-{place + 1}") for p, place in zip(table.pointings, places.tolist(), strict=True)
-    ]
+    table.pointings.target = [f"pose-{place + 1}" for place in places.tolist()]
     called = "names no points" if names == {""} else f"has one name ('{shown(names.pop())}') for all of its rows"
     table.notes.append(
         f"the table {called}: its {len(places)} rows are {count} positions of a target that moves (a robot, a T-MAC), "
@@ -46,18 +45,23 @@ def named_by_place(table: PointingTable, file: object) -> PointingTable:
 
 def _places(table: PointingTable) -> Ints:
     """Number of the place (n,) of each row, in the order of their first rows."""
-    roles = list(dict.fromkeys(role for p in table.pointings for role in p.values))
-    printed = np.array([[float(p.values.get(role, "nan")) for role in roles] for p in table.pointings])
-    largest = np.nanmax(np.abs(printed), axis=0)
-    lengths = max((largest[i] for i, role in enumerate(roles) if role in PLACE), default=0.0)
-    tolerance = np.array([_tolerance(role, size, lengths) for role, size in zip(roles, largest.tolist(), strict=True)])
-    first: list[Floats] = []
+    numbers = table.pointings.numbers
+    printed = np.stack([as_floats(digits) for digits in numbers.values()], axis=1)
+    largest = np.nanmax(np.abs(printed), axis=0).tolist()
+    lengths = max((size for role, size in zip(numbers, largest, strict=True) if role in PLACE), default=0.0)
+    tolerance = np.array([_tolerance(role, size, lengths) for role, size in zip(numbers, largest, strict=True)])
+    scaled = np.nan_to_num(printed / tolerance)
+    steps = list(product((0, -1, 1), repeat=scaled.shape[1]))
+    first: list[tuple[float, ...]] = []
+    of_box: dict[tuple[int, ...], int] = {}  # no two places lie in one box of unit size
     found = []
-    for row in np.nan_to_num(printed / tolerance):
-        near = [i for i, other in enumerate(first) if np.abs(row - other).max() < 1.0]
+    for row, box in zip(scaled.tolist(), np.floor(scaled).astype(np.int64).tolist(), strict=True):
+        around = [of_box[other] for step in steps if (other := tuple(map(add, box, step))) in of_box]
+        near = [i for i in around if max(map(abs, map(sub, row, first[i]))) < 1.0]
         if not near:
-            first.append(row)
-        found.append(near[0] if near else len(first) - 1)
+            of_box[tuple(box)] = len(first)
+            first.append(tuple(row))
+        found.append(min(near, default=len(first) - 1))
     return np.array(found)
 
 

@@ -1,7 +1,5 @@
 """Reading a recording from delimited text, a folder of such files, or a workbook."""
 
-from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +9,7 @@ from ltsim.geometry.polar import to_face
 from ltsim.recording.conventions import NO_HINTS, Hints, poses_of
 from ltsim.recording.curvature import on_round_earth
 from ltsim.recording.files import MAX_TEXT, shown
-from ltsim.recording.pointings import NAN, Pointing, recording_of, states_noise
+from ltsim.recording.pointings import NAN, PointingColumns, recording_of_columns, states_noise
 from ltsim.recording.recording import HEIGHT_COLUMNS, KIND_COLUMN, OCCUPATION_COLUMNS, SIGMA_COLUMNS, Recording
 from ltsim.recording.settings import read_setup
 from ltsim.recording.setup import Setup
@@ -20,7 +18,8 @@ from ltsim.recording.tables.header import ALLOWED, TableColumn, names_places
 from ltsim.recording.tables.instruments import instrument_of, is_total_station
 from ltsim.recording.tables.meaning import Meaning, readings_of, sigmas_of_places
 from ltsim.recording.tables.poses import named_by_place
-from ltsim.recording.tables.rows import PointingTable, Printed, header_of, table_of
+from ltsim.recording.tables.printed import PointingTable, Printed, as_digits, as_floats, codes
+from ltsim.recording.tables.rows import header_of, table_of
 from ltsim.recording.tables.setups import common_names, heights_not_applied, occupied, over_marks, split_occupations
 from ltsim.recording.tables.sheets import SUFFIXES, WORKBOOK, is_folder, rows_of_head, sheets_of
 from ltsim.recording.tables.times import times_of, with_clock
@@ -29,7 +28,7 @@ from ltsim.units import ARCSECOND, MILLIMETRE, ratio
 SETUP = "setup.toml"
 MOST_SHOWN = 3
 HEADS_SIGMA_MM = 1.0
-"""How well heads of one tripod, or of one pillar, stand at one height each time they are set up."""
+"""[mm] Standard deviation of the height of a head on one tripod or pillar each time it is set up."""
 
 
 def recognises(path: Path, head: str) -> bool:
@@ -51,11 +50,10 @@ def recognises(path: Path, head: str) -> bool:
 def read(path: Path, hints: Hints = NO_HINTS, *, positional: bool = False) -> Recording:
     """Read a table; `positional` takes lines of names and three numbers without a header. Raises RecordError."""
     table = named_by_place(with_clock(table_of(sheets_of(path), hints, path, positional=positional)), path)
-    renamed, named = common_names([(p.station, p.target) for p in table.pointings])
-    table.pointings = [replace(p, target=name) for p, name in zip(table.pointings, renamed, strict=True)]
-    table.notes += named
+    table.pointings.target, renamed = common_names(table.pointings)
+    table.notes += renamed
     setup = _setup(path, hints)
-    poses = poses_of(setup or Setup(), tuple(dict.fromkeys(p.station for p in table.pointings)))
+    poses = poses_of(setup or Setup(), tuple(dict.fromkeys(table.pointings.station)))
     meaning, readings = readings_of(table, poses, hints, path)
     if setup is not None:
         recording = assembled(table, meaning, readings, setup, hints, path)
@@ -72,9 +70,10 @@ def assembled(
     table: PointingTable, meaning: Meaning, readings: Floats, setup: Setup, hints: Hints, file: Path
 ) -> Recording:
     """The recording of a table whose readings (n, 3) are understood, in the order of its pointings."""
+    printed, nothing = table.pointings, np.full(len(table.pointings), NAN)
     sigmas = sigmas_of_places(table, readings, meaning.length_unit)
     covariates, labels, kept = _further(table, meaning)
-    turns = np.array([values.get(SIGMA_COLUMNS[1], NAN) for values in covariates]) * ARCSECOND
+    turns = covariates.get(SIGMA_COLUMNS[1], nothing) * ARCSECOND
     same_place, rounds = split_occupations(table, readings, turns)
     upright = bool(is_total_station(table, meaning, readings)) and table.column(("elevation",)) is None
     setup, over = over_marks(table, setup, readings, rounds=same_place, levelled=upright)
@@ -82,34 +81,42 @@ def assembled(
     times, started, timed = times_of(table, hints)
     if started and not setup.started:
         setup = setup.model_copy(update={"started": started})
-    height = np.array([[values.get(name, NAN) for name in HEIGHT_COLUMNS] for values in covariates]) * MILLIMETRE
+    height = np.stack([covariates.get(name, nothing) for name in HEIGHT_COLUMNS], axis=1) * MILLIMETRE
     unused = heights_not_applied(table, readings, height)
     if unused:
-        covariates = [{k: x for k, x in values.items() if k not in HEIGHT_COLUMNS} for values in covariates]
+        covariates = {name: column for name, column in covariates.items() if name not in HEIGHT_COLUMNS}
         known = setup.heads_sigma_mm or HEADS_SIGMA_MM
         setup = setup.model_copy(update={"heads_sigma_mm": known, "curved": True})
-        labels = [occupied(table, p) | own for p, own in zip(table.pointings, labels, strict=True)]
-    dated = bool(timed) and table.column(("date",)) is not None  # kept as text where it is no clock
-    pointings = []
-    for i, (p, (distance, azimuth, elevation)) in enumerate(zip(table.pointings, readings.tolist(), strict=True)):
-        flat = {KIND_COLUMN: "horizontal"} if "flat" in p.values else {}
-        pointings.append(
-            Pointing(
-                p.station,
-                p.where.name(p.target, "target"),
-                faces[i],
-                distance,
-                azimuth,
-                elevation,
-                times[i],
-                covariates[i] | (sigmas[i] if sigmas else {}),
-                labels[i] | ({"date": p.moment} if dated else {}) | flat,
-                f"{Path(str(p.where.file)).name}, line {p.where.row}",
-            )
-        )
+        labels = _over(occupied(table), labels)
+    if timed and table.column(("date",)) is not None:  # a text where it is no clock
+        labels["date"] = printed.moment
+    if "flat" in printed.numbers:
+        labels[KIND_COLUMN] = ["horizontal" if digits else "" for digits in printed.numbers["flat"].tolist()]
     said = [table.notes, meaning.notes, rounds, over, reduced, timed, kept, unused, _left_out(table)]
-    recording = recording_of(pointings, setup, notes=[note for notes in said for note in notes], file=file)
-    return on_round_earth(recording)
+    targets, target = codes(printed.target)
+    _, first = np.unique(target, return_index=True)
+    for name, row in zip(targets, first.tolist(), strict=True):
+        printed.place(row).name(name, "target")
+    columns = PointingColumns(
+        printed.station,
+        printed.target,
+        np.array(faces, dtype=np.int64),
+        readings,
+        np.array(times),
+        covariates | sigmas,
+        labels,
+        printed.source,
+    )
+    return on_round_earth(recording_of_columns(columns, setup, notes=[n for notes in said for n in notes], file=file))
+
+
+def _over(below: dict[str, list[str]], above: dict[str, list[str]]) -> dict[str, list[str]]:
+    """Labels of both, row by row those of `above` where they hold something."""
+    both = {
+        name: [one or other for one, other in zip(above[name], column, strict=True)] if name in above else column
+        for name, column in below.items()
+    }
+    return {**above, **both}
 
 
 def _setup_file(path: Path, hints: Hints) -> Path:
@@ -119,7 +126,7 @@ def _setup_file(path: Path, hints: Hints) -> Path:
 
 
 def _setup(path: Path, hints: Hints) -> Setup | None:
-    """What a file states of noise and set-ups in addition to the table; None where there is none."""
+    """Noise and set-ups that a file states in addition to the table; None where there is none."""
     file = _setup_file(path, hints)
     return read_setup(file) if hints.setup is not None or file.is_file() else None
 
@@ -127,8 +134,8 @@ def _setup(path: Path, hints: Hints) -> Setup | None:
 def _faces(table: PointingTable, readings: Floats) -> tuple[list[int], list[str]]:
     """Face of each pointing; readings of face 2 that were reduced to face 1 are turned back in place."""
     beyond = np.abs(readings[:, 2]) > np.pi / 2 + 1e-9
-    stated = [p.face for p in table.pointings]
-    faces = [int(b) + 1 if face is None else face for face, b in zip(stated, beyond, strict=True)]
+    stated = table.pointings.face
+    faces = [face or int(b) + 1 for face, b in zip(stated, beyond.tolist(), strict=True)]
     second = np.array(faces) == 2
     if not second.any() or beyond[second].any() or not np.isfinite(readings[second, 2]).any():
         return faces, []
@@ -137,7 +144,7 @@ def _faces(table: PointingTable, readings: Floats) -> tuple[list[int], list[str]
     return faces, ["readings of face 2 were reduced to face 1 and are turned back to what the circles showed"]
 
 
-def _further(table: PointingTable, meaning: Meaning) -> tuple[list[dict[str, float]], list[dict[str, str]], list[str]]:
+def _further(table: PointingTable, meaning: Meaning) -> tuple[dict[str, Floats], dict[str, list[str]], list[str]]:
     """Further columns of each pointing: numbers as covariates, texts as labels, and what is said of them.
 
     Sigmas and heights have names and units of their own, those of the readings where their header states none.
@@ -145,12 +152,11 @@ def _further(table: PointingTable, meaning: Meaning) -> tuple[list[dict[str, flo
     columns = [c for c in table.columns if c.is_further]
     words = {c.title for c in columns if c.role in OCCUPATION_COLUMNS}
     values = [c for c in columns if c.title not in words]
-    numeric = {c.title: number for c in values if (number := _factor(c, table.pointings, meaning)) is not None}
+    numeric = {c.title: found for c in values if (found := _covariate(c, table.pointings, meaning)) is not None}
     named = words | {c.title for c in values if "_" in c.role and c.title in numeric}
     names = {c.title: c.role if c.title in named else c.title for c in columns}
-    rows = [p.further for p in table.pointings]
-    covariates = [{names[t]: _number(p, t) * f for t, f in numeric.items() if t in p.further} for p in table.pointings]
-    labels = [{names[t]: text for t, text in row.items() if t not in numeric} for row in rows]
+    covariates = {names[title]: column for title, column in numeric.items()}
+    labels = {names[title]: column for title, column in table.pointings.further.items() if title not in numeric}
     own = {c.title for c in columns if c.role in HEIGHT_COLUMNS or c.role.startswith("sigma_")}
     said = [
         f"'{shown(c.title)}' taken as {c.role}" + ("" if c.unit else f", in {_unit(c, meaning)} as its reading")
@@ -165,23 +171,30 @@ def _unit(column: TableColumn, meaning: Meaning) -> str:
     return column.unit or meaning.unit_of(column.role)
 
 
-def _factor(column: TableColumn, pointings: Sequence[Printed], meaning: Meaning) -> float | None:
-    """What the numbers of a column are multiplied by; None for a column of text."""
-    texts = [(p.further.get(column.title, ""), p.grouping) for p in pointings]
-    numeric = any(t for t, _ in texts) and all(cells.quantity(t, grouping) is not None for t, grouping in texts if t)
-    if not numeric:
+def _covariate(column: TableColumn, printed: Printed, meaning: Meaning) -> Floats | None:
+    """Numbers of a column in the unit of its role, NaN where a cell is empty; None for a column of text."""
+    texts = printed.further.get(column.title, [])
+    if not any(texts):
         return None
+    if cells.are_numbers(texts) and not any(printed.grouping):
+        return as_floats(as_digits(texts)) * _factor(column, meaning)
+    numbers = np.full(len(texts), NAN)
+    for i, (text, grouping) in enumerate(zip(texts, printed.grouping, strict=True)):
+        if text:
+            number = cells.quantity(text, grouping)
+            if number is None:
+                return None
+            numbers[i] = number
+    return numbers * _factor(column, meaning)
+
+
+def _factor(column: TableColumn, meaning: Meaning) -> float:
+    """Unit of a column of standard deviations or heights in that of its role."""
     wanted = column.role.rpartition("_")[2]
     if wanted not in ("mm", "arcsec"):
         return 1.0
     unit = _unit(column, meaning)
     return float(ratio(unit, wanted)) if unit in (*ALLOWED[column.role], "dms") else 1.0
-
-
-def _number(p: Printed, title: str) -> float:
-    text = p.further[title]
-    number = cells.quantity(text, p.grouping) if text else None
-    return NAN if number is None else float(number)
 
 
 def _left_out(table: PointingTable) -> list[str]:

@@ -1,100 +1,36 @@
-"""From rows of text to pointings as printed: blocks, free text, two faces in one row, further columns."""
-
-from __future__ import annotations
+"""From rows of text to pointings as printed: headers, blocks of a station, free text between them."""
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from decimal import Decimal
+from dataclasses import replace
 from functools import partial
 
 from ltsim.errors import RecordError
+from ltsim.limits import HEADERS
 from ltsim.recording.conventions import Hints
-from ltsim.recording.files import MAX_TEXT, FilePlace, shown
+from ltsim.recording.files import MAX_TEXT, FilePlace, is_number, shown
 from ltsim.recording.tables import cells
 from ltsim.recording.tables.advice import unnamed
 from ltsim.recording.tables.header import (
-    DISTANCE,
-    HORIZONTAL,
-    PLACE,
     READINGS,
-    VERTICAL,
     TableColumn,
     assignments,
     columns_of,
+    count_of_roles,
     is_header,
     mapped,
     role_of,
     words_of,
 )
+from ltsim.recording.tables.printed import BLOCK, PointingTable, Printed, joined
+from ltsim.recording.tables.run import RunReader
 from ltsim.recording.tables.sheets import Row, Sheet
 
 POSITIONS = ("station", "target", "azimuth", "vertical", "distance")
 """Roles of a table without a header whose lines are names and three numbers."""
+LEAST_TITLES = 2
+"""Columns of a header that names readings: two angles, or an angle and a distance."""
 _STATION = re.compile(r"#?\s*([^\W\d_]+)\s*[:=;,\t ]\s*(\S.*?)[\s;,]*")
-
-
-@dataclass(frozen=True, slots=True)
-class Printed:
-    """One pointing as its row prints it: numbers by role in the units of their columns, those that are not empty."""
-
-    where: FilePlace
-    station: str
-    target: str
-    face: int | None
-    values: dict[str, Decimal]
-    moment: str = ""
-    further: dict[str, str] = field(default_factory=dict)
-    grouping: str = ""
-    round: str = ""
-    """Which round of its station it belongs to: a number, perhaps with a day."""
-
-
-@dataclass
-class PointingTable:
-    """All pointings of a file or folder, the columns they came from, and what was left out."""
-
-    columns: list[TableColumn]
-    pointings: list[Printed] = field(default_factory=list)
-    left_out: list[str] = field(default_factory=list)
-    nameless: bool = False
-    positional: bool = False
-    marks: dict[str, str] = field(default_factory=dict)
-    """Name of the mark under each set-up whose own name differs from it."""
-    notes: list[str] = field(default_factory=list)
-    marked: set[str] = field(default_factory=set)
-    """Headers without a unit over angles with marks of degrees and minutes."""
-
-    def column(self, kind: Sequence[str]) -> TableColumn | None:
-        """The first column of one of the roles."""
-        return next((c for c in self.columns if c.role in kind), None)
-
-    @property
-    def holds_places(self) -> bool:
-        """Whether it holds coordinates in place of readings."""
-        return {*PLACE} <= {c.role for c in self.columns}
-
-    def take(self, columns: Sequence[TableColumn], file: object, row: int | None = None) -> None:
-        """A further header: of the same roles and units, perhaps with more columns that are kept.
-
-        Raises RecordError where it holds other readings, or in other units.
-        """
-        said = [[(c.role, c.unit, c.face) for c in all_ if c.role in READINGS] for all_ in (self.columns, columns)]
-        if said[0] and said[0] != said[1]:
-            message = "its columns differ from those of the headers before, expected the same roles and units"
-            raise FilePlace(file, row).wrong(message)
-        titles = {c.title for c in self.columns}
-        self.columns += [c for c in columns if c.title not in titles]
-
-    def add(self, other: PointingTable, file: object) -> None:
-        """The pointings of a further sheet; raises RecordError."""
-        self.take(other.columns, file)
-        self.pointings += other.pointings
-        self.left_out += other.left_out
-        self.notes += [note for note in other.notes if note not in self.notes]
-        self.nameless |= other.nameless
-        self.marked |= other.marked
-        self.positional |= other.positional
 
 
 def table_of(sheets: Sequence[Sheet], hints: Hints, file: object, *, positional: bool = False) -> PointingTable:
@@ -103,18 +39,19 @@ def table_of(sheets: Sequence[Sheet], hints: Hints, file: object, *, positional:
     Raises RecordError where a header does not say what its columns hold, headers differ in what they hold, or a cell is
     wrong.
     """
-    whole = PointingTable([])
+    whole, parts = PointingTable([]), []
     for sheet in sheets:
         start = header_at(sheet, hints)
         reader = _SheetReader(sheet, hints)
-        if start is not None:
-            whole.add(reader.read(start), sheet.file)
-        elif positional:
-            whole.add(reader.read_positional(), sheet.file)
+        if start is not None or positional:
+            table = reader.read_positional() if start is None else reader.read(start)
+            whole.add(table, sheet.file)
+            parts.append(table.pointings)
         elif len(sheets) == 1 or any(row.values > 2 for row in sheet.rows[:50]):
             raise RecordError(unnamed(sheet, partial(_serves, sheet, hints)), file=sheet.file)
-    if not whole.pointings:
+    if not any(map(len, parts)):
         raise RecordError("holds no pointings", file=file)
+    whole.pointings = joined(parts)
     whole.columns = [replace(c, unit="deg") if c.title in whole.marked else c for c in whole.columns]
     return whole
 
@@ -123,7 +60,7 @@ def header_of(row: Row, hints: Hints, file: object = None) -> list[TableColumn] 
     """The columns that a row names as a header; None where it is none."""
     if hints.columns is not None:
         return mapped(row.fields, hints.columns, file) if any(row.fields) else None
-    if any(map(cells.is_value, row.fields)):
+    if count_of_roles(row.fields) < LEAST_TITLES or any(map(cells.is_value, row.fields)):
         return None
     columns = columns_of(row.fields)
     return columns if is_header(columns) else None
@@ -140,14 +77,18 @@ def header_at(sheet: Sheet, hints: Hints) -> int | None:
 
 
 class _SheetReader:
-    """Reads one sheet row by row: the header that holds, the station that the last block named."""
+    """Reads one sheet: the header that holds, the station that the last block named, and the rows since the header."""
 
     def __init__(self, sheet: Sheet, hints: Hints) -> None:
         self.sheet, self.hints = sheet, hints
         self.station = sheet.station or hints.station or ""
         self.table = PointingTable([])
+        self.parts: list[Printed] = []
         self.columns: list[TableColumn] = []
         self.wanted: list[int] = []
+        self.headers = 0
+        self.run: list[tuple[Row, str]] = []
+        """Rows of pointings that are not converted yet, each with the station of its block."""
 
     def read(self, start: int) -> PointingTable:
         """The rows below the header in row `start`; -1 counts columns."""
@@ -161,10 +102,10 @@ class _SheetReader:
 
     def read_positional(self) -> PointingTable:
         """Lines of station, target and three numbers; of the target alone where they are shorter by one."""
-        body = [row for row in self.sheet.rows if not row.comment]
-        roles = POSITIONS[1:] if body and len(body[0].fields) == 4 else POSITIONS
-        for row in body:
-            if len(row.fields) != len(roles):
+        first = next((row for row in self.sheet.rows if not row.comment), None)
+        roles = POSITIONS[1:] if first is not None and len(first.fields) == 4 else POSITIONS
+        for row in self.sheet.rows:
+            if not row.comment and len(row.fields) != len(roles):
                 message = f"{len(row.fields)} fields, expected station, target, two angles and a distance"
                 raise FilePlace(self.sheet.file, row.line).wrong(message)
         self.table.positional = True
@@ -172,22 +113,42 @@ class _SheetReader:
         return self._read(self.sheet.rows, every=True)
 
     def _head(self, columns: list[TableColumn], row: int | None) -> None:
+        self.headers += 1
+        if self.headers > HEADERS:
+            raise FilePlace(self.sheet.file, row).wrong(f"holds more than {HEADERS} headers, the most that is read")
+        if columns != self.columns:
+            self._convert()
         self.table.take(columns, self.sheet.file, row)
         self.columns = columns
         self.wanted = [c.place for c in columns if c.role in READINGS]
 
     def _read(self, rows: Sequence[Row], *, every: bool = False) -> PointingTable:
+        last = len(rows) - 1
         for i, row in enumerate(rows):
-            measured = (every and not row.comment) or any(cells.is_value(row.cell(place)) for place in self.wanted)
+            measured = (every and not row.comment) or self._is_measured(row)
             again = header_of(row, self.hints, self.sheet.file) if not measured else None
             if again is not None:
                 self._head(again, row.line)
             elif row.comment or not measured:
                 self._other(row)
-            else:
-                self._pointing(row, last=i == len(rows) - 1)
+            elif i < last or not self.sheet.open_end:
+                self._pointing(row)
+            elif not self.hints.growing:  # otherwise it may not be whole yet
+                self._convert()
+                self.sheet.check_whole(len(self.columns), strict=self.table.positional)
+                self._pointing(row)
+        self._convert()
         self.table.notes += _doubled(self.columns)
+        self.table.pointings = joined(self.parts) if self.parts else Printed()
         return self.table
+
+    def _is_measured(self, row: Row) -> bool:
+        """Whether a cell of a reading holds a value: in a pointing the first one does as a rule."""
+        for place in self.wanted:
+            cell = row.cell(place)
+            if is_number(cell) or cells.is_value(cell):
+                return True
+        return False
 
     def _other(self, row: Row) -> None:
         """A line that is no pointing: it names the station of a block, or is left out."""
@@ -198,56 +159,31 @@ class _SheetReader:
         elif not row.comment:
             self.table.left_out.append(f"line {row.line} of {self.sheet.file.name} ('{row}')")
 
-    def _pointing(self, row: Row, *, last: bool) -> None:
-        columns, where = self.columns, FilePlace(self.sheet.file, row.line)
-        if last and self.sheet.open_end:
-            if self.hints.growing:
-                return  # it may not be whole yet
-            self.sheet.check_whole(len(columns), strict=self.table.positional)
-        if any(row.fields[len(columns) :]):
-            raise where.wrong(f"{len(row.fields)} fields, expected {len(columns)} as in the header")
-        for face in (1, 2) if any(c.face for c in columns) else (0,):
-            one = self._one(row, [c for c in columns if c.face in (0, face)], face, where)
-            if face == 0 or any(role in one.values for role in (*HORIZONTAL, *VERTICAL)):
-                self.table.pointings.append(one)
+    def _pointing(self, row: Row) -> None:
+        if len(self.run) == BLOCK:
+            self._convert()
+        width = len(self.columns)
+        if len(row.fields) > width and any(row.fields[width:]):
+            self._convert()
+            message = f"{len(row.fields)} fields, expected {width} as in the header"
+            raise FilePlace(self.sheet.file, row.line).wrong(message)
+        self.run.append((row, self.station))
 
-    def _one(self, row: Row, columns: list[TableColumn], face: int, where: FilePlace) -> Printed:
-        text = {c.role: row.cell(c.place) for c in reversed(columns) if c.role}
-
-        def both(*roles: str) -> str:
-            return " ".join(filter(None, (text.get(role) for role in roles)))
-
-        station, told = text.get("station") or self.station, text.get("face", "")
-        self.table.nameless |= not station
-        stated = cells.face(told) if told else None
-        if told and stated is None:
-            raise where.wrong(f"found '{shown(told)}', expected 1 or 2", "face")
-        read = [(c, cell) for c in columns if c.role in READINGS and (cell := c.text(row))]
-        self.table.marked |= {c.title for c, cell in read if not c.unit and cells.is_marked(cell)}
-        return Printed(
-            where,
-            station or "S1",
-            text.get("target", ""),
-            face or stated,
-            {c.role: self._number(cell, c, where) for c, cell in read},
-            moment=both("date", "time"),
-            further={c.title: where.text(row.cell(c.place)) for c in columns if c.is_further},
-            grouping=self.sheet.grouping,
-            round=both("date", "round"),
-        )
-
-    def _number(self, text: str, column: TableColumn, where: FilePlace) -> Decimal:
-        packed = column.unit == "dms"
-        found = cells.packed(text) if packed else cells.value(text, self.sheet.grouping)
-        if packed and found is None:
-            what = "degrees, minutes and seconds, such as 33°12'07.5\" or 33.12075"
-            raise where.wrong(f"found '{shown(text)}', expected {what}", shown(column.title))
-        if found is None or not abs(found) < 10**9:
-            raise where.wrong(f"found '{shown(text)}', expected a number", shown(column.title))
-        if column.role in DISTANCE and not found > 0:
-            what = f"found {shown(text)}, expected a distance above 0, or nothing where none was measured"
-            raise where.wrong(what, shown(column.title))
-        return found
+    def _convert(self) -> None:
+        """Turn the rows since the last header into columns at once; where that fails, one by one to name the first."""
+        run, self.run = self.run, []
+        if not run:
+            return
+        reader = RunReader(self.sheet, self.columns)
+        try:
+            converted = [reader.read(run)]
+        except RecordError:
+            converted = [reader.read([one]) for one in run]
+        self.table.nameless |= reader.nameless
+        self.table.marked |= reader.marked
+        self.parts.append(joined(converted))
+        while len(self.parts) > 1 and 2 * len(self.parts[-1]) > len(self.parts[-2]) and len(self.parts[-2]) < BLOCK:
+            self.parts[-2:] = [joined(self.parts[-2:])]
 
 
 def _doubled(columns: Sequence[TableColumn]) -> list[str]:
@@ -266,6 +202,6 @@ def _serves(sheet: Sheet, hints: Hints, columns: str) -> bool:
     hints = replace(hints, columns=columns)
     try:
         start = header_at(sheet, hints)
-        return start is not None and bool(_SheetReader(sheet, hints).read(start).pointings)
+        return start is not None and len(_SheetReader(sheet, hints).read(start).pointings) > 0
     except RecordError:
         return False

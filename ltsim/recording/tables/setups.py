@@ -5,12 +5,12 @@ targets too, with a circle that each round turns anew.
 """
 
 import re
-from collections.abc import Sequence
-from dataclasses import replace
+from collections import Counter
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from ltsim.arrays import Floats
+from ltsim.arrays import Floats, Ints
 from ltsim.notation import listing
 from ltsim.recording.files import MAX_NAME, shown
 from ltsim.recording.pointings import numbered
@@ -18,7 +18,7 @@ from ltsim.recording.recording import OCCUPATION_COLUMNS
 from ltsim.recording.setup import EXACT_LEVEL_ARCSEC, Setup, Station
 from ltsim.recording.tables import cells
 from ltsim.recording.tables.header import HEIGHTS
-from ltsim.recording.tables.rows import PointingTable, Printed
+from ltsim.recording.tables.printed import PointingTable, Printed, codes
 from ltsim.units import EARTH
 
 MOST_SHOWN = 4
@@ -34,21 +34,21 @@ CLOSES_M = 0.02
 Key = tuple[str, ...]
 
 
-def common_names(sightings: Sequence[tuple[str, str]]) -> tuple[list[str], list[str]]:
-    """Target of each sighting (station, target) by one name for all set-ups, and what was changed.
+def common_names(printed: Printed) -> tuple[list[str], list[str]]:
+    """Target of each pointing by one name for all set-ups, and what was changed.
 
     A set-up's own name before or after those of all its targets is taken away where set-ups then share targets that
     they did not share before. Names that differ in case, blanks or leading zeros are one where no set-up has both.
     """
-    targets, notes = [target for _, target in sightings], []
+    sightings, row = codes(zip(printed.station, printed.target, strict=True))
+    stations, targets = (list(names) for names in zip(*sightings, strict=True))
+    notes = []
     bare = [_without(station, target) for station, target in sightings]
-    if all(bare) and len({station for station, _ in sightings}) > 1:
-        stations = [station for station, _ in sightings]
-        if not _shared(stations, targets) and _shared(stations, bare):
-            notes.append(f"the set-up's name is taken from its targets' names: '{targets[0]}' is '{bare[0]}'")
-            targets = bare
+    if all(bare) and len({*stations}) > 1 and not _shared(stations, targets) and _shared(stations, bare):
+        notes.append(f"the set-up's name is taken from its targets' names: '{targets[0]}' is '{bare[0]}'")
+        targets = bare
     places: dict[str, set[str]] = {}
-    for (station, _), target in zip(sightings, targets, strict=True):
+    for station, target in zip(stations, targets, strict=True):
         places.setdefault(target, set()).add(station)
     alike: dict[str, list[str]] = {}
     for target in places:
@@ -63,7 +63,8 @@ def common_names(sightings: Sequence[tuple[str, str]]) -> tuple[list[str], list[
     if one:
         some = listing([f"'{name}' and '{first}'" for name, first in one.items()], MOST_SHOWN)
         notes.append(f"names that differ in case, blanks or leading zeros are taken as one target: {some}")
-    return [one.get(target, target) for target in targets], notes
+    names = [one.get(target, target) for target in targets]
+    return [names[i] for i in row.tolist()], notes
 
 
 def _without(station: str, target: str) -> str:
@@ -91,61 +92,67 @@ def split_occupations(table: PointingTable, readings: Floats, sigma: Floats) -> 
 
     Returns the names of set-ups that stand where others stand (rounds of one occupation), and what was done.
     """
-    occupations = [(p.station, _occupation(table, p)) for p in table.pointings]
-    rounds = [(*key, p.round) for key, p in zip(occupations, table.pointings, strict=True)]
-    turned = table.column(("round",)) is not None and _is_turned(table, occupations, rounds, readings[:, 1], sigma)
-    keys = rounds if turned else occupations
-    distinct = list(dict.fromkeys(keys))
+    printed = table.pointings
+    occupations: Sequence[Key]
+    occupations, of_occupation = codes(zip(printed.station, _occupations(table), strict=True))
+    distinct, code = occupations, of_occupation
+    turned = False
+    if table.column(("round",)) is not None:
+        by_round, of_round = codes(zip(of_occupation.tolist(), printed.round, strict=True))
+        turned = _is_turned(table, of_occupation, of_round, readings[:, 1], sigma)
+        if turned:
+            distinct, code = [(*occupations[i], name) for i, name in by_round], of_round
     marks = {station for station, *_ in distinct}
     if len(distinct) == len(marks):
         return set(), []
-    names: dict[tuple[str, ...], str] = {}
-    for key in distinct:
-        names[key] = numbered(key[0], sum(station == key[0] for station, *_ in names))
-    table.marks = {name: key[0] for key, name in names.items()}
-    table.pointings = [replace(p, station=names[key]) for p, key in zip(table.pointings, keys, strict=True)]
-    stays = list(dict.fromkeys(occupations))
+    before: Counter[str] = Counter()
+    names: list[str] = []
+    for station, *_ in distinct:
+        names.append(numbered(station, before[station]))
+        before[station] += 1
+    table.marks = {name: key[0] for key, name in zip(distinct, names, strict=True)}
+    printed.station = [names[i] for i in code.tolist()]
     notes = []
-    if len(stays) > len(marks):
+    if len(occupations) > len(marks):
         by = "set-up" if table.column(("instrument_setup",)) is not None else "day"
-        notes.append(f"{len(stays)} occupations of {len(marks)} marks, by {by}, are set-ups of their own")
+        notes.append(f"{len(occupations)} occupations of {len(marks)} marks, by {by}, are set-ups of their own")
     if turned:
-        of = f" of {len(stays)} occupations" if len(stays) > len(marks) else ""
+        of = f" of {len(occupations)} occupations" if len(occupations) > len(marks) else ""
         notes.append(
             f"the circle was turned between rounds: {len(names)} rounds{of} are set-ups of their own over their marks"
         )
-    return (
-        {name for key, name in names.items() if [k[:2] for k in names].count(key[:2]) > 1} if turned else set()
-    ), notes
+    rounds = Counter(key[:2] for key in distinct)
+    return {n for key, n in zip(distinct, names, strict=True) if rounds[key[:2]] > 1} if turned else set(), notes
 
 
-def _occupation(table: PointingTable, one: Printed) -> str:
-    """Which occupation of its mark a pointing belongs to."""
-    column = table.column(("instrument_setup",))
+def _occupations(table: PointingTable) -> list[str]:
+    """Occupation of its mark that each pointing belongs to."""
+    printed, column = table.pointings, table.column(("instrument_setup",))
     if column is not None:
-        return one.further.get(column.title, "")
-    return one.moment if table.column(("date",)) is not None and not cells.has_clock(one.moment) else ""
+        return printed.further.get(column.title) or [""] * len(printed)
+    if table.column(("date",)) is None:
+        return [""] * len(printed)
+    days = {moment: "" if cells.has_clock(moment) else moment for moment in {*printed.moment}}
+    return [days[moment] for moment in printed.moment]
 
 
-def _is_turned(
-    table: PointingTable, occupations: Sequence[Key], rounds: Sequence[Key], azimuth: Floats, sigma: Floats
-) -> bool:
+def _is_turned(table: PointingTable, of_occupation: Ints, of_round: Ints, azimuth: Floats, sigma: Floats) -> bool:
     """Whether the directions of a round differ from the first ones to the same targets in its occupation.
 
     By their median, so that no single wrong reading turns a circle; by more than `TURNED`, or than the noise that the
     table states makes likely.
     """
-    first: dict[tuple[object, ...], tuple[Key, float, float]] = {}
-    gaps: dict[Key, list[tuple[float, float]]] = {}
-    for p, stay, key, turn, noise in zip(
-        table.pointings, occupations, rounds, azimuth.tolist(), sigma.tolist(), strict=True
-    ):
-        other, before, before_noise = first.setdefault((stay, p.target, p.face), (key, turn, noise))
+    printed = table.pointings
+    first: dict[tuple[object, ...], tuple[int, float, float]] = {}
+    gaps: dict[int, list[tuple[float, float]]] = {}
+    numbers = (of_occupation.tolist(), of_round.tolist(), azimuth.tolist(), sigma.tolist())
+    for target, face, stay, key, turn, noise in zip(printed.target, printed.face, *numbers, strict=True):
+        other, before, before_noise = first.setdefault((stay, target, face), (key, turn, noise))
         if other != key and np.isfinite(turn - before):
             gap = float(np.remainder(turn - before + np.pi, 2 * np.pi) - np.pi)
             gaps.setdefault(key, []).append((gap, np.hypot(noise, before_noise)))
-    for of_round in gaps.values():
-        gap, noise = np.median(np.array(of_round), axis=0).tolist()
+    for pairs in gaps.values():
+        gap, noise = np.median(np.array(pairs), axis=0).tolist()
         if abs(gap) > min(TURNED, TURNED if np.isnan(noise) else BEYOND_NOISE * noise):
             return True
     return False
@@ -161,11 +168,12 @@ def over_marks(
     place.
     """
     heights = table.column(("instrument_height_mm",)) is not None
-    targets = {p.target for p in table.pointings}
-    names = dict.fromkeys(p.station for p in table.pointings)
+    targets = {*table.pointings.target}
+    names = dict.fromkeys(table.pointings.station)
     marks = {name: table.marks.get(name, name) for name in names}
+    over_mark = Counter(marks.values())
     if heights or (levelled and _closes(table, readings)):
-        shared = {mark for mark in marks.values() if mark in targets or list(marks.values()).count(mark) > 1}
+        shared = {mark for mark in marks.values() if mark in targets or over_mark[mark] > 1}
     else:
         shared = {marks[name] for name in rounds}
     level = EXACT_LEVEL_ARCSEC if heights else Station().levelling_sigma_arcsec
@@ -195,8 +203,8 @@ def _closes(table: PointingTable, readings: Floats) -> bool:
     level = readings[:, 0] * np.cos(np.nan_to_num(readings[:, 2]))
     rises = readings[:, 0] * np.sin(readings[:, 2]) + level**2 / (2.0 * EARTH)
     lines: dict[tuple[str, str], list[tuple[float, float]]] = {}
-    for p, length, rise in zip(table.pointings, level.tolist(), rises.tolist(), strict=True):
-        lines.setdefault((table.marks.get(p.station, p.station), p.target), []).append((length, rise))
+    for line, length, rise in zip(_lines(table), level.tolist(), rises.tolist(), strict=True):
+        lines.setdefault(line, []).append((length, rise))
     mean = {line: np.mean(both, axis=0) for line, both in lines.items()}
     misses = [mean[a, b] - mean[b, a] * [1.0, -1.0] for a, b in lines if a < b and (b, a) in lines]
     if not misses:
@@ -206,31 +214,42 @@ def _closes(table: PointingTable, readings: Floats) -> bool:
     return float(np.median(length)) < CLOSES_M and (not len(heights) or float(np.median(heights)) < CLOSES_M)
 
 
-def occupied(table: PointingTable, one: Printed) -> dict[str, str]:
-    """Which occupations of marks a pointing joins, where no column says so: those of one day, in one role."""
-    day = one.moment if table.column(("time",)) is None else ""
-    mark = table.marks.get(one.station, one.station)
-    return dict(zip(OCCUPATION_COLUMNS, (f"{mark} {day}".strip(), f"to {one.target} {day}".strip()), strict=True))
+def _lines(table: PointingTable) -> Iterator[tuple[str, str]]:
+    """Mark and target of each pointing."""
+    return zip(table.mark, table.pointings.target, strict=True)
+
+
+def occupied(table: PointingTable) -> dict[str, list[str]]:
+    """Occupations of marks that each pointing joins, where no column says so: those of one day, in one role."""
+    printed = table.pointings
+    days = printed.moment if table.column(("time",)) is None else [""] * len(printed)
+    setups = [f"{mark} {day}".strip() for mark, day in zip(table.mark, days, strict=True)]
+    targets = [f"to {target} {day}".strip() for target, day in zip(printed.target, days, strict=True)]
+    return dict(zip(OCCUPATION_COLUMNS, (setups, targets), strict=True))
 
 
 def heights_not_applied(table: PointingTable, readings: Floats, height: Floats) -> list[str]:
-    """What is said where the readings are those between the heads themselves, whatever heights stand beside them.
+    """Note for readings that are those between the heads themselves, whatever heights stand beside them.
 
     Lines measured to and fro decide: their height differences cancel with the stated heights (n, 2) [m] of instrument
     and target, or without them.
     """
+    stated = np.nan_to_num(height)
+    if not stated.any():
+        return []
     lines: dict[tuple[str, str], list[tuple[float, float]]] = {}
     rise = readings[:, 0] * np.sin(readings[:, 2])
-    for p, up, (own, other) in zip(table.pointings, rise, np.nan_to_num(height), strict=True):
-        if np.isfinite(up):
-            lines.setdefault((table.marks.get(p.station, p.station), p.target), []).append((up, up + own - other))
+    with_heights = rise + stated[:, 0] - stated[:, 1]
+    for line, up, other in zip(_lines(table), rise.tolist(), with_heights.tolist(), strict=True):
+        if up == up:
+            lines.setdefault(line, []).append((up, other))
     mean = {line: np.mean(found, axis=0) for line, found in lines.items()}
     misses = np.abs([mean[a, b] + mean[b, a] for a, b in mean if a < b and (b, a) in mean]).reshape(-1, 2)
     if len(misses) < LEAST_LINES:
         return []
     for kind in (np.median, np.max):
-        without, stated = kind(misses, axis=0)
-        if not without < CLEARLY * stated:
+        without, applied = kind(misses, axis=0)
+        if not without < CLEARLY * applied:
             return []
     names = " and ".join(f"'{shown(c.title)}'" for c in table.columns if c.role in HEIGHTS)
     return [

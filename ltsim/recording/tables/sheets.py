@@ -1,11 +1,15 @@
 """From a file to rows of text: encoding, separator, quotes, comments, sheets of a workbook."""
 
+from __future__ import annotations
+
 import csv
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import accumulate, chain, starmap
 from pathlib import Path
+from typing import NamedTuple, overload
 
 from ltsim.errors import RecordError
 from ltsim.limits import FIELDS
@@ -16,11 +20,11 @@ from ltsim.recording.tables.workbook import workbook_cells
 SUFFIXES = (".csv", ".tsv", ".txt", ".dat", ".asc", ".xlsx")
 WORKBOOK = b"PK\x03\x04"
 SEPARATORS = ("\t", ";", ",", " ")
-SAMPLE = 400
+SAMPLE, SAMPLE_CHARACTERS = 400, 100_000
+"""Lines, and characters of them, that decide on the separator."""
 
 
-@dataclass(frozen=True, slots=True)
-class Row:
+class Row(NamedTuple):
     """Fields of one line; a line that begins with # is a comment."""
 
     line: int
@@ -45,6 +49,42 @@ class Row:
         return shown(" ".join(field for field in self.fields if field), 30)
 
 
+class TextRows(Sequence[Row]):
+    """Rows of a text file, split into fields whenever one is asked for: as text they take a fifth of the memory."""
+
+    def __init__(self, lines: Sequence[tuple[int, str]], separator: str) -> None:
+        self._lines, self._separator = lines, separator
+
+    def __len__(self) -> int:
+        return len(self._lines)
+
+    @overload
+    def __getitem__(self, place: int) -> Row: ...
+
+    @overload
+    def __getitem__(self, place: slice) -> TextRows: ...
+
+    def __getitem__(self, place: int | slice) -> Row | TextRows:
+        if isinstance(place, slice):
+            return TextRows(self._lines[place], self._separator)
+        return self._row(*self._lines[place])
+
+    def __iter__(self) -> Iterator[Row]:
+        return starmap(self._row, self._lines)
+
+    def _row(self, number: int, line: str) -> Row:
+        if line.lstrip().startswith("#"):
+            return Row(number, _split(line.lstrip().lstrip("#"), self._separator), comment=True)
+        return Row(number, _split(line, self._separator))
+
+    @property
+    def mixed(self) -> TextRows:
+        """Those that may hold a field with both a comma and a point."""
+        whole = self._separator == ","  # fields then hold commas in quotes alone
+        mixed = [one for one in self._lines if "," in one[1] and "." in one[1] and ('"' in one[1] or not whole)]
+        return TextRows(mixed, self._separator)
+
+
 @dataclass(frozen=True)
 class Sheet:
     """Rows of a text file or of one sheet of a workbook; blank lines are left out.
@@ -53,14 +93,15 @@ class Sheet:
     """
 
     file: Path
-    rows: tuple[Row, ...]
+    rows: Sequence[Row]
     station: str = ""
     open_end: bool = False
 
     @cached_property
     def grouping(self) -> str:
         """The mark that groups the thousands of its numbers; raises RecordError where there are two."""
-        return grouping_of((row.fields for row in self.rows), self.file)
+        rows = self.rows.mixed if isinstance(self.rows, TextRows) else self.rows
+        return grouping_of((row.fields for row in rows), self.file)
 
     def check_whole(self, width: int, *, strict: bool = False) -> None:
         """Raise RecordError where the last line has no line break and does not end as the one before it does.
@@ -70,7 +111,8 @@ class Sheet:
         if not self.open_end:
             return
         row = self.rows[-1]
-        before = next((p for p in reversed(self.rows[:-1]) if len(p.fields) == width), None)
+        earlier = map(self.rows.__getitem__, range(len(self.rows) - 2, -1, -1))
+        before = next((one for one in earlier if len(one.fields) == width), None)
         ends = [len(r.fields[-1].replace(",", ".").partition(".")[2]) for r in (row, before) if r is not None]
         if strict or len(row.fields) != width or (len(ends) == 2 and ends[0] < ends[1]):
             raise FilePlace(self.file, row.line).wrong("the file ends inside this row: it was cut")
@@ -105,20 +147,26 @@ def sheets_of(path: Path) -> list[Sheet]:
 def text_sheet(file: Path) -> Sheet:
     """A text file as a sheet; raises RecordError."""
     lines = read_lines(file, liberal=True)
-    return Sheet(file, tuple(_rows(lines, file)), file.stem, open_end=bool(lines[-1]))
+    return Sheet(file, _rows(lines, file), file.stem, open_end=bool(lines[-1]))
 
 
-def _rows(lines: Sequence[str], file: Path) -> Iterator[Row]:
+def _rows(lines: Sequence[str], file: Path) -> TextRows:
+    """The lines that hold something; raises RecordError for one of too many fields."""
     separator = _separator_of(lines)
+    held = []
     for i, line in enumerate(lines):
-        comment = line.lstrip().startswith("#")
-        text = line.lstrip().lstrip("#") if comment else line
         says_separator = len(line) == 5 and line.lower().startswith("sep=")  # exports of some spreadsheets
-        if text.strip() and not says_separator:
-            fields = _split(text, separator)
-            if len(fields) > FIELDS:
-                raise FilePlace(file, i + 1).wrong(f"{len(fields)} fields, expected at most {FIELDS}")
-            yield Row(i + 1, fields, comment)
+        if line.strip().lstrip("#").strip() and not says_separator:
+            if len(line) >= FIELDS:
+                _check_fields(_split(line, separator), i + 1, file)
+            held.append((i + 1, line))
+    return TextRows(held, separator)
+
+
+def _check_fields(fields: Sequence[str], line: int, file: Path) -> None:
+    """Raise RecordError for a row of more columns than a table has."""
+    if len(fields) > FIELDS:
+        raise FilePlace(file, line).wrong(f"{len(fields)} fields, expected at most {FIELDS}")
 
 
 def rows_of_head(head: str) -> list[Row]:
@@ -133,7 +181,8 @@ def _separator_of(lines: Sequence[str]) -> str:
 
     Lines of three columns count before those of two, and those before the mere number of columns.
     """
-    sample = [line for line in lines[:SAMPLE] if line.strip() and not line.lstrip().startswith("#")]
+    first = zip(lines[:SAMPLE], accumulate(map(len, lines[:SAMPLE]), initial=0), strict=False)
+    sample = [line for line, before in first if before < SAMPLE_CHARACTERS and line.strip() and line.lstrip()[0] != "#"]
     if sample and all(line.count("\t") == sample[0].count("\t") > 2 for line in sample):
         return "\t"
     width = {s: max((len(_split(line, s)) for line in sample[:1]), default=0) for s in SEPARATORS[:3]}
@@ -160,7 +209,7 @@ def _split(line: str, separator: str) -> tuple[str, ...]:
             return tuple(field.strip() for field in fields)
         except csv.Error:
             pass  # an inch or second sign, no quotes
-    return tuple(field.strip() for field in line.split(separator))
+    return tuple(map(str.strip, line.split(separator)))
 
 
 def table_rows(path: Path) -> tuple[list[str], list[tuple[int, dict[str, str]]]]:
@@ -182,11 +231,10 @@ def table_rows(path: Path) -> tuple[list[str], list[tuple[int, dict[str, str]]]]
 
 def _workbook(file: Path) -> list[Sheet]:
     """Sheets of a workbook (xlsx) that hold something, each named; raises RecordError."""
-    return [
-        Sheet(file, rows, name)
-        for name, cells in workbook_cells(file)
-        if (rows := tuple(_row(*line) for line in cells))
-    ]
+    sheets = [Sheet(file, tuple(_row(*line) for line in cells), name) for name, cells in workbook_cells(file)]
+    for row in chain.from_iterable(sheet.rows for sheet in sheets):
+        _check_fields(row.fields, row.line, file)
+    return [sheet for sheet in sheets if sheet.rows]
 
 
 def _row(line: int, fields: Sequence[str]) -> Row:

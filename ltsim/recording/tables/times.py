@@ -5,7 +5,7 @@ from dataclasses import replace
 from ltsim.recording.conventions import Hints
 from ltsim.recording.files import shown
 from ltsim.recording.tables import cells
-from ltsim.recording.tables.rows import PointingTable
+from ltsim.recording.tables.printed import PointingTable, as_digits, as_floats
 from ltsim.units import FACTOR
 
 
@@ -13,19 +13,15 @@ def with_clock(table: PointingTable) -> PointingTable:
     """The table; where no header names a time, the first further column of clocks is its time."""
     if table.column(("time",)) is not None:
         return table
+    printed = table.pointings
     for column in table.columns:
-        texts = [text for p in table.pointings if (text := p.further.get(column.title))]
-        if not column.is_further or column.role or not texts or not all(map(cells.has_clock, texts)):
+        texts = printed.further.get(column.title, [])
+        filled = [text for text in texts if text]
+        if not column.is_further or column.role or not filled or not all(map(cells.has_clock, filled)):
             continue
         title = column.title
-        table.pointings = [
-            replace(
-                p,
-                moment=" ".join(filter(None, (p.moment, p.further.get(title, "")))),
-                further={name: text for name, text in p.further.items() if name != title},
-            )
-            for p in table.pointings
-        ]
+        printed.moment = [" ".join(filter(None, both)) for both in zip(printed.moment, texts, strict=True)]
+        printed.further = {name: one for name, one in printed.further.items() if name != title}
         table.columns = [replace(c, role="time", unit="") if c is column else c for c in table.columns]
         table.notes.append(f"'{shown(title)}' taken as the time of each pointing: its cells are clocks")
         break
@@ -35,13 +31,15 @@ def with_clock(table: PointingTable) -> PointingTable:
 def times_of(table: PointingTable, hints: Hints) -> tuple[list[float], str, list[str]]:
     """Time [s] of each pointing, the moment of 0 where it is known, and notes; NaN where times cannot be read."""
     column = table.column(("time",)) or table.column(("date",))
-    texts = [p.moment for p in table.pointings]
+    texts = table.pointings.moment
     nothing = [float("nan")] * len(texts)
     if column is None or not any(texts):
         return nothing, "", []
     by_rows = "the order of the rows is taken as time"
     if not all(texts):
         return nothing, "", [f"column '{shown(column.title)}' is empty in places: {by_rows}"]
+    if cells.are_numbers(texts):
+        return (as_floats(as_digits(texts)) * FACTOR[column.unit or "s"]).tolist(), "", []
     numbers = [cells.number(text) for text in texts]
     if all(number is not None for number in numbers):
         factor = FACTOR[column.unit or "s"]
@@ -49,7 +47,7 @@ def times_of(table: PointingTable, hints: Hints) -> tuple[list[float], str, list
     found, start = cells.moments(texts, hints.date)
     if found is None and start:
         message = f"'{shown(texts[0])}' may be day and month or month and day; say which: --hint date=dmy or date=mdy"
-        raise table.pointings[0].where.wrong(message, shown(column.title))
+        raise table.pointings.place(0).wrong(message, shown(column.title))
     if found is None:
         unknown = f"column '{shown(column.title)}' holds no time that is known here ('{shown(texts[0])}')"
         return nothing, "", [f"{unknown}: {by_rows}"]
