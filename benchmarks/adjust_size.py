@@ -20,12 +20,12 @@ from pathlib import Path
 import numpy as np
 
 from ltsim.adjustment import adjust
+from ltsim.core.randomness import stream
 from ltsim.geometry.rotations import about_z
-from ltsim.model.construction import construction
-from ltsim.model.measurement import MeasurementModel, State
-from ltsim.randomness import stream
-from ltsim.recording.recording import Recording
-from ltsim.recording.setup import Setup
+from ltsim.physics.model.construction import construction
+from ltsim.physics.model.measurement import MeasurementModel, State
+from ltsim.recordings.recording import Recording
+from ltsim.recordings.setup import Setup
 
 Case = tuple[str, int, int, int, str]
 CASES: tuple[Case, ...] = (

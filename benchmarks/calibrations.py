@@ -33,7 +33,7 @@ from benchmarks.peers import (
     scipy_differences,
 )
 from ltsim.adjustment import adjust
-from ltsim.arrays import Floats
+from ltsim.adjustment.evaluation.clouds import on_points
 from ltsim.campaigns.distance import BatchDistance
 from ltsim.campaigns.engine import Engine, recording_of
 from ltsim.campaigns.judge import Judge
@@ -41,9 +41,9 @@ from ltsim.campaigns.rows import ShardTask, run_task, shard_rows
 from ltsim.campaigns.spec import Campaign
 from ltsim.campaigns.store import Store
 from ltsim.campaigns.truth import BLOCK, Block
-from ltsim.evaluation.clouds import on_points
-from ltsim.model.construction import misalignment
-from ltsim.notation import aligned
+from ltsim.core.arrays import Floats
+from ltsim.core.notation import aligned
+from ltsim.physics.model.construction import misalignment
 from ltsim.simulation.scenario import load_scenario
 
 SEED = 11

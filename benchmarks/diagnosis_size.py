@@ -22,13 +22,13 @@ import numpy as np
 
 import ltsim as lt
 from benchmarks.adjust_size import network
+from ltsim.core.randomness import stream
+from ltsim.core.units import MICRORADIAN
 from ltsim.geometry.rotations import about_z
-from ltsim.model.construction import construction
-from ltsim.model.measurement import MeasurementModel, State
-from ltsim.randomness import stream
-from ltsim.recording.recording import Recording
-from ltsim.recording.setup import Setup, Station
-from ltsim.units import MICRORADIAN
+from ltsim.physics.model.construction import construction
+from ltsim.physics.model.measurement import MeasurementModel, State
+from ltsim.recordings.recording import Recording
+from ltsim.recordings.setup import Setup, Station
 
 CASES: tuple[tuple[str, int], ...] = (*(("station", n) for n in (1_000, 3_000, 10_000, 20_000)), ("ring", 3_340))
 TARGETS, COLUMNS = 24, 6

@@ -21,10 +21,10 @@ from multiprocessing.synchronize import Barrier
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from ltsim.core.randomness import stream
 from ltsim.planning.loading import load_plan
 from ltsim.planning.search import LayoutSearcher
 from ltsim.planning.workshop import objective_of, site_of
-from ltsim.randomness import stream
 
 PROCESSES, BATCH, SECONDS, REPEATS = 2, 64, 4.0, 3
 Rate = tuple[int, float, float]

@@ -9,11 +9,11 @@ import numpy as np
 from ltsim.campaigns.truth import CellTruth, truth_of
 from ltsim.geometry.polar import to_face, to_polar
 from ltsim.geometry.rotations import about_z
-from ltsim.model.construction import misalignment
-from ltsim.model.measurement import State, sightings_of
-from ltsim.recording.lengths import KnownLengths
-from ltsim.recording.recording import Recording
-from ltsim.recording.setup import Gauge, GaugeDistance, Setup
+from ltsim.physics.model.construction import misalignment
+from ltsim.physics.model.measurement import State, sightings_of
+from ltsim.recordings.lengths import KnownLengths
+from ltsim.recordings.recording import Recording
+from ltsim.recordings.setup import Gauge, GaugeDistance, Setup
 from ltsim.simulation.draws import TrialDraws
 from ltsim.simulation.scenario import load_scenario
 

@@ -17,12 +17,12 @@ from scipy.optimize import least_squares
 
 from ltsim.adjustment.prior import prior_sigmas
 from ltsim.adjustment.rows import GaugeRows
-from ltsim.arrays import Floats
+from ltsim.core.arrays import Floats
 from ltsim.geometry.polar import wrap
 from ltsim.geometry.rotations import cross_matrix, from_rotation_vector
-from ltsim.model.construction import Construction
-from ltsim.model.measurement import State
-from ltsim.recording.recording import Recording
+from ltsim.physics.model.construction import Construction
+from ltsim.physics.model.measurement import State
+from ltsim.recordings.recording import Recording
 
 TOLERANCE = 1e-8
 """The loosest at which all end within 0.001 sigma of the optimum."""

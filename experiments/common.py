@@ -21,7 +21,7 @@ from ltsim.campaigns import spec
 from ltsim.campaigns.paired import Paired
 from ltsim.campaigns.results import Results
 from ltsim.campaigns.spec import Campaign, Cell, load_campaign
-from ltsim.pages.style import svg
+from ltsim.reports.style import svg
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "results"

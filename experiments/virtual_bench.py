@@ -14,12 +14,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ltsim.arrays import Floats
-from ltsim.effects.smr_incidence import PAPER_TABLE, TABLE_ANGLES
-from ltsim.errors import SetupError
-from ltsim.evaluation.bench import BenchRecord, along_beam
-from ltsim.randomness import stream
-from ltsim.units import DEGREE, MICROMETRE
+from ltsim.adjustment.evaluation.bench import BenchRecord, along_beam
+from ltsim.core.arrays import Floats
+from ltsim.core.errors import SetupError
+from ltsim.core.randomness import stream
+from ltsim.core.units import DEGREE, MICROMETRE
+from ltsim.physics.effects.smr_incidence import PAPER_TABLE, TABLE_ANGLES
 
 FULL_TURN = np.arange(0.0, 360.0, 7.5) * DEGREE
 PROBE = 90.0 * DEGREE

@@ -1,17 +1,19 @@
 """Simulate, calibrate, plan and diagnose laser-tracker networks.
 
 The front door: `import ltsim as lt`, then `lt.read`, `lt.simulate`, `lt.calibrate`, `lt.diagnose` and the other names
-of `__all__`, each loaded from its package when it is first used. `lt.effects` is the room of the physical effects.
+of `__all__`, each loaded from its package when it is first used. `lt.effects` is the package of the physical effects.
 """
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from ltsim.drawing import drawn_by
+from ltsim.core.drawing import drawn_by
 
 if TYPE_CHECKING:
-    from ltsim import effects as effects, errors as errors
     from ltsim.acceptance.verbs import accept as accept
+    from ltsim.adjustment.evaluation.bench import bench as bench
+    from ltsim.adjustment.fieldcheck.check import check as check
+    from ltsim.api import convert as convert, read as read, write as write
     from ltsim.calibration.correct import correct as correct
     from ltsim.calibration.network import adjust as adjust
     from ltsim.calibration.verbs import (
@@ -20,29 +22,28 @@ if TYPE_CHECKING:
         history as history,
         verify as verify,
     )
+    from ltsim.campaigns.injection import inject as inject, injection_curve as injection_curve
     from ltsim.campaigns.judging import judge as judge
     from ltsim.campaigns.recovery import recover as recover
     from ltsim.campaigns.recovery_checks import recovery_checks as recovery_checks
     from ltsim.campaigns.verbs import campaign as campaign
+    from ltsim.core import errors as errors
     from ltsim.diagnosis.verbs import diagnose as diagnose
-    from ltsim.effects.verbs import Effect as Effect, add_effect as add_effect, catalogue as catalogue
-    from ltsim.evaluation.bench import bench as bench
-    from ltsim.fieldcheck.check import check as check
-    from ltsim.files import convert as convert, read as read, write as write
-    from ltsim.injection import inject as inject, injection_curve as injection_curve
-    from ltsim.pages.verbs import report as report, view as view
+    from ltsim.measurands.verbs import compare as compare, uncertainty as uncertainty
+    from ltsim.physics import effects as effects
+    from ltsim.physics.effects.verbs import Effect as Effect, add_effect as add_effect, catalogue as catalogue
     from ltsim.planning.verbs import (
         next_measurement as next_measurement,
         plan as plan,
         without_station as without_station,
     )
+    from ltsim.reports.verbs import report as report, view as view
     from ltsim.simulation.verbs import scenario as scenario, simulate as simulate
-    from ltsim.tasks.verbs import compare as compare, uncertainty as uncertainty
 
     __version__: str
 
-_ROOMS = {
-    "files": ("read", "write", "convert"),
+_MODULES = {
+    "api": ("read", "write", "convert"),
     "simulation.verbs": ("scenario", "simulate"),
     "calibration.correct": ("correct",),
     "calibration.network": ("adjust",),
@@ -52,29 +53,31 @@ _ROOMS = {
     "campaigns.judging": ("judge",),
     "campaigns.recovery": ("recover",),
     "campaigns.recovery_checks": ("recovery_checks",),
-    "injection": ("inject", "injection_curve"),
+    "campaigns.injection": ("inject", "injection_curve"),
     "planning.verbs": ("plan", "next_measurement", "without_station"),
-    "pages.verbs": ("view", "report"),
-    "effects.verbs": ("Effect", "add_effect", "catalogue"),
-    "tasks.verbs": ("compare", "uncertainty"),
+    "reports.verbs": ("view", "report"),
+    "physics.effects.verbs": ("Effect", "add_effect", "catalogue"),
+    "measurands.verbs": ("compare", "uncertainty"),
     "acceptance.verbs": ("accept",),
-    "evaluation.bench": ("bench",),
-    "fieldcheck.check": ("check",),
+    "adjustment.evaluation.bench": ("bench",),
+    "adjustment.fieldcheck.check": ("check",),
 }
 """The module that holds each public function."""
-_HOME = {name: room for room, names in _ROOMS.items() for name in names}
+_HOME = {name: module for module, names in _MODULES.items() for name in names}
+
+_PACKAGES = {"effects": "ltsim.physics.effects", "errors": "ltsim.core.errors"}
 
 __all__ = sorted([*_HOME, "effects", "errors"])
 
 
-drawn_by(lambda module: import_module(f"ltsim.pages.{module}"))
+drawn_by(lambda module: import_module(f"ltsim.reports.{module}"))
 
 
 def _load(name: str) -> Any:
     if name in _HOME:
         return getattr(import_module(f"ltsim.{_HOME[name]}"), name)
-    if name in ("effects", "errors"):
-        return import_module(f"ltsim.{name}")
+    if name in _PACKAGES:
+        return import_module(_PACKAGES[name])
     if name == "__version__":
         from importlib.metadata import version
 

@@ -6,15 +6,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ltsim.arrays import Floats
-from ltsim.effects.effect import Effect
-from ltsim.evaluation.clouds import ShareRemoved, cloud_error, measured_points, on_points
+from ltsim.adjustment.evaluation.clouds import ShareRemoved, cloud_error, measured_points, on_points
+from ltsim.core.arrays import Floats
+from ltsim.core.randomness import stream
 from ltsim.geometry.rotations import about_z
-from ltsim.model.construction import Construction, misalignment
-from ltsim.model.measurement import MeasurementModel, State
-from ltsim.randomness import stream
-from ltsim.recording.recording import Recording
-from ltsim.recording.setup import Gauge, GaugeDistance, Setup, Target
+from ltsim.physics.effects.effect import Effect
+from ltsim.physics.model.construction import Construction, misalignment
+from ltsim.physics.model.measurement import MeasurementModel, State
+from ltsim.recordings.recording import Recording
+from ltsim.recordings.setup import Gauge, GaugeDistance, Setup, Target
 
 STATIONS = np.array([[3.0, 3.0, 1.9], [4.6, 1.9, 2.0], [1.9, 4.6, 2.1], [5.3, 4.4, 1.95], [3.9, 5.5, 2.05]])
 YAWS = np.radians([0.0, 75.0, 160.0, 230.0, 310.0])

@@ -71,5 +71,6 @@ def test_obstacles_hide_without_embree_what_they_hide_with_it(plain_install):
 
 
 def test_pictures_do_without_the_packages_of_campaigns() -> None:
-    without = "import sys; sys.modules.update(dict.fromkeys(('duckdb', 'numba', 'pyarrow'))); import ltsim.pages.plots"
+    missing = "import sys; sys.modules.update(dict.fromkeys(('duckdb', 'numba', 'pyarrow')))"
+    without = f"{missing}; import ltsim.reports.plots"
     subprocess.run([sys.executable, "-c", without], check=True)

@@ -14,8 +14,8 @@ import pytest
 
 import ltsim as lt
 from ltsim.cli.main import run
-from ltsim.errors import LtsimError, ModelError, RecordError, SetupError
-from ltsim.results import MOST_SHOWN, Result
+from ltsim.core.errors import LtsimError, ModelError, RecordError, SetupError
+from ltsim.core.results import MOST_SHOWN, Result
 
 SMALL_PLAN = """
 format = "ltsim-plan/1"
@@ -73,7 +73,7 @@ def results(recording) -> list[Result]:
 
 
 def test_the_package_itself_loads_nothing_heavy():
-    loaded = "import sys, ltsim, ltsim.errors; dir(ltsim); ltsim.__version__; print(*sys.modules)"
+    loaded = "import sys, ltsim, ltsim.core.errors; dir(ltsim); ltsim.__version__; print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", loaded], capture_output=True, text=True, check=True)
     assert not {"numpy", "scipy", "pydantic", "typer"} & set(done.stdout.split())
 

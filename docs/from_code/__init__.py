@@ -13,8 +13,8 @@ from sphinx.util.docutils import SphinxDirective
 
 from from_code import attributes, catalogue, command_line, drawn, gallery, keys, mathml, python_names, results
 from from_code.pictures import Pictures
-from ltsim.recording import FORMATS
-from ltsim.recording.specification import figures, sheet_names
+from ltsim.recordings import FORMATS
+from ltsim.recordings.specification import figures, sheet_names
 
 
 def formats() -> str:

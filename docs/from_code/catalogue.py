@@ -10,13 +10,13 @@ from from_code.keys import markdown
 from from_code.pictures import Pictures
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.arrays import Floats
-from ltsim.effects import CATALOGUE, Effect, ShapeParameter, card_of
-from ltsim.pages.style import BLUE, INK, ORANGE, legend_of, new_figure, quiet_axis, styled, svg, svg_uri
+from ltsim.core.arrays import Floats
+from ltsim.core.units import DEGREE, FACTOR, MICROMETRE
+from ltsim.physics.effects import CATALOGUE, Effect, ShapeParameter, card_of
+from ltsim.reports.style import BLUE, INK, ORANGE, legend_of, new_figure, quiet_axis, styled, svg, svg_uri
 from ltsim.scene.sightings import Sightings
 from ltsim.simulation.scenario import load_scenario
 from ltsim.simulation.simulator import simulate
-from ltsim.units import DEGREE, FACTOR, MICROMETRE
 
 AXES = {
     "azimuth": ("azimuth [°]", lambda s: s.azimuth / DEGREE),

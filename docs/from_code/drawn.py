@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 
 import ltsim as lt
 from from_code.pictures import Pictures
-from ltsim.pages import scene3d
-from ltsim.pages.style import svg, svg_uri
+from ltsim.reports import scene3d
+from ltsim.reports.style import svg, svg_uri
 
 HOW_TO = Path(__file__).resolve().parents[1] / "how-to"
 """Where the files lie that the how-tos have for download."""

@@ -8,7 +8,7 @@ from tempfile import TemporaryDirectory
 
 from from_code.pictures import Pictures
 from from_code.shell import commands, execute
-from ltsim.pages.page import document
+from ltsim.reports.page import document
 
 
 @cache

@@ -6,7 +6,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from ltsim.units import unit_of_key
+from ltsim.core.units import unit_of_key
 
 HUGE = 1e8
 """Bounds beyond it only keep nonsense out."""

@@ -6,7 +6,7 @@ from importlib import import_module
 from pkgutil import walk_packages
 
 import ltsim
-from ltsim.results import Column, Result, Table
+from ltsim.core.results import Column, Result, Table
 
 
 def names() -> str:

@@ -5,8 +5,8 @@ from pathlib import Path
 from sphinx.application import Sphinx
 
 from from_code.keys import about, json_place, markdown, sections, unit
-from ltsim.pages import schemas
-from ltsim.results import Table
+from ltsim.core.results import Table
+from ltsim.reports import schemas
 from ltsim.simulation.truth import TruthFile
 
 

@@ -6,21 +6,21 @@ import numpy as np
 import pandas as pd
 
 from experiments.common import Made, Options, cells_of, summary, write_figure, write_table
-from ltsim.arrays import Floats
-from ltsim.campaigns.rows import Prepared, TrialBlock
-from ltsim.campaigns.spec import Campaign, Cell
-from ltsim.evaluation.clouds import in_first_frame, on_points
-from ltsim.evaluation.criteria import (
+from ltsim.adjustment.evaluation.clouds import in_first_frame, on_points
+from ltsim.adjustment.evaluation.criteria import (
     Differences,
     coordinate_differences,
     coordinate_errors,
     distance_differences,
     distance_errors,
 )
-from ltsim.pages.figures.campaign import PAPER, TrialDistribution, distributions
+from ltsim.campaigns.rows import Prepared, TrialBlock
+from ltsim.campaigns.spec import Campaign, Cell
+from ltsim.core.arrays import Floats
+from ltsim.core.units import MICROMETRE
+from ltsim.core.workers import parallel
+from ltsim.reports.figures.campaign import PAPER, TrialDistribution, distributions
 from ltsim.simulation.gauge import nominal_points
-from ltsim.units import MICROMETRE
-from ltsim.workers import parallel
 
 DRAWN = {
     "workshop": {"noise_factor": 2.8, "error_factor": 0.7, "prior_factor": 1.0},

@@ -1,7 +1,7 @@
 """The paper's method and the network adjustment on the same trials, judged by what only a simulation knows."""
 
 from experiments.common import ERROR, NEW_POINTS, Made, Options, campaign, write_figure, write_pairs
-from ltsim.pages.figures.campaign import by_factor, swept
+from ltsim.reports.figures.campaign import by_factor, swept
 
 AXIS = "stated prior over the true one"
 

@@ -7,19 +7,19 @@ import pandas as pd
 
 from experiments.common import ERROR, NEW_POINTS, Made, Options, cells_of, summary, write_figure, write_table
 from ltsim.adjustment import Adjustment, adjust
-from ltsim.arrays import Ints
+from ltsim.adjustment.evaluation.clouds import on_points
 from ltsim.campaigns.engine import Calibrated, recording_of
 from ltsim.campaigns.rows import Prepared, TrialBlock
 from ltsim.campaigns.spec import Campaign, Cell
 from ltsim.campaigns.truth import Block, CellTruth
-from ltsim.effects.effect import Effect
-from ltsim.evaluation.clouds import on_points
-from ltsim.model.construction import Construction, misalignment
-from ltsim.pages.figures.campaign import Swept, by_factor
-from ltsim.randomness import stream
-from ltsim.recording.recording import Recording
-from ltsim.units import MICROMETRE
-from ltsim.workers import parallel
+from ltsim.core.arrays import Ints
+from ltsim.core.randomness import stream
+from ltsim.core.units import MICROMETRE
+from ltsim.core.workers import parallel
+from ltsim.physics.effects.effect import Effect
+from ltsim.physics.model.construction import Construction, misalignment
+from ltsim.recordings.recording import Recording
+from ltsim.reports.figures.campaign import Swept, by_factor
 
 PERCENT = (0.0, 1.0, 2.0)
 SIZE = (100 * MICROMETRE, 500 * MICROMETRE)

@@ -9,13 +9,13 @@ from defusedxml.ElementTree import parse
 
 from experiments.common import RECORDINGS as DATA
 from ltsim.adjustment import Adjustment
-from ltsim.arrays import Floats
+from ltsim.core.arrays import Floats
+from ltsim.core.units import ARCSECOND
 from ltsim.geometry.polar import to_polar
-from ltsim.recording import Recording
-from ltsim.recording.formats.gama import LEFT_HANDED
-from ltsim.recording.recording import SIGMA_COLUMNS
-from ltsim.recording.setup import Instrument, Prior, Setup, Target
-from ltsim.units import ARCSECOND
+from ltsim.recordings import Recording
+from ltsim.recordings.formats.gama import LEFT_HANDED
+from ltsim.recordings.recording import SIGMA_COLUMNS
+from ltsim.recordings.setup import Instrument, Prior, Setup, Target
 
 GAMA = ("local_3d", "2020-barta-phase_0-1TK", "2019-prager")
 

@@ -18,16 +18,16 @@ from ltsim.adjustment import Adjustment, adjust
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.known import Choice
 from ltsim.calibration.network import calibrate_network
-from ltsim.effects import BASELINE
-from ltsim.errors import RecordError
+from ltsim.core.errors import RecordError
+from ltsim.core.randomness import stream
+from ltsim.core.units import ARCSECOND, MILLIMETRE
 from ltsim.geometry.polar import from_polar
 from ltsim.geometry.rotations import from_rotation_vector
-from ltsim.model.construction import ideal, misalignment
-from ltsim.model.measurement import MeasurementModel, State
-from ltsim.randomness import stream
-from ltsim.recording import Recording, read
-from ltsim.recording.recording import HEIGHT_COLUMNS, OBSERVABLES
-from ltsim.units import ARCSECOND, MILLIMETRE
+from ltsim.physics.effects import BASELINE
+from ltsim.physics.model.construction import ideal, misalignment
+from ltsim.physics.model.measurement import MeasurementModel, State
+from ltsim.recordings import Recording, read
+from ltsim.recordings.recording import HEIGHT_COLUMNS, OBSERVABLES
 
 from .published import DATA, GAMA, SCANNER_TRUTH, beside, gama_result, scanner, scanner_recording
 

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from experiments.common import ERROR, NEW_POINTS, Made, Options, campaign, write_figure, write_pairs
-from ltsim.pages.figures.campaign import FLOOR, by_factor, by_setting, swept
+from ltsim.reports.figures.campaign import FLOOR, by_factor, by_setting, swept
 
 
 def run(given: Options) -> Made:

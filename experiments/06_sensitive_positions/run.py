@@ -7,12 +7,12 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from experiments.common import ERROR, NEW_POINTS, Made, Options, Row, campaign, write_figure, write_pairs, write_table
-from ltsim.arrays import Floats
-from ltsim.model.construction import misalignment
-from ltsim.pages.figures.campaign import by_setting, swept
-from ltsim.pages.style import CYCLE, new_figure, quiet_axis, styled
+from ltsim.core.arrays import Floats
+from ltsim.core.units import DEGREE, MICROMETRE
+from ltsim.physics.model.construction import misalignment
+from ltsim.reports.figures.campaign import by_setting, swept
+from ltsim.reports.style import CYCLE, new_figure, quiet_axis, styled
 from ltsim.simulation.scenario import Scenario, load_scenario
-from ltsim.units import DEGREE, MICROMETRE
 
 DESIGNS = (
     (5900, 2000, 150), (2000,), (5900,), (5900, 150), (5900, 2000), (150, 2000), (4300, 3200, 1000),

@@ -6,12 +6,12 @@ import numpy as np
 
 from experiments.common import Made, Options, tell, write_figure, write_table
 from experiments.virtual_bench import MIDDLE, BenchTest, measure_bench, vertex_table
-from ltsim.arrays import Floats
-from ltsim.effects.smr_incidence import TABLE_ANGLES
-from ltsim.evaluation.bench import BenchResult, as_vertex, evaluate_bench
-from ltsim.pages.figures.campaign import Swept, by_factor
-from ltsim.randomness import stream
-from ltsim.units import DEGREE, MICROMETRE
+from ltsim.adjustment.evaluation.bench import BenchResult, as_vertex, evaluate_bench
+from ltsim.core.arrays import Floats
+from ltsim.core.randomness import stream
+from ltsim.core.units import DEGREE, MICROMETRE
+from ltsim.physics.effects.smr_incidence import TABLE_ANGLES
+from ltsim.reports.figures.campaign import Swept, by_factor
 
 
 def table_of(reflector: dict[str, Any]) -> Floats:

@@ -1,7 +1,7 @@
 """Noise, faces and reflectors: what each does to a calibration, judged on held-out points."""
 
 from experiments.common import ERROR, NEW_POINTS, Made, Options, campaign, write_figure, write_pairs
-from ltsim.pages.figures.campaign import by_factor, swept
+from ltsim.reports.figures.campaign import by_factor, swept
 
 AXIS = "true noise over that of the specification"
 

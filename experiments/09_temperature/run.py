@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from experiments.common import ERROR, NEW_POINTS, Made, Options, campaign, write_figure
-from ltsim.pages.figures.campaign import Swept, by_factor, swept
+from ltsim.reports.figures.campaign import Swept, by_factor, swept
 
 DRIFTS = (0.0, 0.25, 0.5, 1.0)
 """Of the prior, 9.7 urad and 14 um, over 7 K: a share of 0.25 is 0.35 urad and 0.5 um per kelvin."""

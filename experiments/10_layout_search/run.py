@@ -7,9 +7,9 @@ import numpy as np
 
 import ltsim as lt
 from experiments.common import Made, Options, Row, show_table, write_figure
-from ltsim.arrays import Floats
-from ltsim.pages.figures.floor_plan import floor_plan
-from ltsim.pages.workshop import from_scenario
+from ltsim.core.arrays import Floats
+from ltsim.core.randomness import stream
+from ltsim.core.units import MICROMETRE
 from ltsim.planning.files import plan_file, with_layout
 from ltsim.planning.information import LayoutInformation, Predictor
 from ltsim.planning.loading import load_plan
@@ -21,9 +21,9 @@ from ltsim.planning.search import LayoutSearcher
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import Survey
 from ltsim.planning.workshop import objective_of, site_of, survey_of
-from ltsim.randomness import stream
+from ltsim.reports.figures.floor_plan import floor_plan
+from ltsim.reports.workshop import from_scenario
 from ltsim.simulation.scenario import Scenario, scenario_to_toml
-from ltsim.units import MICROMETRE
 
 MICRO = 1.0 / MICROMETRE
 PROMISED = ("before", "um", MICRO), ("after", "um", MICRO), ("improvement", "percent", 1.0)

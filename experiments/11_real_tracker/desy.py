@@ -7,13 +7,13 @@ import pandas as pd
 
 from experiments.common import RECORDINGS
 from ltsim.adjustment import Adjustment, adjust
-from ltsim.arrays import Bools, Floats
-from ltsim.evaluation.two_face import TwoFace
+from ltsim.adjustment.evaluation.two_face import TwoFace
+from ltsim.core.arrays import Bools, Floats
+from ltsim.core.units import GON, MILLIMETRE
 from ltsim.geometry.polar import from_polar
-from ltsim.model.construction import Construction, misalignment
-from ltsim.recording import Hints, Recording, read
-from ltsim.recording.setup import Noise
-from ltsim.units import GON, MILLIMETRE
+from ltsim.physics.model.construction import Construction, misalignment
+from ltsim.recordings import Hints, Recording, read
+from ltsim.recordings.setup import Noise
 
 DATA = RECORDINGS / "desy-girder-at960"
 EPOCHS = ("20Sep21", "22Sep21", "21Feb22", "22Feb22", "24Feb22", "1Mar22", "7Mar22", "25Mar22", "21Apr22")

@@ -14,17 +14,17 @@ import pandas as pd
 
 from experiments.common import Made, Options, run_steps, show_table, write_figure
 from ltsim.adjustment import adjust
-from ltsim.arrays import Floats
+from ltsim.adjustment.evaluation.two_face import two_face
 from ltsim.calibration.history import History
 from ltsim.calibration.history_file import history_file
 from ltsim.calibration.network import calibrate_network
+from ltsim.core.arrays import Floats
 from ltsim.diagnosis.diagnose import diagnose
-from ltsim.effects import BASELINE
-from ltsim.evaluation.two_face import two_face
 from ltsim.geometry.polar import from_polar
-from ltsim.model.construction import misalignment
-from ltsim.recording.recording import OBSERVABLES
-from ltsim.recording.setup import Noise
+from ltsim.physics.effects import BASELINE
+from ltsim.physics.model.construction import misalignment
+from ltsim.recordings.recording import OBSERVABLES
+from ltsim.recordings.setup import Noise
 
 from .desy import AUTHORS, EPOCHS, clean, epoch, interferometer, noise_found, set_up, snooped, variance_factors
 

@@ -1,8 +1,7 @@
 """A machine on the floor: what it does to sight, information and plan."""
 
 from experiments.common import Made, Options, Row, show_table, write_figure, write_table
-from ltsim.pages.figures.floor_plan import floor_plan
-from ltsim.pages.workshop import from_scenario
+from ltsim.core.units import MICROMETRE
 from ltsim.planning.files import plan_file, planned_scenario
 from ltsim.planning.information import LayoutInformation
 from ltsim.planning.loading import load_plan
@@ -11,10 +10,11 @@ from ltsim.planning.objective import d_criterion
 from ltsim.planning.plan import Plan
 from ltsim.planning.survey import Survey
 from ltsim.planning.workshop import survey_of
+from ltsim.reports.figures.floor_plan import floor_plan
+from ltsim.reports.workshop import from_scenario
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.sections import Obstacle
 from ltsim.simulation.workshop import visibility_of
-from ltsim.units import MICROMETRE
 
 MACHINE = Obstacle(name="machine", box_mm=(800, 500, 1100), position_mm=(1600, 700, 0), yaw_deg=20)
 

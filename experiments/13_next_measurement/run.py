@@ -6,22 +6,22 @@ from typing import Any
 import numpy as np
 
 from experiments.common import Made, Options, Row, show_table
+from ltsim.adjustment.remedies.next_measurement import next_measurement
+from ltsim.adjustment.remedies.remedy import Remedy
+from ltsim.core.randomness import stream
+from ltsim.core.units import MICROMETRE
+from ltsim.core.workers import parallel
 from ltsim.diagnosis.diagnose import diagnose
 from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.diagnosis.separate import open_question
 from ltsim.geometry.rotations import about_z
-from ltsim.model.construction import misalignment
-from ltsim.model.measurement import MeasurementModel, State, sightings_of
-from ltsim.randomness import stream
-from ltsim.recording import Recording
-from ltsim.remedies.next_measurement import next_measurement
-from ltsim.remedies.remedy import Remedy
+from ltsim.physics.model.construction import misalignment
+from ltsim.physics.model.measurement import MeasurementModel, State, sightings_of
+from ltsim.recordings import Recording
 from ltsim.simulation.scenario import load_scenario
 from ltsim.simulation.sections import EffectEntry
 from ltsim.simulation.simulator import simulate
 from ltsim.simulation.truth import Truth
-from ltsim.units import MICROMETRE
-from ltsim.workers import parallel
 
 
 def measured(remedy: Remedy, before: Recording, truth: Truth, seed: int) -> Recording:

@@ -12,14 +12,14 @@ import numpy as np
 from scipy import stats
 
 from experiments.common import Made, Options, Row, show_table, write_table
-from ltsim.arrays import Floats
-from ltsim.effects import find_effect
-from ltsim.effects.effect import Effect
+from ltsim.core.arrays import Floats
+from ltsim.core.randomness import stream
+from ltsim.core.units import MICROMETRE
+from ltsim.physics.effects import find_effect
+from ltsim.physics.effects.effect import Effect
 from ltsim.planning.information import LayoutInformation, Predictor
 from ltsim.planning.workshop import survey_of
-from ltsim.randomness import stream
 from ltsim.simulation.scenario import load_scenario
-from ltsim.units import MICROMETRE
 
 OUTPUTS = ("distance improvement", "coordinate improvement", "distance after", "coordinate after")
 Ranges = Mapping[str, tuple[float, float]]

@@ -3,21 +3,21 @@
 import numpy as np
 
 from experiments.common import Made, Options, Row, batches, tell, write_figure, write_table
-from ltsim.arrays import Floats
 from ltsim.campaigns.calibrators import calibrator_of
 from ltsim.campaigns.cloud_kernels import rigid_fit
 from ltsim.campaigns.spec import Method
 from ltsim.campaigns.truth import truth_of
-from ltsim.pages.figures.floor_plan import reflector_changes
-from ltsim.pages.workshop import from_scenario
+from ltsim.core.arrays import Floats
+from ltsim.core.units import MICROMETRE
+from ltsim.core.workers import parallel
 from ltsim.planning.files import plan_file, planned_scenario
 from ltsim.planning.loading import load_plan
 from ltsim.planning.making import make_plan
 from ltsim.planning.schema import PlanChange
+from ltsim.reports.figures.floor_plan import reflector_changes
+from ltsim.reports.workshop import from_scenario
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.sections import PlannedTarget
-from ltsim.units import MICROMETRE
-from ltsim.workers import parallel
 
 TRIALS, SEED = 100_000, 15
 

@@ -43,7 +43,7 @@ def huber(recording: Path, out: Path) -> None:
     import numpy as np
 
     from ltsim.adjustment import adjust
-    from ltsim.model.construction import misalignment
+    from ltsim.physics.model.construction import misalignment
 
     read = _calibrated(recording, out, robust=False)
     found = adjust(read, misalignment())

@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 
 from experiments.common import ROOT, Made, Options, commit, write_figure
-from ltsim.pages.figures.campaign import Swept, by_factor
+from ltsim.reports.figures.campaign import Swept, by_factor
 
 from . import entrants, make
 from .__main__ import plan_file, score

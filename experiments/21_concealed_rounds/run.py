@@ -9,11 +9,11 @@ import sys
 from pathlib import Path
 
 from experiments.common import ROOT, Made, Options
+from ltsim.core.workers import parallel
 from ltsim.diagnosis.diagnose import diagnose
 from ltsim.diagnosis.files import targets_csv
-from ltsim.recording import read
-from ltsim.recording.files import write_text, write_texts
-from ltsim.workers import parallel
+from ltsim.recordings import read
+from ltsim.recordings.files import write_text, write_texts
 
 from .score import answers_of, markdown, scored
 

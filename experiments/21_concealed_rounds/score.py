@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from ltsim.evaluation.clouds import on_points
+from ltsim.adjustment.evaluation.clouds import on_points
 
 PLACES = ("stations", "targets", "observables")
 Row = dict[str, Any]

@@ -5,17 +5,17 @@ from typing import Any
 import numpy as np
 
 from experiments.common import Made, Options, batches, show_table
-from ltsim.arrays import Floats
 from ltsim.campaigns.engine import Engine
 from ltsim.campaigns.truth import BLOCK, CellTruth, truth_of
-from ltsim.model.construction import misalignment
+from ltsim.core.arrays import Floats
+from ltsim.core.workers import parallel
+from ltsim.measurands.inputs import Inputs
+from ltsim.measurands.measurands import Measurand, best_fit
+from ltsim.measurands.propagation import Propagated, expansion_of, propagate
+from ltsim.measurands.spec import Tasks, load_tasks
+from ltsim.physics.model.construction import misalignment
 from ltsim.simulation.scenario import Scenario, load_scenario
 from ltsim.simulation.sections import EffectEntry
-from ltsim.tasks.inputs import Inputs
-from ltsim.tasks.measurands import Measurand, best_fit
-from ltsim.tasks.propagation import Propagated, expansion_of, propagate
-from ltsim.tasks.spec import Tasks, load_tasks
-from ltsim.workers import parallel
 
 
 def scenario_of(name: str, case: dict[str, str]) -> Scenario:

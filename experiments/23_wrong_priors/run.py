@@ -1,7 +1,7 @@
 """What calibration makes of new points when the stated prior is wrong by a factor of 0.1 to 1000."""
 
 from experiments.common import ERROR, NEW_POINTS, Made, Options, campaign, write_figure, write_table
-from ltsim.pages.figures.campaign import by_factor, swept
+from ltsim.reports.figures.campaign import by_factor, swept
 
 
 def run(given: Options) -> Made:

@@ -6,9 +6,9 @@ import numpy as np
 from scipy import stats
 
 from experiments.common import Made, Options, Row, campaign, write_figure, write_table
-from ltsim.arrays import Floats
 from ltsim.campaigns.statistics import NORMAL_95, Checked
-from ltsim.pages.figures.campaign import Swept, by_factor
+from ltsim.core.arrays import Floats
+from ltsim.reports.figures.campaign import Swept, by_factor
 
 CONSTRUCTIONS = {
     "source in head": {"construction": "misalignment"},

@@ -9,11 +9,11 @@ import pandas as pd
 from experiments.common import Made, Options, Row, show_table, write_figure
 from ltsim.acceptance.prediction import AcceptancePlan, harm_of
 from ltsim.acceptance.spec import builtin, envelope
+from ltsim.core.randomness import stream
 from ltsim.geometry.polar import to_polar
-from ltsim.model.construction import misalignment
-from ltsim.pages.figures.campaign import Swept, by_factor
-from ltsim.randomness import stream
-from ltsim.recording.specification import sheet
+from ltsim.physics.model.construction import misalignment
+from ltsim.recordings.specification import sheet
+from ltsim.reports.figures.campaign import Swept, by_factor
 
 BLOCK = 1000
 

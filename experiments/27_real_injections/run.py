@@ -21,15 +21,15 @@ import pandas as pd
 import ltsim as lt
 from experiments.common import RECORDINGS as DATA, Made, Options, Row, tell, write_figure, write_table
 from experiments.intervals import share
+from ltsim.core.errors import LtsimError, ModelError
+from ltsim.core.units import ARCSECOND, MILLIMETRE
+from ltsim.core.workers import parallel
 from ltsim.diagnosis.schema import Finding
-from ltsim.effects.signature import Tunable
-from ltsim.errors import LtsimError, ModelError
-from ltsim.laws.law import Law
-from ltsim.pages.figures.campaign import Swept, by_factor
-from ltsim.recording import Hints, Recording
-from ltsim.recording.recording import SIGMA_COLUMNS
-from ltsim.units import ARCSECOND, MILLIMETRE
-from ltsim.workers import parallel
+from ltsim.physics.effects.signature import Tunable
+from ltsim.physics.laws.law import Law
+from ltsim.recordings import Hints, Recording
+from ltsim.recordings.recording import SIGMA_COLUMNS
+from ltsim.reports.figures.campaign import Swept, by_factor
 
 MEASURES = {"found": "found", "placed": "place right", "right": "told rightly"}
 DRAWN = (*MEASURES.values(), "reliability")

@@ -11,17 +11,17 @@ from experiments.common import ROOT, Made, Options, Row, write_figure, write_tab
 from experiments.intervals import share
 from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.arrays import Floats
 from ltsim.calibration.evidence import log_sum_exp
+from ltsim.core.arrays import Floats
+from ltsim.core.workers import parallel
 from ltsim.diagnosis.cards import Cards, card_hypotheses
 from ltsim.diagnosis.noise import NoiseBank, noise_hypotheses
 from ltsim.diagnosis.prior import log_share
 from ltsim.diagnosis.probe import TRIALS, Probe
 from ltsim.diagnosis.space import panels
-from ltsim.laws.drivers import Driver, base_of
-from ltsim.model.construction import stated_construction
-from ltsim.pages.figures.campaign import Swept, by_factor
-from ltsim.workers import parallel
+from ltsim.physics.laws.drivers import Driver, base_of
+from ltsim.physics.model.construction import stated_construction
+from ltsim.reports.figures.campaign import Swept, by_factor
 
 make = import_module("experiments.20_concealed_physics.make")
 WORK, LEVEL = ROOT / "build" / "ablation", 0.05

@@ -3,9 +3,9 @@
 from collections.abc import Callable, Mapping, Sequence
 from typing import ClassVar, Literal
 
-from ltsim.recording.result_file import Entry, Finite, Known, ResultFile
-from ltsim.recording.specification import Specification
-from ltsim.results import Result, Table, columns_of
+from ltsim.core.results import Result, Table, columns_of
+from ltsim.recordings.result_file import Entry, Finite, Known, ResultFile
+from ltsim.recordings.specification import Specification
 
 
 class TestEntry(Entry):

@@ -9,15 +9,15 @@ import numpy as np
 from ltsim.acceptance.files import AcceptanceFile, TestEntry, group_entries
 from ltsim.acceptance.spec import Acceptance, Test, rows_of
 from ltsim.adjustment import Adjustment, adjust
-from ltsim.arrays import Floats, Ints
-from ltsim.errors import NetworkError, SetupError, as_setup_error, unknown_name
+from ltsim.core.arrays import Floats, Ints
+from ltsim.core.errors import NetworkError, SetupError, as_setup_error, unknown_name
+from ltsim.core.units import MICROMETRE
 from ltsim.geometry.polar import across_beam, from_polar
-from ltsim.model.construction import stated_construction
-from ltsim.recording.files import comma_number, shown
-from ltsim.recording.recording import Recording
-from ltsim.recording.result_file import SourceEntry
-from ltsim.recording.specification import Specification
-from ltsim.units import MICROMETRE
+from ltsim.physics.model.construction import stated_construction
+from ltsim.recordings.files import comma_number, shown
+from ltsim.recordings.recording import Recording
+from ltsim.recordings.result_file import SourceEntry
+from ltsim.recordings.specification import Specification
 
 RATIO = 4.0
 """Limit over expanded uncertainty from which an error is accepted as it is (simple acceptance, ASME B89.7.3.1)."""

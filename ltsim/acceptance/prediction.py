@@ -9,15 +9,15 @@ import numpy as np
 
 from ltsim.acceptance.files import AcceptanceFile, SensitivityEntry, TestEntry, WorstEntry, group_entries
 from ltsim.acceptance.spec import Acceptance, Test, envelope
-from ltsim.arrays import Bools, Floats
+from ltsim.core.arrays import Bools, Floats
+from ltsim.core.randomness import stream
+from ltsim.core.units import MICROMETRE
 from ltsim.geometry.polar import across_beam, from_polar, to_polar, unit_vectors
 from ltsim.geometry.rigid import less_rigid
-from ltsim.model.construction import Construction
-from ltsim.randomness import stream
-from ltsim.recording.recording import noise_sigma
-from ltsim.recording.setup import Noise
-from ltsim.recording.specification import Specification
-from ltsim.units import MICROMETRE
+from ltsim.physics.model.construction import Construction
+from ltsim.recordings.recording import noise_sigma
+from ltsim.recordings.setup import Noise
+from ltsim.recordings.specification import Specification
 
 UNSEEN = 1e-6
 """Share of a limit that a constant of usual size makes by rounding alone."""

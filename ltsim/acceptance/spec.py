@@ -11,14 +11,14 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from ltsim.arrays import Floats
-from ltsim.errors import ModelError, SetupError, as_setup_error
+from ltsim.core.arrays import Floats
+from ltsim.core.errors import ModelError, SetupError, as_setup_error
 from ltsim.geometry.polar import from_polar
-from ltsim.recording.files import comma_number, shown
-from ltsim.recording.settings import checked, read_toml
-from ltsim.recording.setup import Positive, TomlSection
-from ltsim.recording.specification import Specification, completed, sheet
-from ltsim.recording.tables.sheets import table_rows
+from ltsim.recordings.files import comma_number, shown
+from ltsim.recordings.settings import checked, read_toml
+from ltsim.recordings.setup import Positive, TomlSection
+from ltsim.recordings.specification import Specification, completed, sheet
+from ltsim.recordings.tables.sheets import table_rows
 
 Kind = Literal["length", "two-face"]
 COLUMNS = ("test", "group", "kind", "x1_mm", "y1_mm", "z1_mm", "x2_mm", "y2_mm", "z2_mm")

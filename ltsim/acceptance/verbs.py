@@ -12,9 +12,9 @@ from ltsim.acceptance.prediction import AcceptancePlan, predicted
 from ltsim.acceptance.spec import Acceptance, acceptance_from, load_acceptance
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.files import read_calibration
-from ltsim.errors import SetupError
-from ltsim.model.construction import of_design
-from ltsim.recording import read
+from ltsim.core.errors import SetupError
+from ltsim.physics.model.construction import of_design
+from ltsim.recordings import read
 
 
 def accept(acceptance: str | Path | Mapping[str, Any] | Acceptance, folder: str | Path = ".") -> AcceptanceFile:

@@ -25,13 +25,13 @@ from ltsim.adjustment.reliability import (
     restless,
 )
 from ltsim.adjustment.snooping import poseless, without_loose
-from ltsim.arrays import Bools, Floats, Ints
-from ltsim.effects.signature import Signature
-from ltsim.errors import NetworkError
-from ltsim.model.construction import Construction, ideal
-from ltsim.model.measurement import MeasurementModel, State
-from ltsim.recording.recording import Recording
-from ltsim.results import Result
+from ltsim.core.arrays import Bools, Floats, Ints
+from ltsim.core.errors import NetworkError
+from ltsim.core.results import Result
+from ltsim.physics.effects.signature import Signature
+from ltsim.physics.model.construction import Construction, ideal
+from ltsim.physics.model.measurement import MeasurementModel, State
+from ltsim.recordings.recording import Recording
 from ltsim.scene.sightings import Sightings
 from ltsim.solve.blocks import BlockFactor, SingularSystemError
 from ltsim.solve.design import as_dense

@@ -14,15 +14,15 @@ import numpy as np
 from ltsim.adjustment.estimate import adjust
 from ltsim.adjustment.frame import misses
 from ltsim.adjustment.start import reached_network
-from ltsim.arrays import Floats
-from ltsim.errors import NetworkError, RecordError, option
+from ltsim.core.arrays import Floats
+from ltsim.core.errors import NetworkError, RecordError, option
+from ltsim.core.units import MILLIMETRE
 from ltsim.geometry.alignment import robust_align
-from ltsim.model.measurement import verticals
-from ltsim.recording.coordinates import read_points
-from ltsim.recording.files import shown
-from ltsim.recording.recording import Recording
-from ltsim.recording.setup import LEAST_SIGMA, Axes, Target
-from ltsim.units import MILLIMETRE
+from ltsim.physics.model.measurement import verticals
+from ltsim.recordings.coordinates import read_points
+from ltsim.recordings.files import shown
+from ltsim.recordings.recording import Recording
+from ltsim.recordings.setup import LEAST_SIGMA, Axes, Target
 
 CLEARLY = 10.0
 SHAPE = 0.05

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ltsim.arrays import Floats, Ints
+from ltsim.core.arrays import Floats, Ints
 
 PARALLEL = 1e-5
 """Mean squared sine below which beams do not meet in a point."""

@@ -7,9 +7,9 @@ from typing import Literal
 import numpy as np
 
 from ltsim.adjustment.problem import NetworkProblem
-from ltsim.arrays import Bools, Floats, Ints
-from ltsim.model.measurement import State
-from ltsim.recording.recording import OBSERVABLES
+from ltsim.core.arrays import Bools, Floats, Ints
+from ltsim.physics.model.measurement import State
+from ltsim.recordings.recording import OBSERVABLES
 from ltsim.solve.gauss_newton import Solution, solve
 
 Grouping = Literal["observable", "instrument"]

@@ -12,14 +12,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ltsim.adjustment.problem import NetworkProblem
-from ltsim.arrays import Bools, Floats, Ints
-from ltsim.errors import ModelError, unknown_name
+from ltsim.core.arrays import Bools, Floats, Ints
+from ltsim.core.errors import ModelError, unknown_name
+from ltsim.core.units import MILLIMETRE
 from ltsim.geometry.rigid import rigid_motion
 from ltsim.geometry.rotations import from_rotation_vector
-from ltsim.model.measurement import State
+from ltsim.physics.model.measurement import State
 from ltsim.solve.blocks import BlockFactor
 from ltsim.solve.design import FORMED, unit_diagonal
-from ltsim.units import MILLIMETRE
 
 PASSES = 5
 

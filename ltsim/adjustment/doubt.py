@@ -11,13 +11,13 @@ from ltsim.adjustment.frame import ROUGH_PLACE, Frame, misses, upright_alignment
 from ltsim.adjustment.gross import CLOSE, mend_stations, mistakes
 from ltsim.adjustment.moving import told_motions
 from ltsim.adjustment.occupations import moved_tripods
-from ltsim.arrays import Bools, Floats
-from ltsim.errors import LtsimError, NetworkError
+from ltsim.core.arrays import Bools, Floats
+from ltsim.core.errors import LtsimError, NetworkError
+from ltsim.core.notation import listing
+from ltsim.core.units import MILLIMETRE
 from ltsim.geometry.alignment import align
 from ltsim.geometry.polar import wrap
-from ltsim.notation import listing
-from ltsim.recording.slips import GON, UNIT_SLIPS, Slip
-from ltsim.units import MILLIMETRE
+from ltsim.recordings.slips import GON, UNIT_SLIPS, Slip
 
 MOST_LEFT_OUT = 0.5
 """Share of the pointings that may be left out before what remains is no result."""

@@ -17,17 +17,17 @@ from ltsim.adjustment.rows import Marks
 from ltsim.adjustment.singular import refusing_singular
 from ltsim.adjustment.snooping import copied_rows, screened, snooped, without_loose
 from ltsim.adjustment.stated import Kind
-from ltsim.arrays import Bools, Floats
-from ltsim.effects.signature import Signature
-from ltsim.errors import ModelError, NetworkError
+from ltsim.core.arrays import Bools, Floats
+from ltsim.core.errors import ModelError, NetworkError
+from ltsim.core.units import MILLIMETRE
 from ltsim.geometry.alignment import robust_align
 from ltsim.geometry.rigid import rigid_motion
-from ltsim.model.construction import Construction, ideal
-from ltsim.model.measurement import MeasurementModel, State, smr_lift, with_plumb_lines
-from ltsim.recording.recording import Recording
+from ltsim.physics.effects.signature import Signature
+from ltsim.physics.model.construction import Construction, ideal
+from ltsim.physics.model.measurement import MeasurementModel, State, smr_lift, with_plumb_lines
+from ltsim.recordings.recording import Recording
 from ltsim.solve.gauss_newton import Solution, solve
 from ltsim.solve.threads import in_one_thread
-from ltsim.units import MILLIMETRE
 
 MOST = 0.5
 """Share of a set-up's pointings that miss by far, from which its mark or its height is doubted and not they."""

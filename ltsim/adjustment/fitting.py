@@ -12,10 +12,10 @@ from itertools import product
 
 import numpy as np
 
-from ltsim.arrays import Bools, Floats, Ints
+from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.geometry.polar import from_polar, polar_jacobian, to_polar, wrap
 from ltsim.geometry.rotations import about_z, cross_matrix, from_rotation_vector
-from ltsim.model.measurement import reduce_to_horizontal
+from ltsim.physics.model.measurement import reduce_to_horizontal
 
 ITERATIONS = 60
 SAME = 1e-3

@@ -11,14 +11,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from ltsim.adjustment.rows import Marks
-from ltsim.arrays import Bools, Floats, Ints
-from ltsim.errors import NetworkError
+from ltsim.core.arrays import Bools, Floats, Ints
+from ltsim.core.errors import NetworkError
+from ltsim.core.units import DEGREE, MILLIMETRE
 from ltsim.geometry.alignment import align, robust_align
 from ltsim.geometry.polar import from_polar
 from ltsim.geometry.rotations import about_z, smallest_turn
-from ltsim.recording.recording import Recording
-from ltsim.recording.setup import Target
-from ltsim.units import DEGREE, MILLIMETRE
+from ltsim.recordings.recording import Recording
+from ltsim.recordings.setup import Target
 
 VERTICAL = np.array([0.0, 0.0, 1.0])
 ROUGH_PLACE = 0.5

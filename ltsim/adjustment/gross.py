@@ -13,17 +13,17 @@ import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.frame import Pairs, misses
-from ltsim.arrays import Bools, Floats, Ints
-from ltsim.effects.face_confusion import FaceConfusion
-from ltsim.effects.motions import exact_target_change
-from ltsim.effects.wrong_unit import WrongUnit
-from ltsim.errors import NetworkError
+from ltsim.core.arrays import Bools, Floats, Ints
+from ltsim.core.errors import NetworkError
+from ltsim.core.units import MILLIMETRE
 from ltsim.geometry.alignment import robust_align
 from ltsim.geometry.polar import from_polar
-from ltsim.model.measurement import verticals
-from ltsim.recording.recording import OBSERVABLES, Recording
-from ltsim.recording.slips import FACE_SLIPS, UNIT_SLIPS
-from ltsim.units import MILLIMETRE
+from ltsim.physics.effects.face_confusion import FaceConfusion
+from ltsim.physics.effects.motions import exact_target_change
+from ltsim.physics.effects.wrong_unit import WrongUnit
+from ltsim.physics.model.measurement import verticals
+from ltsim.recordings.recording import OBSERVABLES, Recording
+from ltsim.recordings.slips import FACE_SLIPS, UNIT_SLIPS
 
 CLOSE = 1e-3
 """[m] how near a mended pointing must land."""

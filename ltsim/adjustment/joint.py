@@ -3,8 +3,8 @@
 import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.arrays import Floats
-from ltsim.recording.coordinates import AXES, covariance_text
+from ltsim.core.arrays import Floats
+from ltsim.recordings.coordinates import AXES, covariance_text
 
 COVARIANCE = "targets.covariance.csv"
 """Name of the file with the joint covariance of the coordinates in `targets.csv`."""

@@ -23,12 +23,12 @@ from ltsim.adjustment.reliability import (
 )
 from ltsim.adjustment.snooping import snooped
 from ltsim.adjustment.stated import Kind, KnownInRows, KnownValue, common_scale, known_values, without
-from ltsim.arrays import Bools, Floats
-from ltsim.model.measurement import State
-from ltsim.notation import with_sigma
+from ltsim.core.arrays import Bools, Floats
+from ltsim.core.notation import with_sigma
+from ltsim.core.units import ARCSECOND, MILLIMETRE
+from ltsim.physics.model.measurement import State
 from ltsim.solve.design import as_dense
 from ltsim.solve.gauss_newton import Solution, solve
-from ltsim.units import ARCSECOND, MILLIMETRE
 
 WORDS: dict[Kind, str] = {
     "point": "the known coordinates of",

@@ -16,15 +16,15 @@ from ltsim.adjustment.problem import NetworkProblem
 from ltsim.adjustment.reliability import FAMILY_LEVEL, critical_w
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.adjustment.snooping import snooped, without_loose
-from ltsim.arrays import Floats
-from ltsim.effects.effect import Stage
-from ltsim.effects.motions import StationMotion
-from ltsim.effects.station_bump import StationBump
-from ltsim.model.measurement import State
-from ltsim.notation import with_sigma
+from ltsim.core.arrays import Floats
+from ltsim.core.notation import with_sigma
+from ltsim.core.units import MICROMETRE, MICRORADIAN
+from ltsim.physics.effects.effect import Stage
+from ltsim.physics.effects.motions import StationMotion
+from ltsim.physics.effects.station_bump import StationBump
+from ltsim.physics.model.measurement import State
 from ltsim.scene.sightings import Sightings
 from ltsim.solve.gauss_newton import Solution, solve
-from ltsim.units import MICROMETRE, MICRORADIAN
 
 WITNESSES = 3
 """Targets that a motion of the station needs: what fewer show may be their own."""

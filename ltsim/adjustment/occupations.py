@@ -13,11 +13,11 @@ from scipy import special
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.gross import GrossFinding
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.arrays import Floats
-from ltsim.notation import with_sigma
-from ltsim.recording.recording import Recording
+from ltsim.core.arrays import Floats
+from ltsim.core.notation import with_sigma
+from ltsim.core.units import MILLIMETRE
+from ltsim.recordings.recording import Recording
 from ltsim.solve.gauss_newton import solve
-from ltsim.units import MILLIMETRE
 
 DAY_COLUMN = "date"
 DAY = 86_400.0

@@ -7,9 +7,9 @@ from functools import cached_property
 
 import numpy as np
 
-from ltsim.arrays import Bools, Floats
-from ltsim.model.construction import Construction
-from ltsim.recording.recording import Recording
+from ltsim.core.arrays import Bools, Floats
+from ltsim.physics.model.construction import Construction
+from ltsim.recordings.recording import Recording
 
 LEFT = 0.3
 """What a correction leaves of a constant, in the maker's guarantees; nobody states it, and none is exact. Between the

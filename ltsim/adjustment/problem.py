@@ -20,10 +20,10 @@ from ltsim.adjustment.rows import (
 )
 from ltsim.adjustment.structure import NetworkRows
 from ltsim.adjustment.unknowns import Unknowns
-from ltsim.arrays import Bools, Floats, Ints
+from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.geometry.polar import wrap
 from ltsim.geometry.rotations import cross_matrix
-from ltsim.model.measurement import MeasurementModel, Prediction, State
+from ltsim.physics.model.measurement import MeasurementModel, Prediction, State
 from ltsim.solve.blocks import BlockSystem
 from ltsim.solve.design import Design, Pattern, as_dense
 

@@ -10,9 +10,9 @@ from typing import NamedTuple
 import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.arrays import Floats, Ints
-from ltsim.effects.signature import Parameter, ShapeParameter, Signature, Tunable
-from ltsim.model.measurement import State
+from ltsim.core.arrays import Floats, Ints
+from ltsim.physics.effects.signature import Parameter, ShapeParameter, Signature, Tunable
+from ltsim.physics.model.measurement import State
 from ltsim.scene.sightings import Sightings
 
 ITERATIONS = 4

@@ -6,7 +6,7 @@ import numpy as np
 from scipy import special
 
 from ltsim.adjustment.problem import NetworkProblem
-from ltsim.arrays import Bools, Floats, Ints
+from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.solve.blocks import BlockFactor
 from ltsim.solve.design import median_deviation
 

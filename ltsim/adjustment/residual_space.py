@@ -14,8 +14,8 @@ from typing import Self
 import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.arrays import Bools, Floats, Ints
-from ltsim.effects.signature import Signature
+from ltsim.core.arrays import Bools, Floats, Ints
+from ltsim.physics.effects.signature import Signature
 from ltsim.scene.sightings import Sightings
 from ltsim.solve.projection import Projection
 

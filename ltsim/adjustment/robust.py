@@ -6,8 +6,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from ltsim.adjustment.problem import NetworkProblem
-from ltsim.arrays import Floats
-from ltsim.model.measurement import State
+from ltsim.core.arrays import Floats
+from ltsim.physics.model.measurement import State
 from ltsim.solve.blocks import BlockFactor, BlockSystem, SingularSystemError
 from ltsim.solve.design import Design, median_deviation
 

@@ -9,16 +9,16 @@ from functools import cached_property
 import numpy as np
 import scipy.linalg
 
-from ltsim.arrays import Bools, Floats, Ints
+from ltsim.core.arrays import Bools, Floats, Ints
+from ltsim.core.units import ARCSECOND, DEGREE, MILLIMETRE
 from ltsim.geometry.polar import wrap
 from ltsim.geometry.rigid import ON_A_LINE, rigid_motion
 from ltsim.geometry.rotations import cross_matrix, perpendicular
-from ltsim.model.measurement import verticals
-from ltsim.recording.differences import places_of
-from ltsim.recording.lengths import KnownLengths
-from ltsim.recording.recording import Recording
-from ltsim.recording.setup import KnownDifference, Target, symmetric
-from ltsim.units import ARCSECOND, DEGREE, MILLIMETRE
+from ltsim.physics.model.measurement import verticals
+from ltsim.recordings.differences import places_of
+from ltsim.recordings.lengths import KnownLengths
+from ltsim.recordings.recording import Recording
+from ltsim.recordings.setup import KnownDifference, Target, symmetric
 
 VERTICAL = np.array([0.0, 0.0, 1.0])
 

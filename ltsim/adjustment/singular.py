@@ -8,8 +8,8 @@ from typing import Concatenate, ParamSpec, TypeVar
 
 import numpy as np
 
-from ltsim.errors import NetworkError
-from ltsim.recording.recording import Recording
+from ltsim.core.errors import NetworkError
+from ltsim.recordings.recording import Recording
 
 P = ParamSpec("P")
 R = TypeVar("R")

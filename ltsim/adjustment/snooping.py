@@ -13,12 +13,12 @@ from ltsim.adjustment.reliability import UNCHECKED, critical_w, normalised, redu
 from ltsim.adjustment.robust import HUBER, STILL
 from ltsim.adjustment.singular import refusing_singular
 from ltsim.adjustment.start import reached_network
-from ltsim.arrays import Bools, Floats
+from ltsim.core.arrays import Bools, Floats
 from ltsim.geometry.polar import wrap
 from ltsim.geometry.rigid import holds_pose
-from ltsim.model.construction import ideal
-from ltsim.model.measurement import MeasurementModel, State
-from ltsim.recording.recording import Recording
+from ltsim.physics.model.construction import ideal
+from ltsim.physics.model.measurement import MeasurementModel, State
+from ltsim.recordings.recording import Recording
 from ltsim.solve.blocks import BlockFactor, SingularSystemError
 from ltsim.solve.design import POINT, as_dense, median_deviation, unit_diagonal
 from ltsim.solve.gauss_newton import Solution, solve

@@ -5,14 +5,14 @@ import numpy as np
 from ltsim.adjustment.bearings import Lines, loose_lines, meeting_point, plan_of
 from ltsim.adjustment.fitting import Sight, fit_point, fit_pose, multilaterate
 from ltsim.adjustment.frame import VERTICAL, Frame, Pairs, flat_points, on_a_line, upright_alignment
-from ltsim.arrays import Bools, Floats, Ints, grouped
-from ltsim.errors import NetworkError
+from ltsim.core.arrays import Bools, Floats, Ints, grouped
+from ltsim.core.errors import NetworkError
+from ltsim.core.notation import listing
 from ltsim.geometry.alignment import robust_align
 from ltsim.geometry.polar import from_polar, to_face
 from ltsim.geometry.rotations import about_z, smallest_turn
-from ltsim.model.measurement import lift_of
-from ltsim.notation import listing
-from ltsim.recording.recording import Recording
+from ltsim.physics.model.measurement import lift_of
+from ltsim.recordings.recording import Recording
 
 BEGINNINGS = ("frame", "cloud", "ranges", "places", "bearings")
 """How a network can begin: with known points, with what one station measured whole, with ranges alone, with all that is

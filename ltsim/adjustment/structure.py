@@ -9,8 +9,8 @@ import numpy as np
 
 from ltsim.adjustment.rows import VERTICAL, ControlRows, DifferenceRows, GaugeRows, LevelRows, Marks, YawRows
 from ltsim.adjustment.unknowns import Unknowns
-from ltsim.arrays import Bools, Floats, Ints
-from ltsim.model.measurement import MeasurementModel, State
+from ltsim.core.arrays import Bools, Floats, Ints
+from ltsim.physics.model.measurement import MeasurementModel, State
 
 UPRIGHT = 1.0 - 1e-8
 """Cosine of the lean up to which a plumb line counts as that of the network (0.14 mrad, 900 m on the earth)."""

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ltsim.adjustment.rows import DifferenceRows, GaugeRows, Marks
-from ltsim.arrays import Ints
-from ltsim.model.measurement import MeasurementModel
+from ltsim.core.arrays import Ints
+from ltsim.physics.model.measurement import MeasurementModel
 
 
 @dataclass(frozen=True)

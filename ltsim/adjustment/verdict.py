@@ -9,8 +9,8 @@ from scipy import special
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.doubt import doubts
 from ltsim.adjustment.reliability import FEW
-from ltsim.notation import listing
-from ltsim.recording.recording import OBSERVABLES, SIGMA_COLUMNS
+from ltsim.core.notation import listing
+from ltsim.recordings.recording import OBSERVABLES, SIGMA_COLUMNS
 
 LEVEL = 0.05
 ONLY_A_FEW = 0.05

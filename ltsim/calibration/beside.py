@@ -15,15 +15,15 @@ from ltsim.adjustment.refit import Estimated, Refit, refit
 from ltsim.adjustment.reliability import surprise
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.schema import FittedEffectEntry, FittedParameterEntry
-from ltsim.effects.effect import Effect, Mistake, NoiseEffect
-from ltsim.effects.signature import Parameter, ShapeParameter, Signature, Tunable
-from ltsim.errors import ModelError
-from ltsim.laws.law import Law
-from ltsim.laws.sizes import sizes_of
-from ltsim.laws.words import IN_ITS_OWN_WAY, describe
-from ltsim.model.construction import Construction
-from ltsim.recording.recording import Recording
-from ltsim.units import FACTOR
+from ltsim.core.errors import ModelError
+from ltsim.core.units import FACTOR
+from ltsim.physics.effects.effect import Effect, Mistake, NoiseEffect
+from ltsim.physics.effects.signature import Parameter, ShapeParameter, Signature, Tunable
+from ltsim.physics.laws.law import Law
+from ltsim.physics.laws.sizes import sizes_of
+from ltsim.physics.laws.words import IN_ITS_OWN_WAY, describe
+from ltsim.physics.model.construction import Construction
+from ltsim.recordings.recording import Recording
 
 PLACES = ("stations", "targets")
 PASSES = 3

@@ -10,9 +10,10 @@ from typing import Any, TypeVar
 import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
+from ltsim.adjustment.evaluation.criteria import Criteria
+from ltsim.adjustment.identification.tests import Test
 from ltsim.adjustment.prior import FREED
 from ltsim.adjustment.verdict import Verdict
-from ltsim.arrays import Bools, Floats, Ints
 from ltsim.calibration.evidence import by_plausible_sizes, determined, harmonics
 from ltsim.calibration.schema import (
     COORDINATES,
@@ -31,16 +32,15 @@ from ltsim.calibration.schema import (
     ParameterEntry,
     StationPose as StationPose,
 )
-from ltsim.chances import p_is, two_sided
-from ltsim.effects.signature import Parameter
-from ltsim.errors import RecordError
-from ltsim.evaluation.criteria import Criteria
-from ltsim.identification.tests import Test
-from ltsim.model.construction import Construction
-from ltsim.recording.recording import OBSERVABLES, Recording
-from ltsim.recording.result_file import SourceEntry
-from ltsim.results import Column, Result, Table, columns_of
-from ltsim.units import ARCSECOND, MILLIMETRE
+from ltsim.core.arrays import Bools, Floats, Ints
+from ltsim.core.chances import p_is, two_sided
+from ltsim.core.errors import RecordError
+from ltsim.core.results import Column, Result, Table, columns_of
+from ltsim.core.units import ARCSECOND, MILLIMETRE
+from ltsim.physics.effects.signature import Parameter
+from ltsim.physics.model.construction import Construction
+from ltsim.recordings.recording import OBSERVABLES, Recording
+from ltsim.recordings.result_file import SourceEntry
 
 OfOne = TypeVar("OfOne", DeterminedEntry, HarmonicEntry)
 SHOWN_UNITS = (("mm", MILLIMETRE), ("arcsec", ARCSECOND), ("arcsec", ARCSECOND))

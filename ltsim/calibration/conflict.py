@@ -8,12 +8,12 @@ from scipy import special
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.prior import FREED, ParameterPrior
 from ltsim.adjustment.reliability import FEW
-from ltsim.arrays import Bools, Floats
+from ltsim.adjustment.remedies.undetermined import SILENT, Direction
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.evidence import change_seen, changes_found, evidence, log_evidence
-from ltsim.chances import CONSTANT
-from ltsim.notation import with_sigma
-from ltsim.remedies.undetermined import SILENT, Direction
+from ltsim.core.arrays import Bools, Floats
+from ltsim.core.chances import CONSTANT
+from ltsim.core.notation import with_sigma
 
 LEVEL = 0.01
 """Chance that any combination under a correct prior is said to contradict it."""

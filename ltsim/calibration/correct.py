@@ -3,14 +3,14 @@
 import numpy as np
 
 from ltsim.adjustment.start import reached_network
-from ltsim.arrays import Bools, Floats
 from ltsim.calibration.files import CalibrationSource, calibration_of
-from ltsim.errors import NetworkError, RecordError
+from ltsim.core.arrays import Bools, Floats
+from ltsim.core.errors import NetworkError, RecordError
 from ltsim.geometry.polar import to_face, to_polar, wrap
-from ltsim.model.construction import Construction, ideal
-from ltsim.model.measurement import MeasurementModel, State
-from ltsim.recording.exchange import RecordingSource, recording_of
-from ltsim.recording.recording import Recording
+from ltsim.physics.model.construction import Construction, ideal
+from ltsim.physics.model.measurement import MeasurementModel, State
+from ltsim.recordings.exchange import RecordingSource, recording_of
+from ltsim.recordings.recording import Recording
 
 
 def correct(recording: RecordingSource, calibration: CalibrationSource, *, again: bool = False) -> Recording:

@@ -11,18 +11,18 @@ from scipy import special
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.adjustment.prior import prior_sigmas
 from ltsim.adjustment.snooping import screened
-from ltsim.arrays import Floats, Ints
 from ltsim.calibration import result
 from ltsim.calibration.calibration import Calibration, Combination, Fit
 from ltsim.calibration.correct import corrected_readings
 from ltsim.calibration.distance_solver import Estimates, Norm, solve_distances, solve_equation_9, with_minimum
 from ltsim.calibration.known import Choice
 from ltsim.calibration.objective import DistanceProblem
-from ltsim.model.construction import Construction, stated_construction
-from ltsim.model.measurement import MeasurementModel, State
-from ltsim.recording.recording import Recording
-from ltsim.recording.reflectors import require_one_radius
-from ltsim.recording.result_file import SourceEntry
+from ltsim.core.arrays import Floats, Ints
+from ltsim.physics.model.construction import Construction, stated_construction
+from ltsim.physics.model.measurement import MeasurementModel, State
+from ltsim.recordings.recording import Recording
+from ltsim.recordings.reflectors import require_one_radius
+from ltsim.recordings.result_file import SourceEntry
 from ltsim.solve.design import as_dense
 
 METHODS: dict[str, Norm] = {

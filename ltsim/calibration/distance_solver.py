@@ -18,10 +18,10 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.optimize import linprog, lsq_linear
 
-from ltsim.arrays import Bools, Floats, Ints
+from ltsim.adjustment.remedies.undetermined import DETERMINED, Direction
 from ltsim.calibration.objective import DistanceProblem, Distances, centring, set_pairs
-from ltsim.errors import ModelError, NetworkError
-from ltsim.remedies.undetermined import DETERMINED, Direction
+from ltsim.core.arrays import Bools, Floats, Ints
+from ltsim.core.errors import ModelError, NetworkError
 from ltsim.solve.absolute import least_absolute
 
 CAP, CLOSED = 30, 1e-7

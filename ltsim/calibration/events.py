@@ -12,9 +12,9 @@ is the mean over `SHARES`, each weighted by how likely it makes the other steps.
 import numpy as np
 from scipy import special
 
-from ltsim.arrays import Bools, Floats, Ints
 from ltsim.calibration.history import LEVEL, History
 from ltsim.calibration.history_schema import EventEntry
+from ltsim.core.arrays import Bools, Floats, Ints
 
 LEAST_STEPS = 3
 """Steps from which one can stand out of the others; with so few only a gross one does."""

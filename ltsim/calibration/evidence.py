@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
-from ltsim import chances
-from ltsim.arrays import Floats
+from ltsim.adjustment.remedies.undetermined import SILENT
 from ltsim.calibration.schema import DeterminedEntry, HarmonicEntry
-from ltsim.effects.signature import Parameter
-from ltsim.remedies.undetermined import SILENT
-from ltsim.units import DEGREE
+from ltsim.core import chances
+from ltsim.core.arrays import Floats
+from ltsim.core.units import DEGREE
+from ltsim.physics.effects.signature import Parameter
 
 DETERMINED = 0.25
 """A combination is told where its deviation is at most this share of what it would be were its members independent."""

@@ -6,15 +6,15 @@ from pathlib import Path
 import numpy as np
 
 from ltsim.adjustment.joint import COVARIANCE, covariance_csv
-from ltsim.arrays import Floats
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.schema import RESIDUALS, TARGETS, CalibrationFile, VerdictEntry
-from ltsim.errors import ModelError, RecordError, unknown_name
-from ltsim.model.construction import with_parameters
-from ltsim.notation import listing
-from ltsim.recording.files import read_text, shown
-from ltsim.recording.result_file import read_result, write_result
-from ltsim.units import FACTOR, MILLIMETRE
+from ltsim.core.arrays import Floats
+from ltsim.core.errors import ModelError, RecordError, unknown_name
+from ltsim.core.notation import listing
+from ltsim.core.units import FACTOR, MILLIMETRE
+from ltsim.physics.model.construction import with_parameters
+from ltsim.recordings.files import read_text, shown
+from ltsim.recordings.result_file import read_result, write_result
 
 CalibrationSource = Calibration | str | Path
 """A calibration, its file, or the folder that holds it."""

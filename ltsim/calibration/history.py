@@ -16,16 +16,16 @@ from typing import Any
 import numpy as np
 from scipy import linalg, special
 
-from ltsim.arrays import Floats
+from ltsim.adjustment.remedies.undetermined import SILENT
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.evidence import ReadingsEvidence, evidence
 from ltsim.calibration.history_schema import ChangeEntry, ChiSquareEntry, DifferenceEntry
-from ltsim.chances import p_is
-from ltsim.errors import RecordError, option
-from ltsim.model.construction import Construction
-from ltsim.remedies.undetermined import SILENT
-from ltsim.results import Columns, Result
-from ltsim.values import Valued
+from ltsim.core.arrays import Floats
+from ltsim.core.chances import p_is
+from ltsim.core.errors import RecordError, option
+from ltsim.core.results import Columns, Result
+from ltsim.core.values import Valued
+from ltsim.physics.model.construction import Construction
 
 RESOLVED = 1e-12
 """Relative eigenvalue under which a covariance is singular by construction, and least variance in prior variances."""

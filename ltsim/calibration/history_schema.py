@@ -6,7 +6,7 @@ from pydantic import Field, model_validator
 from scipy import special
 
 from ltsim.calibration.schema import Fit
-from ltsim.recording.result_file import Entry, Finite, Known, NotNegative, ResultFile
+from ltsim.recordings.result_file import Entry, Finite, Known, NotNegative, ResultFile
 
 
 class ChiSquareEntry(Entry):

@@ -9,18 +9,18 @@ from pathlib import Path
 import numpy as np
 
 from ltsim.adjustment.prior import ParameterPrior, prior_sigmas
-from ltsim.arrays import Floats
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.files import read_calibration
 from ltsim.calibration.history import History
 from ltsim.calibration.history_file import history_file
 from ltsim.calibration.history_schema import HistoryFile
 from ltsim.calibration.schema import CalibrationFile
-from ltsim.errors import ModelError, RecordError, SetupError, unknown_name
-from ltsim.model.construction import Construction, every_parameter_name
-from ltsim.recording.recording import Recording
-from ltsim.recording.result_file import read_json, read_result
-from ltsim.units import FACTOR
+from ltsim.core.arrays import Floats
+from ltsim.core.errors import ModelError, RecordError, SetupError, unknown_name
+from ltsim.core.units import FACTOR
+from ltsim.physics.model.construction import Construction, every_parameter_name
+from ltsim.recordings.recording import Recording
+from ltsim.recordings.result_file import read_json, read_result
 
 WIDE = 1000.0
 """Prior sigmas that stand for no prior: 10 to 20 mm and 15 mrad, within which the equations hold."""

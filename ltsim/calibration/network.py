@@ -10,6 +10,9 @@ import numpy as np
 from ltsim.adjustment import Adjustment, adjust as adjusted_network
 from ltsim.adjustment.components import Grouping
 from ltsim.adjustment.doubt import require_result
+from ltsim.adjustment.identification import Selection, identified, outcomes
+from ltsim.adjustment.identification.fit import changed_recording
+from ltsim.adjustment.identification.tests import sentence_of
 from ltsim.adjustment.known import KINDS, SCALED
 from ltsim.adjustment.moving import Motion, moving_stations
 from ltsim.adjustment.prior import ParameterPrior, expected_sigmas, prior_sigmas
@@ -19,17 +22,14 @@ from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.conflict import UNEXPLAINED, beyond_prior, disagreement, too_quiet
 from ltsim.calibration.known import WIDE, Choice
 from ltsim.calibration.worth import correction_of
-from ltsim.effects.range_mode import RangeMode
-from ltsim.effects.signature import Signature
-from ltsim.effects.verbs import names
-from ltsim.errors import ConvergenceError, NetworkError
-from ltsim.identification import Selection, identified, outcomes
-from ltsim.identification.fit import changed_recording
-from ltsim.identification.tests import sentence_of
-from ltsim.model.construction import Construction, ideal, stated_construction
-from ltsim.recording.exchange import RecordingSource, recording_of
-from ltsim.recording.recording import MODE_COLUMN, Recording
-from ltsim.recording.result_file import SourceEntry
+from ltsim.core.errors import ConvergenceError, NetworkError
+from ltsim.physics.effects.range_mode import RangeMode
+from ltsim.physics.effects.signature import Signature
+from ltsim.physics.effects.verbs import names
+from ltsim.physics.model.construction import Construction, ideal, stated_construction
+from ltsim.recordings.exchange import RecordingSource, recording_of
+from ltsim.recordings.recording import MODE_COLUMN, Recording
+from ltsim.recordings.result_file import SourceEntry
 
 PASSES = 5
 """Adjustments until the noise and the parameters that contradict their prior are settled."""

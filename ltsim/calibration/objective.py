@@ -16,10 +16,10 @@ import numpy as np
 import scipy.sparse as sp
 
 from ltsim.adjustment.rows import GaugeRows
-from ltsim.arrays import Floats, Ints
-from ltsim.errors import NetworkError
-from ltsim.model.construction import Construction
-from ltsim.recording.recording import Recording
+from ltsim.core.arrays import Floats, Ints
+from ltsim.core.errors import NetworkError
+from ltsim.physics.model.construction import Construction
+from ltsim.recordings.recording import Recording
 
 LARGEST = 2e8
 """Most numbers that one matrix may hold."""

@@ -6,25 +6,25 @@ import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.datum import about
+from ltsim.adjustment.evaluation.criteria import Criteria, evaluate
 from ltsim.adjustment.frame import Frame
 from ltsim.adjustment.known import UNITS
+from ltsim.adjustment.remedies.undetermined import Direction, determining, undetermined
 from ltsim.adjustment.verdict import Verdict, verdict
-from ltsim.arrays import Bools, Floats
 from ltsim.calibration.calibration import SHOWN_UNITS
 from ltsim.calibration.schema import AxesEntry, Combination, Fit, KnownEntry, NoiseRow, OutlierRow, StationPose
-from ltsim.chances import AGREES
-from ltsim.effects.motions import exact_target_change
-from ltsim.effects.range_mode import RangeMode
-from ltsim.errors import NetworkError
-from ltsim.evaluation.criteria import Criteria, evaluate
+from ltsim.core.arrays import Bools, Floats
+from ltsim.core.chances import AGREES
+from ltsim.core.errors import NetworkError
+from ltsim.core.notation import listing, with_sigma
+from ltsim.core.units import ARCSECOND, MICROMETRE, MILLIMETRE
 from ltsim.geometry.rigid import rigid_motion
 from ltsim.geometry.rotations import quaternion
-from ltsim.model.construction import Construction
-from ltsim.model.measurement import smr_lift
-from ltsim.notation import listing, with_sigma
-from ltsim.recording.recording import MODE_COLUMN, OBSERVABLES, Recording
-from ltsim.remedies.undetermined import Direction, determining, undetermined
-from ltsim.units import ARCSECOND, MICROMETRE, MILLIMETRE
+from ltsim.physics.effects.motions import exact_target_change
+from ltsim.physics.effects.range_mode import RangeMode
+from ltsim.physics.model.construction import Construction
+from ltsim.physics.model.measurement import smr_lift
+from ltsim.recordings.recording import MODE_COLUMN, OBSERVABLES, Recording
 
 CONTRADICTS = 3.0
 """Standard deviations from where its target last was, beyond which a reading is named that its target is lost by."""

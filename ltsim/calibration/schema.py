@@ -7,14 +7,14 @@ import numpy as np
 from pydantic import Field, model_validator
 from scipy import special
 
-from ltsim.arrays import Floats
-from ltsim.chances import p_is
-from ltsim.evaluation.criteria import CriterionEntry
-from ltsim.identification.tests import Test
-from ltsim.notation import number, with_sigma
-from ltsim.recording.result_file import Entry, Finite, Known, NotNegative, Positive, ResultFile, Sigma, Vector
-from ltsim.results import Table, numbers, texts
-from ltsim.units import ARCSECOND, MILLIMETRE
+from ltsim.adjustment.evaluation.criteria import CriterionEntry
+from ltsim.adjustment.identification.tests import Test
+from ltsim.core.arrays import Floats
+from ltsim.core.chances import p_is
+from ltsim.core.notation import number, with_sigma
+from ltsim.core.results import Table, numbers, texts
+from ltsim.core.units import ARCSECOND, MILLIMETRE
+from ltsim.recordings.result_file import Entry, Finite, Known, NotNegative, Positive, ResultFile, Sigma, Vector
 
 COORDINATES = (
     *texts(target="name"),

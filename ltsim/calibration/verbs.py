@@ -5,6 +5,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
+from ltsim.adjustment.evaluation import Criteria, evaluate as criteria_of, read_nominal, verify as verified
 from ltsim.adjustment.snooping import screened
 from ltsim.calibration.beside import Wanted
 from ltsim.calibration.calibration import Calibration
@@ -13,14 +14,13 @@ from ltsim.calibration.files import CalibrationSource, calibration_of, read_cali
 from ltsim.calibration.history import History
 from ltsim.calibration.known import Choice, Known
 from ltsim.calibration.network import calibrate_network
-from ltsim.effects.effect import Effect
-from ltsim.effects.verbs import Sized, each_of, effect_from, names
-from ltsim.errors import LtsimError, ModelError, RecordError, option, unknown_name
-from ltsim.evaluation import Criteria, evaluate as criteria_of, read_nominal, verify as verified
-from ltsim.laws.words import read_law
-from ltsim.model.construction import Construction, construction as construction_called
-from ltsim.recording import Recording
-from ltsim.recording.exchange import RecordingSource, read, recording_of
+from ltsim.core.errors import LtsimError, ModelError, RecordError, option, unknown_name
+from ltsim.physics.effects.effect import Effect
+from ltsim.physics.effects.verbs import Sized, each_of, effect_from, names
+from ltsim.physics.laws.words import read_law
+from ltsim.physics.model.construction import Construction, construction as construction_called
+from ltsim.recordings import Recording
+from ltsim.recordings.exchange import RecordingSource, read, recording_of
 
 NO_PRIOR = "none"
 

@@ -21,15 +21,15 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.arrays import Floats, Ints
+from ltsim.adjustment.remedies.undetermined import SILENT
 from ltsim.calibration.calibration import Correction
 from ltsim.calibration.conflict import UNEXPLAINED, rest_of
 from ltsim.calibration.evidence import cosine_and_sine
+from ltsim.core.arrays import Floats, Ints
+from ltsim.core.units import MICROMETRE
 from ltsim.geometry.rigid import less_rigid
-from ltsim.recording.recording import Recording
-from ltsim.remedies.undetermined import SILENT
+from ltsim.recordings.recording import Recording
 from ltsim.solve.design import as_dense
-from ltsim.units import MICROMETRE
 
 SCALES = np.geomspace(1e-4, 1e4, 161)
 CONTRADICTS = 3.32

@@ -2,7 +2,7 @@
 
 import os
 
-from ltsim.errors import require
+from ltsim.core.errors import require
 
 PACKAGES = ("duckdb", "filelock", "numba", "pyarrow")
 """What only campaigns need: a third of a whole installation."""

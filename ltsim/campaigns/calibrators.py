@@ -12,7 +12,6 @@ from typing import Self
 
 import numpy as np
 
-from ltsim.arrays import Floats, Ints
 from ltsim.campaigns.distance import BatchDistance
 from ltsim.campaigns.engine import Calibrated, Calibrator, Engine, Single, suspects
 from ltsim.campaigns.judge import Judge
@@ -22,10 +21,11 @@ from ltsim.campaigns.program import ChainProgram
 from ltsim.campaigns.spec import Method
 from ltsim.campaigns.stacked import Stacked
 from ltsim.campaigns.truth import Block, CellTruth
-from ltsim.effects.effect import Effect
-from ltsim.errors import NetworkError, SetupError
-from ltsim.model.construction import Construction, built_as
-from ltsim.model.measurement import State
+from ltsim.core.arrays import Floats, Ints
+from ltsim.core.errors import NetworkError, SetupError
+from ltsim.physics.effects.effect import Effect
+from ltsim.physics.model.construction import Construction, built_as
+from ltsim.physics.model.measurement import State
 from ltsim.simulation.draws import Normal
 
 

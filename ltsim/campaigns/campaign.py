@@ -27,11 +27,11 @@ from ltsim.campaigns.spec import JUDGE, Campaign, Cell, beside, cad_files, cells
 from ltsim.campaigns.statistics import Statistics
 from ltsim.campaigns.stopping import Shard, rounds
 from ltsim.campaigns.store import SOURCE, Store
-from ltsim.errors import SetupError, WorkerError, as_setup_error
-from ltsim.recording.settings import to_toml
+from ltsim.core.errors import SetupError, WorkerError, as_setup_error
+from ltsim.core.workers import parallel
+from ltsim.recordings.settings import to_toml
 from ltsim.simulation.fieldwork import fieldwork
 from ltsim.simulation.simulator import idle_effects
-from ltsim.workers import parallel
 
 DECIDING = ("ltsim", "numpy", "numba", "pyarrow", "scipy")
 """Packages whose version can change a row's bytes."""

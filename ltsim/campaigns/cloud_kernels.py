@@ -1,13 +1,14 @@
 """Compiled kernels on clouds of points for a block of trials: means, rigid fits, the paper's criteria and objective.
 
-The same quantities as in `ltsim.evaluation`, trials last. Rigid fits start from frames that agree to the size of the
-errors, so Newton's method on the rotation replaces the singular value decomposition: three steps reach rounding.
+The same quantities as in `ltsim.adjustment.evaluation`, trials last. Rigid fits start from frames that agree to the
+size of the errors, so Newton's method on the rotation replaces the singular value decomposition: three steps reach
+rounding.
 """
 
 import numpy as np
 
-from ltsim.arrays import Bools, Floats, Ints
 from ltsim.campaigns.compiled import at, compiled
+from ltsim.core.arrays import Bools, Floats, Ints
 
 TURNS = 3
 MICRO = 1e6

@@ -8,11 +8,11 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from ltsim.arrays import Floats
 from ltsim.campaigns.design import Factor
 from ltsim.campaigns.schema import FAILED, OF_PARAMETER, STATUSES, column_of
-from ltsim.effects.effect import Effect, Parameter
-from ltsim.model.construction import Construction
+from ltsim.core.arrays import Floats
+from ltsim.physics.effects.effect import Effect, Parameter
+from ltsim.physics.model.construction import Construction
 
 Columns = dict[str, NDArray[Any]]
 """Named results (B,), one value a trial; lengths in um, as the names say."""

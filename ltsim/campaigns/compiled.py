@@ -8,7 +8,7 @@ import numba
 from numba import types
 from numba.extending import overload
 
-from ltsim.arrays import Floats
+from ltsim.core.arrays import Floats
 
 R = TypeVar("R")
 

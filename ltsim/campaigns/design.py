@@ -8,12 +8,12 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from ltsim.arrays import Floats
-from ltsim.randomness import stream
-from ltsim.recording.result_file import Entry
-from ltsim.recording.setup import Finite, TomlSection
+from ltsim.core.arrays import Floats
+from ltsim.core.randomness import stream
+from ltsim.core.units import unit_of_key
+from ltsim.recordings.result_file import Entry
+from ltsim.recordings.setup import Finite, TomlSection
 from ltsim.simulation.keys import Kind, kind_of, value_at
-from ltsim.units import unit_of_key
 
 TAKEN = frozenset(
     {

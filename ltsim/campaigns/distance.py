@@ -15,7 +15,6 @@ from functools import cached_property
 import numpy as np
 
 from ltsim.adjustment.prior import prior_sigmas
-from ltsim.arrays import Bools, Floats, Ints
 from ltsim.calibration.distance import METHODS
 from ltsim.calibration.distance_solver import (
     Estimates,
@@ -32,6 +31,7 @@ from ltsim.campaigns.kernels import points_of, pull_points
 from ltsim.campaigns.network import BatchFit
 from ltsim.campaigns.program import ChainProgram
 from ltsim.campaigns.truth import Block
+from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.geometry.polar import wrap
 from ltsim.solve.absolute import least_absolute
 

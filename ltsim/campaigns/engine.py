@@ -13,19 +13,19 @@ import numpy as np
 
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.adjustment.datum import InnerDatum
-from ltsim.arrays import Bools, Floats, Ints
+from ltsim.adjustment.evaluation.clouds import on_points
 from ltsim.calibration.distance import calibrate_distance
 from ltsim.calibration.network import calibrate_network
 from ltsim.campaigns.network import BatchNetwork
 from ltsim.campaigns.schema import CONVERGED, FAILED, FULL, STATUSES
 from ltsim.campaigns.truth import Block, CellTruth
-from ltsim.effects.effect import Effect
-from ltsim.errors import LtsimError
-from ltsim.evaluation.clouds import on_points
+from ltsim.core.arrays import Bools, Floats, Ints
+from ltsim.core.errors import LtsimError
 from ltsim.geometry.rigid import rigid_motion
-from ltsim.model.construction import Construction, ideal
-from ltsim.recording.lengths import KnownLengths
-from ltsim.recording.recording import Recording
+from ltsim.physics.effects.effect import Effect
+from ltsim.physics.model.construction import Construction, ideal
+from ltsim.recordings.lengths import KnownLengths
+from ltsim.recordings.recording import Recording
 from ltsim.simulation.simulator import certified_by
 
 SUSPECT = 0.6e-3

@@ -1,6 +1,6 @@
 """How good a calibration was, for a block of trials: the paper's criteria and the error against the truth.
 
-The same quantities as in `ltsim.evaluation`, which judges one recording at a time and is what this is tested against.
+The same quantities as in `ltsim.adjustment.evaluation`, which judges one recording at a time; tests compare the two.
 """
 
 from collections.abc import Sequence
@@ -9,7 +9,6 @@ from functools import cached_property
 
 import numpy as np
 
-from ltsim.arrays import Bools, Floats
 from ltsim.campaigns.cloud_kernels import (
     MICRO,
     add_square_error,
@@ -23,9 +22,10 @@ from ltsim.campaigns.columns import Columns
 from ltsim.campaigns.engine import Calibrated, members
 from ltsim.campaigns.kernels import points_of
 from ltsim.campaigns.truth import Block, CellTruth
-from ltsim.effects.effect import Effect
+from ltsim.core.arrays import Bools, Floats
 from ltsim.geometry.rigid import holds_pose
-from ltsim.model.construction import Construction, ideal
+from ltsim.physics.effects.effect import Effect
+from ltsim.physics.model.construction import Construction, ideal
 
 FLAT = 1e-3
 """Targets that are this near to one line, as a share of their spread along it, do not fix a rotation."""

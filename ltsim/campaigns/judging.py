@@ -7,18 +7,18 @@ from typing import Any
 
 import numpy as np
 
-from ltsim.arrays import Floats
+from ltsim.adjustment.evaluation.clouds import ShareRemoved, cloud_error, measured_points
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.correct import correct
 from ltsim.campaigns.spec import JUDGE, judge_of
-from ltsim.errors import SetupError
-from ltsim.evaluation.clouds import ShareRemoved, cloud_error, measured_points
-from ltsim.results import Result, Table, numbers, texts
+from ltsim.core.arrays import Floats
+from ltsim.core.errors import SetupError
+from ltsim.core.results import Result, Table, numbers, texts
+from ltsim.core.units import MICROMETRE
 from ltsim.simulation.fieldwork import fieldwork
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.simulator import measure
 from ltsim.simulation.verbs import ScenarioSource, scenario
-from ltsim.units import MICROMETRE
 
 SAME = 1e-6
 """[m, rad] Below what any noise makes of two recordings."""

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from ltsim.arrays import Floats, Ints
 from ltsim.campaigns.compiled import at, compiled, inlined
 from ltsim.campaigns.program import ChainProgram
+from ltsim.core.arrays import Floats, Ints
 
 REACHED = 1e-9
 """[m, rad] Newton's method ends with a step below this: what remains is a factor of 1e-4 smaller."""

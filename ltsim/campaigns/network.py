@@ -18,16 +18,16 @@ import numpy as np
 
 from ltsim.adjustment.frame import Frame
 from ltsim.adjustment.problem import NetworkProblem
-from ltsim.arrays import Bools, Floats, Ints
 from ltsim.campaigns.kernels import network_gradient
 from ltsim.campaigns.program import ChainProgram
-from ltsim.effects.effect import Effect
-from ltsim.errors import SetupError
+from ltsim.core.arrays import Bools, Floats, Ints
+from ltsim.core.errors import SetupError
 from ltsim.geometry.rigid import pose_design
-from ltsim.model.construction import Construction
-from ltsim.model.incidence import IncidenceErrors
-from ltsim.model.measurement import MeasurementModel, Prediction, State, sightings_of
-from ltsim.recording.recording import Recording
+from ltsim.physics.effects.effect import Effect
+from ltsim.physics.model.construction import Construction
+from ltsim.physics.model.incidence import IncidenceErrors
+from ltsim.physics.model.measurement import MeasurementModel, Prediction, State, sightings_of
+from ltsim.recordings.recording import Recording
 from ltsim.scene.sightings import Sightings
 from ltsim.solve.chain import inverse_of
 from ltsim.solve.design import as_dense, cholesky_where_determined, unit_diagonal

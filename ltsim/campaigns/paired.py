@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ltsim.arrays import Floats
 from ltsim.campaigns.schema import terms_of
-from ltsim.errors import ModelError, unknown_name
-from ltsim.results import Columns, Result, by_row
+from ltsim.core.arrays import Floats
+from ltsim.core.errors import ModelError, unknown_name
+from ltsim.core.results import Columns, Result, by_row
 
 if TYPE_CHECKING:
     from ltsim.campaigns.statistics import Statistics  # needs packages that few install

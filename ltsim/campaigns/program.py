@@ -10,9 +10,9 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
-from ltsim.arrays import Floats, Ints
-from ltsim.kinematics.chain import Motion, Turn
-from ltsim.model.construction import Construction
+from ltsim.core.arrays import Floats, Ints
+from ltsim.geometry.kinematics.chain import Motion, Turn
+from ltsim.physics.model.construction import Construction
 
 PROBE = 1e-4
 """Step of the central difference that gives a basis' derivative: error 1e-9 of it."""

@@ -27,8 +27,6 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
-from ltsim.arguments import check_bounds
-from ltsim.arrays import Floats
 from ltsim.calibration.verbs import wanted
 from ltsim.campaigns.recovery_checks import (
     COVERED,
@@ -43,15 +41,17 @@ from ltsim.campaigns.recovery_checks import (
 from ltsim.campaigns.recovery_trials import FailedTrial, How, run_trials
 from ltsim.campaigns.schema import CHECKS, TRIALS, Errors, RecoveryCheck
 from ltsim.campaigns.scoring import Calibrator, Trial, checked_command
-from ltsim.effects.effect import Effect
-from ltsim.effects.verbs import each_of
-from ltsim.errors import RecordError, SetupError, option, unknown_name
-from ltsim.model.construction import construction as construction_called
-from ltsim.results import Columns, Result, Table
+from ltsim.core.arguments import check_bounds
+from ltsim.core.arrays import Floats
+from ltsim.core.errors import RecordError, SetupError, option, unknown_name
+from ltsim.core.results import Columns, Result, Table
+from ltsim.core.units import in_unit
+from ltsim.physics.effects.effect import Effect
+from ltsim.physics.effects.verbs import each_of
+from ltsim.physics.model.construction import construction as construction_called
 from ltsim.simulation.physics import construction_of
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.verbs import ScenarioSource, scenario as scenario_of, simulate
-from ltsim.units import in_unit
 
 MOST_FAILURES = 3
 """Trials in which a foreign calibrator may end without a result before the run ends: a command that cannot work

@@ -10,9 +10,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from scipy import stats
 
-from ltsim.arrays import Floats
 from ltsim.campaigns.schema import RecoveryCheck
-from ltsim.errors import ModelError
+from ltsim.core.arrays import Floats
+from ltsim.core.errors import ModelError
 
 FALSE_ALARM = 0.01
 """Chance that a correct model fails any of the checks."""

@@ -10,14 +10,14 @@ from ltsim.calibration.distance import calibrate_distance
 from ltsim.calibration.network import calibrate_network
 from ltsim.campaigns.schema import Errors
 from ltsim.campaigns.scoring import Calibrator, Trial, estimates_by, score, score_estimates
-from ltsim.errors import CalibratorError, ConvergenceError, LtsimError
-from ltsim.model.construction import Construction
-from ltsim.recording import Recording
+from ltsim.core.errors import CalibratorError, ConvergenceError, LtsimError
+from ltsim.core.workers import parallel
+from ltsim.physics.model.construction import Construction
+from ltsim.recordings import Recording
 from ltsim.simulation.fieldwork import fieldwork
 from ltsim.simulation.physics import instrument_law
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.simulator import measure, place_key
-from ltsim.workers import parallel
 
 
 class FailedTrial(NamedTuple):

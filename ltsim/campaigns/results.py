@@ -12,9 +12,9 @@ import numpy as np
 from ltsim.campaigns.paired import Paired, paired
 from ltsim.campaigns.schema import CHECKED, column_of
 from ltsim.campaigns.statistics import Statistics
-from ltsim.drawing import pictures
-from ltsim.errors import missing_extra
-from ltsim.results import Result
+from ltsim.core.drawing import pictures
+from ltsim.core.errors import missing_extra
+from ltsim.core.results import Result
 
 if TYPE_CHECKING:
     import xarray as xr

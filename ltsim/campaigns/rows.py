@@ -11,7 +11,6 @@ import pyarrow as pa
 import pyarrow.compute
 from threadpoolctl import threadpool_limits
 
-from ltsim.arrays import Floats, Ints
 from ltsim.campaigns.calibrators import (
     StackCalibrator,
     calibrator_of,
@@ -27,10 +26,11 @@ from ltsim.campaigns.schema import CHECKED, FAILED, STATUSES, column_of
 from ltsim.campaigns.spec import JUDGE, Campaign
 from ltsim.campaigns.store import encoded, statistics_of
 from ltsim.campaigns.truth import Block, CellTruth, truth_of
-from ltsim.effects import CATALOGUE
-from ltsim.effects.effect import Effect
-from ltsim.errors import SetupError
-from ltsim.randomness import BLOCK
+from ltsim.core.arrays import Floats, Ints
+from ltsim.core.errors import SetupError
+from ltsim.core.randomness import BLOCK
+from ltsim.physics.effects import CATALOGUE
+from ltsim.physics.effects.effect import Effect
 from ltsim.simulation.draws import Normal
 from ltsim.simulation.physics import construction_of, effects_of
 from ltsim.simulation.scenario import Scenario

@@ -8,8 +8,8 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 from pydantic import Field
 
 from ltsim.campaigns.design import Factor
-from ltsim.recording.result_file import Entry, Finite, Known, ResultFile
-from ltsim.results import Column, Table, columns_of, numbers, texts
+from ltsim.core.results import Column, Table, columns_of, numbers, texts
+from ltsim.recordings.result_file import Entry, Finite, Known, ResultFile
 
 Whole = Annotated[int, Field(ge=0)]
 LEVELS = (0.025, 0.05, 0.25, 0.5, 0.75, 0.95, 0.975)

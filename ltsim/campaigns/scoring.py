@@ -26,19 +26,19 @@ import numpy as np
 from pydantic import Field, TypeAdapter, ValidationError
 from scipy.spatial.transform import Rotation
 
-from ltsim.arrays import Floats, Ints
 from ltsim.calibration.calibration import Calibration
 from ltsim.campaigns.schema import Errors
-from ltsim.effects.smr_incidence import SmrIncidence
-from ltsim.errors import CalibratorError, RecordError, SetupError
-from ltsim.recording import Recording, write as write_recording
-from ltsim.recording.files import shown
-from ltsim.recording.result_file import read_json
-from ltsim.recording.setup import Finite
+from ltsim.core.arrays import Floats, Ints
+from ltsim.core.errors import CalibratorError, RecordError, SetupError
+from ltsim.core.units import FACTOR, same_kind
+from ltsim.core.values import Valued
+from ltsim.core.workers import SAFE_PATH
+from ltsim.physics.effects.smr_incidence import SmrIncidence
+from ltsim.recordings import Recording, write as write_recording
+from ltsim.recordings.files import shown
+from ltsim.recordings.result_file import read_json
+from ltsim.recordings.setup import Finite
 from ltsim.simulation.truth import Truth
-from ltsim.units import FACTOR, same_kind
-from ltsim.values import Valued
-from ltsim.workers import SAFE_PATH
 
 NOISELESS = 1e-4
 """Share of a stated variance under which the error is the prior's, not the noise's."""

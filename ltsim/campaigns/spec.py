@@ -10,16 +10,16 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
+from ltsim.adjustment.evaluation.criteria import read_nominal
 from ltsim.campaigns.design import Design, Factor, short_names
 from ltsim.campaigns.schema import Statistic, column_of
-from ltsim.errors import SetupError, as_setup_error
-from ltsim.evaluation.criteria import read_nominal
-from ltsim.recording.settings import checked, read_toml
-from ltsim.recording.setup import Positive, TomlSection
+from ltsim.core.errors import SetupError, as_setup_error
+from ltsim.core.units import MILLIMETRE
+from ltsim.recordings.settings import checked, read_toml
+from ltsim.recordings.setup import Positive, TomlSection
 from ltsim.simulation.keys import kind_of, quantity, unit_of
 from ltsim.simulation.scenario import NONE, Scenario, changed, load_scenario
 from ltsim.simulation.sections import PlacedEffect
-from ltsim.units import MILLIMETRE
 
 FORMAT = "ltsim-campaign/1"
 MOST_CELLS, MOST_SHARDS = 4096, 500_000

@@ -9,8 +9,8 @@ import numpy as np
 from scipy.linalg.lapack import dpotrs
 
 from ltsim.adjustment.problem import NetworkProblem
-from ltsim.arrays import Floats, Ints
 from ltsim.campaigns.network import BatchNetwork
+from ltsim.core.arrays import Floats, Ints
 
 
 @dataclass(frozen=True)

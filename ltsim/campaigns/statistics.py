@@ -13,7 +13,6 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from ltsim.arrays import Floats
 from ltsim.campaigns.schema import (
     CHECKED,
     FAILED,
@@ -28,8 +27,9 @@ from ltsim.campaigns.schema import (
 )
 from ltsim.campaigns.stopping import level_of, quantile
 from ltsim.campaigns.store import Store, literal
-from ltsim.errors import ModelError, SetupError, unknown_name
-from ltsim.results import Columns, Table, by_row
+from ltsim.core.arrays import Floats
+from ltsim.core.errors import ModelError, SetupError, unknown_name
+from ltsim.core.results import Columns, Table, by_row
 
 NORMAL_95 = 1.959963984540054
 CONNECTION: dict[str, Any] = {

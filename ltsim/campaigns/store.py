@@ -27,9 +27,9 @@ import pyarrow.parquet as pq
 from filelock import FileLock, Timeout
 
 from ltsim.campaigns.schema import SUMMARY, ManifestFile
-from ltsim.errors import RecordError, SetupError
-from ltsim.recording.result_file import read_result
-from ltsim.storage import place_in, settle, write_files
+from ltsim.core.errors import RecordError, SetupError
+from ltsim.core.storage import place_in, settle, write_files
+from ltsim.recordings.result_file import read_result
 
 MANIFEST, SOURCE, ROWS, LOCK, DIGESTS = ManifestFile.FILE, "campaign.toml", "rows", ".lock", "rows.sha256"
 DIGEST_LINE = re.compile(r"^(?P<digest>[0-9a-f]{64})  (?P<name>rows/cell-\d+/shard-\d+\.parquet)\n", re.MULTILINE)

@@ -13,16 +13,16 @@ from typing import Any
 
 import numpy as np
 
-from ltsim.arrays import Bools, Floats, Ints
 from ltsim.campaigns.kernels import readings_of
 from ltsim.campaigns.program import ChainProgram
-from ltsim.effects.effect import Effect
-from ltsim.errors import SetupError
+from ltsim.core.arrays import Bools, Floats, Ints
+from ltsim.core.errors import SetupError
+from ltsim.core.randomness import BLOCK as BLOCK
 from ltsim.geometry.polar import wrap
-from ltsim.model.construction import Construction
-from ltsim.model.measurement import State
-from ltsim.randomness import BLOCK as BLOCK
-from ltsim.recording.recording import OBSERVABLES, Recording
+from ltsim.physics.effects.effect import Effect
+from ltsim.physics.model.construction import Construction
+from ltsim.physics.model.measurement import State
+from ltsim.recordings.recording import OBSERVABLES, Recording
 from ltsim.scene.sightings import Sightings
 from ltsim.simulation.draws import Draw, EffectLaw, Normal, TrialDraws
 from ltsim.simulation.fieldwork import Fieldwork, fieldwork

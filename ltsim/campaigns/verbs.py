@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ltsim.arguments import check_bounds, check_choice
 from ltsim.campaigns import require_packages
-from ltsim.errors import SetupError
+from ltsim.core.arguments import check_bounds, check_choice
+from ltsim.core.errors import SetupError
 
 if TYPE_CHECKING:
     from ltsim.campaigns.results import Results

@@ -11,14 +11,14 @@ import ltsim as lt
 from ltsim.cli.options import CalibrationFile, FramedReading, OptionalCalibrationFile, ReadingOptions, Source
 from ltsim.cli.places import RECORDING, Force
 from ltsim.cli.terminal import ResultTerminal, Terminal
-from ltsim.units import ARCSECOND, MICROMETRE
+from ltsim.core.units import ARCSECOND, MICROMETRE
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from ltsim.adjustment.evaluation import Criteria
     from ltsim.calibration.calibration import Calibration
-    from ltsim.evaluation import Criteria
-    from ltsim.recording import Recording
+    from ltsim.recordings import Recording
 
 Corrected = Annotated[Path, typer.Option("--out", metavar="REC2", help="Folder of the corrected recording."), RECORDING]
 Nominal = Annotated[
@@ -112,8 +112,8 @@ def evaluate(
 
     Example: ltsim evaluate my-recording --calibration my-calibration
     """
+    from ltsim.adjustment.evaluation.criteria import CriteriaFile
     from ltsim.adjustment.snooping import screened
-    from ltsim.evaluation.criteria import CriteriaFile
 
     terminal.claim(CriteriaFile)
     recording = reading.open(source, terminal)
@@ -139,7 +139,7 @@ def verify(
 
     Example: ltsim verify laboratory --nominal cmm.csv --calibration my-calibration
     """
-    from ltsim.evaluation.criteria import CriteriaFile
+    from ltsim.adjustment.evaluation.criteria import CriteriaFile
 
     terminal.claim(CriteriaFile)
     recording = reading.open(source, terminal)
@@ -170,8 +170,8 @@ def _fitted(
 
 
 def _judged(terminal: ResultTerminal, criteria: Criteria, recording: Recording) -> None:
-    from ltsim.evaluation.criteria import CriteriaFile
-    from ltsim.recording.result_file import SourceEntry
+    from ltsim.adjustment.evaluation.criteria import CriteriaFile
+    from ltsim.recordings.result_file import SourceEntry
 
     content = CriteriaFile.model_validate({"recording": SourceEntry.of(recording), **criteria.as_json()})
     terminal.kept(content)
@@ -265,7 +265,7 @@ def history(
     """
     from ltsim.calibration.history_file import history_file
     from ltsim.calibration.history_schema import HistoryFile
-    from ltsim.pages.sections import section_of
+    from ltsim.reports.sections import section_of
 
     terminal.claim(HistoryFile, "history.svg")
     opened: dict[str, Calibration | Recording] = {}
@@ -276,8 +276,8 @@ def history(
     content = history_file(found)
 
     def drawn() -> dict[str, str]:
-        from ltsim.pages.figures.parameters import history_figure
-        from ltsim.pages.style import svg
+        from ltsim.reports.figures.parameters import history_figure
+        from ltsim.reports.style import svg
 
         known = [course for course in content.parameters if course.constant.dof]
         return {"history.svg": svg(history_figure(found.labels, known))}

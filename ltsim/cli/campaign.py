@@ -12,14 +12,14 @@ from xml.etree.ElementTree import Element, SubElement, tostring
 import typer
 
 import ltsim as lt
-from ltsim.arguments import MOST_JOBS
 from ltsim.campaigns import require_packages
 from ltsim.cli import streams
 from ltsim.cli.places import FILE, FOLDER, Force, check_writable
 from ltsim.cli.simulate import ScenarioName
 from ltsim.cli.terminal import ResultTerminal, Terminal
-from ltsim.errors import SetupError, StoppedError
-from ltsim.recording.files import write_text
+from ltsim.core.arguments import MOST_JOBS
+from ltsim.core.errors import SetupError, StoppedError
+from ltsim.recordings.files import write_text
 
 if TYPE_CHECKING:
     from ltsim.campaigns.recovery import Recovery
@@ -73,7 +73,7 @@ def campaign(
     from ltsim.campaigns.results import Results
     from ltsim.campaigns.spec import load_campaign
     from ltsim.campaigns.store import Store
-    from ltsim.pages.sections.campaign import campaign_section
+    from ltsim.reports.sections.campaign import campaign_section
 
     folder = out or file.with_suffix("")
     check_writable(folder, folder=True)

@@ -15,16 +15,16 @@ from ltsim.cli import streams
 from ltsim.cli.examples import example_text
 from ltsim.cli.options import ReadingOptions, Source
 from ltsim.cli.terminal import ResultTerminal, Terminal
-from ltsim.errors import NetworkError, RecordError, SetupError
-from ltsim.notation import aligned
-from ltsim.recording.files import is_number
+from ltsim.core.errors import NetworkError, RecordError, SetupError
+from ltsim.core.notation import aligned
+from ltsim.recordings.files import is_number
 from ltsim.simulation.builtin import builtin_names
 
 if TYPE_CHECKING:
-    from ltsim.fieldcheck import Check, Item
-    from ltsim.recording.coordinates import Coordinates
-    from ltsim.recording.recording import Recording
-    from ltsim.tasks.spec import Tasks
+    from ltsim.adjustment.fieldcheck import Check, Item
+    from ltsim.measurands.spec import Tasks
+    from ltsim.recordings.coordinates import Coordinates
+    from ltsim.recordings.recording import Recording
 
 MpeOption = Annotated[
     str | None,
@@ -59,8 +59,8 @@ def check(
 
     Example: ltsim check my-recording --mpe 20,6 --out my-check
     """
-    from ltsim.fieldcheck import check_file, write_check
-    from ltsim.fieldcheck.items import TWO_FACE, CheckFile
+    from ltsim.adjustment.fieldcheck import check_file, write_check
+    from ltsim.adjustment.fieldcheck.items import TWO_FACE, CheckFile
 
     terminal.claim(CheckFile, TWO_FACE.file, "check.svg")
     limit = mpe_of(mpe)
@@ -76,7 +76,7 @@ def check(
         found = lt.check(recording, mpe=limit, **options)
     content = check_file(found)
     if terminal.out is not None:
-        from ltsim.pages.style import svg  # most checks draw nothing
+        from ltsim.reports.style import svg  # most checks draw nothing
 
         content = write_check(found, terminal.out, {"check.svg": svg(found.plot())})
     terminal.result(content)
@@ -178,7 +178,7 @@ def bench(file: BenchTable, *, terminal: ResultTerminal, **options: Any) -> None
 
     Example: ltsim bench my-reflector.csv --out my-reflector
     """
-    from ltsim.evaluation.bench import BenchFile
+    from ltsim.adjustment.evaluation.bench import BenchFile
 
     terminal.claim(BenchFile)
     content = terminal.kept(lt.bench(file, **options))
@@ -217,8 +217,8 @@ def compare(
 
     Example: ltsim compare january march --stable P1,P2,P3 --out my-comparison
     """
-    from ltsim.recording.coordinates import holds_coordinates
-    from ltsim.tasks.comparison import DISPLACEMENTS, Comparison
+    from ltsim.measurands.comparison import DISPLACEMENTS, Comparison
+    from ltsim.recordings.coordinates import holds_coordinates
 
     terminal.claim(Comparison, DISPLACEMENTS.file)
     lists = holds_coordinates(source) or holds_coordinates(second)
@@ -232,7 +232,7 @@ def compare(
 
 def _listed(path: Path, terminal: Terminal) -> Coordinates | Path:
     """A list of coordinates, with what its reader decided and its size said."""
-    from ltsim.recording.coordinates import holds_coordinates, read_coordinates
+    from ltsim.recordings.coordinates import holds_coordinates, read_coordinates
 
     if not holds_coordinates(path):
         return path
@@ -262,10 +262,10 @@ def uncertainty(
         return 0
     if file is None:
         raise SetupError("ltsim uncertainty needs a FILE; ltsim uncertainty --show prints one to edit")
-    from ltsim.pages.sections import section_of
-    from ltsim.recording.result_file import read_result
-    from ltsim.tasks.files import BUDGET, RESULTS, UncertaintyFile, compared
-    from ltsim.tasks.spec import load_tasks
+    from ltsim.measurands.files import BUDGET, RESULTS, UncertaintyFile, compared
+    from ltsim.measurands.spec import load_tasks
+    from ltsim.recordings.result_file import read_result
+    from ltsim.reports.sections import section_of
 
     terminal.claim(UncertaintyFile, RESULTS.file, BUDGET.file)
     tasks = load_tasks(file)
@@ -296,7 +296,7 @@ def _recording(
     terminal: Terminal, tasks: Tasks, file: Path, seed: int, *, beside: bool
 ) -> Recording | Coordinates | Path:
     """The recording of the tasks, or a list of coordinates; a scenario is measured once, virtually."""
-    from ltsim.recording.coordinates import holds_coordinates
+    from ltsim.recordings.coordinates import holds_coordinates
 
     name = tasks.source
     place = file.parent / name if beside else Path(name)

@@ -8,8 +8,8 @@ import typer
 from ltsim.cli.options import FramedReading
 from ltsim.cli.places import ANYWHERE, Force, claim_file, claim_recording
 from ltsim.cli.terminal import Terminal
-from ltsim.recording import FORMATS, write
-from ltsim.recording.summary import summary
+from ltsim.recordings import FORMATS, write
+from ltsim.recordings.summary import summary
 
 WRITABLE = ", ".join(f.name for f in FORMATS if f.write is not None)
 

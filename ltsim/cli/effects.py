@@ -7,11 +7,11 @@ from typing import Annotated, Any
 import typer
 
 from ltsim.cli.terminal import Terminal
-from ltsim.effects import CATALOGUE, Effect, card_of, find_effect
-from ltsim.effects.catalogue import SHIPPED
-from ltsim.effects.effect import ShapeParameter
-from ltsim.notation import aligned
-from ltsim.units import FACTOR
+from ltsim.core.notation import aligned
+from ltsim.core.units import FACTOR
+from ltsim.physics.effects import CATALOGUE, Effect, card_of, find_effect
+from ltsim.physics.effects.catalogue import SHIPPED
+from ltsim.physics.effects.effect import ShapeParameter
 
 Name = Annotated[str | None, typer.Argument(metavar="[NAME]", help="One effect; without it all are listed.")]
 

@@ -10,7 +10,7 @@ import typer
 
 from ltsim.cli.places import FOLDER, Force, claim_file
 from ltsim.cli.terminal import Terminal
-from ltsim.recording.files import write_texts
+from ltsim.recordings.files import write_texts
 from ltsim.simulation.builtin import builtin_text
 
 Folder = Annotated[Path, typer.Argument(metavar="DIR", help="Folder to write to."), FOLDER]

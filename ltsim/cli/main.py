@@ -13,7 +13,7 @@ from typer.core import TyperGroup
 
 from ltsim.cli import streams
 from ltsim.cli.options import command_of
-from ltsim.errors import LtsimError, StoppedError, options_are_flags
+from ltsim.core.errors import LtsimError, StoppedError, options_are_flags
 
 BAD_INPUT, UNEXPECTED, INTERRUPTED = 2, 70, 130
 UNWRITABLE = (

@@ -14,14 +14,14 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args, get_type_hints
 import typer
 
 import ltsim as lt
-from ltsim.arguments import BOUNDS, MOST_JOBS, check_bounds, check_choice, range_words
 from ltsim.cli import streams
 from ltsim.cli.places import OutputPlace, check_outputs
 from ltsim.cli.terminal import Terminal
-from ltsim.errors import SPECIAL, RecordError, SetupError
+from ltsim.core.arguments import BOUNDS, MOST_JOBS, check_bounds, check_choice, range_words
+from ltsim.core.errors import SPECIAL, RecordError, SetupError
 
 if TYPE_CHECKING:
-    from ltsim.recording import Hints, Recording
+    from ltsim.recordings import Hints, Recording
 
 Source = Annotated[
     Path, typer.Argument(metavar="REC", help="A recording: a folder, or a file in a format that is recognised.")
@@ -80,7 +80,7 @@ def names_of(listed: str | None) -> tuple[str, ...] | None:
 
 def hints_of(pairs: list[str] | None, columns: str | None = None, *, growing: bool = False) -> Hints:
     """Hints from `KEY=VALUE` texts; raises RecordError when a key or a value is not known."""
-    from ltsim.recording import Hints
+    from ltsim.recordings import Hints
 
     given: dict[str, Any] = {}
     kinds = {name: kind for name, kind in get_type_hints(Hints).items() if name not in ("columns", "growing")}
@@ -105,7 +105,7 @@ class ReadingOptions:
 
     def of(self, path: Path, *, growing: bool = False) -> Recording:
         """The recording, perhaps while it is being written; raises RecordError."""
-        from ltsim.recording import read
+        from ltsim.recordings import read
 
         return read(path, format=self.format_name, hints=hints_of(self.hint, self.columns, growing=growing))
 
@@ -347,8 +347,8 @@ def _meanings(docstring: str) -> Iterator[tuple[str, tuple[str, str]]]:
 def in_axes(recording: Recording, frame: Path) -> Recording:
     """The recording with its datum in the axes of a file or a built-in scenario; raises RecordError or SetupError."""
     from ltsim.adjustment.axes import in_axes_of_points, in_axes_of_three
-    from ltsim.recording.coordinates import read_points
-    from ltsim.recording.settings import read_toml
+    from ltsim.recordings.coordinates import read_points
+    from ltsim.recordings.settings import read_toml
     from ltsim.simulation.builtin import builtin_names
 
     if frame.exists() and str(frame) not in builtin_names():

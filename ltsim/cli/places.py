@@ -19,12 +19,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ltsim.errors import RecordError, SetupError
-from ltsim.notation import listing
-from ltsim.storage import is_device, place_in, settle
+from ltsim.core.errors import RecordError, SetupError
+from ltsim.core.notation import listing
+from ltsim.core.storage import is_device, place_in, settle
 
 if TYPE_CHECKING:
-    from ltsim.recording.result_file import ResultFile
+    from ltsim.recordings.result_file import ResultFile
 
 Force = Annotated[bool, typer.Option("--force", help="Replace what is there, also what this command did not write.")]
 GENERATOR = '<meta name="generator" content="ltsim'
@@ -59,8 +59,8 @@ def check_outputs(outputs: Iterable[tuple[str, Path, OutputPlace]], *, force: bo
 
 def _names_of_results() -> set[str]:
     """Names that verbs give to files of their own choice; a truth is named by its option."""
-    from ltsim.pages.schemas import FILES, TABLES
-    from ltsim.recording.native import OBSERVATIONS
+    from ltsim.recordings.native import OBSERVATIONS
+    from ltsim.reports.schemas import FILES, TABLES
 
     truth = "truth.json"
     tables = {table.file for file, beside in TABLES.items() if file != truth for table in beside}
@@ -117,7 +117,7 @@ def claim(
 
 
 def _is_own(folder: Path, model: type[ResultFile], taken: list[str], own: Callable[[Any], bool]) -> bool:
-    from ltsim.recording.result_file import read_result
+    from ltsim.recordings.result_file import read_result
 
     try:
         found = read_result(folder, model)
@@ -141,7 +141,7 @@ def _taken(folder: Path, names: Iterable[str]) -> list[str]:
 
 def claim_recording(folder: Path, force: bool) -> None:
     """Make sure that a recording replaces none and lies among nothing foreign; raises RecordError."""
-    from ltsim.recording.native import OBSERVATIONS, SETUP
+    from ltsim.recordings.native import OBSERVATIONS, SETUP
 
     taken = _taken(folder, (OBSERVATIONS, SETUP))
     if force:
@@ -174,7 +174,7 @@ def claim_file(file: Path, force: bool) -> None:
 
 def _refuse_foreign(folder: Path) -> None:
     """Raise RecordError where a folder holds files that no command of ltsim wrote; hidden ones and folders aside."""
-    from ltsim.recording.native import OBSERVATIONS, SETUP
+    from ltsim.recordings.native import OBSERVATIONS, SETUP
 
     files = [p for p in folder.iterdir() if not (p.name.startswith(".") or p.is_dir())] if folder.is_dir() else []
     own = {OBSERVATIONS, SETUP}.union(*map(_answered_for, files))
@@ -189,7 +189,7 @@ def _refuse_foreign(folder: Path) -> None:
 
 def _answered_for(file: Path) -> set[str]:
     """A file that says it is ltsim's, with those that it says were written beside it."""
-    from ltsim.recording.result_file import read_json
+    from ltsim.recordings.result_file import read_json
 
     try:
         with file.open("rb") as stream:

@@ -13,14 +13,14 @@ import ltsim as lt
 from ltsim.cli.options import Jobs, ReadingOptions
 from ltsim.cli.places import FOLDER, Force, claim
 from ltsim.cli.terminal import Terminal
-from ltsim.errors import RecordError, SetupError
+from ltsim.core.errors import RecordError, SetupError
 
 if TYPE_CHECKING:
-    from ltsim.effects.signature import Signature
+    from ltsim.physics.effects.signature import Signature
     from ltsim.planning.plan import Plan
     from ltsim.planning.survey import Survey
     from ltsim.planning.verbs import Alternative
-    from ltsim.recording import Recording
+    from ltsim.recordings import Recording
 
 PlanSource = Annotated[
     str | None,
@@ -121,7 +121,7 @@ def _searched(terminal: Terminal, source: str, folder: Path | None, how: dict[st
     """The plan that a search finds; the best layout so far is told and kept on the way."""
     from ltsim.planning.files import opened, with_cad_beside, with_layout
     from ltsim.planning.making import Follower
-    from ltsim.recording.files import write_texts
+    from ltsim.recordings.files import write_texts
     from ltsim.simulation.scenario import scenario_to_toml
     from ltsim.simulation.workshop import bodies_of
 
@@ -157,9 +157,9 @@ def _write(terminal: Terminal, made: Plan, folder: Path | None) -> None:
 
 def _drawn(made: Plan) -> dict[str, bytes]:
     """The page for the shop floor, the plan from above, and cost against quality."""
-    from ltsim.pages.figures.parameters import trade_off
-    from ltsim.pages.style import png
-    from ltsim.pages.work_order import work_order_page
+    from ltsim.reports.figures.parameters import trade_off
+    from ltsim.reports.style import png
+    from ltsim.reports.work_order import work_order_page
 
     content = made.content
     drawn = {PAGE: work_order_page(made).encode(), FLOOR: png(made.plot())}
@@ -191,7 +191,7 @@ def _after(terminal: Terminal, recording: Recording, between: tuple[str, ...], o
     from ltsim.diagnosis.separate import open_question
     from ltsim.planning.files import next_csv, next_file
     from ltsim.planning.tables import NEXT
-    from ltsim.recording.result_file import SourceEntry, write_result
+    from ltsim.recordings.result_file import SourceEntry, write_result
 
     terminal.say(recording.headline)
     summary = ""

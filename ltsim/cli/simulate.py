@@ -15,12 +15,12 @@ from ltsim.campaigns import require_packages
 from ltsim.cli.options import FramedReading, Source
 from ltsim.cli.places import EMPTY, FILE, FOLDER, RECORDING, Force, claim_file, claim_recording
 from ltsim.cli.terminal import Terminal
-from ltsim.errors import ModelError, SetupError
-from ltsim.recording.files import write_text, write_texts
+from ltsim.core.errors import ModelError, SetupError
+from ltsim.recordings.files import write_text, write_texts
 from ltsim.simulation.builtin import builtin_names, builtin_text
 
 if TYPE_CHECKING:
-    from ltsim.recording import Recording
+    from ltsim.recordings import Recording
 
 
 ScenarioName = Annotated[
@@ -225,7 +225,7 @@ def simulated(out: Path, seed: int) -> str:
 def calibrated(out: Path, seed: int) -> str:
     """Calibrate that recording."""
     from ltsim.calibration.files import calibration_file
-    from ltsim.pages.sections import section_of
+    from ltsim.reports.sections import section_of
 
     recording, _ = lt.simulate("paper-workshop", seed=seed)
     found = lt.calibrate(recording)
@@ -235,7 +235,7 @@ def calibrated(out: Path, seed: int) -> str:
 
 def diagnosed(out: Path, seed: int) -> str:
     """Hide an effect in another recording and let the diagnosis find it."""
-    from ltsim.randomness import stream
+    from ltsim.core.randomness import stream
 
     entry = HIDDEN[int(stream(seed, "demo", "hidden").integers(len(HIDDEN)))]
     recording, truth = lt.simulate("paper-workshop-two-face", seed=seed, changes={"effects": [entry]})
@@ -250,7 +250,7 @@ def diagnosed(out: Path, seed: int) -> str:
 
 def repeated(out: Path, seed: int) -> str:
     """Repeat the calibration on many drawn instruments, by the network and by the paper's distances."""
-    from ltsim.pages.sections.campaign import campaign_section
+    from ltsim.reports.sections.campaign import campaign_section
 
     write_texts(out, {"campaign.toml": CAMPAIGN.format(seed=seed)})
     results = lt.campaign(out / "campaign.toml", force=True)

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO
 
-from ltsim.errors import printable
+from ltsim.core.errors import printable
 
 _CLOSED: set[int] = set()
 _DROPPED: set[int] = set()

@@ -20,7 +20,7 @@ from ltsim.cli import streams
 from ltsim.cli.places import FOLDER, Force, claim
 
 if TYPE_CHECKING:
-    from ltsim.recording.result_file import ResultFile
+    from ltsim.recordings.result_file import ResultFile
 
 File = TypeVar("File", bound="ResultFile")
 SILENCE = 10.0
@@ -70,7 +70,7 @@ class Terminal:
         """A result that a page tells of: all of it for a program, for a person what the page says without pictures."""
         self.answer(content.content())
         if not self.silent:
-            from ltsim.pages.sections import section_of  # what a page needs takes its time to load
+            from ltsim.reports.sections import section_of  # what a page needs takes its time to load
 
             self.say("\n" + section_of(content).text())
         self.notes(notes)
@@ -139,7 +139,7 @@ class ResultTerminal(Terminal):
 
     def kept(self, content: File, beside: Callable[[], Mapping[str, str | bytes]] = dict) -> File:
         """A result, written with the files beside it where there is a folder for them."""
-        from ltsim.recording.result_file import write_result
+        from ltsim.recordings.result_file import write_result
 
         return content if self.out is None else write_result(self.out, content, beside())
 

@@ -14,14 +14,14 @@ from ltsim.cli import streams
 from ltsim.cli.options import FramedReading
 from ltsim.cli.places import FILE, FOLDER, Force, OutputPlace, claim_file
 from ltsim.cli.terminal import Quiet, Terminal
-from ltsim.errors import RecordError, SetupError, require
-from ltsim.recording.settings import sentence
-from ltsim.recording.setup import About
+from ltsim.core.errors import RecordError, SetupError, require
+from ltsim.recordings.settings import sentence
+from ltsim.recordings.setup import About
 
 
 def claim_page(folder: Path, force: bool) -> None:
     """Make sure that the page of a folder replaces no page but its own; raises RecordError."""
-    from ltsim.pages.page import NAME  # what draws takes its time to load
+    from ltsim.reports.page import NAME  # what draws takes its time to load
 
     claim_file(folder / NAME, force)
 
@@ -102,8 +102,8 @@ def view(
 
 def _by_hand(terminal: Terminal, plan: str, out: Path, port: int, *, force: bool) -> None:
     from ltsim.planning.files import PLAN, SCENARIO
-    from ltsim.viewer.board import Board
-    from ltsim.viewer.server import BoardAccess, serve
+    from ltsim.reports.board.board import Board
+    from ltsim.reports.board.server import BoardAccess, serve
 
     for name in (SCENARIO, PLAN):
         claim_file(out / name, force)

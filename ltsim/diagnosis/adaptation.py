@@ -8,15 +8,15 @@ from dataclasses import replace
 import numpy as np
 
 from ltsim.adjustment import Adjustment, adjust
+from ltsim.adjustment.identification import Selection, Test, outcomes
+from ltsim.adjustment.identification.hypothesis import Hypothesis, NoiseFactor, Omission, Shift
+from ltsim.adjustment.identification.selection import WRONG_PLACE
 from ltsim.adjustment.snooping import LARGEST_ERROR
-from ltsim.arrays import Bools
+from ltsim.core.arrays import Bools
 from ltsim.diagnosis.findings import place_of
 from ltsim.diagnosis.schema import Equivalent, Estimate, Evidence, Finding
-from ltsim.identification import Selection, Test, outcomes
-from ltsim.identification.hypothesis import Hypothesis, NoiseFactor, Omission, Shift
-from ltsim.identification.selection import WRONG_PLACE
-from ltsim.model.construction import Construction
-from ltsim.recording.recording import OBSERVABLES, Recording
+from ltsim.physics.model.construction import Construction
+from ltsim.recordings.recording import OBSERVABLES, Recording
 
 EFFECTS = {
     ("constant-offset", "distance"): "range-offset",

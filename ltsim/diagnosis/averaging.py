@@ -18,16 +18,16 @@ from scipy.special import ndtri
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.refit import Refit
-from ltsim.arrays import Floats
+from ltsim.core.arrays import Floats
 from ltsim.diagnosis.diagnosis import Targets
 from ltsim.diagnosis.evidence import posterior, shares, wide_posterior
 from ltsim.diagnosis.hypotheses import Found, Hypothesis, Ranking
 from ltsim.diagnosis.search import Searcher
 from ltsim.diagnosis.shapes import all_shapes
-from ltsim.effects.effect import NoiseEffect
 from ltsim.geometry.rigid import less_rigid
-from ltsim.laws.law import Law
-from ltsim.laws.scatter import NoisePattern
+from ltsim.physics.effects.effect import NoiseEffect
+from ltsim.physics.laws.law import Law
+from ltsim.physics.laws.scatter import NoisePattern
 
 WORSE, HARM = 0.05, 0.03
 """Share by which the error of coordinates may grow when a law is taken off, and the chance that it grows by more."""

@@ -4,14 +4,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ltsim.adjustment.remedies.detectability import MinimalSize, Seen, information_left, seen_from, thinned
+from ltsim.adjustment.remedies.remedy import advice
 from ltsim.adjustment.residual_space import VISIBLE, ResidualSpace
-from ltsim.arrays import Floats
+from ltsim.core.arrays import Floats
 from ltsim.diagnosis.cards import Cards
 from ltsim.diagnosis.schema import Undetectable
-from ltsim.effects.effect import Effect
 from ltsim.geometry.rigid import rigid_motion
-from ltsim.remedies.detectability import MinimalSize, Seen, information_left, seen_from, thinned
-from ltsim.remedies.remedy import advice
+from ltsim.physics.effects.effect import Effect
 
 OUT_OF_REACH = 10.0
 """An effect that would have to be so many times a bad but plausible size to be found is called invisible."""

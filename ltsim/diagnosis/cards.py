@@ -14,15 +14,15 @@ import numpy as np
 import scipy.sparse as sp
 
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.arrays import Floats, Ints, Singles
 from ltsim.calibration.evidence import log_evidence
+from ltsim.core.arrays import Floats, Ints, Singles
 from ltsim.diagnosis.evidence import log_means, simulated_evidence, times_to_noise
 from ltsim.diagnosis.probe import Probe, square
-from ltsim.effects import BASELINE, CATALOGUE
-from ltsim.effects.effect import Effect, NoiseEffect, Stage
-from ltsim.effects.signature import Tunable
-from ltsim.laws.places import trackers_of
-from ltsim.recording.recording import OBSERVABLES
+from ltsim.physics.effects import BASELINE, CATALOGUE
+from ltsim.physics.effects.effect import Effect, NoiseEffect, Stage
+from ltsim.physics.effects.signature import Tunable
+from ltsim.physics.laws.places import trackers_of
+from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 
 SPARSE = 0.15

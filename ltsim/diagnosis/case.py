@@ -11,16 +11,16 @@ import numpy as np
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.adjustment.refit import Refit, refit
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.arrays import Bools, Floats
+from ltsim.core.arrays import Bools, Floats
 from ltsim.diagnosis.evidence import WIDE
 from ltsim.diagnosis.hypotheses import Found
 from ltsim.diagnosis.instruments import Contradiction
 from ltsim.diagnosis.noise import NoiseBank, NoiseHypothesis, most_likely, noise_hypotheses
 from ltsim.diagnosis.probe import TRIALS
 from ltsim.diagnosis.search import Searcher
-from ltsim.effects.signature import Signature, Tunable
-from ltsim.model.measurement import State
-from ltsim.recording.recording import Recording
+from ltsim.physics.effects.signature import Signature, Tunable
+from ltsim.physics.model.measurement import State
+from ltsim.recordings.recording import Recording
 
 REWEIGHTINGS = 2
 """Adjustments in which the sizes of the noise settle."""

@@ -5,17 +5,17 @@ import numpy as np
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.gross import CLOSE, GrossFinding
 from ltsim.adjustment.known import UNITS, KnownTest
+from ltsim.core.notation import with_sigma
+from ltsim.core.units import MILLIMETRE
 from ltsim.diagnosis.findings import among, place_of
 from ltsim.diagnosis.instruments import Contradiction
 from ltsim.diagnosis.prior import PLAIN
 from ltsim.diagnosis.schema import Equivalent, Estimate, Evidence, Finding
 from ltsim.diagnosis.words import percent
-from ltsim.effects import BASELINE
-from ltsim.effects.signature import Parameter
-from ltsim.effects.target_moved import TargetMoved
-from ltsim.notation import with_sigma
-from ltsim.recording.recording import Recording
-from ltsim.units import MILLIMETRE
+from ltsim.physics.effects import BASELINE
+from ltsim.physics.effects.signature import Parameter
+from ltsim.physics.effects.target_moved import TargetMoved
+from ltsim.recordings.recording import Recording
 
 
 def gross_finding(gross: GrossFinding, adjustment: Adjustment) -> Finding:

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from ltsim.arrays import Floats
+from ltsim.core.arrays import Floats
 from ltsim.diagnosis.schema import Curve
-from ltsim.laws.columns import waves_of
-from ltsim.laws.law import Law
+from ltsim.physics.laws.columns import waves_of
+from ltsim.physics.laws.law import Law
 from ltsim.scene.sightings import Sightings
 
 CURVE, A_CYCLE, MOST_POINTS = 61, 16, 600

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import special
 
-from ltsim.arrays import Floats
 from ltsim.calibration.evidence import log_sum_exp
+from ltsim.core.arrays import Floats
 from ltsim.diagnosis.noise import NoiseBank
 from ltsim.diagnosis.search import Searcher
 

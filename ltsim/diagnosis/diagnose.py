@@ -9,15 +9,17 @@ import numpy as np
 
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.adjustment.gross import GrossFinding, explain_gross, mend_faces, mend_stations
+from ltsim.adjustment.identification import Selection, identified, outcomes
 from ltsim.adjustment.known import SCALED, KnownTest
 from ltsim.adjustment.occupations import mend_tripods
 from ltsim.adjustment.refit import Refit
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.adjustment.singular import refusing_singular
 from ltsim.adjustment.stated import without
-from ltsim.arrays import Bools
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.calibration.known import Known
+from ltsim.core.arrays import Bools
+from ltsim.core.errors import RecordError
 from ltsim.diagnosis.adaptation import adapted, gross_causes
 from ltsim.diagnosis.averaging import averaged_targets
 from ltsim.diagnosis.blind import Sight, sight_of
@@ -37,14 +39,12 @@ from ltsim.diagnosis.schema import Finding, Misfit
 from ltsim.diagnosis.search import MOST_MEMBERS
 from ltsim.diagnosis.stray import stray_readings
 from ltsim.diagnosis.words import LIKELY, summarise
-from ltsim.effects.noise_level import NoiseLevel
-from ltsim.effects.signature import Tunable
-from ltsim.errors import RecordError
-from ltsim.identification import Selection, identified, outcomes
-from ltsim.laws.carriers import VARIED, constants_in
-from ltsim.laws.law import Law
-from ltsim.model.construction import Construction, stated_construction
-from ltsim.recording.recording import Recording
+from ltsim.physics.effects.noise_level import NoiseLevel
+from ltsim.physics.effects.signature import Tunable
+from ltsim.physics.laws.carriers import VARIED, constants_in
+from ltsim.physics.laws.law import Law
+from ltsim.physics.model.construction import Construction, stated_construction
+from ltsim.recordings.recording import Recording
 from ltsim.solve.threads import in_one_thread
 
 MOST_ROUNDS = 3

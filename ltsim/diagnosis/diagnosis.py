@@ -6,8 +6,13 @@ from dataclasses import dataclass
 from typing import Any
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.arrays import Floats
+from ltsim.adjustment.identification.tests import Test
+from ltsim.adjustment.remedies.detectability import MinimalSize
 from ltsim.calibration.calibration import residuals_table
+from ltsim.core.arrays import Floats
+from ltsim.core.results import Columns, Result, Table, by_entry, by_row
+from ltsim.core.units import FACTOR
+from ltsim.core.values import Valued
 from ltsim.diagnosis.schema import (
     BeforeAfter,
     DetectableEntry,
@@ -19,13 +24,8 @@ from ltsim.diagnosis.schema import (
     Misfit,
     Undetectable,
 )
-from ltsim.identification.tests import Test
-from ltsim.recording.recording import Recording
-from ltsim.recording.result_file import SourceEntry
-from ltsim.remedies.detectability import MinimalSize
-from ltsim.results import Columns, Result, Table, by_entry, by_row
-from ltsim.units import FACTOR
-from ltsim.values import Valued
+from ltsim.recordings.recording import Recording
+from ltsim.recordings.result_file import SourceEntry
 
 
 @dataclass(frozen=True)

@@ -20,10 +20,10 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.special import log_ndtr
 
-from ltsim.arrays import Bools, Floats, Ints, Singles
 from ltsim.calibration.evidence import LOG_WEIGHTS, SIZES, by_size, forms_of, log_evidence, log_sum_exp
-from ltsim.effects.signature import Tunable
-from ltsim.recording.recording import OBSERVABLES
+from ltsim.core.arrays import Bools, Floats, Ints, Singles
+from ltsim.physics.effects.signature import Tunable
+from ltsim.recordings.recording import OBSERVABLES
 
 TIE, SCREENED_TIE = 1e-6, 1e-4
 """[log evidence] Values that differ by less are equal: double precision, and single, round differently by the order of

@@ -10,13 +10,13 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.arrays import Floats, Ints
 from ltsim.calibration.evidence import log_sum_exp
+from ltsim.core.arrays import Floats, Ints
 from ltsim.diagnosis.evidence import TIE, best_of, evidence_of, evidence_with
 from ltsim.diagnosis.hypotheses import Found
-from ltsim.effects.signature import Tunable
-from ltsim.laws.carriers import CARRIERS
-from ltsim.laws.law import Law
+from ltsim.physics.effects.signature import Tunable
+from ltsim.physics.laws.carriers import CARRIERS
+from ltsim.physics.laws.law import Law
 
 T = TypeVar("T", bound=Tunable)
 Place = tuple[tuple[str, ...], tuple[str, ...]]

@@ -6,12 +6,12 @@ import numpy as np
 
 from ltsim.adjustment.joint import COVARIANCE, covariance_csv
 from ltsim.calibration.schema import RESIDUALS
+from ltsim.core.units import MILLIMETRE
 from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.diagnosis.schema import BEFORE, TARGETS, DiagnosisFile
-from ltsim.recording.native import OBSERVATIONS, SETUP, recording_texts
-from ltsim.recording.recording import Recording
-from ltsim.recording.result_file import write_result
-from ltsim.units import MILLIMETRE
+from ltsim.recordings.native import OBSERVATIONS, SETUP, recording_texts
+from ltsim.recordings.recording import Recording
+from ltsim.recordings.result_file import write_result
 
 RECORDING = "recording"
 COMPANIONS = (

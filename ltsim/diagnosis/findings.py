@@ -9,7 +9,8 @@ import numpy as np
 
 from ltsim.adjustment.prior import prior_sigmas
 from ltsim.adjustment.refit import Refit
-from ltsim.arrays import Floats
+from ltsim.core.arrays import Floats
+from ltsim.core.notation import number
 from ltsim.diagnosis.blind import distortion
 from ltsim.diagnosis.case import Case
 from ltsim.diagnosis.curve import curve_of
@@ -23,16 +24,15 @@ from ltsim.diagnosis.prior import NOISY, PLAIN, SAME_OBSERVABLE
 from ltsim.diagnosis.schema import Equivalent, Estimate, Evidence, Finding, Where
 from ltsim.diagnosis.separate import separating_measurement
 from ltsim.diagnosis.words import LIKELY, card_sentence, law_sentence, outside_sentence, without_clock
-from ltsim.effects import BASELINE
-from ltsim.effects.effect import Effect, NoiseEffect, SlotEffect
-from ltsim.effects.signature import Tunable, constants_of
-from ltsim.laws.drivers import words_of
-from ltsim.laws.law import Law
-from ltsim.laws.places import trackers_of
-from ltsim.laws.scatter import NoisePattern
-from ltsim.laws.words import IN_ITS_OWN_WAY, describe
-from ltsim.notation import number
-from ltsim.recording.recording import OBSERVABLES
+from ltsim.physics.effects import BASELINE
+from ltsim.physics.effects.effect import Effect, NoiseEffect, SlotEffect
+from ltsim.physics.effects.signature import Tunable, constants_of
+from ltsim.physics.laws.drivers import words_of
+from ltsim.physics.laws.law import Law
+from ltsim.physics.laws.places import trackers_of
+from ltsim.physics.laws.scatter import NoisePattern
+from ltsim.physics.laws.words import IN_ITS_OWN_WAY, describe
+from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 
 MOST_EQUIVALENTS = 3

@@ -12,8 +12,8 @@ from ltsim.diagnosis.evidence import TIE, best_of, evidence_with
 from ltsim.diagnosis.exact import Exact
 from ltsim.diagnosis.hypotheses import Found, Hypothesis
 from ltsim.diagnosis.prior import FORMS, OWN_WAY, PIECES
-from ltsim.laws.law import Law
-from ltsim.laws.names import name_of
+from ltsim.physics.laws.law import Law
+from ltsim.physics.laws.names import name_of
 
 MOST_PIECES, PATIENCE = 10, 3
 """Steps and ramps at most, and those that are tried beyond the best."""

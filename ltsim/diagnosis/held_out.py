@@ -17,10 +17,10 @@ from typing import NamedTuple
 import numpy as np
 
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.arrays import Floats, Ints
+from ltsim.core.arrays import Floats, Ints
+from ltsim.core.randomness import stream
 from ltsim.diagnosis.evidence import wide_posterior
 from ltsim.diagnosis.search import Searcher
-from ltsim.randomness import stream
 
 FOLDS = 5
 PREDICTED = 1e-6

@@ -9,13 +9,13 @@ from scipy import linalg
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.prior import ParameterPrior, prior_sigmas
-from ltsim.arrays import Floats
 from ltsim.calibration.known import Known
+from ltsim.core.arrays import Floats
+from ltsim.core.errors import RecordError
 from ltsim.diagnosis.instruments import Change, Contradiction, Expected, compared
-from ltsim.effects.effect import Parameter
-from ltsim.errors import RecordError
-from ltsim.model.construction import Construction
-from ltsim.recording.recording import Recording
+from ltsim.physics.effects.effect import Parameter
+from ltsim.physics.model.construction import Construction
+from ltsim.recordings.recording import Recording
 
 TOLD = 1e-3
 """Information on a constant, in guarantees, that earlier calibrations have at least."""

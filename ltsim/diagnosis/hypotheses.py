@@ -10,12 +10,12 @@ from itertools import product
 import numpy as np
 
 from ltsim.adjustment.residual_space import VISIBLE, orthonormal
-from ltsim.arrays import Floats, Ints
 from ltsim.calibration.evidence import LOG_WEIGHTS, SIZES, log_sum_exp
+from ltsim.core.arrays import Floats, Ints
 from ltsim.diagnosis.evidence import best_of
 from ltsim.diagnosis.prior import OUTSIDE, SECOND_ALIKE
-from ltsim.effects import find_effect
-from ltsim.effects.signature import Tunable
+from ltsim.physics.effects import find_effect
+from ltsim.physics.effects.signature import Tunable
 
 
 @dataclass(frozen=True)

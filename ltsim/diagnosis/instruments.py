@@ -8,7 +8,6 @@ from scipy.special import erfc
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.prior import LEFT, prior_sigmas
-from ltsim.arrays import Floats
 from ltsim.calibration.evidence import (
     by_plausible_sizes,
     change_seen,
@@ -18,11 +17,12 @@ from ltsim.calibration.evidence import (
     log_evidence,
     log_sum_exp,
 )
-from ltsim.chances import SIZES
+from ltsim.core.arrays import Floats
+from ltsim.core.chances import SIZES
 from ltsim.diagnosis.evidence import shares
 from ltsim.diagnosis.prior import log_share
 from ltsim.diagnosis.schema import Estimate, InstrumentEntry
-from ltsim.effects.effect import Parameter
+from ltsim.physics.effects.effect import Parameter
 from ltsim.solve.design import unit_diagonal
 
 CHANGED = sum(share * size**2 for size, share in SIZES.items())

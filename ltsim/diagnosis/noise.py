@@ -19,19 +19,19 @@ import scipy.sparse as sp
 from scipy.special import expit
 
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.arrays import Floats, Ints
 from ltsim.calibration.evidence import log_sum_exp
+from ltsim.core.arrays import Floats, Ints
 from ltsim.diagnosis.evidence import log_means, restricted, shares
 from ltsim.diagnosis.prior import log_share
 from ltsim.diagnosis.schema import Equivalent
-from ltsim.effects import CATALOGUE
-from ltsim.effects.effect import NoiseEffect
-from ltsim.effects.noise_level import NoiseLevel
-from ltsim.effects.signature import NoiseSignature
-from ltsim.laws.offered import further
-from ltsim.laws.places import Place, branches, trackers_of
-from ltsim.laws.scatter import EACH_FACE, REPEATS, NoisePattern, owners_of
-from ltsim.recording.recording import OBSERVABLES
+from ltsim.physics.effects import CATALOGUE
+from ltsim.physics.effects.effect import NoiseEffect
+from ltsim.physics.effects.noise_level import NoiseLevel
+from ltsim.physics.effects.signature import NoiseSignature
+from ltsim.physics.laws.offered import further
+from ltsim.physics.laws.places import Place, branches, trackers_of
+from ltsim.physics.laws.scatter import EACH_FACE, REPEATS, NoisePattern, owners_of
+from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 from ltsim.solve.projection import BasisProjection
 

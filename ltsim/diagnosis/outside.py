@@ -11,8 +11,8 @@ ends it.
 import numpy as np
 
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.arrays import Floats
 from ltsim.calibration.evidence import log_sum_exp
+from ltsim.core.arrays import Floats
 from ltsim.diagnosis.evidence import restricted
 
 SHARES = np.geomspace(0.05, 1.0, 9)

@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ltsim.arrays import Floats, Ints, Singles
 from ltsim.calibration.evidence import by_size, forms_of, log_sum_exp
+from ltsim.core.arrays import Floats, Ints, Singles
 from ltsim.diagnosis.evidence import SCREENED_TIE, simulated_total
 from ltsim.diagnosis.probe import Probe
-from ltsim.laws.carriers import Carrier
-from ltsim.laws.drivers import Driver
-from ltsim.laws.places import Place
+from ltsim.physics.laws.carriers import Carrier
+from ltsim.physics.laws.drivers import Driver
+from ltsim.physics.laws.places import Place
 
 CHUNK = 1000
 """Pointings whose products are held at once."""

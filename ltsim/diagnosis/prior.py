@@ -11,7 +11,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ltsim.chances import CONSTANT
+from ltsim.core.chances import CONSTANT
 
 PRIOR = {"named": 0.53, "law": 0.33, "noise": 0.095, "scatter": 0.005, "constant": CONSTANT}
 """What is missing where something is missing."""

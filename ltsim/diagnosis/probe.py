@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.arrays import Floats, Singles
-from ltsim.randomness import stream
+from ltsim.core.arrays import Floats, Singles
+from ltsim.core.randomness import stream
 from ltsim.solve.projection import BasisProjection
 
 TRIALS = 300

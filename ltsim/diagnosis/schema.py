@@ -3,12 +3,12 @@
 from dataclasses import replace
 from typing import ClassVar, Literal, Self
 
+from ltsim.adjustment.identification.tests import Test
 from ltsim.calibration.schema import COORDINATES, RESIDUALS, DeterminedEntry
-from ltsim.effects.signature import Parameter, ShapeParameter
-from ltsim.identification.tests import Test
-from ltsim.recording.result_file import Entry, Finite, Known, ResultFile
-from ltsim.results import Table, numbers
-from ltsim.units import FACTOR
+from ltsim.core.results import Table, numbers
+from ltsim.core.units import FACTOR
+from ltsim.physics.effects.signature import Parameter, ShapeParameter
+from ltsim.recordings.result_file import Entry, Finite, Known, ResultFile
 
 TARGETS = Table(
     "targets.csv",

@@ -18,8 +18,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.arrays import Floats, Ints
 from ltsim.calibration.evidence import log_sum_exp
+from ltsim.core.arrays import Floats, Ints
 from ltsim.diagnosis.cards import ORDINARY, Cards, card_hypotheses
 from ltsim.diagnosis.evidence import SCREENED_TIE, TIE, best_of, posterior, ranked
 from ltsim.diagnosis.exact import Exact
@@ -31,10 +31,10 @@ from ltsim.diagnosis.probe import Probe
 from ltsim.diagnosis.schema import Estimate
 from ltsim.diagnosis.shapes import apart, between, shape_posterior
 from ltsim.diagnosis.space import panels
-from ltsim.effects.signature import ShapeParameter, Tunable
-from ltsim.laws.law import Law
-from ltsim.laws.names import name_of
-from ltsim.laws.sizes import sizes_of
+from ltsim.physics.effects.signature import ShapeParameter, Tunable
+from ltsim.physics.laws.law import Law
+from ltsim.physics.laws.names import name_of
+from ltsim.physics.laws.sizes import sizes_of
 
 MOST_MEMBERS = 5
 """Findings that are told at most, and as many constants of instruments; the tables have all of these."""

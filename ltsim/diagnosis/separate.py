@@ -3,12 +3,12 @@
 from collections.abc import Iterable, Sequence
 
 from ltsim.adjustment.adjustment import Adjustment
+from ltsim.adjustment.remedies.next_measurement import deciding, explanation, space_of
+from ltsim.core.errors import ModelError
 from ltsim.diagnosis.diagnosis import Diagnosis
-from ltsim.effects import find_effect
-from ltsim.effects.effect import NoiseEffect
-from ltsim.effects.signature import Signature
-from ltsim.errors import ModelError
-from ltsim.remedies.next_measurement import deciding, explanation, space_of
+from ltsim.physics.effects import find_effect
+from ltsim.physics.effects.effect import NoiseEffect
+from ltsim.physics.effects.signature import Signature
 
 
 def separating_measurement(

@@ -6,13 +6,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ltsim.arrays import Floats
+from ltsim.core.arrays import Floats
+from ltsim.core.units import FACTOR
 from ltsim.diagnosis.evidence import shares, wide_posterior
 from ltsim.diagnosis.exact import Exact
 from ltsim.diagnosis.hypotheses import Found
 from ltsim.diagnosis.schema import Estimate
-from ltsim.effects.signature import ShapeParameter, Tunable
-from ltsim.units import FACTOR
+from ltsim.physics.effects.signature import ShapeParameter, Tunable
 
 
 def _fine(shape: ShapeParameter, now: float, sigma: float, count: int) -> tuple[Floats, Floats]:

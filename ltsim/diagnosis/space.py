@@ -10,15 +10,15 @@ from dataclasses import replace
 import numpy as np
 
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.arrays import Floats
+from ltsim.core.arrays import Floats
 from ltsim.diagnosis.evidence import times_to_noise
 from ltsim.diagnosis.panel import Cells, Panel
 from ltsim.diagnosis.prior import AT_TARGETS, KINDS, PLACES, PRIOR
-from ltsim.laws.carriers import Carrier, carrier_designs
-from ltsim.laws.columns import LOW, MODES
-from ltsim.laws.drivers import Driver
-from ltsim.laws.offered import COST, DEPTHS, drivers_of, group_drivers, moves, waves
-from ltsim.laws.places import Place, branches, corners_of, each, together, trackers_of
+from ltsim.physics.laws.carriers import Carrier, carrier_designs
+from ltsim.physics.laws.columns import LOW, MODES
+from ltsim.physics.laws.drivers import Driver
+from ltsim.physics.laws.offered import COST, DEPTHS, drivers_of, group_drivers, moves, waves
+from ltsim.physics.laws.places import Place, branches, corners_of, each, together, trackers_of
 
 MOST_PLACES = 400
 """Set-ups, or targets, up to whose number each is tried on its own."""

@@ -9,8 +9,8 @@ import numpy as np
 
 from ltsim.adjustment.gross import GrossFinding
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.arrays import Bools, Floats
-from ltsim.recording.recording import OBSERVABLES
+from ltsim.core.arrays import Bools, Floats
+from ltsim.recordings.recording import OBSERVABLES
 
 WRONG, OFF = 8.0, 4.0
 """Normalised residuals of a stray reading, which noise does not reach in any recording, and of one that is off too."""

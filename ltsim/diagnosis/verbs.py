@@ -7,7 +7,7 @@ from ltsim.calibration.history import History
 from ltsim.calibration.known import Known
 from ltsim.diagnosis.diagnose import diagnose as diagnosis_of
 from ltsim.diagnosis.diagnosis import Diagnosis
-from ltsim.recording.exchange import RecordingSource, recording_of
+from ltsim.recordings.exchange import RecordingSource, recording_of
 
 
 def diagnose(

@@ -4,9 +4,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ltsim.core.notation import listing, with_sigma
 from ltsim.diagnosis.schema import Estimate, Finding, InstrumentEntry, Misfit, Where
-from ltsim.effects import card_of, find_effect
-from ltsim.notation import listing, with_sigma
+from ltsim.physics.effects import card_of, find_effect
 
 MOST_NAMED = 4
 """Estimates that a sentence names at most."""

@@ -4,8 +4,8 @@ from itertools import combinations
 
 import numpy as np
 
-from ltsim.arrays import Floats
-from ltsim.errors import NetworkError
+from ltsim.core.arrays import Floats
+from ltsim.core.errors import NetworkError
 
 ROBUST_PASSES = 8
 OUTLYING = 8.0

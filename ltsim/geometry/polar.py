@@ -6,7 +6,7 @@ Face 1 is the front: elevation within +-90 deg. Face 2 holds raw encoder values:
 
 import numpy as np
 
-from ltsim.arrays import Floats, Ints, side_by_side
+from ltsim.core.arrays import Floats, Ints, side_by_side
 
 
 def wrap(angle: Floats) -> Floats:

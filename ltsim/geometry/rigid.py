@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ltsim.arrays import Bools, Floats
+from ltsim.core.arrays import Bools, Floats
 from ltsim.geometry.rotations import cross_matrix
 
 ON_A_LINE = 1e-6

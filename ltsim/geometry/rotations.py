@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ltsim.arrays import Floats
+from ltsim.core.arrays import Floats
 
 
 def cross_matrix(vectors: Floats) -> Floats:

@@ -17,13 +17,13 @@ import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.problem import DATUM_SIGMA, NetworkProblem
-from ltsim.arrays import Bools, Floats, Ints
-from ltsim.effects.effect import Effect
+from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.geometry.rigid import holds_pose, rigid_motion
 from ltsim.geometry.rotations import about_z, cross_matrix
-from ltsim.model.construction import Construction, misalignment
-from ltsim.model.incidence import IncidenceErrors
-from ltsim.model.measurement import MeasurementModel
+from ltsim.physics.effects.effect import Effect
+from ltsim.physics.model.construction import Construction, misalignment
+from ltsim.physics.model.incidence import IncidenceErrors
+from ltsim.physics.model.measurement import MeasurementModel
 from ltsim.planning.survey import Survey
 from ltsim.scene.sightings import Sightings
 from ltsim.solve.design import POINT, as_dense, cholesky_where_determined, unit_diagonal

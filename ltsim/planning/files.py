@@ -5,7 +5,11 @@ from typing import Any
 
 import numpy as np
 
-from ltsim.errors import SetupError
+from ltsim.adjustment.remedies.detectability import Detectability, MinimalSize
+from ltsim.adjustment.remedies.next_measurement import NextMeasurement
+from ltsim.core.errors import SetupError
+from ltsim.core.results import Table
+from ltsim.core.units import DEGREE, FACTOR, MICROMETRE, MILLIMETRE
 from ltsim.planning import tables
 from ltsim.planning.information import ExpectedErrors
 from ltsim.planning.loading import load_plan
@@ -16,14 +20,10 @@ from ltsim.planning.schema import in_millimetres
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import Survey
 from ltsim.planning.tolerances import keeps
-from ltsim.recording.result_file import SourceEntry, read_result
-from ltsim.remedies.detectability import Detectability, MinimalSize
-from ltsim.remedies.next_measurement import NextMeasurement
-from ltsim.results import Table
+from ltsim.recordings.result_file import SourceEntry, read_result
 from ltsim.simulation.scenario import Scenario, load_scenario
 from ltsim.simulation.sections import PlannedStation, PlannedTarget
 from ltsim.simulation.workshop import bodies_of
-from ltsim.units import DEGREE, FACTOR, MICROMETRE, MILLIMETRE
 
 SCENARIO = "scenario.toml"
 """The hall with the plan's stations, in the plan's folder."""

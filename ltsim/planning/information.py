@@ -18,15 +18,15 @@ from itertools import combinations
 import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
+from ltsim.adjustment.remedies.undetermined import Direction, determining, undetermined
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.arrays import Floats
-from ltsim.effects.effect import Effect
-from ltsim.errors import NetworkError, unknown_name
+from ltsim.core.arrays import Floats
+from ltsim.core.errors import NetworkError, unknown_name
 from ltsim.geometry.rigid import rigid_motion
-from ltsim.model.construction import Construction, misalignment
+from ltsim.physics.effects.effect import Effect
+from ltsim.physics.model.construction import Construction, misalignment
 from ltsim.planning.schema import PlannedParameterEntry
 from ltsim.planning.survey import Survey
-from ltsim.remedies.undetermined import Direction, determining, undetermined
 from ltsim.solve.design import as_dense
 
 

@@ -9,22 +9,22 @@ from typing import Any
 
 import numpy as np
 
-from ltsim.arrays import Floats
-from ltsim.effects import CATALOGUE
-from ltsim.errors import RecordError, SetupError, as_setup_error
-from ltsim.planning.floor import grid_step, ground_of, may_stand, over
+from ltsim.core.arrays import Floats
+from ltsim.core.errors import RecordError, SetupError, as_setup_error
+from ltsim.core.units import MILLIMETRE
+from ltsim.physics.effects import CATALOGUE
 from ltsim.planning.rules import FEWEST
 from ltsim.planning.site import Placement
 from ltsim.planning.spec import WALLS, PlanFile, Point
-from ltsim.recording.coordinates import Points, read_points as read_coordinates
-from ltsim.recording.files import comma_number, shown
-from ltsim.recording.settings import checked, read_toml
+from ltsim.recordings.coordinates import Points, read_points as read_coordinates
+from ltsim.recordings.files import comma_number, shown
+from ltsim.recordings.settings import checked, read_toml
+from ltsim.scene.floor import grid_step, ground_of, may_stand, over
 from ltsim.scene.visibility import visibility
 from ltsim.simulation.builtin import builtin_names
 from ltsim.simulation.scenario import FORMAT, Scenario, load_scenario, scenario_from
 from ltsim.simulation.sections import PlannedStation, PlannedTarget
 from ltsim.simulation.workshop import obstacles_of, planned, sight_limits
-from ltsim.units import MILLIMETRE
 
 TABLES = ("workshop", "instrument", "smr", "work")
 """Tables of a scenario that a plan file may hold itself."""

@@ -5,8 +5,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ltsim.errors import NetworkError, SetupError
-from ltsim.planning.floor import grid_step
+from ltsim.adjustment.remedies.next_measurement import Progress, quiet
+from ltsim.core.errors import NetworkError, SetupError
+from ltsim.core.randomness import stream
+from ltsim.core.units import MICROMETRE
 from ltsim.planning.plan import Plan
 from ltsim.planning.planner import Option, Tried, judge, measure
 from ltsim.planning.search import LayoutSearcher
@@ -16,10 +18,8 @@ from ltsim.planning.starts import Layouts, PlanningProblem, SearchTask, expected
 from ltsim.planning.survey import Survey
 from ltsim.planning.tolerances import Demands, holds
 from ltsim.planning.workshop import fewest_sights, objective_of, site_of, ways
-from ltsim.randomness import stream
-from ltsim.remedies.next_measurement import Progress, quiet
+from ltsim.scene.floor import grid_step
 from ltsim.simulation.scenario import Scenario
-from ltsim.units import MICROMETRE
 
 MOST_SETUPS = 200_000
 """Set-ups of a grid that one search holds in memory."""

@@ -18,10 +18,10 @@ from typing import Literal
 
 import numpy as np
 
-from ltsim.arrays import Floats
-from ltsim.effects.effect import Effect
+from ltsim.adjustment.remedies.detectability import search_noncentrality
+from ltsim.core.arrays import Floats
+from ltsim.physics.effects.effect import Effect
 from ltsim.planning.fast import Reduced
-from ltsim.remedies.detectability import search_noncentrality
 
 CriterionName = Literal["D", "A", "E"]
 INSTRUMENT, TARGETS, DIAGNOSIS = "instrument", "targets", "diagnosis"

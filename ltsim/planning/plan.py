@@ -7,13 +7,13 @@ from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
 
-from ltsim.effects import CATALOGUE
+from ltsim.adjustment.remedies.detectability import detectability
+from ltsim.core.results import Columns, Result, Table
+from ltsim.physics.effects import CATALOGUE
 from ltsim.planning.files import SCENARIO, plan_file, planned_scenario, visibility_table, with_cad_beside, work_table
 from ltsim.planning.planner import PlannedNetwork
 from ltsim.planning.result import PlanResult
-from ltsim.recording.result_file import write_result
-from ltsim.remedies.detectability import detectability
-from ltsim.results import Columns, Result, Table
+from ltsim.recordings.result_file import write_result
 from ltsim.simulation.scenario import scenario_to_toml
 
 

@@ -4,9 +4,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ltsim.arrays import Bools
-from ltsim.errors import NetworkError
-from ltsim.model.construction import Construction
+from ltsim.core.arrays import Bools
+from ltsim.core.errors import NetworkError
+from ltsim.core.values import Valued
+from ltsim.physics.model.construction import Construction
 from ltsim.planning.fast import Reducer
 from ltsim.planning.information import ExpectedErrors, LayoutInformation, Predictor
 from ltsim.planning.objective import Objective
@@ -17,11 +18,10 @@ from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import Survey
 from ltsim.planning.tolerances import Demands, Kept, PlanVerdict, every_loss, judged, verdict
 from ltsim.planning.workshop import fixed_of, objective_of, site_of, survey_of
-from ltsim.recording.setup import Target
+from ltsim.recordings.setup import Target
 from ltsim.scene.visibility import Visibility, aimed_normals, visibility
 from ltsim.simulation.physics import planned_construction
 from ltsim.simulation.scenario import Scenario
-from ltsim.values import Valued
 
 
 @dataclass(frozen=True)

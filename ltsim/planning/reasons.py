@@ -5,8 +5,9 @@ from itertools import groupby
 
 import numpy as np
 
-from ltsim.errors import NetworkError
-from ltsim.notation import listing
+from ltsim.core.errors import NetworkError
+from ltsim.core.notation import listing
+from ltsim.core.units import MICROMETRE, MILLIMETRE
 from ltsim.planning.information import LayoutInformation
 from ltsim.planning.objective import DIAGNOSIS, INSTRUMENT, TARGETS, Objective
 from ltsim.planning.planner import Evaluated, Option, PlannedNetwork, Tried, measure
@@ -14,7 +15,6 @@ from ltsim.planning.rules import too_near, words_of
 from ltsim.planning.site import MOST_NAMED
 from ltsim.planning.tolerances import against, keeps, sentences
 from ltsim.planning.workshop import objective_of
-from ltsim.units import MICROMETRE, MILLIMETRE
 
 CRITERION_WORDS = {
     "D": "in the geometric mean of all combinations (D)",

@@ -11,16 +11,16 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from ltsim.arrays import Bools, Floats, Ints
-from ltsim.errors import SetupError
-from ltsim.model.construction import Construction
+from ltsim.core.arrays import Bools, Floats, Ints
+from ltsim.core.errors import SetupError
+from ltsim.core.units import MICROMETRE
+from ltsim.physics.model.construction import Construction
 from ltsim.planning.fast import Reduced, Reducer
 from ltsim.planning.objective import LEAST_IMPROVEMENT, TARGETS, Objective
 from ltsim.planning.schema import PlanChange, in_millimetres
 from ltsim.planning.site import Site
 from ltsim.planning.survey import Survey
 from ltsim.scene.visibility import aimed_normals
-from ltsim.units import MICROMETRE
 
 SWEEPS = 8
 """Rounds of exchanges at most."""

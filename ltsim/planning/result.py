@@ -5,6 +5,7 @@ from typing import Any, ClassVar, Literal
 
 from pydantic import Field
 
+from ltsim.core.results import Result, Table
 from ltsim.planning import tables
 from ltsim.planning.schema import (
     AlikeEntry,
@@ -16,8 +17,7 @@ from ltsim.planning.schema import (
     ProposalEntry,
 )
 from ltsim.planning.tolerances import percent
-from ltsim.recording.result_file import Finite, Known, ResultFile
-from ltsim.results import Result, Table
+from ltsim.recordings.result_file import Finite, Known, ResultFile
 
 
 class PlanResult(ResultFile, LayoutEntry, Result):

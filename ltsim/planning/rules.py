@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ltsim.arrays import Bools, Floats
+from ltsim.core.arrays import Bools, Floats
 
 FEWEST = 3
 """Targets in sight that a station needs."""

@@ -4,10 +4,10 @@ from typing import Literal
 
 from pydantic import Field
 
-from ltsim.arrays import Floats
 from ltsim.calibration.schema import Combination
-from ltsim.recording.result_file import Entry, Finite, Known, Vector
-from ltsim.units import MILLIMETRE
+from ltsim.core.arrays import Floats
+from ltsim.core.units import MILLIMETRE
+from ltsim.recordings.result_file import Entry, Finite, Known, Vector
 
 Qualities = dict[str, Known]
 

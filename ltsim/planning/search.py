@@ -11,14 +11,14 @@ from functools import cached_property
 
 import numpy as np
 
-from ltsim.arrays import Bools, Floats, Ints
-from ltsim.errors import SetupError
-from ltsim.model.construction import Construction, misalignment
+from ltsim.adjustment.remedies.next_measurement import quiet
+from ltsim.core.arrays import Bools, Floats, Ints
+from ltsim.core.errors import SetupError
+from ltsim.core.randomness import stream
+from ltsim.physics.model.construction import Construction, misalignment
 from ltsim.planning.fast import Reducer, StationBlocks
 from ltsim.planning.objective import LEAST_IMPROVEMENT, Objective
 from ltsim.planning.site import Placement, Site
-from ltsim.randomness import stream
-from ltsim.remedies.next_measurement import quiet
 
 CHUNK = 64
 SWEEPS = 12

@@ -9,15 +9,15 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.optimize import Bounds, LinearConstraint, milp
 
-from ltsim.arrays import Bools, Floats, Ints
-from ltsim.errors import SetupError
-from ltsim.notation import listing
-from ltsim.planning.floor import Area, KeepOut, may_stand, objection, over
+from ltsim.core.arrays import Bools, Floats, Ints
+from ltsim.core.errors import SetupError
+from ltsim.core.notation import listing
+from ltsim.core.values import Valued
 from ltsim.planning.rules import FEWEST, TOUCH, BrokenRule, short_of_sights, short_of_targets, too_near
 from ltsim.planning.survey import Survey
+from ltsim.scene.floor import Area, KeepOut, may_stand, objection, over
 from ltsim.scene.meshes import Obstacles
 from ltsim.scene.visibility import SightLimits, narrowest_cone, visibility
-from ltsim.values import Valued
 
 NEST_STEPS = 60
 NEST_MARGIN = 0.004

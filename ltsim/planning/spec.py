@@ -6,9 +6,9 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from ltsim.effects.air import Air
-from ltsim.planning.floor import Floor
-from ltsim.recording.setup import Finite, NonNegative, Positive, TomlSection, Vector
+from ltsim.physics.effects.air import Air
+from ltsim.recordings.setup import Finite, NonNegative, Positive, TomlSection, Vector
+from ltsim.scene.floor import Floor
 from ltsim.simulation.sections import ScenarioInstrument, Smr, Work, Workshop
 
 WALLS = "walls"

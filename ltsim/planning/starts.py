@@ -10,20 +10,20 @@ from time import monotonic
 
 import numpy as np
 
-from ltsim.arrays import Floats
-from ltsim.errors import NetworkError, SetupError
-from ltsim.model.construction import Construction
-from ltsim.planning.floor import grid_step
+from ltsim.adjustment.remedies.next_measurement import quiet
+from ltsim.core.arrays import Floats
+from ltsim.core.errors import NetworkError, SetupError
+from ltsim.core.workers import ProgressNotes, followed, parallel
+from ltsim.physics.model.construction import Construction
 from ltsim.planning.reflectors import choose_reflectors
 from ltsim.planning.search import LayoutSearcher, PlannedLayout
 from ltsim.planning.site import Site
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import Survey
 from ltsim.planning.workshop import objective_of, site_of, staying
-from ltsim.remedies.next_measurement import quiet
+from ltsim.scene.floor import grid_step
 from ltsim.simulation.physics import planned_construction
 from ltsim.simulation.scenario import Scenario
-from ltsim.workers import ProgressNotes, followed, parallel
 
 ROUNDS = 2
 """Times stations and reflectors are chosen in turn."""

@@ -8,16 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from ltsim.arrays import Bools, Floats, Ints, as_floats
-from ltsim.effects.air import Air
-from ltsim.errors import SetupError
+from ltsim.core.arrays import Bools, Floats, Ints, as_floats
+from ltsim.core.errors import SetupError
+from ltsim.core.units import MILLIMETRE
 from ltsim.geometry.rotations import about_z
-from ltsim.model.construction import Construction
-from ltsim.model.measurement import MeasurementModel, State
-from ltsim.recording.recording import OBSERVABLES, Recording, noise_sigma
-from ltsim.recording.setup import Setup, Station
+from ltsim.physics.effects.air import Air
+from ltsim.physics.model.construction import Construction
+from ltsim.physics.model.measurement import MeasurementModel, State
+from ltsim.recordings.recording import OBSERVABLES, Recording, noise_sigma
+from ltsim.recordings.setup import Setup, Station
 from ltsim.scene.sightings import Sightings
-from ltsim.units import MILLIMETRE
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """Tables of plans and of next measurements, each declared once: CSV, data frame, terminal and page."""
 
+from ltsim.core.results import Table, columns_of, flags, numbers, texts
 from ltsim.planning.schema import AlikeEntry, DetectableSize, OptionEntry, ProposalEntry
-from ltsim.results import Table, columns_of, flags, numbers, texts
 
 PLACE = numbers(".10g", ".3f", x_mm="place in the workshop, to 0.001 mm", y_mm="as x_mm", z_mm="as x_mm")
 STATIONS = Table(

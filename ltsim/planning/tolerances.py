@@ -8,15 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import gammaincinv
 
-from ltsim.arrays import Bools, Floats
-from ltsim.errors import NetworkError
-from ltsim.model.construction import Construction
-from ltsim.notation import listing
+from ltsim.core.arrays import Bools, Floats
+from ltsim.core.errors import NetworkError
+from ltsim.core.notation import listing
+from ltsim.core.units import MILLIMETRE
+from ltsim.physics.model.construction import Construction
 from ltsim.planning.information import LayoutInformation
 from ltsim.planning.rules import BrokenRule, words_of
 from ltsim.planning.spec import PlanFile
 from ltsim.planning.survey import Survey
-from ltsim.units import MILLIMETRE
 
 LOOSE = 10.0
 """Points without a tolerance count as if theirs were so many times the widest one."""

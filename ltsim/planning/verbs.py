@@ -6,9 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
-from ltsim.arguments import check_bounds
-from ltsim.arrays import Floats
-from ltsim.errors import SetupError, option, unknown_name
+from ltsim.adjustment.remedies.next_measurement import Progress, next_measurement as next_measurement, quiet
+from ltsim.core.arguments import check_bounds
+from ltsim.core.arrays import Floats
+from ltsim.core.errors import SetupError, option, unknown_name
+from ltsim.core.units import DEGREE, MICROMETRE, MILLIMETRE
 from ltsim.planning.files import opened
 from ltsim.planning.making import Follower, make_plan
 from ltsim.planning.plan import Plan
@@ -20,9 +22,7 @@ from ltsim.planning.starts import PlanningProblem
 from ltsim.planning.survey import Survey
 from ltsim.planning.tolerances import Demands, judged, losses_of, verdict
 from ltsim.planning.workshop import as_it_stands
-from ltsim.remedies.next_measurement import Progress, next_measurement as next_measurement, quiet
 from ltsim.simulation.scenario import Scenario
-from ltsim.units import DEGREE, MICROMETRE, MILLIMETRE
 
 CLEAR = 2.0
 """[m]: how far from an impossible place, and from each other, places for its station are."""

@@ -8,10 +8,10 @@ from itertools import combinations
 
 import numpy as np
 
-from ltsim.arrays import Bools, Floats
-from ltsim.model.measurement import sightings_of
+from ltsim.core.arrays import Bools, Floats
+from ltsim.core.units import DEGREE, MILLIMETRE
+from ltsim.physics.model.measurement import sightings_of
 from ltsim.planning.planner import PlannedNetwork
-from ltsim.units import DEGREE, MILLIMETRE
 
 REACH = 2.2
 """[m] above the floor to which a point can be plumbed to the floor."""

@@ -4,25 +4,25 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ltsim.arrays import Bools, Floats, Ints
-from ltsim.effects import find_effect
-from ltsim.effects.effect import Effect
-from ltsim.errors import SetupError
-from ltsim.model.construction import misalignment
-from ltsim.model.measurement import sightings_of
-from ltsim.planning.floor import ground_of
+from ltsim.core.arrays import Bools, Floats, Ints
+from ltsim.core.errors import SetupError
+from ltsim.core.units import MILLIMETRE
+from ltsim.physics.effects import find_effect
+from ltsim.physics.effects.effect import Effect
+from ltsim.physics.model.construction import misalignment
+from ltsim.physics.model.measurement import sightings_of
 from ltsim.planning.objective import DIAGNOSIS, INSTRUMENT, TARGETS, Objective
 from ltsim.planning.site import Site
 from ltsim.planning.spec import WALLS, PlanFile
 from ltsim.planning.survey import Survey
 from ltsim.planning.tolerances import importance
-from ltsim.recording.recording import OBSERVABLES, Recording
+from ltsim.recordings.recording import OBSERVABLES, Recording
+from ltsim.scene.floor import ground_of
 from ltsim.scene.meshes import nest_places, walls
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.sections import Placing
 from ltsim.simulation.simulator import simulate
 from ltsim.simulation.workshop import Layout, bodies_of, obstacles_of, planned, sight_limits, visibility_of
-from ltsim.units import MILLIMETRE
 
 LEANING = 1e-3
 """Cosine deficit of an instrument's axis that a plan of upright stations may neglect (2.6 deg)."""

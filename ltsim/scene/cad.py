@@ -11,12 +11,12 @@ from pathlib import Path
 
 import numpy as np
 
-from ltsim.arrays import Floats
-from ltsim.errors import SetupError, installed
-from ltsim.limits import CAD_BYTES, MIB
-from ltsim.recording.files import shown
+from ltsim.core.arrays import Floats
+from ltsim.core.errors import SetupError, installed
+from ltsim.core.limits import CAD_BYTES, MIB
+from ltsim.core.units import FACTOR
+from ltsim.recordings.files import shown
 from ltsim.scene.cad_process import EXACT, FACETS, triangles_in
-from ltsim.units import FACTOR
 
 GLTF = (".glb", ".gltf")
 SUFFIXES = (*FACETS, *GLTF, *EXACT)

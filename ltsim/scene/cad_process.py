@@ -17,10 +17,10 @@ from typing import Any
 
 import numpy as np
 
-from ltsim.arrays import Floats
-from ltsim.errors import SetupError
-from ltsim.limits import CAD_MEMORY, CAD_SECONDS, FILE_BYTES, MIB, SMALL_CAD_BYTES, TRIANGLES
-from ltsim.recording.files import shown
+from ltsim.core.arrays import Floats
+from ltsim.core.errors import SetupError
+from ltsim.core.limits import CAD_MEMORY, CAD_SECONDS, FILE_BYTES, MIB, SMALL_CAD_BYTES, TRIANGLES
+from ltsim.recordings.files import shown
 
 EXACT = (".step", ".stp", ".iges", ".igs")
 FACETS = (".stl", ".obj", ".ply")

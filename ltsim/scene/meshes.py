@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from ltsim.arrays import Bools, Floats
+from ltsim.core.arrays import Bools, Floats
+from ltsim.core.randomness import stream
 from ltsim.geometry.rotations import about_z, perpendicular
-from ltsim.randomness import stream
 
 GRAZE = 1e-4
 """Width [m] of the bundle around a ray whose members must agree; single precision errs by 1e-6 at 10 m."""

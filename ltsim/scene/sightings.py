@@ -7,10 +7,10 @@ from typing import Self
 
 import numpy as np
 
-from ltsim.arrays import Bools, Floats, Ints
+from ltsim.core.arrays import Bools, Floats, Ints
+from ltsim.geometry.kinematics.chain import point_and_derivatives
+from ltsim.geometry.kinematics.misalignment import MISALIGNMENT
 from ltsim.geometry.polar import polar_jacobian, to_face, to_polar, unit_vectors, wrap
-from ltsim.kinematics.chain import point_and_derivatives
-from ltsim.kinematics.misalignment import MISALIGNMENT
 
 STILL = 1e-4
 """[rad] an axis that moved less stood still."""

@@ -12,10 +12,10 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from ltsim.arrays import Bools, Floats, Ints, as_floats
-from ltsim.errors import ModelError
+from ltsim.core.arrays import Bools, Floats, Ints, as_floats
+from ltsim.core.errors import ModelError
+from ltsim.core.units import DEGREE
 from ltsim.scene.meshes import Obstacles
-from ltsim.units import DEGREE
 
 DOWN = np.array([0.0, 0.0, -1.0])
 TOUCH = 1e-9

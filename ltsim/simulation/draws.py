@@ -13,17 +13,17 @@ from functools import lru_cache
 
 import numpy as np
 
-from ltsim.arrays import Bools, Floats, Ints
-from ltsim.effects.effect import Effect, NoiseEffect
-from ltsim.errors import SetupError
-from ltsim.model.construction import Construction
-from ltsim.randomness import trials_normal
-from ltsim.recording.lengths import KnownLengths
-from ltsim.recording.recording import OBSERVABLES
+from ltsim.core.arrays import Bools, Floats, Ints
+from ltsim.core.errors import SetupError
+from ltsim.core.randomness import trials_normal
+from ltsim.core.units import MILLIMETRE
+from ltsim.physics.effects.effect import Effect, NoiseEffect
+from ltsim.physics.model.construction import Construction
+from ltsim.recordings.lengths import KnownLengths
+from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 from ltsim.simulation.physics import reflector_error
 from ltsim.simulation.scenario import Scenario
-from ltsim.units import MILLIMETRE
 
 CERTIFIED = 1e-4 * MILLIMETRE
 """Step of the lengths on a certificate."""

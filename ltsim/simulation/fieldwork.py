@@ -6,20 +6,20 @@ from functools import cached_property
 
 import numpy as np
 
-from ltsim.arrays import Bools, Floats, Ints
-from ltsim.effects.effect import Effect
-from ltsim.errors import SetupError, as_setup_error
+from ltsim.core.arrays import Bools, Floats, Ints
+from ltsim.core.errors import SetupError, as_setup_error
+from ltsim.core.randomness import stream
+from ltsim.core.units import ARCSECOND, DEGREE, MILLIMETRE
 from ltsim.geometry.polar import to_polar
 from ltsim.geometry.rotations import about_z, from_rotation_vector
-from ltsim.model.construction import Construction
-from ltsim.randomness import stream
-from ltsim.recording.reflectors import excess_of
+from ltsim.physics.effects.effect import Effect
+from ltsim.physics.model.construction import Construction
+from ltsim.recordings.reflectors import excess_of
 from ltsim.scene.sightings import Sightings
 from ltsim.scene.visibility import Visibility
 from ltsim.simulation.physics import construction_of, effects_of
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.workshop import Layout, planned, visibility_of
-from ltsim.units import ARCSECOND, DEGREE, MILLIMETRE
 
 NOTES = 20
 """Pairs that do not see each other are named one by one up to this number."""

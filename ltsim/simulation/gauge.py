@@ -7,12 +7,12 @@ from types import MappingProxyType
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ltsim.arrays import Floats, Ints
-from ltsim.errors import SetupError
+from ltsim.core.arrays import Floats, Ints
+from ltsim.core.errors import SetupError
+from ltsim.core.randomness import stream
+from ltsim.core.units import DEGREE, MICROMETRE, MILLIMETRE
 from ltsim.geometry.expansion import Expansion
-from ltsim.randomness import stream
 from ltsim.simulation.sections import Cmm, ScenarioGauge
-from ltsim.units import DEGREE, MICROMETRE, MILLIMETRE
 
 TABLE_2 = MappingProxyType(
     {

@@ -12,17 +12,17 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 
 from ltsim.adjustment.residual_space import VISIBLE, ResidualSpace
-from ltsim.arrays import Floats
-from ltsim.effects.effect import Effect, Mistake, NoiseEffect
-from ltsim.effects.signature import Tunable
-from ltsim.effects.verbs import shape_of
-from ltsim.errors import ModelError
+from ltsim.core.arrays import Floats
+from ltsim.core.errors import ModelError
+from ltsim.core.results import Columns, Result, Table, numbers
+from ltsim.core.units import MICROMETRE, MICRORADIAN
 from ltsim.geometry.polar import wrap
-from ltsim.model.measurement import State
-from ltsim.recording.recording import Recording
-from ltsim.results import Columns, Result, Table, numbers
+from ltsim.physics.effects.effect import Effect, Mistake, NoiseEffect
+from ltsim.physics.effects.signature import Tunable
+from ltsim.physics.effects.verbs import shape_of
+from ltsim.physics.model.measurement import State
+from ltsim.recordings.recording import Recording
 from ltsim.simulation.simulator import certified_by
-from ltsim.units import MICROMETRE, MICRORADIAN
 
 FORMAT = "ltsim-injection/1"
 CLOSE, ROUNDS = 1e-4, 60

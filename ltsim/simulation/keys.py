@@ -2,13 +2,13 @@
 
 from typing import Any, Literal
 
-from ltsim.effects import find_effect
-from ltsim.errors import LtsimError, SetupError
-from ltsim.recording.files import shown
-from ltsim.recording.settings import schemas_at
+from ltsim.core.errors import LtsimError, SetupError
+from ltsim.core.units import in_unit, unit_of_key
+from ltsim.physics.effects import find_effect
+from ltsim.recordings.files import shown
+from ltsim.recordings.settings import schemas_at
 from ltsim.simulation.physics import construction_of
 from ltsim.simulation.scenario import Scenario
-from ltsim.units import in_unit, unit_of_key
 
 Kind = Literal["number", "integer", "boolean", "string", "table"]
 KINDS: tuple[Kind, ...] = ("number", "integer", "boolean", "string")

@@ -2,17 +2,17 @@
 
 import numpy as np
 
-from ltsim.arrays import Floats
-from ltsim.effects import BASELINE
-from ltsim.effects.effect import Effect
-from ltsim.effects.smr_incidence import SmrIncidence
-from ltsim.errors import SetupError, as_setup_error
-from ltsim.model.construction import Construction, built_as, misalignment
-from ltsim.recording.recording import noise_sigma
+from ltsim.core.arrays import Floats
+from ltsim.core.errors import SetupError, as_setup_error
+from ltsim.core.units import ARCSECOND, DEGREE, MICROMETRE
+from ltsim.physics.effects import BASELINE
+from ltsim.physics.effects.effect import Effect
+from ltsim.physics.effects.smr_incidence import SmrIncidence
+from ltsim.physics.model.construction import Construction, built_as, misalignment
+from ltsim.recordings.recording import noise_sigma
 from ltsim.scene.sightings import Sightings
 from ltsim.simulation.scenario import Scenario, table_name
 from ltsim.simulation.sections import EffectEntry, ScenarioInstrument
-from ltsim.units import ARCSECOND, DEGREE, MICROMETRE
 
 
 def construction_of(scenario: Scenario) -> Construction:

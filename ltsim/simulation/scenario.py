@@ -8,15 +8,15 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import Field
 
-from ltsim.arrays import Floats
-from ltsim.effects.effect import Effect
-from ltsim.effects.verbs import Sized, effect_from
-from ltsim.errors import SetupError, as_setup_error
-from ltsim.recording.files import FilePlace, shown
-from ltsim.recording.settings import above, checked, read_toml, to_toml, with_instruments
-from ltsim.recording.setup import Material, NonNegative, Reflector, TomlSection
-from ltsim.recording.specification import sheet_names, stated_by
-from ltsim.results import Result
+from ltsim.core.arrays import Floats
+from ltsim.core.errors import SetupError, as_setup_error
+from ltsim.core.results import Result
+from ltsim.physics.effects.effect import Effect
+from ltsim.physics.effects.verbs import Sized, effect_from
+from ltsim.recordings.files import FilePlace, shown
+from ltsim.recordings.settings import above, checked, read_toml, to_toml, with_instruments
+from ltsim.recordings.setup import Material, NonNegative, Reflector, TomlSection
+from ltsim.recordings.specification import sheet_names, stated_by
 from ltsim.simulation.builtin import builtin_names, builtin_path
 from ltsim.simulation.sections import (
     PRESETS,

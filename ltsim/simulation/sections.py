@@ -5,11 +5,12 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, Field, StrictBool, model_validator
 
-from ltsim.effects.effect import Effect
-from ltsim.effects.smr_incidence import PAPER_TABLE, TABLE_ANGLES
-from ltsim.effects.verbs import Sized, effect_from, shape_of
-from ltsim.errors import ModelError, SetupError
-from ltsim.recording.setup import (
+from ltsim.core.errors import ModelError, SetupError
+from ltsim.core.units import MICROMETRE
+from ltsim.physics.effects.effect import Effect
+from ltsim.physics.effects.smr_incidence import PAPER_TABLE, TABLE_ANGLES
+from ltsim.physics.effects.verbs import Sized, effect_from, shape_of
+from ltsim.recordings.setup import (
     Finite,
     LengthUse,
     Limits,
@@ -20,8 +21,7 @@ from ltsim.recording.setup import (
     TomlSection,
     Vector,
 )
-from ltsim.recording.specification import sheet_names
-from ltsim.units import MICROMETRE
+from ltsim.recordings.specification import sheet_names
 
 Angle = Annotated[float, Field(ge=-360, le=360, allow_inf_nan=False)]
 Fraction = Annotated[float, Field(ge=0, le=100, allow_inf_nan=False)]

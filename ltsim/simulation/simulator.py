@@ -6,12 +6,13 @@ from typing import Any, Literal
 
 import numpy as np
 
-from ltsim.arrays import Floats
-from ltsim.effects.effect import Effect, Mistake, NoiseEffect
+from ltsim.core.arrays import Floats
+from ltsim.core.units import MICROMETRE, MILLIMETRE
 from ltsim.geometry.polar import wrap
-from ltsim.recording.lengths import KnownLengths
-from ltsim.recording.recording import OBSERVABLES, REFLECTOR_COLUMN, Recording
-from ltsim.recording.setup import (
+from ltsim.physics.effects.effect import Effect, Mistake, NoiseEffect
+from ltsim.recordings.lengths import KnownLengths
+from ltsim.recordings.recording import OBSERVABLES, REFLECTOR_COLUMN, Recording
+from ltsim.recordings.setup import (
     Gauge,
     GaugeDistance,
     Instrument,
@@ -30,7 +31,6 @@ from ltsim.simulation.physics import instrument_law, quantised, resolution_of, s
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.sections import ScenarioInstrument
 from ltsim.simulation.truth import AppliedEffect, TrackerTruth, Truth
-from ltsim.units import MICROMETRE, MILLIMETRE
 
 Geometry = Literal["shared", "per-trial"]
 """All trials share one placing of stations and targets, or each has its own."""

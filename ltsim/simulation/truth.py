@@ -10,20 +10,20 @@ import numpy as np
 from pydantic import Field
 from scipy.spatial.transform import Rotation
 
-from ltsim.arrays import Floats
-from ltsim.effects.effect import Effect
-from ltsim.effects.verbs import shape_of
-from ltsim.errors import ModelError, RecordError, SetupError
-from ltsim.evaluation.criteria import NOMINAL
+from ltsim.adjustment.evaluation.criteria import NOMINAL
+from ltsim.core.arrays import Floats
+from ltsim.core.errors import ModelError, RecordError, SetupError
+from ltsim.core.results import Columns, Result
+from ltsim.core.units import FACTOR, MILLIMETRE
+from ltsim.core.values import Valued
 from ltsim.geometry.rotations import quaternion
-from ltsim.recording.files import write_text
-from ltsim.recording.result_file import read_json
-from ltsim.recording.settings import checked
-from ltsim.recording.setup import Finite, TomlSection, Vector
-from ltsim.results import Columns, Result
+from ltsim.physics.effects.effect import Effect
+from ltsim.physics.effects.verbs import shape_of
+from ltsim.recordings.files import write_text
+from ltsim.recordings.result_file import read_json
+from ltsim.recordings.settings import checked
+from ltsim.recordings.setup import Finite, TomlSection, Vector
 from ltsim.simulation.sections import PlacedEffect
-from ltsim.units import FACTOR, MILLIMETRE
-from ltsim.values import Valued
 
 
 @dataclass(frozen=True)

@@ -4,8 +4,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple, get_args
 
-from ltsim.arguments import check_bounds, check_choice
-from ltsim.recording import Recording
+from ltsim.core.arguments import check_bounds, check_choice
+from ltsim.recordings import Recording
 from ltsim.simulation.scenario import Scenario, changed, load_scenario
 from ltsim.simulation.simulator import Geometry, simulate as measured
 from ltsim.simulation.truth import Truth

@@ -6,15 +6,15 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ltsim.arrays import Bools, Floats
-from ltsim.errors import SetupError
+from ltsim.core.arrays import Bools, Floats
+from ltsim.core.errors import SetupError
+from ltsim.core.units import DEGREE, MILLIMETRE
 from ltsim.scene.cad import Cad, extent, inside, read_mesh, size_question
 from ltsim.scene.meshes import Obstacles, box, cylinder, placed, together
 from ltsim.scene.visibility import SightLimits, Visibility, aimed_normals, in_order, visibility
 from ltsim.simulation.gauge import frame_of, in_workshop
 from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.sections import Obstacle, ScenarioInstrument
-from ltsim.units import DEGREE, MILLIMETRE
 
 
 @dataclass(frozen=True)

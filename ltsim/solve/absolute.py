@@ -7,8 +7,8 @@ ends at it. What is found is the linear program's own solution, not one smoothed
 import numpy as np
 import scipy.linalg
 
-from ltsim.arrays import Floats, Ints
-from ltsim.errors import NetworkError
+from ltsim.core.arrays import Floats, Ints
+from ltsim.core.errors import NetworkError
 
 PASSES = 12
 NEAR = 8

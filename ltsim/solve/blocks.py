@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 
-from ltsim.arrays import Floats, Ints
-from ltsim.errors import NetworkError
+from ltsim.core.arrays import Floats, Ints
+from ltsim.core.errors import NetworkError
 from ltsim.solve.design import DOUBTFUL, RANK, Design
 from ltsim.solve.elimination import DenseElimination, SparseElimination
 from ltsim.solve.threads import in_one_thread

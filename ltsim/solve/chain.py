@@ -14,7 +14,7 @@ import scipy.linalg
 import scipy.sparse as sp
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
-from ltsim.arrays import Floats, Ints
+from ltsim.core.arrays import Floats, Ints
 
 SMALL = 240
 """Matrices up to this size are one block: ordering them would cost more than it saves."""

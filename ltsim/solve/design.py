@@ -10,7 +10,7 @@ from typing import TypeAlias
 import numpy as np
 import scipy.sparse as sp
 
-from ltsim.arrays import Bools, Floats, Ints
+from ltsim.core.arrays import Bools, Floats, Ints
 
 DENSE = 600_000
 """Designs with fewer entries are dense: sparse bookkeeping would cost more than the zeros."""

@@ -12,7 +12,7 @@ import numpy as np
 import scipy.linalg
 import scipy.sparse as sp
 
-from ltsim.arrays import Floats, Ints
+from ltsim.core.arrays import Floats, Ints
 from ltsim.solve.chain import BlockChain, inverse_of
 from ltsim.solve.design import column_scale, scaled, unit_diagonal
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Generic, Protocol, TypeVar
 
-from ltsim.arrays import Floats
-from ltsim.errors import ConvergenceError
+from ltsim.core.arrays import Floats
+from ltsim.core.errors import ConvergenceError
 from ltsim.solve.blocks import BlockFactor, BlockSystem, SingularSystemError
 
 X = TypeVar("X")

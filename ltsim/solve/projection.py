@@ -15,7 +15,7 @@ from typing import TypeAlias
 import numpy as np
 import scipy.sparse as sp
 
-from ltsim.arrays import Floats, Ints
+from ltsim.core.arrays import Floats, Ints
 from ltsim.solve.blocks import BlockFactor, BlockSystem
 from ltsim.solve.design import Design, as_dense, column_scale
 

@@ -12,9 +12,9 @@ import ltsim as lt
 from ltsim.acceptance.judged import by_network
 from ltsim.adjustment import adjust
 from ltsim.cli.main import run
-from ltsim.errors import NetworkError
-from ltsim.model.construction import stated_construction
-from ltsim.recording.specification import Specification
+from ltsim.core.errors import NetworkError
+from ltsim.physics.model.construction import stated_construction
+from ltsim.recordings.specification import Specification
 
 SHEET = {"standard": "asme-b89.4.19-2006", "instrument": "leica-at500"}
 PLAN = """test,group,kind,x1_mm,y1_mm,z1_mm,x2_mm,y2_mm,z2_mm

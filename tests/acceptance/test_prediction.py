@@ -8,9 +8,9 @@ import pytest
 import ltsim as lt
 from ltsim.acceptance.prediction import AcceptancePlan
 from ltsim.acceptance.spec import asme, envelope, iso_two_face
-from ltsim.arrays import Floats
-from ltsim.model.construction import misalignment, steering_mirror
-from ltsim.recording.specification import sheet
+from ltsim.core.arrays import Floats
+from ltsim.physics.model.construction import misalignment, steering_mirror
+from ltsim.recordings.specification import sheet
 
 SHEET = sheet("leica-at500")
 URAD = MICROMETRE = 1e-6

@@ -6,11 +6,11 @@ from scipy import stats
 
 from ltsim.adjustment import adjust
 from ltsim.adjustment.problem import NetworkProblem
-from ltsim.errors import ConvergenceError, NetworkError
-from ltsim.model.construction import dh, ideal, misalignment
-from ltsim.model.measurement import MeasurementModel, State
-from ltsim.randomness import stream
-from ltsim.recording.setup import Station
+from ltsim.core.errors import ConvergenceError, NetworkError
+from ltsim.core.randomness import stream
+from ltsim.physics.model.construction import dh, ideal, misalignment
+from ltsim.physics.model.measurement import MeasurementModel, State
+from ltsim.recordings.setup import Station
 from tests.networks import drawn, network
 
 

@@ -10,12 +10,12 @@ import pytest
 import ltsim as lt
 from ltsim.adjustment.axes import in_axes_of_points, in_axes_of_three
 from ltsim.adjustment.estimate import adjust
-from ltsim.errors import RecordError
+from ltsim.core.errors import RecordError
+from ltsim.core.units import ARCSECOND
 from ltsim.geometry.rotations import from_rotation_vector
-from ltsim.recording.coordinates import read_points
-from ltsim.recording.recording import Recording
-from ltsim.recording.setup import Station, Target
-from ltsim.units import ARCSECOND
+from ltsim.recordings.coordinates import read_points
+from ltsim.recordings.recording import Recording
+from ltsim.recordings.setup import Station, Target
 from tests.networks import STATIONS, YAWS, network
 
 TURN, SHIFT = from_rotation_vector(np.array([0.2, -0.4, 2.2])), np.array([120.0, -40.0, 7.0])

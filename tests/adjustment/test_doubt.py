@@ -9,14 +9,14 @@ import ltsim as lt
 from ltsim.adjustment import adjust
 from ltsim.adjustment.doubt import BENT, curvature, doubts
 from ltsim.adjustment.verdict import Agreement, verdict
-from ltsim.errors import LtsimError, NetworkError
+from ltsim.core.errors import LtsimError, NetworkError
+from ltsim.core.randomness import stream
 from ltsim.geometry.polar import to_polar
 from ltsim.geometry.rotations import about_z
-from ltsim.model.construction import ideal
-from ltsim.model.measurement import MeasurementModel, State
-from ltsim.randomness import stream
-from ltsim.recording.recording import Recording
-from ltsim.recording.setup import Instrument, Noise, Station, Target
+from ltsim.physics.model.construction import ideal
+from ltsim.physics.model.measurement import MeasurementModel, State
+from ltsim.recordings.recording import Recording
+from ltsim.recordings.setup import Instrument, Noise, Station, Target
 from tests.campaigns.workshop import workshop
 from tests.networks import STATIONS, network
 

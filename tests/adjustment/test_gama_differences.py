@@ -12,12 +12,12 @@ import pytest
 from ltsim import calibrate, diagnose
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.adjustment.verdict import verdict
+from ltsim.core.errors import NetworkError, RecordError
 from ltsim.diagnosis import instruments
-from ltsim.errors import NetworkError, RecordError
-from ltsim.laws.offered import drivers_of
-from ltsim.model.construction import misalignment
-from ltsim.recording import read, write
-from ltsim.tasks.inputs import observed_sources, reach_of
+from ltsim.measurands.inputs import observed_sources, reach_of
+from ltsim.physics.laws.offered import drivers_of
+from ltsim.physics.model.construction import misalignment
+from ltsim.recordings import read, write
 
 ANOTHER = '<direction to="B" val="153.5020"/>'
 PRINTED = 5.2e-6

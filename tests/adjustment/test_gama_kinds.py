@@ -10,9 +10,9 @@ import pytest
 
 from ltsim.adjustment import adjust
 from ltsim.adjustment.doubt import curvature
-from ltsim.errors import NetworkError, RecordError
-from ltsim.randomness import stream
-from ltsim.recording import read
+from ltsim.core.errors import NetworkError, RecordError
+from ltsim.core.randomness import stream
+from ltsim.recordings import read
 
 PRINTED = 5e-6
 """[m] Half of the last digit that gama-local prints."""

@@ -8,8 +8,8 @@ import pytest
 from ltsim.adjustment import adjust
 from ltsim.adjustment.doubt import doubts
 from ltsim.adjustment.gross import explain_gross, mend_faces, mend_stations
-from ltsim.recording.recording import Recording
-from ltsim.recording.slips import UNIT_SLIPS, Slip
+from ltsim.recordings.recording import Recording
+from ltsim.recordings.slips import UNIT_SLIPS, Slip
 from tests.networks import network
 
 SLIPS = {slip.name: slip for slip in UNIT_SLIPS}

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from ltsim.adjustment import adjust
-from ltsim.model.measurement import with_plumb_lines
-from ltsim.randomness import stream
-from ltsim.recording.native import read_recording, write_recording
-from ltsim.recording.recording import Recording
-from ltsim.recording.setup import EXACT_LEVEL_ARCSEC, Station
-from ltsim.units import EARTH
+from ltsim.core.randomness import stream
+from ltsim.core.units import EARTH
+from ltsim.physics.model.measurement import with_plumb_lines
+from ltsim.recordings.native import read_recording, write_recording
+from ltsim.recordings.recording import Recording
+from ltsim.recordings.setup import EXACT_LEVEL_ARCSEC, Station
 from tests.networks import mesh, network
 
 

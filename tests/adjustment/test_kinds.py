@@ -8,15 +8,15 @@ import pytest
 from ltsim.adjustment import adjust
 from ltsim.adjustment.fitting import multilaterate
 from ltsim.adjustment.start import reached_network
-from ltsim.errors import NetworkError
+from ltsim.core.errors import NetworkError
+from ltsim.core.randomness import stream
 from ltsim.geometry.alignment import align
 from ltsim.geometry.polar import to_polar
 from ltsim.geometry.rotations import about_z, from_rotation_vector
-from ltsim.model.construction import ideal, misalignment
-from ltsim.model.measurement import MeasurementModel
-from ltsim.randomness import stream
-from ltsim.recording.recording import HEIGHT_COLUMNS, KIND_COLUMN, Recording
-from ltsim.recording.setup import Gauge, Instrument, Noise, Setup, Station, Target
+from ltsim.physics.model.construction import ideal, misalignment
+from ltsim.physics.model.measurement import MeasurementModel
+from ltsim.recordings.recording import HEIGHT_COLUMNS, KIND_COLUMN, Recording
+from ltsim.recordings.setup import Gauge, Instrument, Noise, Setup, Station, Target
 from tests.networks import drawn, network
 
 EXACT = 2e-8

@@ -13,13 +13,13 @@ from ltsim.adjustment.axes import in_axes_of_points, with_control
 from ltsim.adjustment.doubt import doubts
 from ltsim.calibration.files import calibration_file
 from ltsim.calibration.network import calibrate_network
-from ltsim.errors import RecordError
+from ltsim.core.errors import RecordError
+from ltsim.core.randomness import stream
 from ltsim.geometry.alignment import align
 from ltsim.geometry.polar import wrap
-from ltsim.randomness import stream
-from ltsim.recording.coordinates import read_points
-from ltsim.recording.recording import Recording
-from ltsim.recording.setup import Station, Target
+from ltsim.recordings.coordinates import read_points
+from ltsim.recordings.recording import Recording
+from ltsim.recordings.setup import Station, Target
 from tests.networks import mesh, network
 
 SIX = ("T01", "T06", "T12", "T16", "T20", "T25")

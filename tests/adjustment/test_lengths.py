@@ -12,11 +12,11 @@ import pytest
 import ltsim as lt
 from ltsim.adjustment import adjust
 from ltsim.adjustment.rows import GaugeRows
-from ltsim.errors import LtsimError, RecordError
+from ltsim.core.errors import LtsimError, RecordError
 from ltsim.geometry.expansion import Expansion
-from ltsim.recording.lengths import KnownLengths
-from ltsim.recording.recording import Recording
-from ltsim.recording.setup import Gauge, GaugeDistance
+from ltsim.recordings.lengths import KnownLengths
+from ltsim.recordings.recording import Recording
+from ltsim.recordings.setup import Gauge, GaugeDistance
 from ltsim.solve.design import as_dense
 from tests.networks import network
 

@@ -7,14 +7,14 @@ import pytest
 
 from ltsim.adjustment import adjust
 from ltsim.adjustment.doubt import doubts
+from ltsim.adjustment.fieldcheck import check
 from ltsim.adjustment.gross import mistakes
-from ltsim.fieldcheck import check
+from ltsim.core.randomness import stream
 from ltsim.geometry.polar import from_polar, to_polar
-from ltsim.model.construction import ideal
-from ltsim.model.measurement import MeasurementModel, State
-from ltsim.randomness import stream
-from ltsim.recording.recording import Recording
-from ltsim.recording.setup import Station, Target
+from ltsim.physics.model.construction import ideal
+from ltsim.physics.model.measurement import MeasurementModel, State
+from ltsim.recordings.recording import Recording
+from ltsim.recordings.setup import Station, Target
 from tests.networks import STATIONS, mesh, network
 
 

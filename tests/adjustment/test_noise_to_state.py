@@ -9,7 +9,7 @@ import pytest
 
 from ltsim.adjustment import adjust
 from ltsim.adjustment.verdict import Agreement, noise_to_state, verdict
-from ltsim.recording.recording import SIGMA_COLUMNS, Recording
+from ltsim.recordings.recording import SIGMA_COLUMNS, Recording
 from tests.networks import network
 
 

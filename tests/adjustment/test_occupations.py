@@ -7,12 +7,12 @@ import pytest
 
 import ltsim as lt
 from ltsim.adjustment import adjust
+from ltsim.adjustment.fieldcheck import check
 from ltsim.adjustment.occupations import mend_tripods, moved_tripods
-from ltsim.fieldcheck import check
+from ltsim.core.randomness import stream
 from ltsim.geometry.polar import to_polar
-from ltsim.randomness import stream
-from ltsim.recording import Recording
-from ltsim.recording.setup import EXACT_LEVEL_ARCSEC, Instrument, Noise, Setup, Station
+from ltsim.recordings import Recording
+from ltsim.recordings.setup import EXACT_LEVEL_ARCSEC, Instrument, Noise, Setup, Station
 
 PILLARS = np.array([[0, 0, 0], [90, 5, 2], [60, 80, -3], [-20, 60, 4], [30, 35, 1]], dtype=np.float64)
 DAYS = ("2026-05-04", "2026-05-05")

@@ -7,9 +7,9 @@ import pytest
 
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.adjustment.problem import NetworkProblem
-from ltsim.errors import NetworkError
-from ltsim.model.construction import misalignment
-from ltsim.model.measurement import MeasurementModel
+from ltsim.core.errors import NetworkError
+from ltsim.physics.model.construction import misalignment
+from ltsim.physics.model.measurement import MeasurementModel
 from ltsim.solve.gauss_newton import Status
 from tests.campaigns.workshop import workshop
 

@@ -12,23 +12,23 @@ import pytest
 import ltsim as lt
 from ltsim.adjustment import adjust
 from ltsim.adjustment.gross import explain_gross
-from ltsim.arrays import Floats
 from ltsim.campaigns.truth import truth_of
-from ltsim.errors import NetworkError, RecordError, SetupError
+from ltsim.core.arrays import Floats
+from ltsim.core.errors import NetworkError, RecordError, SetupError
+from ltsim.core.randomness import stream
 from ltsim.geometry.polar import wrap
-from ltsim.model.construction import ideal, misalignment
-from ltsim.model.measurement import MeasurementModel, State
-from ltsim.randomness import stream
-from ltsim.recording.exchange import write
-from ltsim.recording.native import read_recording, write_recording
-from ltsim.recording.recording import Recording
-from ltsim.recording.reflectors import excess_radii
-from ltsim.recording.setup import Target
-from ltsim.recording.slips import UNIT_SLIPS
+from ltsim.measurands.inputs import Inputs
+from ltsim.measurands.spec import tasks_from
+from ltsim.physics.model.construction import ideal, misalignment
+from ltsim.physics.model.measurement import MeasurementModel, State
+from ltsim.recordings.exchange import write
+from ltsim.recordings.native import read_recording, write_recording
+from ltsim.recordings.recording import Recording
+from ltsim.recordings.reflectors import excess_radii
+from ltsim.recordings.setup import Target
+from ltsim.recordings.slips import UNIT_SLIPS
 from ltsim.simulation.scenario import Scenario, changed, load_scenario, scenario_from, scenario_to_toml
 from ltsim.simulation.truth import Truth
-from ltsim.tasks.inputs import Inputs
-from ltsim.tasks.spec import tasks_from
 
 HERE = Path("reflectors.toml")
 REFLECTORS = {"large": {"radius_mm": 19.05}, "small": {"radius_mm": 6.35}, "middle": {"radius_mm": 11.1125}}

@@ -8,7 +8,7 @@ import pytest
 
 from ltsim.adjustment import adjust
 from ltsim.adjustment.occupations import moved_tripods
-from ltsim.recording import read
+from ltsim.recordings import read
 
 ROOT = Path(__file__).resolve().parents[2]
 DATA = ROOT.parent / "shared" / "recordings"

@@ -10,10 +10,10 @@ import pytest
 
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.adjustment.refit import Estimated, refit
-from ltsim.effects.effect import Effect
-from ltsim.effects.range_cyclic import RangeCyclic
-from ltsim.effects.station_settling import StationSettling
-from ltsim.model.construction import misalignment
+from ltsim.physics.effects.effect import Effect
+from ltsim.physics.effects.range_cyclic import RangeCyclic
+from ltsim.physics.effects.station_settling import StationSettling
+from ltsim.physics.model.construction import misalignment
 from ltsim.solve.gauss_newton import Status
 from tests.networks import with_effect
 

@@ -9,11 +9,11 @@ import pytest
 import ltsim as lt
 from ltsim.adjustment import adjust
 from ltsim.adjustment.problem import NetworkProblem
-from ltsim.model.construction import ideal
-from ltsim.model.measurement import MeasurementModel
-from ltsim.model.shared import shared_errors
-from ltsim.recording import Recording, read, write
-from ltsim.recording.recording import KIND_COLUMN, OBSERVABLES
+from ltsim.physics.model.construction import ideal
+from ltsim.physics.model.measurement import MeasurementModel
+from ltsim.physics.model.shared import shared_errors
+from ltsim.recordings import Recording, read, write
+from ltsim.recordings.recording import KIND_COLUMN, OBSERVABLES
 from ltsim.solve.design import as_dense
 
 

@@ -9,8 +9,8 @@ import pytest
 
 import ltsim as lt
 from ltsim.adjustment.singular import refusing_singular
-from ltsim.errors import NetworkError
-from ltsim.recording.recording import Recording
+from ltsim.core.errors import NetworkError
+from ltsim.recordings.recording import Recording
 from tests.campaigns.workshop import workshop
 
 

@@ -8,13 +8,13 @@ import pytest
 
 from ltsim.adjustment import adjust
 from ltsim.adjustment.frame import Pairs
+from ltsim.core.randomness import stream
 from ltsim.geometry.polar import from_polar
 from ltsim.geometry.rotations import about_z
-from ltsim.model.construction import ideal
-from ltsim.model.measurement import MeasurementModel, State
-from ltsim.randomness import stream
-from ltsim.recording.recording import Recording
-from ltsim.recording.setup import Setup
+from ltsim.physics.model.construction import ideal
+from ltsim.physics.model.measurement import MeasurementModel, State
+from ltsim.recordings.recording import Recording
+from ltsim.recordings.setup import Setup
 from ltsim.solve import design
 
 network = pytest.importorskip("benchmarks.adjust_size", reason="the benchmarks are not here").network

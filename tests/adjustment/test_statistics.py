@@ -7,10 +7,10 @@ from scipy import stats
 from ltsim.adjustment import adjust
 from ltsim.adjustment.reliability import FAMILY_LEVEL, chance_of_tau, critical_w, noncentrality
 from ltsim.adjustment.verdict import Agreement, verdict
-from ltsim.model.construction import misalignment
-from ltsim.randomness import stream
-from ltsim.recording.recording import Recording
-from ltsim.recording.setup import Instrument, Setup, Station
+from ltsim.core.randomness import stream
+from ltsim.physics.model.construction import misalignment
+from ltsim.recordings.recording import Recording
+from ltsim.recordings.setup import Instrument, Setup, Station
 from tests.networks import drawn, network
 
 TRACKER = misalignment()

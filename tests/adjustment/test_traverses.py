@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import ltsim as lt
-from ltsim.arrays import Floats
-from ltsim.errors import NetworkError
-from ltsim.recording import read
+from ltsim.core.arrays import Floats
+from ltsim.core.errors import NetworkError
+from ltsim.recordings import read
 
 COUNT = 11
 OCCUPIED = (1, 2, 3, 4, 5, 5, 6, 7, 8, 9)

@@ -13,7 +13,7 @@ import pytest
 
 import ltsim
 from ltsim import effects
-from ltsim.effects.effect import Effect
+from ltsim.physics.effects.effect import Effect
 
 PACKAGE = Path(ltsim.__file__).parent
 MODULES = sorted(PACKAGE.rglob("*.py"))
@@ -27,7 +27,7 @@ def named(path: Path) -> str:
 
 def effects_in(module: str) -> list[type[Effect]]:
     """The effects a file of the room defines: classes of its own that carry a name."""
-    loaded = importlib.import_module(f"ltsim.effects.{module}")
+    loaded = importlib.import_module(f"ltsim.physics.effects.{module}")
     classes = inspect.getmembers(loaded, inspect.isclass)
     return [
         cls
@@ -40,8 +40,8 @@ def effects_in(module: str) -> list[type[Effect]]:
 def test_every_effect_file_is_in_the_catalogue(module: str) -> None:
     catalogue = {entry if isinstance(entry, type) else type(entry) for entry in effects.CATALOGUE}
     missing = [cls.__name__ for cls in effects_in(module) if cls not in catalogue]
-    assert not missing, f"ltsim/effects/{module}.py: add {', '.join(missing)} to GROUPS"
-    assert len(effects_in(module)) <= 1, f"ltsim/effects/{module}.py: one file, one effect"
+    assert not missing, f"ltsim/physics/effects/{module}.py: add {', '.join(missing)} to GROUPS"
+    assert len(effects_in(module)) <= 1, f"ltsim/physics/effects/{module}.py: one file, one effect"
 
 
 def test_catalogue_names_each_effect_once() -> None:

@@ -16,7 +16,7 @@ import pytest
 
 import ltsim
 import ltsim as lt
-from ltsim.errors import LtsimError
+from ltsim.core.errors import LtsimError
 
 PACKAGE = Path(ltsim.__file__).parent
 MODULES = sorted(PACKAGE.rglob("*.py"))
@@ -37,16 +37,16 @@ PROCESSES = re.compile(r"(subprocess\.\w+|os\.(system|popen|exec\w+|spawn\w+|pos
 """Functions that start a program."""
 ALLOWED = {
     "ltsim/__init__.py": {"import_module": "modules of the package by the table of its public names"},
-    "ltsim/recording/__init__.py": {"import_module": "modules of the package by the table of its public names"},
-    "ltsim/effects/__init__.py": {"import_module": "the effects that ship, by the table in the same file"},
-    "ltsim/pages/sections/__init__.py": {"import_module": "the sections of a page, by the table in the same file"},
-    "ltsim/pages/figures/__init__.py": {"import_module": "the figures of a page, by the name of an attribute in code"},
+    "ltsim/recordings/__init__.py": {"import_module": "modules of the package by the table of its public names"},
+    "ltsim/physics/effects/__init__.py": {"import_module": "the effects that ship, by the table in the same file"},
+    "ltsim/reports/sections/__init__.py": {"import_module": "the sections of a page, by the table in the same file"},
+    "ltsim/reports/figures/__init__.py": {"import_module": "the figures, by the name of an attribute in code"},
     "ltsim/cli/main.py": {"import_module": "the verbs, by the table in the same file"},
     "ltsim/cli/options.py": {"literal_eval": "defaults in the source of the package itself, for the help"},
     "ltsim/campaigns/scoring.py": {"run": "the program that the user names as --calibrator; no file can name it"},
     "ltsim/campaigns/campaign.py": {"run": "`git rev-parse HEAD`, fixed words, in the folder of the package"},
     "ltsim/scene/cad_process.py": {"run": "this interpreter with a fixed program; a file's path is an argument"},
-    "ltsim/values.py": {"__reduce__": "parts of an object in memory, to compare them"},
+    "ltsim/core/values.py": {"__reduce__": "parts of an object in memory, to compare them"},
 }
 """Calls of these names with the reason why no file decides what they do."""
 
@@ -129,11 +129,11 @@ def test_the_search_finds_what_it_is_for(text: str) -> None:
 def test_readers_take_no_attribute_whose_name_a_file_gives(path: Path) -> None:
     """An attribute of a reader is a word in the code, or a variable that runs over words in the code."""
     allowed = {
-        "ltsim/recording/__init__.py": {"_HOME[name]", "name"},  # public names of the package
-        "ltsim/recording/pointings.py": {"kind"},  # ("station", "target")
-        "ltsim/recording/settings.py": {"kind"},  # ("stations", "targets", "reflectors")
-        "ltsim/recording/formats/polar_text.py": {"name"},  # names of hints, keys of a table in the same file
-        "ltsim/recording/formats/cern_declared.py": {"kind"},  # names of fields of the same class
+        "ltsim/recordings/__init__.py": {"_HOME[name]", "name"},  # public names of the package
+        "ltsim/recordings/pointings.py": {"kind"},  # ("station", "target")
+        "ltsim/recordings/settings.py": {"kind"},  # ("stations", "targets", "reflectors")
+        "ltsim/recordings/formats/polar_text.py": {"name"},  # names of hints, keys of a table in the same file
+        "ltsim/recordings/formats/cern_declared.py": {"kind"},  # names of fields of the same class
         "ltsim/calibration/files.py": {"name"},  # fields of the model
     }
     names = {
@@ -182,7 +182,7 @@ def test_reading_a_file_that_names_code_runs_none(kind: str, suffix: str, tmp_pa
 
 SPY = "import os, sys; open(os.environ['MARK'], 'a').write(__file__ + chr(10))\n"
 WORK = """
-from ltsim.workers import parallel
+from ltsim.core.workers import parallel
 if __name__ == "__main__":
     print(list(parallel(round, ((1.4,), (2.6,), (3.2,)), 2)))
 """

@@ -7,11 +7,11 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from ltsim.core.randomness import stream
 from ltsim.geometry.rotations import about_z
-from ltsim.model.construction import Construction, misalignment
-from ltsim.randomness import stream
-from ltsim.recording.recording import Recording
-from ltsim.recording.setup import Gauge, GaugeDistance, Setup
+from ltsim.physics.model.construction import Construction, misalignment
+from ltsim.recordings.recording import Recording
+from ltsim.recordings.setup import Gauge, GaugeDistance, Setup
 
 STATIONS = np.array([[3.0, 3.0, 1.9], [4.6, 1.9, 2.0], [1.9, 4.6, 2.1], [5.2, 4.6, 1.8]])
 YAW = (0.4, 2.1, -1.9, -0.6)

@@ -10,14 +10,14 @@ import pytest
 import ltsim as lt
 from ltsim.calibration.files import read_calibration, write_calibration
 from ltsim.cli.main import run
-from ltsim.effects.effect import Effect
-from ltsim.effects.range_cyclic import RangeCyclic
-from ltsim.effects.station_settling import StationSettling
-from ltsim.errors import ModelError
-from ltsim.model.construction import misalignment
-from ltsim.randomness import stream
-from ltsim.recording import Recording
-from ltsim.units import FACTOR
+from ltsim.core.errors import ModelError
+from ltsim.core.randomness import stream
+from ltsim.core.units import FACTOR
+from ltsim.physics.effects.effect import Effect
+from ltsim.physics.effects.range_cyclic import RangeCyclic
+from ltsim.physics.effects.station_settling import StationSettling
+from ltsim.physics.model.construction import misalignment
+from ltsim.recordings import Recording
 from tests.networks import drawn, network, with_effect
 
 RATE = 40e-6 / 3600

@@ -10,10 +10,10 @@ import pytest
 
 import ltsim as lt
 from ltsim.cli.main import run
-from ltsim.errors import LtsimError
-from ltsim.model.construction import dh, misalignment
-from ltsim.recording import Recording, read, write
-from ltsim.recording.setup import Instrument, Prior
+from ltsim.core.errors import LtsimError
+from ltsim.physics.model.construction import dh, misalignment
+from ltsim.recordings import Recording, read, write
+from ltsim.recordings.setup import Instrument, Prior
 from tests.networks import drawn, network
 
 VALUES = drawn(misalignment(), 3)
@@ -124,7 +124,7 @@ def test_a_prior_of_a_parameter_that_does_not_exist_is_refused(recording: Record
 
 @pytest.mark.parametrize(("harmonics", "degree", "size"), [(0, 1, 24), (3, 2, 102), (4, 3, 132)])
 def test_the_order_of_the_harmonics_is_an_option(harmonics: int, degree: int, size: int) -> None:
-    from ltsim.model.construction import construction, with_parameters
+    from ltsim.physics.model.construction import construction, with_parameters
 
     built = construction("dh", harmonics, degree)
     assert built.size == size

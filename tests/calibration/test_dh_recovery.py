@@ -1,7 +1,7 @@
 """Every combination of D-H coefficients that a network determines is found, however far off its prior, and it is said.
 
-Of the 78 coefficients a network with a known length determines 47 combinations (`ltsim.kinematics.dh`). Each is
-injected with 20 standard deviations of its prior.
+Of the 78 coefficients a network with a known length determines 47 combinations (`ltsim.geometry.kinematics.dh`). Each
+is injected with 20 standard deviations of its prior.
 """
 
 from __future__ import annotations
@@ -9,10 +9,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ltsim.arrays import Floats
 from ltsim.calibration.known import Choice, Known
 from ltsim.calibration.network import calibrate_network
-from ltsim.model.construction import dh
+from ltsim.core.arrays import Floats
+from ltsim.physics.model.construction import dh
 from tests.networks import network
 
 DETERMINED, FAR, WIDER = 47, 20.0, 100.0

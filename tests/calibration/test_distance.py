@@ -13,10 +13,10 @@ from ltsim.calibration.distance import calibrate_distance
 from ltsim.calibration.distance_solver import mean_rows, pair_rows, solve_distances
 from ltsim.calibration.network import calibrate_network
 from ltsim.calibration.objective import DistanceProblem
-from ltsim.errors import NetworkError
-from ltsim.model.construction import misalignment
-from ltsim.randomness import stream
-from ltsim.recording.setup import Setup
+from ltsim.core.errors import NetworkError
+from ltsim.core.randomness import stream
+from ltsim.physics.model.construction import misalignment
+from ltsim.recordings.setup import Setup
 
 
 def problem_of(recording) -> DistanceProblem:

@@ -10,7 +10,7 @@ import ltsim as lt
 from ltsim.adjustment.prior import prior_sigmas
 from ltsim.calibration.distance_solver import mean_rows, pair_rows, solve_distances, solve_equation_9
 from ltsim.calibration.objective import DistanceProblem
-from ltsim.model.construction import misalignment
+from ltsim.physics.model.construction import misalignment
 from tests.networks import drawn, network
 
 BUILT = misalignment()

@@ -14,11 +14,11 @@ from ltsim.calibration.correct import correct
 from ltsim.calibration.evidence import amplitude_and_phase
 from ltsim.calibration.files import read_calibration, write_calibration
 from ltsim.calibration.network import calibrate_network
-from ltsim.errors import NetworkError, RecordError
+from ltsim.core.errors import NetworkError, RecordError
+from ltsim.core.units import MICRORADIAN
 from ltsim.geometry.polar import from_polar
-from ltsim.model.construction import misalignment
-from ltsim.recording.setup import Instrument, Setup, Station
-from ltsim.units import MICRORADIAN
+from ltsim.physics.model.construction import misalignment
+from ltsim.recordings.setup import Instrument, Setup, Station
 
 
 @pytest.fixture(scope="module")

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from ltsim.adjustment.evaluation.two_face import two_face
 from ltsim.calibration.calibration import Calibration, Fit
 from ltsim.calibration.events import can_tell, events
 from ltsim.calibration.files import write_calibration
@@ -15,11 +16,10 @@ from ltsim.calibration.history import History
 from ltsim.calibration.history_file import history_file
 from ltsim.calibration.network import calibrate_network
 from ltsim.cli.main import run
-from ltsim.errors import RecordError
-from ltsim.evaluation.two_face import two_face
-from ltsim.model.construction import ideal, misalignment
-from ltsim.randomness import stream
-from ltsim.recording import write
+from ltsim.core.errors import RecordError
+from ltsim.core.randomness import stream
+from ltsim.physics.model.construction import ideal, misalignment
+from ltsim.recordings import write
 
 CONSTRUCTION = misalignment()
 SIZE = CONSTRUCTION.size

@@ -10,7 +10,7 @@ import numpy as np
 import ltsim as lt
 from ltsim.calibration.evidence import determined
 from ltsim.cli.main import run
-from ltsim.model.construction import misalignment
+from ltsim.physics.model.construction import misalignment
 from tests.networks import network
 
 

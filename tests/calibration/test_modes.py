@@ -15,8 +15,8 @@ from ltsim.calibration.distance import calibrate_distance
 from ltsim.calibration.files import write_calibration
 from ltsim.calibration.network import calibrate_network
 from ltsim.diagnosis.diagnose import diagnose
-from ltsim.recording.native import read_recording, write_recording
-from ltsim.recording.recording import Recording
+from ltsim.recordings.native import read_recording, write_recording
+from ltsim.recordings.recording import Recording
 from tests.networks import network
 
 STEP = 30e-6

@@ -10,16 +10,16 @@ from scipy import stats
 
 import ltsim as lt
 from ltsim.adjustment import adjust
+from ltsim.adjustment.remedies.network import Network
+from ltsim.adjustment.remedies.undetermined import gains, simple_rotation, undetermined
 from ltsim.calibration.conflict import log_odds
 from ltsim.calibration.network import calibrate_network
-from ltsim.chances import CONSTANT, SIZES
-from ltsim.errors import ModelError
+from ltsim.core.chances import CONSTANT, SIZES
+from ltsim.core.errors import ModelError
 from ltsim.geometry.polar import from_polar, to_polar
 from ltsim.geometry.rigid import rigid_motion
-from ltsim.model.construction import dh, misalignment
-from ltsim.recording.setup import Gauge, GaugeDistance, Instrument, Prior, Station
-from ltsim.remedies.network import Network
-from ltsim.remedies.undetermined import gains, simple_rotation, undetermined
+from ltsim.physics.model.construction import dh, misalignment
+from ltsim.recordings.setup import Gauge, GaugeDistance, Instrument, Prior, Station
 
 
 def test_without_noise_only_the_priors_pull(make, drawn) -> None:

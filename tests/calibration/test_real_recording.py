@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ltsim.adjustment.evaluation.two_face import two_face
 from ltsim.calibration.correct import correct
 from ltsim.calibration.network import calibrate_network
-from ltsim.evaluation.two_face import two_face
 from ltsim.geometry.polar import from_polar
-from ltsim.recording import Hints, Recording, read
+from ltsim.recordings import Hints, Recording, read
 
 
 @pytest.fixture(scope="module")

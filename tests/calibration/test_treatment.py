@@ -15,10 +15,10 @@ from ltsim.calibration.correct import correct
 from ltsim.calibration.distance import calibrate_distance
 from ltsim.calibration.files import calibration_file, write_calibration
 from ltsim.calibration.network import calibrate_network
-from ltsim.errors import ModelError, NetworkError
-from ltsim.recording import Hints, read
-from ltsim.recording.recording import OBSERVABLES
-from ltsim.recording.setup import Target
+from ltsim.core.errors import ModelError, NetworkError
+from ltsim.recordings import Hints, read
+from ltsim.recordings.recording import OBSERVABLES
+from ltsim.recordings.setup import Target
 
 
 @pytest.fixture(scope="module")

@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 
 import ltsim as lt
-from ltsim.arrays import Floats
+from ltsim.adjustment.evaluation.clouds import cloud_error, measured_points
 from ltsim.calibration.files import read_calibration, write_calibration
 from ltsim.calibration.network import calibrate_network
 from ltsim.calibration.worth import ScaledPrior, held_out_targets, point_errors, reading_noise
-from ltsim.evaluation.clouds import cloud_error, measured_points
-from ltsim.model.construction import misalignment
-from ltsim.notation import number
-from ltsim.randomness import stream
-from ltsim.recording import Recording
-from ltsim.recording.setup import Instrument, Noise, Prior
+from ltsim.core.arrays import Floats
+from ltsim.core.notation import number
+from ltsim.core.randomness import stream
+from ltsim.physics.model.construction import misalignment
+from ltsim.recordings import Recording
+from ltsim.recordings.setup import Instrument, Noise, Prior
 from tests.networks import drawn, mesh, network
 
 BUILT = misalignment()

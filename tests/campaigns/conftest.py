@@ -10,11 +10,11 @@ import pytest
 
 from ltsim.campaigns.engine import Engine
 from ltsim.campaigns.truth import CellTruth
-from ltsim.model.construction import Construction, misalignment
-from ltsim.model.measurement import sightings_of
-from ltsim.recording.lengths import KnownLengths
+from ltsim.core.units import ARCSECOND
+from ltsim.physics.model.construction import Construction, misalignment
+from ltsim.physics.model.measurement import sightings_of
+from ltsim.recordings.lengths import KnownLengths
 from ltsim.simulation.draws import EffectLaw, TrialDraws
-from ltsim.units import ARCSECOND
 from tests.campaigns.small import FILE
 
 

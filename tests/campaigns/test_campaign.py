@@ -24,7 +24,7 @@ from ltsim.campaigns.schema import CHECKED
 from ltsim.campaigns.spec import load_campaign
 from ltsim.campaigns.statistics import LEVELS
 from ltsim.campaigns.store import Store, table_of
-from ltsim.errors import NetworkError, SetupError
+from ltsim.core.errors import NetworkError, SetupError
 from ltsim.simulation.scenario import load_scenario, scenario_to_toml
 from tests.campaigns.small import FILE
 

@@ -13,12 +13,12 @@ import ltsim as lt
 from ltsim.campaigns.rows import ShardTask, shard_rows
 from ltsim.campaigns.spec import Campaign
 from ltsim.campaigns.truth import truth_of
-from ltsim.effects import CATALOGUE, find_effect
-from ltsim.effects.effect import Mistake, NoiseEffect
-from ltsim.errors import SetupError
+from ltsim.core.errors import SetupError
 from ltsim.geometry.polar import wrap
-from ltsim.model.construction import misalignment
-from ltsim.recording.lengths import KnownLengths
+from ltsim.physics.effects import CATALOGUE, find_effect
+from ltsim.physics.effects.effect import Mistake, NoiseEffect
+from ltsim.physics.model.construction import misalignment
+from ltsim.recordings.lengths import KnownLengths
 from ltsim.simulation.draws import Normal
 from ltsim.simulation.fieldwork import fieldwork
 from ltsim.simulation.scenario import Scenario, load_scenario, scenario_from

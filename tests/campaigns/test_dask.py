@@ -13,7 +13,7 @@ import pytest
 
 from ltsim.campaigns import campaign
 from ltsim.campaigns.campaign import Workers, run_campaign
-from ltsim.errors import SetupError
+from ltsim.core.errors import SetupError
 
 FILE = """
 format = "ltsim-campaign/1"

@@ -9,7 +9,7 @@ import pytest
 
 from ltsim.campaigns.design import Range, label, short_names
 from ltsim.campaigns.spec import cells_of, load_campaign
-from ltsim.errors import SetupError
+from ltsim.core.errors import SetupError
 
 HEAD = 'format = "ltsim-campaign/1"\ntrials = 2\n'
 LINK = '[link]\nnoise_arcsec = ["instrument.noise.azimuth_arcsec", "instrument.noise.elevation_arcsec"]\n'

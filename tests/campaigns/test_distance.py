@@ -13,7 +13,7 @@ from ltsim.campaigns.cloud_kernels import distance_forces
 from ltsim.campaigns.distance import BatchDistance
 from ltsim.campaigns.engine import STATUSES, recording_of
 from ltsim.campaigns.truth import BLOCK, CellTruth
-from ltsim.model.construction import misalignment
+from ltsim.physics.model.construction import misalignment
 
 EVERY = np.arange(BLOCK)
 

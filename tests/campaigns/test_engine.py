@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from ltsim.adjustment import adjust
+from ltsim.adjustment.evaluation.criteria import evaluate
 from ltsim.campaigns.engine import FAILED, FULL, STATUSES, Engine, recording_of
 from ltsim.campaigns.judge import Judge
 from ltsim.campaigns.truth import BLOCK, CellTruth
-from ltsim.effects.effect import Effect, Parameter, Stage, on_readings
-from ltsim.effects.gauge_scale import GaugeScale
-from ltsim.evaluation.criteria import evaluate
-from ltsim.model.construction import dh, misalignment
+from ltsim.physics.effects.effect import Effect, Parameter, Stage, on_readings
+from ltsim.physics.effects.gauge_scale import GaugeScale
+from ltsim.physics.model.construction import dh, misalignment
 from ltsim.scene.sightings import Sightings
 from ltsim.simulation.draws import EffectLaw
 from tests.networks import share_removed, target_error

@@ -14,8 +14,8 @@ from ltsim.campaigns.judge import Judge
 from ltsim.campaigns.results import Results
 from ltsim.campaigns.spec import load_campaign
 from ltsim.cli.main import run
-from ltsim.errors import SetupError
-from ltsim.pages.sections.campaign import MOST_ROWS
+from ltsim.core.errors import SetupError
+from ltsim.reports.sections.campaign import MOST_ROWS
 
 FILE = """
 format = "ltsim-campaign/1"

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ltsim.adjustment.evaluation.clouds import on_points
 from ltsim.campaigns.judge import MICRO, Judge
 from ltsim.campaigns.rows import ShardTask, shard_rows
 from ltsim.campaigns.spec import Campaign
 from ltsim.campaigns.truth import truth_of
-from ltsim.evaluation.clouds import on_points
 from ltsim.geometry.polar import from_polar
 from ltsim.simulation.scenario import Scenario, load_scenario, scenario_from
 

@@ -17,7 +17,7 @@ from ltsim.campaigns.network import BatchNetwork
 from ltsim.campaigns.program import ChainProgram
 from ltsim.campaigns.truth import BLOCK, CellTruth
 from ltsim.geometry.polar import wrap
-from ltsim.model.construction import dh, misalignment
+from ltsim.physics.model.construction import dh, misalignment
 
 CONSTRUCTIONS = {"misalignment": misalignment, "dh": dh, "dh-4": lambda: dh(4)}
 

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 
 import ltsim as lt
+from ltsim.adjustment.evaluation.clouds import share
 from ltsim.campaigns.rows import ShardTask, shard_rows
 from ltsim.campaigns.schema import COLUMNS, column_of
 from ltsim.campaigns.spec import Campaign, judge_of
-from ltsim.effects import CATALOGUE
-from ltsim.effects.effect import Effect, Parameter, Stage, on_readings
-from ltsim.errors import ModelError, SetupError
-from ltsim.evaluation.clouds import share
+from ltsim.core.errors import ModelError, SetupError
+from ltsim.physics.effects import CATALOGUE
+from ltsim.physics.effects.effect import Effect, Parameter, Stage, on_readings
 from ltsim.scene.sightings import Sightings
 from ltsim.simulation.scenario import Scenario, load_scenario
 from tests.networks import share_removed

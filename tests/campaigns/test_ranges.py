@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 import ltsim as lt
+from ltsim.adjustment.evaluation.clouds import on_points
 from ltsim.campaigns.calibrators import StackCalibrator, calibrator_of, stacks
 from ltsim.campaigns.engine import Engine
 from ltsim.campaigns.judge import Judge
 from ltsim.campaigns.spec import Method
 from ltsim.campaigns.truth import CellTruth, truth_of
-from ltsim.errors import NetworkError, SetupError
-from ltsim.evaluation.clouds import on_points
+from ltsim.core.errors import NetworkError, SetupError
 from ltsim.planning.fast import Reducer
 from ltsim.planning.information import LayoutInformation
 from ltsim.planning.workshop import survey_of

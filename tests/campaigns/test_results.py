@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 
 import ltsim as lt
-from ltsim.errors import ModelError, SetupError
-from ltsim.notation import number
-from ltsim.pages.document import Grid
-from ltsim.pages.figures.campaign import swept
-from ltsim.pages.sections.campaign import campaign_section, cell_words
+from ltsim.core.errors import ModelError, SetupError
+from ltsim.core.notation import number
+from ltsim.reports.document import Grid
+from ltsim.reports.figures.campaign import swept
+from ltsim.reports.sections.campaign import campaign_section, cell_words
 
 SWEEP = {
     "scenario": "paper-workshop",

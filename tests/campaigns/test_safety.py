@@ -13,8 +13,8 @@ import trimesh
 from ltsim.campaigns.campaign import commit, run_campaign
 from ltsim.campaigns.results import Results
 from ltsim.campaigns.store import Store
-from ltsim.errors import LtsimError, SetupError
-from ltsim.randomness import stream
+from ltsim.core.errors import LtsimError, SetupError
+from ltsim.core.randomness import stream
 from ltsim.simulation.scenario import load_scenario, scenario_to_toml
 from ltsim.simulation.sections import Obstacle
 from tests.campaigns.small import FILE

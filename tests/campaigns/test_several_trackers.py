@@ -13,7 +13,7 @@ from ltsim.campaigns.columns import labels_of, parameter_columns
 from ltsim.campaigns.engine import Engine
 from ltsim.campaigns.recovery_trials import from_prior
 from ltsim.campaigns.truth import truth_of
-from ltsim.randomness import stream
+from ltsim.core.randomness import stream
 from ltsim.simulation.scenario import changed, load_scenario
 
 TWO = load_scenario("two-trackers")

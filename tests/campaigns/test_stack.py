@@ -12,7 +12,7 @@ from ltsim.campaigns.engine import Calibrated, Engine
 from ltsim.campaigns.judge import Judge
 from ltsim.campaigns.spec import Method
 from ltsim.campaigns.truth import CellTruth, truth_of
-from ltsim.model.construction import misalignment
+from ltsim.physics.model.construction import misalignment
 from ltsim.simulation.scenario import changed, load_scenario
 
 TRIALS = 5

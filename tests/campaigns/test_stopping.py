@@ -12,8 +12,8 @@ from ltsim.campaigns.campaign import Workers, run_campaign
 from ltsim.campaigns.results import Results
 from ltsim.campaigns.spec import Campaign, Stop
 from ltsim.campaigns.stopping import level_of, quantile, rounds, schedule
-from ltsim.errors import ModelError
-from ltsim.randomness import stream
+from ltsim.core.errors import ModelError
+from ltsim.core.randomness import stream
 
 FILE = """
 format = "ltsim-campaign/1"

@@ -10,8 +10,8 @@ import pytest
 
 from ltsim.campaigns.rows import ShardTask, shard_rows
 from ltsim.campaigns.spec import Campaign, judge_of
-from ltsim.errors import RecordError
-from ltsim.recording.settings import checked
+from ltsim.core.errors import RecordError
+from ltsim.recordings.settings import checked
 from ltsim.simulation.scenario import changed, load_scenario
 from ltsim.simulation.simulator import simulate
 

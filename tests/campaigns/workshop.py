@@ -8,9 +8,9 @@ import numpy as np
 
 from ltsim.geometry.polar import to_face, to_polar
 from ltsim.geometry.rotations import about_z
-from ltsim.model.measurement import State
-from ltsim.recording.recording import Recording
-from ltsim.recording.setup import Gauge, GaugeDistance, Instrument, Setup
+from ltsim.physics.model.measurement import State
+from ltsim.recordings.recording import Recording
+from ltsim.recordings.setup import Gauge, GaugeDistance, Instrument, Setup
 
 MESH = 24
 GAUGE_SIGMA_MM = 0.0025

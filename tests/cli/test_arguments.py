@@ -9,7 +9,7 @@ import pytest
 
 import ltsim as lt
 from ltsim.cli.main import run
-from ltsim.errors import LtsimError
+from ltsim.core.errors import LtsimError
 
 SMALL = {"scenario": "paper-workshop", "trials": 2, "methods": [{"name": "network"}]}
 WRONG: list[tuple[Callable[..., Any], dict[str, Any], list[str], str]] = [

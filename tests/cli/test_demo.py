@@ -10,8 +10,8 @@ import pytest
 
 from ltsim.cli.main import run
 from ltsim.cli.simulate import HIDDEN, STEPS, calibrated, simulated
-from ltsim.effects import find_effect
-from ltsim.randomness import stream
+from ltsim.core.randomness import stream
+from ltsim.physics.effects import find_effect
 
 
 def test_first_steps(tmp_path: Path) -> None:

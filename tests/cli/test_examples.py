@@ -14,9 +14,9 @@ from ltsim.acceptance.spec import load_acceptance
 from ltsim.campaigns.spec import load_campaign
 from ltsim.cli.examples import TRY, example_text
 from ltsim.cli.main import run
-from ltsim.errors import SetupError
+from ltsim.core.errors import SetupError
+from ltsim.measurands.spec import load_tasks
 from ltsim.planning.loading import load_plan
-from ltsim.tasks.spec import load_tasks
 
 
 def test_all_files_are_written_and_read_as_what_they_are(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

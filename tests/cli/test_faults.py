@@ -14,8 +14,8 @@ import pytest
 from ltsim.cli import effects, terminal
 from ltsim.cli.main import run
 from ltsim.cli.terminal import Terminal
-from ltsim.recording import read, write
-from ltsim.recording.setup import Setup
+from ltsim.recordings import read, write
+from ltsim.recordings.setup import Setup
 from ltsim.simulation.scenario import load_scenario
 from ltsim.simulation.simulator import simulate
 

@@ -11,13 +11,13 @@ from pathlib import Path
 import pytest
 
 from ltsim.cli.main import run
-from ltsim.recording import write
+from ltsim.recordings import write
 from ltsim.simulation.scenario import load_scenario
 from ltsim.simulation.simulator import simulate
 
 KILLED = """
 import os, signal, sys
-from ltsim import storage
+from ltsim.core import storage
 from ltsim.cli.main import main
 
 left, real = int(sys.argv.pop(1)), os.replace

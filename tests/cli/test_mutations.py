@@ -18,9 +18,9 @@ import numpy as np
 import pytest
 
 from ltsim.cli.main import run
-from ltsim.randomness import stream
-from tests.recording import test_tables as tables
-from tests.recording.test_mutations import mutated, mutated_workbook
+from ltsim.core.randomness import stream
+from tests.recordings import test_tables as tables
+from tests.recordings.test_mutations import mutated, mutated_workbook
 
 BATCH = 50
 SECONDS = 30.0

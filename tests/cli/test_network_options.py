@@ -11,7 +11,7 @@ import pytest
 
 from ltsim.adjustment import adjust
 from ltsim.cli.main import run
-from ltsim.recording import read, write
+from ltsim.recordings import read, write
 from tests.networks import network
 
 

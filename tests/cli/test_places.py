@@ -11,7 +11,7 @@ import pytest
 
 from ltsim.cli.main import run
 from ltsim.cli.places import GENERATOR
-from ltsim.recording.files import write_text, write_texts
+from ltsim.recordings.files import write_text, write_texts
 
 
 @pytest.fixture(scope="module")

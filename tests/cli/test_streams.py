@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from ltsim.cli.main import VERBS, run
-from ltsim.recording import write
+from ltsim.recordings import write
 from ltsim.simulation.scenario import load_scenario
 from ltsim.simulation.simulator import simulate
 

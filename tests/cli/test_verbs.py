@@ -14,10 +14,10 @@ import pytest
 
 import ltsim.cli
 from ltsim.cli.main import VERBS, run
-from ltsim.effects import CATALOGUE, card_of
-from ltsim.errors import ModelError
-from ltsim.notation import aligned
-from ltsim.recording import read
+from ltsim.core.errors import ModelError
+from ltsim.core.notation import aligned
+from ltsim.physics.effects import CATALOGUE, card_of
+from ltsim.recordings import read
 from ltsim.simulation.truth import read_truth
 
 
@@ -230,11 +230,11 @@ def test_light_verbs_wait_for_nothing_heavy(workplace: Path, tmp_path: Path) -> 
 
 
 def test_one_effect_loads_no_file_format() -> None:
-    code = "import sys, ltsim.effects.beam_tilt; print(*sys.modules)"
+    code = "import sys, ltsim.physics.effects.beam_tilt; print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     loaded = set(done.stdout.split())
-    assert "ltsim.recording.exchange" not in loaded
-    assert not [name for name in loaded if name.startswith("ltsim.recording.formats")]
+    assert "ltsim.recordings.exchange" not in loaded
+    assert not [name for name in loaded if name.startswith("ltsim.recordings.formats")]
 
 
 def test_the_version(capsys) -> None:

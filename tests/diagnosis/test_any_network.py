@@ -9,7 +9,7 @@ import pytest
 
 from ltsim.diagnosis.diagnose import diagnose
 from ltsim.diagnosis.files import write_diagnosis
-from ltsim.recording.recording import Recording
+from ltsim.recordings.recording import Recording
 from tests.networks import network
 
 

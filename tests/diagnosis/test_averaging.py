@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from ltsim.adjustment import adjust
+from ltsim.core.randomness import stream
 from ltsim.diagnosis.averaging import HARM, WORSE, averaged_targets, safe_share, together
 from ltsim.diagnosis.case import Case
 from ltsim.diagnosis.hypotheses import Hypothesis, Ranking
 from ltsim.geometry.rigid import less_rigid
-from ltsim.laws.carriers import CARRIERS
-from ltsim.laws.drivers import smooth
-from ltsim.laws.law import Law
-from ltsim.randomness import stream
+from ltsim.physics.laws.carriers import CARRIERS
+from ltsim.physics.laws.drivers import smooth
+from ltsim.physics.laws.law import Law
 from tests.networks import network
 
 

@@ -8,13 +8,13 @@ import pytest
 from ltsim.adjustment import adjust
 from ltsim.adjustment.prior import prior_sigmas
 from ltsim.calibration.evidence import LOG_WEIGHTS, SIZES, evidence, log_sum_exp
+from ltsim.core.randomness import stream
 from ltsim.diagnosis.instruments import Change, Expected, compared, contradictions
 from ltsim.diagnosis.prior import log_share
-from ltsim.model.construction import misalignment
-from ltsim.model.measurement import MeasurementModel, State
-from ltsim.randomness import stream
-from ltsim.recording.recording import Recording
-from ltsim.recording.setup import Instrument, Station, Target
+from ltsim.physics.model.construction import misalignment
+from ltsim.physics.model.measurement import MeasurementModel, State
+from ltsim.recordings.recording import Recording
+from ltsim.recordings.setup import Instrument, Station, Target
 from tests.networks import network
 
 

@@ -9,16 +9,16 @@ import pytest
 
 from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace
+from ltsim.core.errors import RecordError
+from ltsim.core.randomness import stream
 from ltsim.diagnosis.diagnose import diagnose
 from ltsim.diagnosis.files import write_diagnosis
-from ltsim.effects import find_effect
-from ltsim.effects.effect import by_displacement, on_readings
-from ltsim.errors import RecordError
 from ltsim.geometry.alignment import align
-from ltsim.model.construction import misalignment
-from ltsim.model.measurement import MeasurementModel, sightings_of
-from ltsim.randomness import stream
-from ltsim.recording.recording import Recording
+from ltsim.physics.effects import find_effect
+from ltsim.physics.effects.effect import by_displacement, on_readings
+from ltsim.physics.model.construction import misalignment
+from ltsim.physics.model.measurement import MeasurementModel, sightings_of
+from ltsim.recordings.recording import Recording
 from tests.networks import drawn, network
 
 NONCENTRALITY = 250.0

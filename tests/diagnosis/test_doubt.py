@@ -9,6 +9,7 @@ import pytest
 
 from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace
+from ltsim.core.randomness import stream
 from ltsim.diagnosis.case import Case
 from ltsim.diagnosis.detect import detect
 from ltsim.diagnosis.diagnose import diagnose
@@ -17,9 +18,8 @@ from ltsim.diagnosis.hypotheses import Hypothesis
 from ltsim.diagnosis.noise import NoiseHypothesis
 from ltsim.diagnosis.outside import log_likeness
 from ltsim.diagnosis.stray import stray_readings
-from ltsim.effects import find_effect
-from ltsim.model.construction import misalignment
-from ltsim.randomness import stream
+from ltsim.physics.effects import find_effect
+from ltsim.physics.model.construction import misalignment
 from tests.diagnosis.test_diagnose import concealing, workshop
 from tests.networks import network
 

@@ -13,7 +13,6 @@ import pytest
 
 import ltsim as lt
 from ltsim.adjustment import Adjustment, adjust
-from ltsim.arrays import Floats
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.files import write_calibration
 from ltsim.calibration.history import History as Course
@@ -21,14 +20,15 @@ from ltsim.calibration.history_file import history_file
 from ltsim.calibration.known import Known
 from ltsim.calibration.network import calibrate_network
 from ltsim.cli.main import run
+from ltsim.core.arrays import Floats
+from ltsim.core.randomness import stream
 from ltsim.diagnosis.diagnose import LEAST_GAIN
 from ltsim.diagnosis.history import HistoryExpectation
 from ltsim.diagnosis.instruments import Contradiction
-from ltsim.model.construction import misalignment
-from ltsim.randomness import stream
-from ltsim.recording import write
-from ltsim.recording.result_file import write_result
-from ltsim.recording.setup import Instrument, Station
+from ltsim.physics.model.construction import misalignment
+from ltsim.recordings import write
+from ltsim.recordings.result_file import write_result
+from ltsim.recordings.setup import Instrument, Station
 from tests.networks import drawn, network
 
 BUILT = misalignment()

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 from ltsim.adjustment import adjust
+from ltsim.core.notation import with_sigma
+from ltsim.core.randomness import stream
 from ltsim.diagnosis.diagnose import diagnose
 from ltsim.diagnosis.instruments import contradictions, instrument_entries
 from ltsim.diagnosis.words import clear_constants
-from ltsim.model.construction import misalignment
-from ltsim.model.measurement import MeasurementModel, State
-from ltsim.notation import with_sigma
-from ltsim.randomness import stream
-from ltsim.recording.recording import Recording
-from ltsim.recording.setup import Instrument, Station
+from ltsim.physics.model.construction import misalignment
+from ltsim.physics.model.measurement import MeasurementModel, State
+from ltsim.recordings.recording import Recording
+from ltsim.recordings.setup import Instrument, Station
 from tests.networks import drawn, network
 
 

@@ -6,11 +6,11 @@ import tracemalloc
 
 import numpy as np
 
+from ltsim.core.randomness import stream
 from ltsim.diagnosis.diagnose import diagnose
 from ltsim.geometry.polar import to_face
-from ltsim.randomness import stream
-from ltsim.recording.recording import Recording
-from ltsim.recording.setup import Setup
+from ltsim.recordings.recording import Recording
+from ltsim.recordings.setup import Setup
 
 TARGETS = 10
 

@@ -10,12 +10,12 @@ from scipy.special import logsumexp
 
 from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace
+from ltsim.core.randomness import stream
 from ltsim.diagnosis.noise import FACTORS, NoiseBank, noise_hypotheses, repeat_means
 from ltsim.diagnosis.prior import PRIOR
-from ltsim.effects.turbulence import Turbulence
-from ltsim.laws.scatter import BOTH_FACES, NoisePattern
-from ltsim.model.construction import misalignment
-from ltsim.randomness import stream
+from ltsim.physics.effects.turbulence import Turbulence
+from ltsim.physics.laws.scatter import BOTH_FACES, NoisePattern
+from ltsim.physics.model.construction import misalignment
 from tests.networks import network
 
 

@@ -9,10 +9,10 @@ import pytest
 
 from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace
+from ltsim.core.randomness import stream
 from ltsim.diagnosis.detect import Detection
 from ltsim.diagnosis.search import Searcher
-from ltsim.model.construction import misalignment
-from ltsim.randomness import stream
+from ltsim.physics.model.construction import misalignment
 from tests.networks import network
 
 DRAWS, SEEDS = 300, 3

@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 
 from ltsim.adjustment import adjust
+from ltsim.adjustment.remedies.next_measurement import DECISIVE
+from ltsim.core.randomness import stream
 from ltsim.diagnosis.detect import Detection
 from ltsim.diagnosis.evidence import shown_in
 from ltsim.diagnosis.findings import Explained
 from ltsim.diagnosis.schema import Where
 from ltsim.diagnosis.separate import separating_measurement
 from ltsim.diagnosis.words import law_sentence
-from ltsim.effects.station_settling import StationSettling
-from ltsim.model.construction import misalignment
-from ltsim.randomness import stream
-from ltsim.remedies.next_measurement import DECISIVE
+from ltsim.physics.effects.station_settling import StationSettling
+from ltsim.physics.model.construction import misalignment
 from tests.networks import network, with_effect
 
 # --- evidence ---------------------------------------------------------------------------------------------------------

@@ -9,10 +9,10 @@ from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace, orthonormal
 from ltsim.diagnosis.held_out import folds, held_out
 from ltsim.diagnosis.search import Searcher
-from ltsim.laws.carriers import CARRIERS
-from ltsim.laws.drivers import Driver, simple
-from ltsim.laws.law import Law
-from ltsim.model.construction import misalignment
+from ltsim.physics.laws.carriers import CARRIERS
+from ltsim.physics.laws.drivers import Driver, simple
+from ltsim.physics.laws.law import Law
+from ltsim.physics.model.construction import misalignment
 from tests.networks import drawn, network
 
 

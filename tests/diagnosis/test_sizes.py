@@ -7,14 +7,14 @@ import pytest
 
 from benchmarks.adjust_size import network as ring_of
 from ltsim.adjustment import adjust
+from ltsim.core.randomness import stream
 from ltsim.diagnosis.diagnose import diagnose
-from ltsim.effects import find_effect
 from ltsim.geometry.rotations import about_z
-from ltsim.model.construction import misalignment
-from ltsim.model.measurement import MeasurementModel, State, sightings_of
-from ltsim.randomness import stream
-from ltsim.recording.recording import Recording
-from ltsim.recording.setup import Instrument, Setup, Station
+from ltsim.physics.effects import find_effect
+from ltsim.physics.model.construction import misalignment
+from ltsim.physics.model.measurement import MeasurementModel, State, sightings_of
+from ltsim.recordings.recording import Recording
+from ltsim.recordings.setup import Instrument, Setup, Station
 from ltsim.solve.projection import FactorProjection
 from tests.networks import drawn
 

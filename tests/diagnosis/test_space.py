@@ -8,6 +8,7 @@ import pytest
 from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.evidence import LOG_WEIGHTS, SIZES, log_evidence, log_sum_exp
+from ltsim.core.randomness import stream
 from ltsim.diagnosis.cards import Cards, card_hypotheses
 from ltsim.diagnosis.evidence import evidence_with, posterior, sign_weight
 from ltsim.diagnosis.exact import Exact
@@ -16,13 +17,12 @@ from ltsim.diagnosis.noise import NoiseBank, noise_hypotheses
 from ltsim.diagnosis.prior import AT_TARGETS, KINDS, PLACES, PRIOR, log_share, rows
 from ltsim.diagnosis.probe import Probe
 from ltsim.diagnosis.space import panels
-from ltsim.effects import find_effect
-from ltsim.effects.signature import Tunable
-from ltsim.laws.carriers import CARRIERS
-from ltsim.laws.drivers import CONSTANT, simple
-from ltsim.laws.law import Law
-from ltsim.model.construction import misalignment
-from ltsim.randomness import stream
+from ltsim.physics.effects import find_effect
+from ltsim.physics.effects.signature import Tunable
+from ltsim.physics.laws.carriers import CARRIERS
+from ltsim.physics.laws.drivers import CONSTANT, simple
+from ltsim.physics.laws.law import Law
+from ltsim.physics.model.construction import misalignment
 from tests.networks import drawn, network
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from ltsim.cli.main import VERBS
-from ltsim.effects import CATALOGUE
+from ltsim.physics.effects import CATALOGUE
 
 
 @pytest.fixture(scope="module")

@@ -7,8 +7,8 @@ from typing import Any, get_args
 import pytest
 from pydantic import BaseModel
 
-from ltsim.pages.schemas import FILES
-from ltsim.recording.native import BOUNDS, KNOWN, WORDS
+from ltsim.recordings.native import BOUNDS, KNOWN, WORDS
+from ltsim.reports.schemas import FILES
 from tests.conftest import ROOT
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from ltsim.effects import CATALOGUE
+from ltsim.physics.effects import CATALOGUE
 from tests.conftest import ROOT
 from tests.docs.snippets import blocks, check_page
 

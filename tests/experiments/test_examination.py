@@ -17,12 +17,12 @@ import pytest
 import ltsim as lt
 from experiments.intervals import share
 from ltsim.adjustment import adjust
-from ltsim.effects import CATALOGUE
-from ltsim.effects.effect import Effect, NoiseEffect
-from ltsim.effects.nest_lift import NestLift
 from ltsim.geometry.polar import wrap
-from ltsim.model.construction import misalignment
-from ltsim.model.measurement import MeasurementModel, State, sightings_of
+from ltsim.physics.effects import CATALOGUE
+from ltsim.physics.effects.effect import Effect, NoiseEffect
+from ltsim.physics.effects.nest_lift import NestLift
+from ltsim.physics.model.construction import misalignment
+from ltsim.physics.model.measurement import MeasurementModel, State, sightings_of
 
 PLACE = "experiments.20_concealed_physics."
 hall_of, known, law, made, tracker, score, report, entrants = (

@@ -57,7 +57,7 @@ def test_results_are_small(history: Path) -> None:
 
 
 def test_committed_results_are_refused_where_sources_are_not_committed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(common, "changes", lambda: " M ltsim/units.py")
+    monkeypatch.setattr(common, "changes", lambda: " M ltsim/core/units.py")
     with pytest.raises(SystemExit, match=r"units\.py.*--out"):
         driver.run_one("07", [], 2, 1, None)
     with pytest.raises(SystemExit, match="--out"):

@@ -7,7 +7,7 @@ from importlib import import_module
 import numpy as np
 import pytest
 
-from ltsim.errors import ModelError
+from ltsim.core.errors import ModelError
 from ltsim.planning.information import ExpectedErrors, LayoutInformation, Predictor
 from tests.planning.fixtures import survey
 

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from ltsim.errors import NetworkError
+from ltsim.core.errors import NetworkError
+from ltsim.core.randomness import stream
 from ltsim.geometry.alignment import align
 from ltsim.geometry.rotations import from_rotation_vector
-from ltsim.randomness import stream
 
 seeds = st.integers(0, 10_000)
 

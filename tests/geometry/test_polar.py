@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 from hypothesis import given, strategies as st
 
-from ltsim.arrays import Floats, Ints
+from ltsim.core.arrays import Floats, Ints
 from ltsim.geometry.polar import from_polar, polar_jacobian, to_face, to_polar, unit_vectors, wrap
 
 pointings = st.tuples(st.floats(0.5, 40), st.floats(-3.14, 3.14), st.floats(-1.5, 1.5), st.sampled_from([1, 2]))

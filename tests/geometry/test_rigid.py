@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from ltsim.core.randomness import stream
 from ltsim.geometry.rigid import holds_pose, rigid_motion
 from ltsim.geometry.rotations import from_rotation_vector
-from ltsim.randomness import stream
 
 
 def test_rigid_motion_is_the_first_order_of_a_turn_and_a_shift() -> None:

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given, strategies as st
 from hypothesis.extra.numpy import arrays
 
-from ltsim.arrays import Floats
+from ltsim.core.arrays import Floats
 from ltsim.geometry.rotations import about_z, cross_matrix, from_rotation_vector, quaternion
 
 IDENTITY = np.broadcast_to(np.eye(3), (4, 3, 3))

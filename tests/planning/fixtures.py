@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ltsim.planning.survey import Survey
-from ltsim.recording.setup import Gauge, GaugeDistance, Instrument, Noise, Setup
+from ltsim.recordings.setup import Gauge, GaugeDistance, Instrument, Noise, Setup
 
 POSITION = np.array([[3.0, 3.0, 2.0], [4.6, 1.9, 1.9], [1.9, 4.6, 2.1], [5.3, 4.4, 1.95], [3.9, 5.5, 2.05]])
 YAW = np.radians([225.0, 10.0, 100.0, 300.0, 40.0])

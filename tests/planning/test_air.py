@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from ltsim.adjustment import adjust
-from ltsim.effects.air import Air
 from ltsim.geometry.rigid import rigid_motion
-from ltsim.model.construction import misalignment
+from ltsim.physics.effects.air import Air
+from ltsim.physics.model.construction import misalignment
 from ltsim.planning.information import LayoutInformation
 from ltsim.planning.loading import load_plan
 from ltsim.planning.workshop import site_of

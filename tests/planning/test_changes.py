@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ltsim.arrays import Floats
-from ltsim.errors import SetupError
-from ltsim.model.construction import misalignment
+from ltsim.core.arrays import Floats
+from ltsim.core.errors import SetupError
+from ltsim.physics.model.construction import misalignment
 from ltsim.planning.information import LayoutInformation
 from ltsim.planning.loading import load_plan
 from ltsim.planning.objective import INSTRUMENT, TARGETS, Objective

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ltsim.errors import NetworkError
-from ltsim.model.construction import misalignment
+from ltsim.core.errors import NetworkError
+from ltsim.physics.model.construction import misalignment
 from ltsim.planning.information import LayoutInformation
 from ltsim.planning.tolerances import Demands, judged, losses_of
 from tests.planning.test_search import site

@@ -11,16 +11,16 @@ import pytest
 
 import ltsim as lt
 from ltsim.cli.main import run
-from ltsim.errors import SetupError
-from ltsim.pages.work_order import work_order_page
+from ltsim.core.errors import SetupError
 from ltsim.planning import reasons, work_order
 from ltsim.planning.files import plan_file
-from ltsim.planning.floor import Floor, fault, ground_of, inside, may_stand
 from ltsim.planning.loading import load_plan, read_points
 from ltsim.planning.planner import Tried
 from ltsim.planning.site import Placement, Site
 from ltsim.planning.tolerances import Demands, Kept, radius, verdict
 from ltsim.planning.work_order import Tape, lacking, settings_of
+from ltsim.reports.work_order import work_order_page
+from ltsim.scene.floor import Floor, fault, ground_of, inside, may_stand
 from ltsim.scene.meshes import cylinder, together
 from ltsim.scene.visibility import visibility
 from ltsim.simulation.workshop import planned, sight_limits

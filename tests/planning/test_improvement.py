@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from ltsim.adjustment import adjust
-from ltsim.effects.range_cyclic import RangeCyclic
-from ltsim.errors import ModelError
-from ltsim.evaluation.criteria import evaluate
-from ltsim.model.construction import misalignment
-from ltsim.model.measurement import MeasurementModel, State
+from ltsim.adjustment.evaluation.criteria import evaluate
+from ltsim.core.errors import ModelError
+from ltsim.core.randomness import stream
+from ltsim.physics.effects.range_cyclic import RangeCyclic
+from ltsim.physics.model.construction import misalignment
+from ltsim.physics.model.measurement import MeasurementModel, State
 from ltsim.planning.information import LayoutInformation, Predictor, expected_length
-from ltsim.randomness import stream
 from tests.planning.fixtures import survey
 
 TRIALS = 60

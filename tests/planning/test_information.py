@@ -6,20 +6,20 @@ import numpy as np
 import pytest
 
 from ltsim.adjustment import adjust
+from ltsim.adjustment.remedies.detectability import examine
 from ltsim.adjustment.residual_space import ResidualSpace
-from ltsim.effects.index_drift import IndexDrift
-from ltsim.effects.range_offset import RangeOffset
-from ltsim.effects.station_weather import StationWeather
-from ltsim.errors import NetworkError, SetupError
+from ltsim.core.errors import NetworkError, SetupError
+from ltsim.core.randomness import stream
 from ltsim.geometry.rotations import from_rotation_vector
-from ltsim.model.construction import ideal, misalignment
+from ltsim.physics.effects.index_drift import IndexDrift
+from ltsim.physics.effects.range_offset import RangeOffset
+from ltsim.physics.effects.station_weather import StationWeather
+from ltsim.physics.model.construction import ideal, misalignment
 from ltsim.planning.fast import Reducer, StationBlocks
 from ltsim.planning.information import LayoutInformation, Predictor
 from ltsim.planning.objective import smallest_sizes
 from ltsim.planning.workshop import survey_of
-from ltsim.randomness import stream
-from ltsim.recording.setup import Station
-from ltsim.remedies.detectability import examine
+from ltsim.recordings.setup import Station
 from ltsim.simulation.scenario import load_scenario
 from tests.planning.fixtures import POSITION, YAW, survey
 
@@ -124,7 +124,7 @@ def test_ranges_from_one_plane_determine_nothing() -> None:
 def test_an_effect_in_the_batch_is_what_it_would_be_as_a_parameter() -> None:
     """A range offset taken as an effect beside the others has the information it has as a parameter without prior."""
     made = survey()
-    from ltsim.effects import BASELINE
+    from ltsim.physics.effects import BASELINE
 
     others = misalignment(e for e in BASELINE if e.name != "range-offset")
     reducer = Reducer(made, others, [RangeOffset()])

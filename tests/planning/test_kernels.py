@@ -15,7 +15,7 @@ ROOT = Path(__file__).resolve().parents[2]
 DECISIONS = """
 import json
 import numpy as np
-from ltsim.errors import NetworkError
+from ltsim.core.errors import NetworkError
 from ltsim.planning.fast import Reducer
 from ltsim.planning.information import LayoutInformation
 from tests.planning.fixtures import survey

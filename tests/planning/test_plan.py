@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 import ltsim as lt
 from ltsim.cli.main import run
-from ltsim.errors import SetupError
+from ltsim.core.errors import SetupError
 from ltsim.planning import starts
 from ltsim.planning.files import plan_file, planned_scenario
 from ltsim.planning.information import LayoutInformation
@@ -270,10 +270,10 @@ def test_bad_usage_is_one_sentence(arguments: list[str], capsys: pytest.CaptureF
 
 def test_a_plan_is_declared_once(plan: Plan, tmp_path: Path) -> None:
     """Python object, JSON, CSV files and page have the same tables, columns and values."""
-    from ltsim.pages.sections import section_of
     from ltsim.planning.result import PlanResult
     from ltsim.planning.tables import TABLES
-    from ltsim.recording.result_file import read_result
+    from ltsim.recordings.result_file import read_result
+    from ltsim.reports.sections import section_of
 
     folder = tmp_path / "out"
     write_plan(plan, folder)

@@ -11,7 +11,7 @@ import pytest
 
 import ltsim as lt
 from ltsim.cli.main import run
-from ltsim.errors import SetupError
+from ltsim.core.errors import SetupError
 from ltsim.planning.files import opened, plan_file
 from ltsim.planning.search import LayoutSearcher
 from ltsim.planning.tolerances import Demands, Kept, against, keeps, percent, verdict
@@ -150,8 +150,8 @@ def test_a_tolerance_that_is_missed_by_a_little_is_not_kept_and_looks_so() -> No
 
 
 def test_the_page_marks_what_the_verdict_does_not_keep(hall: Path, tmp_path: Path) -> None:
-    from ltsim.pages.document import Grid
-    from ltsim.pages.sections.plan import _tolerances
+    from ltsim.reports.document import Grid
+    from ltsim.reports.sections.plan import _tolerances
 
     move = {"S1": (1200, 2000), "S2": (4700, 1200)}
     made = lt.plan(hall, move=move)

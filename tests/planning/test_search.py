@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ltsim.arrays import Floats
-from ltsim.effects.station_weather import StationWeather
-from ltsim.errors import SetupError
-from ltsim.model.construction import misalignment
-from ltsim.planning.floor import Area, inside
+from ltsim.core.arrays import Floats
+from ltsim.core.errors import SetupError
+from ltsim.core.randomness import stream
+from ltsim.physics.effects.station_weather import StationWeather
+from ltsim.physics.model.construction import misalignment
 from ltsim.planning.information import LayoutInformation
 from ltsim.planning.loading import load_plan
 from ltsim.planning.objective import DIAGNOSIS, INSTRUMENT, TARGETS, Objective, a_criterion, d_criterion
@@ -20,7 +20,7 @@ from ltsim.planning.reflectors import choose_reflectors
 from ltsim.planning.search import LayoutSearcher
 from ltsim.planning.site import Site
 from ltsim.planning.starts import PlanningProblem, SearchTask
-from ltsim.randomness import stream
+from ltsim.scene.floor import Area, inside
 from ltsim.scene.meshes import box, placed, together
 from ltsim.scene.visibility import SightLimits, aimed_normals, visibility
 from tests.planning.fixtures import survey

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ltsim.errors import SetupError
+from ltsim.core.errors import SetupError
 from ltsim.planning.loading import load_plan
 from ltsim.planning.making import most_sights, with_reachable_sights
 from ltsim.planning.site import Site

@@ -13,7 +13,7 @@ import trimesh
 
 import ltsim as lt
 from ltsim.cli.main import run
-from ltsim.viewer.board import Board
+from ltsim.reports.board.board import Board
 from tests.planning.test_hall import HALL, points_csv
 
 BOX = "box_mm = [2500, 1500, 2200]\nposition_mm = [6000, 4000, 0]\n"

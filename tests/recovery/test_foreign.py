@@ -14,8 +14,8 @@ import pytest
 import ltsim as lt
 from ltsim.campaigns.recovery_checks import recovery_checks
 from ltsim.cli.main import run
-from ltsim.errors import ModelError, RecordError, SetupError
-from ltsim.recording import Recording
+from ltsim.core.errors import ModelError, RecordError, SetupError
+from ltsim.recordings import Recording
 from ltsim.simulation.scenario import scenario_to_toml
 
 PROGRAM = Path(__file__).parents[2] / "docs" / "how-to" / "two_faces.py"

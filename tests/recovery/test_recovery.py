@@ -15,8 +15,8 @@ from ltsim.campaigns.recovery import Recovery
 from ltsim.campaigns.recovery_checks import FALSE_ALARM, mean_check, parameter_checks
 from ltsim.campaigns.recovery_trials import How, from_prior, run_trials
 from ltsim.campaigns.scoring import NetworkScore, Trial
-from ltsim.effects.smr_incidence import SmrIncidence
-from ltsim.model.construction import Construction, misalignment
+from ltsim.physics.effects.smr_incidence import SmrIncidence
+from ltsim.physics.model.construction import Construction, misalignment
 from ltsim.simulation.builtin import builtin_names
 from ltsim.simulation.fieldwork import fieldwork
 from ltsim.simulation.scenario import Scenario, changed, load_scenario
@@ -72,7 +72,7 @@ def test_the_reflectors_error_is_recovered_without_a_prior() -> None:
 
 
 def test_a_fixed_nest_without_the_error_in_the_model_fails(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("ltsim.model.measurement.incidence_errors", lambda recording: ())
+    monkeypatch.setattr("ltsim.physics.model.measurement.incidence_errors", lambda recording: ())
     assert run_recovery("paper-workshop", 60).failures()
 
 
@@ -99,7 +99,7 @@ def test_a_flipped_sign_fails_and_is_named(slot: str) -> None:
 
 
 def test_a_parameter_that_the_model_lacks_fails() -> None:
-    from ltsim.effects import BASELINE
+    from ltsim.physics.effects import BASELINE
 
     without = misalignment(effect for effect in BASELINE if effect.name != "azimuth-eccentricity")
     failures = run_recovery("paper-workshop-re-aimed", 25, construction=without).failures()

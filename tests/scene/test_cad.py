@@ -10,7 +10,7 @@ import pytest
 import trimesh
 
 import ltsim as lt
-from ltsim.errors import SetupError
+from ltsim.core.errors import SetupError
 from ltsim.planning.loading import load_plan
 from ltsim.scene.cad import UPRIGHT, read_mesh
 from ltsim.simulation.workshop import bodies_of

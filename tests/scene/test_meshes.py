@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from ltsim.errors import SetupError
+from ltsim.core.errors import SetupError
 from ltsim.scene.cad import read_mesh
 from ltsim.scene.meshes import SIDES, SKY, Obstacles, box, cylinder, native_hits, nearest_points, placed, together
 

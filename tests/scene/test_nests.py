@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ltsim.arrays import Floats
+from ltsim.core.arrays import Floats
 from ltsim.scene.meshes import box, cylinder, nest_places, together, walls
 
 SIZE = np.array([2.5, 1.5, 2.2])

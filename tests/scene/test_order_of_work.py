@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from ltsim.core.randomness import stream
 from ltsim.geometry.polar import wrap
-from ltsim.model.measurement import sightings_of
-from ltsim.randomness import stream
+from ltsim.physics.model.measurement import sightings_of
 from tests.networks import network
 
 

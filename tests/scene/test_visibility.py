@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from ltsim.errors import ModelError
+from ltsim.core.errors import ModelError
+from ltsim.core.units import DEGREE
 from ltsim.geometry.rotations import from_rotation_vector
 from ltsim.scene.visibility import Reason, SightLimits, aimed_normals, cone_opening, shadow_radius, visibility
-from ltsim.units import DEGREE
 
 HEAD = np.array([[0.0, 0.0, 2.0]])
 LIMITS = SightLimits()

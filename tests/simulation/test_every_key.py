@@ -13,8 +13,8 @@ from typing import Annotated, Any, Literal, get_args, get_origin
 import pytest
 from pydantic import BaseModel
 
-from ltsim.errors import LtsimError
-from ltsim.recording.native import write_recording
+from ltsim.core.errors import LtsimError
+from ltsim.recordings.native import write_recording
 from ltsim.simulation.scenario import changed, load_scenario
 from ltsim.simulation.simulator import simulate
 

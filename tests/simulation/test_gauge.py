@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from ltsim.errors import SetupError
+from ltsim.core.errors import SetupError
 from ltsim.simulation.draws import Normal
 from ltsim.simulation.fieldwork import fieldwork
 from ltsim.simulation.gauge import (

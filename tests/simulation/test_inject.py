@@ -11,10 +11,10 @@ import pytest
 import ltsim as lt
 from ltsim.adjustment import adjust
 from ltsim.cli.main import run
-from ltsim.errors import ModelError
+from ltsim.core.errors import ModelError
 from ltsim.geometry.polar import wrap
-from ltsim.model.construction import stated_construction
-from ltsim.recording import Recording
+from ltsim.physics.model.construction import stated_construction
+from ltsim.recordings import Recording
 
 TWICE = {"work.faces": 2}
 

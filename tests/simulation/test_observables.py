@@ -10,11 +10,11 @@ import pytest
 import ltsim as lt
 from ltsim.adjustment import adjust
 from ltsim.campaigns.truth import truth_of
-from ltsim.errors import SetupError
+from ltsim.core.errors import SetupError
 from ltsim.geometry.alignment import best_fit
-from ltsim.model.construction import misalignment
+from ltsim.physics.model.construction import misalignment
 from ltsim.planning.workshop import survey_of
-from ltsim.recording.setup import Target
+from ltsim.recordings.setup import Target
 from ltsim.simulation.truth import Truth
 
 RANGES = {"instrument.observables": ["distance"]}

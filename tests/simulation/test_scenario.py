@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import ltsim as lt
-from ltsim.errors import SetupError
+from ltsim.core.errors import SetupError
 from ltsim.simulation.builtin import builtin_names, builtin_text
 from ltsim.simulation.fieldwork import fieldwork
 from ltsim.simulation.scenario import load_scenario, scenario_to_toml

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 import ltsim as lt
-from ltsim.errors import SetupError
-from ltsim.model.construction import misalignment
+from ltsim.core.errors import SetupError
+from ltsim.core.randomness import stream
+from ltsim.physics.model.construction import misalignment
 from ltsim.planning.workshop import survey_of
-from ltsim.randomness import stream
-from ltsim.recording.native import read_recording, write_recording
+from ltsim.recordings.native import read_recording, write_recording
 from ltsim.simulation.fieldwork import fieldwork
 from ltsim.simulation.scenario import Scenario, changed, load_scenario, scenario_from, scenario_to_toml
 from ltsim.simulation.simulator import simulate

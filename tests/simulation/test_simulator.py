@@ -9,17 +9,17 @@ import pytest
 from scipy.stats import chi2
 
 from ltsim.adjustment import adjust
-from ltsim.effects import CATALOGUE, Effect, find_effect
-from ltsim.errors import SetupError
+from ltsim.core.errors import SetupError
+from ltsim.core.units import ARCSECOND, MICROMETRE
 from ltsim.geometry.polar import to_polar, wrap
-from ltsim.model.construction import misalignment
-from ltsim.recording.native import read_recording, write_recording
-from ltsim.recording.recording import Recording
+from ltsim.physics.effects import CATALOGUE, Effect, find_effect
+from ltsim.physics.model.construction import misalignment
+from ltsim.recordings.native import read_recording, write_recording
+from ltsim.recordings.recording import Recording
 from ltsim.simulation.fieldwork import fieldwork
 from ltsim.simulation.scenario import Scenario, load_scenario
 from ltsim.simulation.simulator import exact_readings, measure, simulate
 from ltsim.simulation.truth import Truth
-from ltsim.units import ARCSECOND, MICROMETRE
 
 PAPER = load_scenario("paper-workshop-re-aimed")
 TWO_FACE = load_scenario("paper-workshop-two-face")

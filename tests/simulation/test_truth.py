@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ltsim.errors import ModelError, RecordError
-from ltsim.evaluation.criteria import read_nominal
+from ltsim.adjustment.evaluation.criteria import read_nominal
+from ltsim.core.errors import ModelError, RecordError
 from ltsim.simulation.scenario import Scenario, load_scenario
 from ltsim.simulation.simulator import simulate
 from ltsim.simulation.truth import Truth, nominal_csv, read_truth, write_truth

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from ltsim.core.units import DEGREE
 from ltsim.geometry.polar import to_polar
 from ltsim.scene.visibility import Reason, aimed_normals, shadow_radius
 from ltsim.simulation.fieldwork import fieldwork
@@ -12,7 +13,6 @@ from ltsim.simulation.gauge import frame_of, orientation
 from ltsim.simulation.scenario import Scenario, load_scenario
 from ltsim.simulation.simulator import simulate
 from ltsim.simulation.workshop import planned, sight_limits, visibility_of
-from ltsim.units import DEGREE
 
 PAPER = load_scenario("paper-workshop")
 LAYOUT = planned(PAPER)

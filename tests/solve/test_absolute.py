@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from ltsim.arrays import Floats
-from ltsim.randomness import stream
+from ltsim.core.arrays import Floats
+from ltsim.core.randomness import stream
 from ltsim.solve.absolute import least_absolute
 
 

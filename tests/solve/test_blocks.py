@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from ltsim.randomness import stream
+from ltsim.core.randomness import stream
 from ltsim.solve.blocks import BlockFactor, BlockSystem, SingularSystemError
 from ltsim.solve.gauss_newton import Status, solve
 

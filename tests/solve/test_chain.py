@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from ltsim.randomness import stream
+from ltsim.core.randomness import stream
 from ltsim.solve.chain import SMALL, BlockChain, arrange
 from ltsim.solve.elimination import DenseElimination, SparseElimination
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from ltsim.randomness import stream
+from ltsim.core.randomness import stream
 from ltsim.solve import design
 from ltsim.solve.design import Design, Pattern, as_dense, column_scale, scaled
 

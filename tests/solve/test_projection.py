@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from ltsim.randomness import stream
+from ltsim.core.randomness import stream
 from ltsim.solve.blocks import BlockFactor, BlockSystem
 from ltsim.solve.projection import BasisProjection, FactorProjection, projection_of
 

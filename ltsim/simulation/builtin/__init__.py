@@ -4,8 +4,8 @@ import difflib
 from importlib.resources import files
 from pathlib import Path
 
-from ltsim.errors import SetupError
-from ltsim.recording.files import shown
+from ltsim.core.errors import SetupError
+from ltsim.recordings.files import shown
 
 
 def builtin_names() -> tuple[str, ...]:

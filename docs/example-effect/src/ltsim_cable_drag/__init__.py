@@ -14,7 +14,7 @@ Status: validated on the sign and against a simulated recording.
 
 from dataclasses import dataclass
 
-from ltsim.effects.effect import Effect, Parameter, Stage, on_readings
+from ltsim.physics.effects.effect import Effect, Parameter, Stage, on_readings
 
 
 @dataclass(frozen=True)

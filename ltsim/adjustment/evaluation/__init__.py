@@ -1,0 +1,8 @@
+"""How good a recording is, before and after calibration: the paper's criteria and verification."""
+
+from ltsim.adjustment.evaluation.criteria import (
+    Criteria as Criteria,
+    evaluate as evaluate,
+    read_nominal as read_nominal,
+    verify as verify,
+)

@@ -1,0 +1,278 @@
+"""The reflector's bench test evaluated: the eccentricity taken off the lengths gives the error against incidence.
+
+Turned by alpha, a sphere off the table's axis by c changes the length by -(c_x cos alpha - c_y sin alpha), and a probe
+tells c. An interferometer records changes only: the table is found less its value at 0 deg, a constant that a tracker's
+range offset takes up.
+
+Source: Sensors 2021, 21, 7479, sections 2.2 and 3.1.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar, Literal, NamedTuple
+
+import numpy as np
+from pydantic import Field
+
+from ltsim.core.arrays import Floats
+from ltsim.core.errors import RecordError
+from ltsim.core.notation import with_sigma
+from ltsim.core.results import Result, Table, columns_of, numbers
+from ltsim.core.units import DEGREE, MICROMETRE
+from ltsim.physics.effects.smr_incidence import TABLE_ANGLES
+from ltsim.recordings.files import read_text
+from ltsim.recordings.result_file import Entry, Finite, ResultFile
+
+FEWEST_LENGTHS, FEWEST_PROBED = 3, 4
+"""A vertex has two coordinates beside the zero; an eccentricity too, and one reading more shows the scatter."""
+
+BENCH = Table(
+    "bench.csv",
+    "a reflector on the roundness table, which `bench` evaluates; empty where a length or the probe was not read",
+    numbers(
+        ".4f",
+        angle_deg="turn of the table, 0 where the reflector looks at the interferometer",
+        length_um="length by the interferometer, from any zero",
+        probe_um="displacement of the sphere's surface at the probe, outward",
+    ),
+)
+
+
+class EstimateEntry(Entry):
+    """A length with its standard deviation."""
+
+    value_um: Finite
+    """Estimate."""
+    sigma_um: Finite
+    """Standard deviation."""
+
+    def __str__(self) -> str:
+        return with_sigma(self.value_um, self.sigma_um, "um")
+
+
+class BenchRow(Entry):
+    """The reflector at one angle of incidence; all less the value nearest 0 deg."""
+
+    angle_deg: Finite
+    """Turn of the table."""
+    as_read_um: Finite
+    """Length with the eccentricity still in it."""
+    error_um: Finite
+    """The reflector's own range error, reading minus truth."""
+    sigma_um: Finite
+    """Standard deviation of the error."""
+
+
+ANGLES = Table(
+    "angles.csv",
+    "the reflector's range error against incidence",
+    columns_of(
+        BenchRow,
+        angle_deg={"title": "incidence", "shown": "+.1f"},
+        as_read_um={"shown": ".2f"},
+        error_um={"title": "range error", "sigma": "sigma_um"},
+    ),
+)
+
+
+class BenchFile(ResultFile, Result):
+    """`bench.json`: from `bench`."""
+
+    FILE: ClassVar[str] = "bench.json"
+    format: Literal["ltsim-bench/1"] = "ltsim-bench/1"
+    """Which format and version this file is in."""
+    eccentricity_forward: EstimateEntry
+    """Sphere's centre off the table's axis at 0 deg, towards the interferometer."""
+    eccentricity_side: EstimateEntry
+    """The same to the side."""
+    run_out_um: Finite
+    """Largest less smallest displacement that the probe saw."""
+    angles: tuple[BenchRow, ...] = Field(alias="table")
+    """Range error against incidence."""
+    vertex_axial: EstimateEntry
+    """Vertex of the mirrors off the sphere's centre, out of the open face, if an offset is the cause."""
+    vertex_side: EstimateEntry
+    """The same to the side."""
+    remainder_um: Finite
+    """Root mean square of what no offset of the vertex explains: optics."""
+
+    __repr__ = __str__ = Result.__repr__
+
+    def _lines(self) -> list[str]:
+        worst = max(self.angles, key=lambda row: abs(row.error_um))
+        size = with_sigma(worst.error_um, worst.sigma_um, "um")
+        off = f"{self.eccentricity_forward} forward, {self.eccentricity_side} to the side"
+        said = [
+            f"Bench: {len(self.angles)} angles, range error at most {size} at {worst.angle_deg:+.1f} deg",
+            f"sphere off the table's axis: {off}; run-out {self.run_out_um:.1f} um",
+            f"as a vertex off the centre (smr-centring): {self.vertex_axial} axial, {self.vertex_side} to the side",
+            f"what no offset explains (smr-incidence): {self.remainder_um:.2f} um rms",
+        ]
+        if [round(r.angle_deg, 3) for r in self.angles] == [round(float(a) / DEGREE, 3) for a in TABLE_ANGLES]:
+            values = ", ".join(f"{r.error_um:.2f}" for r in self.angles)
+            said.append(f"for a scenario: [smr] incidence_error = true, table_um = [{values}]")
+        for key, form in (("angle_deg", "g"), ("error_um", ".2f"), ("sigma_um", ".2f")):
+            values = ", ".join(format(getattr(row, key), form) for row in self.angles)
+            said.append(f"{'for a recording, in [[bench]]: ' if key == 'angle_deg' else ''}{key} = [{values}]")
+        return said
+
+    def _tables(self) -> Mapping[str, Callable[[], Table]]:
+        return {"angles": lambda: ANGLES.filled(self.angles)}
+
+
+@dataclass(frozen=True)
+class BenchRecord:
+    """What is written down on the bench: angles [rad], lengths (a,) [m], displacements of the surface (k,) [m]."""
+
+    angles: Floats
+    lengths: Floats
+    probe_angles: Floats
+    probe_direction: float
+    displacements: Floats
+    length_sigma: float
+
+
+@dataclass(frozen=True)
+class BenchResult:
+    """What the record says; SI."""
+
+    eccentricity: Floats
+    """(2,) [m]."""
+    eccentricity_covariance: Floats
+    """(2, 2) [m^2]."""
+    run_out: float
+    """[m]: largest less smallest displacement that the probe saw."""
+    uncorrected: Floats
+    """(a,) [m]: lengths less that nearest 0 deg: the error with the eccentricity still in it."""
+    table: Floats
+    """(a,) [m]: the reflector's own error, less that nearest 0 deg."""
+    sigma: Floats
+    """(a,) [m]: standard deviation of `table`."""
+
+
+class Vertex(NamedTuple):
+    """A table explained by the vertex of the mirrors off the sphere's centre, and what is left; [m] each."""
+
+    axial: float
+    side: float
+    """Out of the open face and to the side."""
+    axial_sigma: float
+    side_sigma: float
+    remainder: float
+    """Rms of what no offset explains: optics."""
+
+
+def along_beam(angles: Floats) -> Floats:
+    """(a, 2): change of the length per unit of a point off the table's axis, when the table is turned."""
+    return np.stack([-np.cos(angles), np.sin(angles)], axis=1)
+
+
+def read_bench(path: Path, *, probe_direction: float, length_sigma: float) -> BenchRecord:
+    """A bench recording: a table ``angle_deg,length_um,probe_um``; raises RecordError where it holds too little.
+
+    The probe stands at `probe_direction` [rad] from the interferometer, against the way in which the table turns;
+    `length_sigma` [m] is one standard deviation of the interferometer.
+    """
+    angle, length, probe = BENCH.parsed(read_text(path), path).numbers(*BENCH.header).T
+    lost = np.flatnonzero(~np.isfinite(angle))
+    if len(lost):
+        raise RecordError("an angle is missing, expected one a row", file=path, row=int(lost[0]) + 1)
+    for what, column, fewest in (("length_um", length, FEWEST_LENGTHS), ("probe_um", probe, FEWEST_PROBED)):
+        different = len(np.unique(np.round(angle[np.isfinite(column)] % 360.0, 3)))
+        if different < fewest:
+            raise RecordError(f"holds {what} at {different} angles, expected {fewest} or more", file=path)
+    seen, probed = np.isfinite(length), np.isfinite(probe)
+    return BenchRecord(
+        angles=angle[seen] * DEGREE,
+        lengths=length[seen] * MICROMETRE,
+        probe_angles=angle[probed] * DEGREE,
+        probe_direction=probe_direction,
+        displacements=probe[probed] * MICROMETRE,
+        length_sigma=length_sigma,
+    )
+
+
+def evaluate_bench(record: BenchRecord) -> BenchResult:
+    """Take the eccentricity, as the probe tells it, off the lengths.
+
+    The scatter of the probe about its first harmonic, roundness included, gives the eccentricity's uncertainty.
+    """
+    turned = record.probe_angles - record.probe_direction
+    design = np.stack([np.ones_like(turned), np.cos(turned), -np.sin(turned)], axis=1)
+    found = np.linalg.lstsq(design, record.displacements, rcond=None)[0]
+    left = record.displacements - design @ found
+    variance = float(left @ left) / max(len(turned) - 3, 1)
+    covariance = variance * np.linalg.inv(design.T @ design)[1:, 1:]
+    middle = int(np.argmin(np.abs(record.angles)))
+    uncorrected = record.lengths - record.lengths[middle]
+    change = along_beam(record.angles) - along_beam(record.angles)[middle]
+    own = np.where(np.arange(len(change)) == middle, 0.0, 2.0 * record.length_sigma**2)
+    return BenchResult(
+        eccentricity=found[1:],
+        eccentricity_covariance=covariance,
+        run_out=float(np.ptp(record.displacements)),
+        uncorrected=uncorrected,
+        table=uncorrected - change @ found[1:],
+        sigma=np.sqrt(own + np.einsum("ai,ij,aj->a", change, covariance, change)),
+    )
+
+
+def as_vertex(angles: Floats, table: Floats, sigma: float) -> Vertex:
+    """Explain a table (a,) [m] at `angles` by an offset of the vertex; `sigma` [m] of one entry."""
+    design = np.concatenate([np.ones((len(angles), 1)), along_beam(angles)], axis=1)
+    found = np.linalg.lstsq(design, table, rcond=None)[0]
+    spread = sigma * np.sqrt(np.diag(np.linalg.inv(design.T @ design)))
+    remainder = float(np.sqrt(np.mean((table - design @ found) ** 2)))
+    return Vertex(float(found[1]), float(found[2]), float(spread[1]), float(spread[2]), remainder)
+
+
+def bench(source: str | Path, *, probe_direction: float = 90.0, length_sigma: float = 0.1) -> BenchFile:
+    """Find a reflector's range error against incidence from its test on a roundness table.
+
+    Parameters
+    ----------
+    source : str or Path
+        A table ``angle_deg,length_um,probe_um``; cells are empty where one of them was not read.
+    probe_direction : float, [deg]
+        Where the probe stands, from the interferometer.
+    length_sigma : float, [um]
+        Standard deviation of the interferometer.
+
+    Raises
+    ------
+    RecordError
+        When the table is malformed, or holds too few angles.
+
+    Examples
+    --------
+    >>> import ltsim as lt
+    >>> from pathlib import Path
+    >>> rows = [[str(a), str(0.1 * a) if abs(a) <= 30 else "", "0.0"] for a in range(-180, 180, 15)]
+    >>> lines = [",".join(row) for row in [["angle_deg", "length_um", "probe_um"], *rows]]
+    >>> _ = Path("reflector.csv").write_text(chr(10).join(lines))
+    >>> [round(row.error_um, 1) for row in lt.bench("reflector.csv").angles]
+    [-3.0, -1.5, 0.0, 1.5, 3.0]
+    """
+    how = {"probe_direction": probe_direction * DEGREE, "length_sigma": length_sigma * MICROMETRE}
+    record = read_bench(Path(source), **how)
+    found = evaluate_bench(record)
+    vertex = as_vertex(record.angles, found.table, float(found.sigma.max()))
+    off = np.sqrt(np.diag(found.eccentricity_covariance))
+
+    def entry(value: float, sigma: float) -> EstimateEntry:
+        return EstimateEntry(value_um=value / MICROMETRE, sigma_um=sigma / MICROMETRE)
+
+    columns = zip(found.uncorrected / MICROMETRE, found.table / MICROMETRE, found.sigma / MICROMETRE, strict=True)
+    return BenchFile(
+        eccentricity_forward=entry(found.eccentricity[0], off[0]),
+        eccentricity_side=entry(found.eccentricity[1], off[1]),
+        run_out_um=found.run_out / MICROMETRE,
+        table=tuple(
+            BenchRow(angle_deg=angle, as_read_um=read, error_um=error, sigma_um=sigma)
+            for angle, (read, error, sigma) in zip(record.angles / DEGREE, columns, strict=True)
+        ),
+        vertex_axial=entry(vertex.axial, vertex.axial_sigma),
+        vertex_side=entry(vertex.side, vertex.side_sigma),
+        remainder_um=vertex.remainder / MICROMETRE,
+    )

@@ -1,0 +1,122 @@
+"""Each station's targets as points in its own frame, all stations brought into one frame, and their error to the truth.
+
+Only a simulation knows the truth. The error of a recording has a part that no parameters remove (noise, effects outside
+the model) and a part that the true parameters would remove, the correctable one. In mean squares they add, so the share
+of a method is (R - C) / (R - P) of the mean squares of raw, calibrated and perfectly corrected readings, over all
+trials together: 1 for a calibrator that found the truth, 0 for one that did nothing, negative for one that did harm.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ltsim.core.arrays import Bools, Floats
+from ltsim.core.errors import NetworkError
+from ltsim.geometry.alignment import align
+from ltsim.geometry.polar import from_polar
+from ltsim.physics.model.construction import Construction
+from ltsim.recordings.recording import Recording
+
+
+def measured_points(
+    recording: Recording, construction: Construction | None = None, values: Floats | None = None
+) -> Floats:
+    """Points (n, 3) [m] in the instruments' frames; NaN where a reading is missing.
+
+    They are corrected by a construction's parameters (p,), or (n, p) where instruments differ [SI]; by default raw.
+    """
+    whole = recording.measured.all(axis=1)
+    points = np.full((len(recording), 3), np.nan)
+    raw = recording.readings[whole]
+    if construction is None or values is None:
+        points[whole] = from_polar(raw)
+    else:
+        points[whole] = construction.point(raw, values if values.ndim == 1 else values[whole])
+    return points
+
+
+def station_means(recording: Recording, points: Floats, use: Bools | None = None) -> Floats:
+    """Mean (S, T, 3) over faces and repeats of the points (n, 3) of each station and target; NaN: none."""
+    size = (len(recording.stations), len(recording.targets))
+    whole = np.isfinite(points).all(axis=1)
+    if use is not None:
+        whole &= use
+    at = (recording.station[whole], recording.target[whole])
+    total, count = np.zeros((*size, 3)), np.zeros(size)
+    np.add.at(total, at, points[whole])
+    np.add.at(count, at, 1.0)
+    return np.where(count[:, :, None] > 0, total / np.maximum(count, 1.0)[:, :, None], np.nan)
+
+
+def on_points(cloud: Floats, goal: Floats) -> Floats:
+    """A cloud (T, 3) moved rigidly onto `goal` (T, 3) by least squares over the targets both have.
+
+    Raises NetworkError when they share fewer than three targets off one line.
+    """
+    shared = np.isfinite(cloud[:, 0]) & np.isfinite(goal[:, 0])
+    rotation, translation = align(cloud[shared], goal[shared])
+    return cloud @ rotation.T + translation
+
+
+def in_first_frame(clouds: Floats, names: tuple[str, ...]) -> Floats:
+    """Clouds (S, T, 3), each moved rigidly into the first station's frame.
+
+    A station that shares fewer than three targets with the first is moved onto the mean of those that are
+    there already; the paper's stations all see all targets. Raises NetworkError, naming a station that cannot be
+    joined.
+    """
+    placed = np.full_like(clouds, np.nan)
+    placed[0] = clouds[0]
+    seen = np.isfinite(clouds[:, :, 0])
+    total, count = np.where(seen[0][:, None], clouds[0], 0.0), seen[0].astype(np.int64)
+    direct, known = seen @ seen[0].astype(np.int64), seen @ seen[0].astype(np.int64)
+    waiting = np.arange(len(clouds)) > 0
+    while waiting.any():
+        station = int(np.argmax(np.where(waiting, direct, -1)))
+        goal = clouds[0]
+        if direct[station] < 3:
+            station = int(np.argmax(np.where(waiting, known, -1)))
+            goal = np.where(count[:, None] > 0, total / np.maximum(count, 1)[:, None], np.nan)
+        waiting[station] = False
+        try:
+            placed[station] = on_points(clouds[station], goal)
+        except NetworkError as problem:
+            message = f"station {names[station]} cannot be joined to the others: {problem}"
+            raise NetworkError(message) from None
+        new = seen[station] & (count == 0)
+        known += seen[:, new].sum(axis=1)
+        total[seen[station]] += placed[station, seen[station]]
+        count += seen[station]
+    return placed
+
+
+@dataclass(frozen=True)
+class ShareRemoved:
+    """Root-mean-square errors against the truth [m]."""
+
+    raw: float
+    calibrated: float
+    true_parameters: float
+
+    @property
+    def share(self) -> float:
+        """Share of the correctable mean square that was removed."""
+        return share(self.raw, self.calibrated, self.true_parameters)
+
+
+def share(raw: Floats | float, calibrated: Floats | float, true_parameters: Floats | float) -> float:
+    """Share of the correctable mean square that was removed, of the errors (N,) of N trials; NaN: nothing was."""
+    squares = (float(np.nanmean(np.square(error))) for error in (raw, calibrated, true_parameters))
+    before, after, perfect = squares
+    return (before - after) / (before - perfect) if before > perfect else float("nan")
+
+
+def cloud_error(recording: Recording, points: Floats, true_points: Floats) -> float:
+    """Rms [m] over stations and targets of the distance to the truth, after a rigid fit of each station.
+
+    `points` (n, 3) [m] are in the instruments' frames. A pose is never known: an error that it absorbs whole (azimuth
+    index, station height) is none to a user.
+    """
+    clouds = station_means(recording, points)
+    gap = np.stack([on_points(cloud, true_points) - true_points for cloud in clouds])
+    return float(np.sqrt(np.nanmean(np.sum(gap**2, axis=2))))

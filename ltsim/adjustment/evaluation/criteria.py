@@ -1,0 +1,318 @@
+"""How far stations disagree about distances and coordinates, and how far from nominal points: the paper's criteria.
+
+Without nominal data (Sensors 2021, 21, 7479, sections 2.3.4 and 3.2.1): equation 11 lacks an absolute value and takes
+station 1, while section 3.2.1 takes deviations from the mean over stations; both are here, named apart: `distance` is
+the mean-based one behind the paper's Table 3, `distance_to_first` the other.
+
+The laboratory verification, a calibrated tracker against nominal points from a CMM, has equations 13 and 14 as they are
+meant: eq. 13 compares distances between targets i and j as the tracker measured them from one station with the same
+distance of the CMM; eq. 14 compares coordinates in the CMM's frame after a rigid fit of each station. Before: an ideal
+tracker; after: with the parameters of a calibration.
+"""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+
+from ltsim.adjustment.evaluation.clouds import in_first_frame, measured_points, on_points, station_means
+from ltsim.core.arrays import Bools, Floats, Ints
+from ltsim.core.errors import NetworkError, RecordError
+from ltsim.core.results import Column, Result, Table, numbers, texts
+from ltsim.core.units import MICROMETRE
+from ltsim.core.values import Valued
+from ltsim.physics.model.construction import Construction
+from ltsim.recordings.coordinates import read_points
+from ltsim.recordings.recording import Recording
+from ltsim.recordings.reflectors import require_one_radius
+from ltsim.recordings.result_file import Entry, Known, ResultFile
+
+MOST_PLACES = 20_000_000
+"""Stations times targets whose clouds (0.5 GB then) are compared."""
+
+
+@dataclass(frozen=True)
+class Differences(Valued):
+    """Sizes of disagreement (k,) [m]: one a pair of targets for distances, one a target for coordinates."""
+
+    values: Floats
+
+    @property
+    def mean(self) -> float:
+        """[m]."""
+        return float(self.values.mean())
+
+    @property
+    def maximum(self) -> float:
+        """[m]."""
+        return float(self.values.max())
+
+    @property
+    def sizes(self) -> tuple[float, float]:
+        """Mean and maximum in um."""
+        return self.mean / MICROMETRE, self.maximum / MICROMETRE
+
+
+@dataclass(frozen=True)
+class Improvement(Valued):
+    """A criterion before and after calibration; `after` is None where there are no parameters."""
+
+    before: Differences
+    after: Differences | None = None
+
+    @property
+    def improvement_percent(self) -> float | None:
+        """100 (1 - mean after / mean before)."""
+        if self.after is None or self.before.mean == 0:
+            return None
+        return 100.0 * (1.0 - self.after.mean / self.before.mean)
+
+    @property
+    def words(self) -> str:
+        """Mean before and after in um, in a line."""
+        before = f"{self.before.mean / MICROMETRE:.1f} um"
+        if self.after is None or self.improvement_percent is None:
+            return before
+        after = f"{self.after.mean / MICROMETRE:.1f} um after calibration"
+        return f"{before}, {after} ({self.improvement_percent:.0f} % less)"
+
+    def as_json(self) -> dict[str, Any]:
+        """As in `calibration.json`."""
+        sides = {"before": self.before, "after": self.after}
+        sizes = {key: {"mean_um": s.sizes[0], "max_um": s.sizes[1]} for key, s in sides.items() if s is not None}
+        return sizes | ({} if self.after is None else {"improvement_percent": self.improvement_percent})
+
+
+CRITERIA = Table(
+    "criteria.csv",
+    "how far stations disagree, before and after a calibration",
+    (
+        Column("criterion", "of the paper", "text"),
+        Column("mean_um", "over pairs of targets, or targets", shown=".1f"),
+        Column("max_um", "the largest", shown=".1f"),
+        Column("mean_after_um", "readings corrected", shown=".1f"),
+        Column("max_after_um", "as mean_after_um", shown=".1f"),
+        Column("improvement_percent", "of the mean", shown=".1f"),
+    ),
+)
+
+
+@dataclass(frozen=True, repr=False)
+class Criteria(Result):
+    """Both criteria; verification fills only the first and the last."""
+
+    distance: Improvement
+    coordinate: Improvement
+    distance_to_first: Improvement | None = None
+
+    def _lines(self) -> list[str]:
+        parts = {"distance": self.distance, "coordinate": self.coordinate}
+        return [f"Criteria: {'; '.join(f'{name} {compared.words}' for name, compared in parts.items())}"]
+
+    def _tables(self) -> Mapping[str, Callable[[], Table]]:
+        return {"criteria": lambda: CRITERIA.filled(self._rows())}
+
+    def _rows(self) -> Iterator[list[Any]]:
+        named = {"distance": self.distance, "distance, to the first station (eq. 11)": self.distance_to_first}
+        for name, found in {**named, "coordinate": self.coordinate}.items():
+            if found is not None:
+                sides = found.before.sizes, (None, None) if found.after is None else found.after.sizes
+                yield [name, *sides[0], *sides[1], found.improvement_percent]
+
+    def as_json(self) -> dict[str, Any]:
+        """As in `calibration.json`."""
+        named = {"distance": self.distance, "coordinate": self.coordinate, "distance_to_first": self.distance_to_first}
+        return {name: found.as_json() for name, found in named.items() if found is not None}
+
+
+class SpreadEntry(Entry):
+    """How far stations disagree [um]."""
+
+    mean_um: Known = None
+    """Mean over pairs or targets."""
+    max_um: Known = None
+    """Largest."""
+
+
+class CriterionEntry(Entry):
+    """A criterion before and after a calibration."""
+
+    before: SpreadEntry = SpreadEntry()
+    """Readings as they are."""
+    after: SpreadEntry = SpreadEntry()
+    """Readings corrected."""
+    improvement_percent: Known = None
+    """Of the mean."""
+
+
+class CriteriaFile(ResultFile):
+    """`criteria.json`: from `evaluate` and `verify`."""
+
+    FILE: ClassVar[str] = "criteria.json"
+    format: Literal["ltsim-criteria/1"] = "ltsim-criteria/1"
+    """Which format and version this file is in."""
+    distance: CriterionEntry
+    """Deviations of distances from their mean over stations."""
+    coordinate: CriterionEntry
+    """Deviations of coordinates after a rigid fit (eq. 12)."""
+    distance_to_first: CriterionEntry | None = None
+    """Deviations of distances from the first station's (eq. 11)."""
+
+
+def lengths_of_pairs(clouds: Floats, least: int = 1) -> Iterator[tuple[Ints, Floats]]:
+    """For each point the k observers that see it, and its distances (k, m) [m] to later points as they see them.
+
+    `clouds` (S, T, 3) [m] are each observer's points, NaN where not seen. Pairs that fewer than the least number of
+    observers see are left out: memory follows what is seen, not all pairs.
+    """
+    seen = np.isfinite(clouds[:, :, 0])
+    for point in range(clouds.shape[1]):
+        observers = np.flatnonzero(seen[:, point])
+        others = point + 1 + np.flatnonzero(seen[observers, point + 1 :].sum(axis=0) >= least)
+        yield observers, np.linalg.norm(clouds[observers[:, None], others] - clouds[observers, point, None], axis=2)
+
+
+def distance_differences(clouds: Floats) -> Differences:
+    """Per pair of targets, the mean over stations of |distance - its mean over stations| (section 3.2.1).
+
+    `clouds` (S, T, 3) [m] are each station's targets in its own frame; NaN where not seen. Pairs seen by one station
+    are left out.
+    """
+    lengths = (length for _, length in lengths_of_pairs(clouds, 2))
+    found = [np.nanmean(np.abs(length - np.nanmean(length, axis=0)), axis=0) for length in lengths if length.size]
+    return Differences(np.concatenate([np.zeros(0), *found]))
+
+
+def distance_differences_to_first(clouds: Floats) -> Differences:
+    """Per pair of targets, the mean over the others of |distance from station 1 - from them| (eq. 11)."""
+    lengths = (length for _, length in lengths_of_pairs(clouds[:, np.isfinite(clouds[0, :, 0])], 2))
+    found = [np.nanmean(np.abs(length[1:] - length[0]), axis=0) for length in lengths if length.size]
+    return Differences(np.concatenate([np.zeros(0), *found]))
+
+
+def coordinate_differences(placed: Floats) -> Differences:
+    """Per target, the mean over pairs of stations of the distance between its two places (eq. 12).
+
+    `placed` (S, T, 3) [m] are all stations' targets in one frame; NaN where not seen.
+    """
+    total, count = np.zeros(placed.shape[1]), np.zeros(placed.shape[1])
+    for targets, gap in lengths_of_pairs(np.swapaxes(placed, 0, 1)):
+        total[targets] += np.nansum(gap, axis=1)
+        count[targets] += np.isfinite(gap).sum(axis=1)
+    shared = count >= 1
+    return Differences(total[shared] / count[shared])
+
+
+def evaluate(
+    recording: Recording,
+    construction: Construction | None = None,
+    values: Floats | None = None,
+    *,
+    shift: Floats | None = None,
+    use: Bools | None = None,
+) -> Criteria:
+    """The criteria of a recording, before and after parameters (p,) or (n, p) [SI] of a construction correct it.
+
+    `shift` (n, 3) [m, rad, rad] is what effects that were estimated too change the readings by: "after" takes it out.
+    Of the pointings in use (n,), faces and repeats of a target from a station are averaged. Raises NetworkError when
+    fewer than two stations share targets, the network is too large to compare every station's cloud, or SMRs of
+    several radii stood at different places.
+    """
+    require_one_radius(recording, "the comparison of stations")
+    stations, targets = len(recording.stations), len(recording.targets)
+    if stations * targets > MOST_PLACES:
+        raise NetworkError(
+            f"the criteria are not computed for {stations} stations with {targets} targets: evaluate parts of it"
+        )
+    before = station_means(recording, measured_points(recording), use)
+    after = None
+    if construction is not None and values is not None:
+        corrected = recording if shift is None else recording.with_readings(recording.readings - shift)
+        after = station_means(recording, measured_points(corrected, construction, values), use)
+    if len(recording.stations) < 2:
+        raise NetworkError("the criteria compare stations; this recording has one station only")
+
+    def compare(measure: Callable[[Floats], Differences], *, aligned: bool) -> Improvement:
+        def of(clouds: Floats) -> Differences:
+            return measure(in_first_frame(clouds, recording.stations) if aligned else clouds)
+
+        found = Improvement(of(before), None if after is None else of(after))
+        if not len(found.before.values):
+            raise NetworkError("the criteria need targets, and pairs of targets, seen from two stations")
+        return found
+
+    return Criteria(
+        distance=compare(distance_differences, aligned=False),
+        coordinate=compare(coordinate_differences, aligned=True),
+        distance_to_first=_to_first(before, after),
+    )
+
+
+def _to_first(before: Floats, after: Floats | None) -> Improvement | None:
+    """Eq. 11; None where no other station shares a pair of targets with the first."""
+    found = distance_differences_to_first(before)
+    if not len(found.values):
+        return None
+    return Improvement(found, None if after is None else distance_differences_to_first(after))
+
+
+NOMINAL = Table(
+    "nominal.csv",
+    "points of a measuring machine, which `verify` compares with",
+    (*texts(target="name"), *numbers(".4f", x_mm="coordinate", y_mm="coordinate", z_mm="coordinate")),
+)
+
+
+def read_nominal(path: Path) -> dict[str, Floats]:
+    """Nominal points (3,) [m] by target, from a list such as ``target,x_mm,y_mm,z_mm``; raises RecordError."""
+    found = read_points(path)
+    for line, place in zip(found.lines, found.points, strict=True):
+        if not np.isfinite(place).all():
+            raise RecordError("a coordinate is missing, expected a number in mm", file=path, row=line)
+    return found.by_name
+
+
+def distance_errors(clouds: Floats, nominal: Floats) -> Differences:
+    """Per pair of targets, the mean over stations of |distance - nominal distance| (eq. 13, as meant)."""
+    return distance_differences_to_first(np.concatenate([nominal[None], clouds]))
+
+
+def coordinate_errors(clouds: Floats, nominal: Floats) -> Differences:
+    """Per target, the mean over stations of the distance to its nominal point after a rigid fit (eq. 14)."""
+    gap = np.linalg.norm([on_points(cloud, nominal) - nominal for cloud in clouds], axis=2)
+    return Differences(np.nanmean(gap[:, np.isfinite(gap).any(axis=0)], axis=0))
+
+
+def verify(
+    recording: Recording,
+    nominal: dict[str, Floats],
+    construction: Construction | None = None,
+    values: Floats | None = None,
+) -> Criteria:
+    """Errors of a laboratory's recording against nominal points (3,) [m], before and after calibration.
+
+    "After" applies parameters (p,) or (n, p) [SI]. Raises NetworkError when a station saw fewer than three nominal
+    targets.
+    """
+    missing = np.full(3, np.nan)
+    goal = np.stack([nominal.get(name, missing) for name in recording.targets])
+    known = np.isfinite(goal[:, 0])
+    if int(known.sum()) < 3:
+        raise NetworkError(
+            f"only {int(known.sum())} targets of the recording have nominal points; at least three are needed"
+        )
+
+    def of(points: Floats) -> tuple[Differences, Differences]:
+        clouds = station_means(recording, points)[:, known]
+        try:
+            return distance_errors(clouds, goal[known]), coordinate_errors(clouds, goal[known])
+        except NetworkError as problem:
+            raise NetworkError(f"a station cannot be fitted to the nominal points: {problem}") from None
+
+    distance, coordinate = of(measured_points(recording))
+    if construction is None or values is None:
+        return Criteria(Improvement(distance), Improvement(coordinate))
+    after = of(measured_points(recording, construction, values))
+    return Criteria(Improvement(distance, after[0]), Improvement(coordinate, after[1]))

@@ -1,0 +1,392 @@
+"""`check`: every set-up of a recording judged by what it measured twice, with the price of many looks paid.
+
+All tests of a recording share one chance of a false alarm, `level`. The tests of single set-ups have one half of it and
+those of the network the other, each an equal part (Bonferroni), and within a test so has each target, gap or pointing
+that was looked at.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import reduce
+from pathlib import Path
+
+import numpy as np
+from scipy import special
+
+from ltsim.adjustment.adjustment import Adjustment
+from ltsim.adjustment.fieldcheck.items import CAUSES, TWO_FACE, CheckFile, Family, Item, Kind, item_of, two_sided
+from ltsim.adjustment.fieldcheck.network import NETWORK_TESTS, items_of_network, plain_network, with_own_noise
+from ltsim.adjustment.fieldcheck.occupation import ColumnsFit, Faces, StationOccupation
+from ltsim.adjustment.fieldcheck.words import (
+    bump_sentence,
+    drift_sentence,
+    face_sentence,
+    gross_sentence,
+    instrument_sentence,
+    target_sentence,
+)
+from ltsim.adjustment.gross import mended, mistakes
+from ltsim.adjustment.identification import Test, identified, outcomes
+from ltsim.adjustment.moving import WITNESSES, EvenMotion, by_runs
+from ltsim.adjustment.reliability import surprise
+from ltsim.adjustment.singular import refusing_singular
+from ltsim.core.arrays import Bools, Floats, Ints
+from ltsim.core.errors import NetworkError
+from ltsim.core.results import Columns, Result
+from ltsim.core.units import ARCSECOND, MICROMETRE
+from ltsim.core.values import Valued
+from ltsim.physics.effects.index_drift import IndexDrift
+from ltsim.physics.effects.motions import StationMotion
+from ltsim.physics.effects.range_drift import RangeDrift
+from ltsim.physics.effects.station_bump import StationBump
+from ltsim.physics.model.construction import Construction, stated_construction
+from ltsim.recordings.exchange import RecordingSource, recording_of
+from ltsim.recordings.recording import Recording
+from ltsim.recordings.result_file import SourceEntry, write_result
+
+LEVEL = 0.01
+MOST_GROSS = 0.1
+"""Part of the pointings of a set-up that may be gross; with more, the stated noise is wrong."""
+TESTS = 6
+"""Tests of one set-up."""
+
+
+Words = Callable[[Recording, ColumnsFit, bool], str]
+OWN_DOF = 6.0
+"""Degrees of freedom from which a target shows a scatter of its own."""
+
+
+@dataclass(frozen=True)
+class SetUp(Valued):
+    """One set-up: its items, its two-face differences (None without pairs) and its model (None where nothing repeats).
+
+    `rows` are the rows of the whole recording, from 1.
+    """
+
+    station: str
+    items: tuple[Item, ...]
+    faces: Faces | None
+    visit: StationOccupation | None
+    rows: Ints
+    motions: tuple[StationMotion, ...] = ()
+    """How the station moved meanwhile."""
+
+
+@dataclass(frozen=True, repr=False)
+class Check(Result):
+    """All set-ups of a recording, and whether the stations agree with each other."""
+
+    recording: Recording
+    setups: tuple[SetUp, ...]
+    network: tuple[Item, ...]
+    level: float
+    tests: tuple[Test, ...] = ()
+    """The simple causes that the readings support, and outliers; all items are of the recording without them."""
+
+    def _lines(self) -> list[str]:
+        return [self.sentence]
+
+    def _tables(self) -> Mapping[str, Callable[[], Columns]]:
+        return {"items": self._items}
+
+    def _items(self) -> Columns:
+        names = ("station", "kind", "passed", "p_value", "sentence")
+        return {name: [getattr(item, name) for item in self.items] for name in names}
+
+    @property
+    def items(self) -> tuple[Item, ...]:
+        """Every item: causes and mistakes of the work first, then set-up by set-up."""
+        mistakes = (item for item in self.network if item.kind == "mistake")
+        rest = (item for item in self.network if item.kind != "mistake")
+        return (*map(item_of, self.tests), *mistakes, *(item for setup in self.setups for item in setup.items), *rest)
+
+    @property
+    def passed(self) -> bool:
+        """Whether it is a go."""
+        return all(item.passed for item in self.items)
+
+    @property
+    def sentence(self) -> str:
+        """Go or no-go and why."""
+        failed = [item for item in self.items if not item.passed]
+        # What others follow from first: what was identified, then targets that scatter by themselves.
+        causes = failed[: sum(not item.passed for item in map(item_of, self.tests))]
+        rest = failed[len(causes) :]
+        rest.sort(key=lambda item: not (item.kind in CAUSES or (item.kind == "closure" and item.targets)))
+        failed = [*causes, *rest]
+        if failed:
+            more = f" (and {len(failed) - 1} more)" if len(failed) > 1 else ""
+            return f"no-go: {failed[0].sentence}{more}"
+        return f"go: {len(self.setups)} set-up{'s' if len(self.setups) > 1 else ''} within noise and guarantee"
+
+
+def check(recording: RecordingSource, *, level: float = LEVEL, mpe: tuple[float, float] | None = None) -> Check:
+    """Go or no-go in the field: two-face differences, repeated points, drift, bumps and scatter.
+
+    Parameters
+    ----------
+    recording : Recording, str or Path
+    level : float
+        Chance of one false alarm in the whole recording, if noise and guarantee are as stated.
+    mpe : pair of float, optional
+        Limit of two-face differences as lengths, [um] and [um/m] of the range: ``(20, 6)``; default by the stated noise
+        and what the maker guarantees.
+
+    Raises
+    ------
+    NetworkError
+        When nothing was measured twice: there is nothing to check yet.
+
+    Examples
+    --------
+    >>> import ltsim as lt
+    >>> recording, _ = lt.simulate("paper-workshop", seed=7)
+    >>> lt.check(recording).passed
+    True
+    """
+    whole = recording_of(recording)
+    selection = identified(whole) if len(whole.stations) > 1 else None
+    selection = selection if selection is not None and (selection.leads or selection.explains) else None
+    causes = () if selection is None else outcomes(selection)
+    corrected = whole if selection is None else selection.fit.corrected(whole)
+    paired = whole if selection is None else selection.fit.corrected(whole, outliers=True)
+    family = Family(level, 2 * TESTS * max(len(whole.stations), 1))
+    every = range(len(whole.stations))
+    setups, network = tuple(_set_up(corrected, paired, s, family, mpe) for s in every), tuple[Item, ...]()
+    if len(whole.stations) > 1:
+        motions = tuple(motion for setup in setups for motion in setup.motions)
+        plain = plain_network(corrected, motions)
+        read, shown, scattering = corrected, corrected, tuple[Item, ...]()
+        if isinstance(plain, Adjustment):
+            shown, scattering = with_own_noise(corrected, plain)
+            read = mended(shown, mistakes(plain))
+        if read is not corrected:  # a set-up is not blamed for what has a name
+            setups = tuple(_set_up(read, read, s, family, mpe) for s in every)
+        shared = Family(level, 2 * NETWORK_TESTS)
+        together = items_of_network(shown, plain, shared, motions, own_noise=shown is not corrected)
+        network = (*scattering, *together)
+    found = Check(whole, setups, network, level, causes)
+    if not found.items:
+        message = "no station measured a target twice, so nothing can be checked yet; "
+        raise NetworkError(message + "measure some targets on both faces, or the first ones again at the end")
+    return found
+
+
+def check_file(check: Check) -> CheckFile:
+    """The contents of `check.json`."""
+    return CheckFile(
+        recording=SourceEntry.of(check.recording),
+        passed=check.passed,
+        sentence=check.sentence,
+        level=check.level,
+        tests=check.tests,
+        items=check.items,
+    )
+
+
+def two_face_csv(check: Check) -> str:
+    """Half two-face differences with their limits, one row a pair."""
+    rows = []
+    for setup in check.setups:
+        if (faces := setup.faces) is None:
+            continue
+        sizes = np.concatenate([faces.pairs.half, faces.limit], axis=1) / (2 * [MICROMETRE, ARCSECOND, ARCSECOND])
+        for at, size, over in zip(setup.rows[faces.pairs.rows], sizes.tolist(), faces.over, strict=True):
+            target = check.recording.targets[check.recording.target[at[0] - 1]]
+            rows.append([setup.station, target, *at.tolist(), *size, "no" if over.any() else "yes"])
+    return TWO_FACE.filled(rows).csv()
+
+
+def write_check(check: Check, folder: Path, further: Mapping[str, str]) -> CheckFile:
+    """Write `check.json`, `two_face.csv` and `further` texts (a picture) into a folder; give what was written.
+
+    Raises
+    ------
+    RecordError
+        When the folder cannot be written.
+    """
+    return write_result(folder, check_file(check), {TWO_FACE.file: two_face_csv(check), **further})
+
+
+@refusing_singular
+def _set_up(
+    whole: Recording, paired: Recording, station: int, family: Family, mpe: tuple[float, float] | None
+) -> SetUp:
+    """Tests of a set-up; its two faces are compared as `paired` has them, outliers among them."""
+    at = np.flatnonzero(whole.station == station)
+    recording, rows, name = whole.select(at), at + 1, whole.stations[station]
+    construction = stated_construction(recording)
+    visit = StationOccupation.of(recording, construction)
+    judged = _judged(visit, construction, family, rows) if visit.dof > 0 else _Judged((), visit, (), recording)
+    both, still = paired.select(at), judged.still.readings
+    still = np.where(np.isnan(still), both.readings, still)
+    items, faces = list[Item](), Faces.of(both, both.with_readings(still), construction, family.share, mpe)
+    if faces is not None:
+        limit = "noise and guarantee" if mpe is None else "the limit"
+        sentence, targets, worst = face_sentence(faces, recording, limit)
+        pair = tuple(rows[worst].tolist())
+        items.append(Item.of(name, "two-face", not targets, sentence, targets=targets, rows=pair))
+    if visit.dof < 1:
+        return SetUp(name, tuple(items), faces, None, rows)
+    left, scale = judged.left, _own_scatter(judged.left, family)
+    if scale is None:
+        items += [*judged.items, _closure(left, family)]
+    else:
+        judged = _judged(
+            StationOccupation.of(recording, construction, sigma=visit.sigma * scale), construction, family, rows
+        )
+        items += [_scattering(visit, left, family), *judged.items]
+    return SetUp(name, tuple(items), faces, left, rows, judged.motions)
+
+
+@dataclass(frozen=True)
+class _Judged:
+    """What a visit says of single pointings and motions, what is left of it, and its readings without the motions."""
+
+    items: tuple[Item, ...]
+    left: StationOccupation
+    motions: tuple[StationMotion, ...]
+    still: Recording
+
+
+def _judged(visit: StationOccupation, construction: Construction, family: Family, rows: Ints) -> _Judged:
+    gross, bump, visit = _events(visit, construction, family)
+    items = [_of_gross(visit, gross, rows, family), _of_bump(visit, bump, rows, family)]
+    recording, even = visit.recording, EvenMotion((visit.recording.stations[0],))
+    motions: list[StationMotion] = [] if bump is None else [bump]
+    found = [motion.design(visit.sightings) for motion in motions]
+    left = reduce(StationOccupation.without, found, visit)
+    creep, zeros = even.design(visit.sightings), _zeros(visit)
+    items.append(_drift(left, family, "drift", creep, drift_sentence))
+    if not items[-1].passed:
+        motions.append(even)
+        found, left = [*found, creep], left.without(creep)
+    items.append(_drift(left, family, "instrument-drift", zeros, instrument_sentence))
+    if not items[-1].passed:
+        found, left = [*found, zeros], left.without(zeros)
+    if found:
+        together = np.concatenate(found, axis=2)
+        recording = recording.with_readings(recording.readings - together @ visit.explained(together).values)
+    return _Judged(tuple(items), left, tuple(motions), recording)
+
+
+def _own_scatter(visit: StationOccupation, family: Family) -> Floats | None:
+    """Scatter (n, 1) of each pointing's target over the stated noise, where targets scatter differently (Bartlett)."""
+    chi2, dof = visit.scatter()
+    told = dof >= OWN_DOF
+    variance, own = chi2[told] / np.maximum(dof[told], 1.0), dof[told]
+    if told.sum() < 2 or not variance.min() > 0.0:
+        return None
+    pooled = float(own @ variance / own.sum())
+    gain = own.sum() * np.log(pooled) - own @ np.log(variance)
+    gain /= 1.0 + (np.sum(1.0 / own) - 1.0 / own.sum()) / (3.0 * (len(own) - 1.0))
+    if not special.chdtrc(len(own) - 1.0, gain) < family.share:
+        return None
+    ratio = np.full(len(dof), np.sqrt(pooled))
+    ratio[told] = np.sqrt(variance)
+    return np.asarray(np.maximum(ratio, 1.0)[visit.recording.target][:, None])
+
+
+def _events(
+    visit: StationOccupation, construction: Construction, family: Family
+) -> tuple[dict[int, float], StationBump | None, StationOccupation]:
+    """Gross pointings with their chances, taken out one by one until a bump explains more than the next would."""
+    gross: dict[int, float] = {}
+    most = max(1, MOST_GROSS * len(visit.use))
+    while True:
+        drop, rank = visit.of_pointings()
+        alone = surprise(drop, rank) - np.log(len(visit.use))
+        worst = int(np.argmax(alone))
+        bump, explained, gaps = best_bump(visit)
+        creep = _surprise(visit.explained(EvenMotion().design(visit.sightings)))
+        steady = creep >= _surprise(explained) - np.log(gaps)
+        bump = None if steady or visit.p_value(explained) * gaps >= family.share else bump
+        enough = alone[worst] <= max(-np.log(family.share), creep if steady else 0.0) or len(gross) >= most
+        if enough or (bump is not None and alone[worst] <= _surprise(explained) - np.log(gaps)):
+            return gross, bump, visit
+        gross[worst] = float(np.exp(-alone[worst]))
+        use: Bools = visit.use & np.asarray(np.arange(len(visit.use)) != worst)
+        visit = StationOccupation.of(visit.recording, construction, use, visit.sigma)
+
+
+def best_bump(visit: StationOccupation) -> tuple[StationBump | None, ColumnsFit, int]:
+    """The gap in which a motion of the station explains most, what it explains, and how many gaps there are."""
+    tried = [bump for bump in StationBump.candidates(visit.sightings) if _witnesses(visit, bump) >= WITNESSES]
+    if not tried:
+        return None, ColumnsFit(0.0, 0, np.zeros(6), np.zeros((6, 6))), 1
+    explained_by = {bump: visit.explained(bump.design(visit.sightings)) for bump in tried}
+    for bump in max(explained_by, key=lambda bump: _surprise(explained_by[bump])).finer(visit.sightings):
+        if _witnesses(visit, bump) >= WITNESSES:
+            explained_by[bump] = visit.explained(bump.design(visit.sightings))
+    found = max(explained_by, key=lambda bump: _surprise(explained_by[bump]))
+    return found, explained_by[found], len(np.unique(visit.sightings.time)) - 1
+
+
+def _witnesses(visit: StationOccupation, bump: StationBump) -> int:
+    """How many targets were measured both before and after."""
+    after = visit.sightings.time >= bump.time
+    target = visit.recording.target
+    return len(np.intersect1d(target[visit.use & after], target[visit.use & ~after]))
+
+
+def _surprise(explained: ColumnsFit) -> float:
+    """How unlikely such a fall of chi-square is by the stated noise."""
+    return float(surprise(explained.drop, explained.rank))
+
+
+def _of_gross(visit: StationOccupation, gross: Mapping[int, float], rows: Ints, family: Family) -> Item:
+    recording, name = visit.recording, visit.recording.stations[0]
+    targets = tuple(dict.fromkeys(recording.targets[recording.target[i]] for i in gross))
+    sentence, told = gross_sentence(visit, list(gross), rows), tuple(int(rows[i]) for i in gross)
+    chance = family.adjusted(max(gross.values())) if gross else None
+    return Item.of(name, "gross", not gross, sentence, chance, targets=targets, rows=told)
+
+
+def _of_bump(visit: StationOccupation, bump: StationBump | None, rows: Ints, family: Family) -> Item:
+    recording, name = visit.recording, visit.recording.stations[0]
+    if bump is None:
+        return Item.of(name, "bump", True, f"{name}: no motion at once")
+    explained = visit.explained(bump.design(visit.sightings))
+    order = np.argsort(recording.time, kind="stable")
+    at = int(np.searchsorted(recording.time[order], bump.time))
+    pair = order[at - 1 : at + 1]
+    between = float(recording.time[pair[0]]), float(recording.time[pair[1]])
+    numbers = int(rows[pair[0]]), int(rows[pair[1]])
+    chance = family.adjusted(visit.p_value(explained), len(order) - 1)
+    sentence = bump_sentence(recording, between, numbers, explained)
+    return Item.of(name, "bump", False, sentence, chance, rows=numbers, between_s=between)
+
+
+def _zeros(visit: StationOccupation) -> Floats:
+    """Change (n, 3, 2) of the readings per second and unit by even drifts of the range zero and the vertical index."""
+    laws, sightings = [RangeDrift(law="visit"), IndexDrift(law="visit")], by_runs(visit.sightings)
+    return np.concatenate([law.design(sightings) for law in laws], axis=2)
+
+
+def _drift(visit: StationOccupation, family: Family, kind: Kind, design: Floats, words: Words) -> Item:
+    explained = visit.explained(design)
+    p = family.adjusted(visit.p_value(explained))
+    passed = p >= family.level
+    return Item.of(visit.recording.stations[0], kind, passed, words(visit.recording, explained, passed), p)
+
+
+def _closure(visit: StationOccupation, family: Family) -> Item:
+    """Scatter of repeated pointings against the stated noise, two-sided; less noise than stated passes with a word."""
+    name, ratio = visit.recording.stations[0], float(np.sqrt(visit.chi2 / max(visit.dof, 1)))
+    if visit.dof < 1:
+        return Item.of(name, "closure", True, f"{name}: what is left of its repeated pointings tells no scatter")
+    p, less = two_sided(visit.chi2, visit.dof)
+    p = family.adjusted(p)
+    scatter = f"{name}: repeated pointings scatter {ratio:.2f} times the stated noise ({visit.dof} degrees of freedom)"
+    if p >= family.level:
+        return Item.of(name, "closure", True, f"{scatter}, as it should be", p)
+    return Item.of(name, "closure", less, f"{scatter}, {'less' if less else 'more'} than stated", p)
+
+
+def _scattering(visit: StationOccupation, left: StationOccupation, family: Family) -> Item:
+    """The closure of a set-up whose targets scatter each in its own way."""
+    closure, (chi2, dof) = _closure(left, family), left.scatter()
+    shown = np.flatnonzero(dof >= OWN_DOF)
+    shown = shown[np.argsort(-chi2[shown] / dof[shown], kind="stable")]
+    sentence, targets = target_sentence(visit, shown)
+    return closure.model_copy(update={"sentence": f"{closure.sentence}: {sentence}", "targets": targets})

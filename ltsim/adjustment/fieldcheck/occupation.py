@@ -1,0 +1,274 @@
+"""One set-up by itself: what its repeated pointings say once targets and the instrument's errors are fitted.
+
+Every target measured twice, on the other face or again later, leaves redundancy that needs no second station. The
+linear model has three coordinates a target and the instrument's parameters; a suspect (a bump, a drift, one gross
+pointing) is judged by how much chi-square falls when its columns join.
+
+Two-face differences, half of face 1 minus face 2, are judged target by target. Their limit is the stated noise and,
+since a tracker within its specification has such differences too, the spread that the guaranteed errors of axes, beam
+and encoders would give at that place (`setup.toml`, [instrument.prior]). A limit of its own, A um + B um/m of the full
+difference as a length (the form of ASME B89.4.19), is compared as it stands.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import special
+
+from ltsim.adjustment.evaluation.two_face import TwoFace, face_pairs, two_face
+from ltsim.adjustment.prior import prior_sigmas
+from ltsim.core.arrays import Bools, Floats, Ints
+from ltsim.core.units import MICROMETRE
+from ltsim.geometry.polar import from_polar, wrap
+from ltsim.physics.model.construction import Construction
+from ltsim.physics.model.measurement import State, sightings_of
+from ltsim.recordings.recording import Recording
+from ltsim.scene.sightings import Sightings
+
+FELT = 0.1
+"""Directions of the instrument's errors that change no reading by this part of its sigma are left out."""
+REDUNDANT = 0.05
+"""Redundancy below which an error of a reading does not show."""
+SEEN = 0.999
+"""Share of a parameter that the directions which readings feel must hold before it has a value."""
+SHOWN = 0.01
+"""Share of what a suspect does to the readings that targets and instrument must leave, to say anything of it."""
+HELD = 1e-6
+"""Singular value of whitened columns, against the largest, from which they count as one direction less."""
+
+
+@dataclass(frozen=True)
+class ColumnsFit:
+    """What columns explain: fall of chi-square, how many directions, the estimate and its covariance.
+
+    The covariance is infinite for what no target that was measured again tells.
+    """
+
+    drop: float
+    rank: int
+    values: Floats
+    covariance: Floats
+
+    def size(self, which: slice) -> tuple[float, float]:
+        """Length of some of the values, and its standard deviation."""
+        part, spread = self.values[which], self.covariance[which, which]
+        length = float(np.sqrt(part @ part))
+        if not np.isfinite(np.diag(spread)).all():
+            return length, float("inf")
+        along = part / length if length else np.full(len(part), 1.0 / np.sqrt(len(part)))
+        return length, float(np.sqrt(max(float(along @ spread @ along), 0.0)))
+
+
+@dataclass(frozen=True)
+class StationOccupation:
+    """A set-up with its readings whitened, and targets and instrument projected out of them."""
+
+    recording: Recording
+    """Of this station alone."""
+    sightings: Sightings
+    """Instrument frame."""
+    use: Bools
+    """(n,): pointings in use."""
+    whitened: Floats
+    """(n, 3): what is left of the readings over their sigmas, 0 where not in use."""
+    by_target: Floats
+    """(n, 3, 3): orthonormal columns of each pointing's own target."""
+    by_instrument: Floats
+    """(n, 3, k): orthonormal columns of the instrument's errors, across all targets."""
+    sigma: Floats
+    """(n, 3)."""
+    dof: int
+    """Degrees of freedom."""
+
+    @classmethod
+    def of(
+        cls, recording: Recording, construction: Construction, use: Bools | None = None, sigma: Floats | None = None
+    ) -> StationOccupation:
+        """That of a recording of one station; `use` (n,) leaves pointings out, `sigma` (n, 3) is not as stated."""
+        chosen = np.ones(len(recording), dtype=bool) if use is None else use
+        weight = recording.measured & chosen[:, None]
+        sigma = recording.sigma() if sigma is None else sigma
+        sightings = replace(sightings_of(recording, _state(recording, chosen)), lift=None)
+        prior = prior_sigmas(recording, construction)[0]
+        raw = np.where(recording.measured, recording.readings, sightings.raw)
+        by_point, by_value = construction.reading_design(raw, np.zeros(construction.size))
+        scale = (weight / sigma)[:, :, None]
+        gap = np.where(weight, recording.readings - sightings.raw, 0.0)
+        gap[:, 1:] = wrap(gap[:, 1:])
+        by_target, ranks = _orthonormal_by_target(by_point * scale, recording.target, len(recording.targets))
+        blank = np.zeros((len(recording), 3, 0))
+        bare = cls(recording, sightings, chosen, gap, by_target, blank, sigma, 0)
+        columns = bare.projected(by_value * prior * scale).reshape(3 * len(recording), -1)
+        left, size, _ = np.linalg.svd(columns, full_matrices=False)
+        instrument = left[:, size > FELT].reshape(len(recording), 3, -1)
+        dof = int(weight.sum()) - ranks - instrument.shape[2]
+        whole = cls(recording, sightings, chosen, gap, by_target, instrument, sigma, dof)
+        return replace(whole, whitened=whole.projected(gap[:, :, None] * scale)[:, :, 0])
+
+    @property
+    def chi2(self) -> float:
+        """Weighted sum of squares of what targets and instrument leave."""
+        return float(np.sum(self.whitened**2))
+
+    @property
+    def weight(self) -> Floats:
+        """(n, 3): one over sigma of the readings in use, 0 elsewhere."""
+        return np.where(self.recording.measured & self.use[:, None], 1.0 / self.sigma, 0.0)
+
+    def projected(self, columns: Floats) -> Floats:
+        """Whitened columns (n, 3, c) without what targets and instrument would take of them."""
+        on_target = np.einsum("nij,nic->njc", self.by_target, columns)
+        together = np.zeros((len(self.recording.targets), *on_target.shape[1:]))
+        np.add.at(together, self.recording.target, on_target)
+        rest = columns - np.einsum("nij,njc->nic", self.by_target, together[self.recording.target])
+        if self.by_instrument.shape[2]:
+            amount = np.einsum("nik,nic->kc", self.by_instrument, rest)
+            rest = rest - np.einsum("nik,kc->nic", self.by_instrument, amount)
+        return np.asarray(rest)
+
+    def _unit_columns(self, design: Floats) -> tuple[Floats, Floats]:
+        """Unit columns (3 n, c) of a suspect and their lengths (c,); both 0 where targets and instrument take all."""
+        whole = design * self.weight[:, :, None]
+        columns = self.projected(whole).reshape(-1, design.shape[2])
+        length = np.linalg.norm(columns, axis=0)
+        length[length < SHOWN * np.linalg.norm(whole, axis=(0, 1))] = 0.0
+        return np.where(length > 0, columns / np.where(length > 0, length, 1.0), 0.0), length
+
+    def explained(self, design: Floats) -> ColumnsFit:
+        """What the columns (n, 3, c) of a suspect, changes of the readings, explain."""
+        unit, length = self._unit_columns(design)
+        left, size, right = np.linalg.svd(unit, full_matrices=False)
+        good = size > np.sqrt(HELD) * max(float(size.max(initial=0.0)), 1e-12)
+        amount = left[:, good].T @ self.whitened.ravel()
+        back = (right[good].T / size[good]) / np.where(length > 0, length, np.inf)[:, None]
+        covariance = back @ back.T
+        unseen = np.sum(right[good] ** 2, axis=0) < SEEN
+        covariance[unseen, unseen] = np.inf
+        return ColumnsFit(float(amount @ amount), int(good.sum()), back @ amount, covariance)
+
+    def p_value(self, explained: ColumnsFit) -> float:
+        """Chance of such a fall: by the stated noise and by the noise found, whichever says less."""
+        if not explained.rank or self.dof <= explained.rank:
+            return 1.0
+        stated = float(special.chdtrc(explained.rank, explained.drop))
+        rest = self.dof - explained.rank
+        ratio = (explained.drop / explained.rank) / max((self.chi2 - explained.drop) / rest, 1e-30)
+        return max(stated, float(special.fdtrc(explained.rank, rest, ratio)))
+
+    def without(self, design: Floats) -> StationOccupation:
+        """The occupation with the columns (n, 3, c) of a suspect fitted too."""
+        left, size, _ = np.linalg.svd(self._unit_columns(design)[0], full_matrices=False)
+        added = left[:, size > np.sqrt(HELD) * max(float(size.max(initial=0.0)), 1e-12)]
+        rest = self.whitened.ravel() - added @ (added.T @ self.whitened.ravel())
+        basis = np.concatenate([self.by_instrument, added.reshape(len(self.use), 3, -1)], axis=2)
+        return replace(self, whitened=rest.reshape(-1, 3), by_instrument=basis, dof=self.dof - added.shape[1])
+
+    def scatter(self) -> tuple[Floats, Floats]:
+        """Chi-square (T,) of each target's pointings, and the degrees of freedom that it has."""
+        own = np.sum(self.by_target**2, axis=2) + np.sum(self.by_instrument**2, axis=2)
+        redundancy = np.where(self.weight > 0, 1.0 - own, 0.0).sum(axis=1)
+        target, count = self.recording.target, len(self.recording.targets)
+        sums = [np.bincount(target, one, count) for one in (np.sum(self.whitened**2, axis=1), redundancy)]
+        return np.asarray(sums[0], dtype=np.float64), np.asarray(sums[1], dtype=np.float64)
+
+    def miss(self, row: int) -> float:
+        """How far [m] a pointing lands from the mean of the other pointings to its target."""
+        points = from_polar(self.recording.readings)
+        whole = np.isfinite(points).all(axis=1)
+        others: Bools = np.logical_and(whole & self.use, self.recording.target == self.recording.target[row])
+        others[row] = False
+        return float(np.linalg.norm(points[row] - points[others].mean(axis=0))) if others.any() else float("nan")
+
+    def spread(self, target: int) -> float:
+        """Standard deviation [m] of the points of a target, along one axis."""
+        points = from_polar(self.recording.readings[self.use & np.asarray(self.recording.target == target)])
+        return float(np.sqrt(np.nanmean(np.nanvar(points, axis=0, ddof=1))))
+
+    def of_pointings(self) -> tuple[Floats, Ints]:
+        """Fall of chi-square (n,) if a pointing were left out, and by how many readings (n,) that is judged."""
+        own = np.eye(3) - np.einsum("nij,nkj->nik", self.by_target, self.by_target)
+        own = own - np.einsum("nij,nkj->nik", self.by_instrument, self.by_instrument)
+        seen = self.weight > 0
+        own = np.where(seen[:, :, None] & seen[:, None, :], own, 0.0)
+        values, vectors = np.linalg.eigh(own)
+        controlled = values > REDUNDANT
+        amount = np.einsum("nij,ni->nj", vectors, self.whitened)
+        drop = np.where(controlled, amount**2 / np.where(controlled, values, 1.0), 0.0).sum(axis=1)
+        return drop, controlled.sum(axis=1).astype(np.int64)
+
+
+def _state(recording: Recording, use: Bools) -> State:
+    """The instrument at the origin, targets at the mean of their pointings."""
+    points = from_polar(recording.readings)
+    whole = np.isfinite(points).all(axis=1)
+    good = whole & use if (whole & use).any() else whole
+    total, count = np.zeros((len(recording.targets), 3)), np.zeros(len(recording.targets))
+    np.add.at(total, recording.target[good], points[good])
+    np.add.at(count, recording.target[good], 1.0)
+    mean = total / np.maximum(count, 1.0)[:, None]
+    mean[count == 0] = [1.0, 0.0, 0.0]  # never in use whole: its rows have no weight
+    return State(np.zeros((1, 3)), np.eye(3)[None], mean, np.zeros((1, 0)))
+
+
+def _orthonormal_by_target(columns: Floats, target: Ints, count: int) -> tuple[Floats, int]:
+    """An orthonormal basis of the columns (n, 3, 3) of each target over all its rows, and the sum of their ranks."""
+    found, ranks = np.zeros_like(columns), 0
+    for t in range(count):
+        rows = np.flatnonzero(target == t)
+        left, size, _ = np.linalg.svd(columns[rows].reshape(-1, 3), full_matrices=False)
+        good = size > np.sqrt(HELD) * max(float(size.max(initial=0.0)), 1e-12)
+        basis = np.where(good, left, 0.0)
+        found[rows, :, : basis.shape[1]] = basis.reshape(len(rows), 3, -1)
+        ranks += int(good.sum())
+    return found, ranks
+
+
+@dataclass(frozen=True)
+class Faces:
+    """Two-face half differences of one set-up."""
+
+    pairs: TwoFace
+    """As read."""
+    still: TwoFace
+    """Without what a motion of the station, or a drift of the instrument, adds between the faces."""
+    noise: Floats
+    """(m, 3) [m, rad, rad]: standard deviation of each half difference by the stated noise."""
+    over: Bools
+    """(m, 3): what is `still` beyond the limit."""
+    limit: Floats
+    """(m, 3): largest half difference that passes."""
+
+    @classmethod
+    def of(
+        cls,
+        recording: Recording,
+        still: Recording,
+        construction: Construction,
+        level: float,
+        mpe: tuple[float, float] | None,
+    ) -> Faces | None:
+        """The differences of a recording of one station; None where no target was measured on both faces.
+
+        `still` has its readings without motions.
+
+        `level` is the chance of one false alarm over all of them; `mpe` a limit of lengths [um], and [um/m].
+        """
+        if not len(face_pairs(recording)):
+            return None
+        pairs, unmoved = two_face(recording), two_face(still)
+        sigma = recording.sigma()
+        sigma[:, 1] *= np.abs(np.cos(recording.readings[:, 2]))
+        noise = 0.5 * np.sqrt(np.sum(sigma[pairs.rows] ** 2, axis=1))
+        prior = prior_sigmas(recording, construction)[0]
+        change = [two_face(recording, construction, np.diag(prior)[k]).half - pairs.half for k in range(len(prior))]
+        guarantee = np.sqrt(np.sum(np.square(change), axis=0))
+        if mpe is None:
+            critical = -special.ndtri(level / (2 * pairs.half.size))
+            limit = critical * np.hypot(noise, guarantee)
+        else:
+            metres = pairs.place[:, 0]
+            allowed = 0.5 * MICROMETRE * (mpe[0] + mpe[1] * metres)
+            limit = np.stack([allowed, allowed / metres, allowed / metres], axis=1)
+        return cls(pairs, unmoved, noise, np.abs(unmoved.half) > limit, limit)

@@ -1,0 +1,149 @@
+"""The sentences of a check, with a unit on every number."""
+
+from collections.abc import Sequence
+from datetime import datetime, time as clock, timedelta
+
+import numpy as np
+
+from ltsim.adjustment.fieldcheck.occupation import ColumnsFit, Faces, StationOccupation
+from ltsim.core.arrays import Ints
+from ltsim.core.notation import listing, with_sigma
+from ltsim.core.units import ARCSECOND, MICROMETRE, MICRORADIAN, MILLIMETRE
+from ltsim.recordings.recording import OBSERVABLES, Recording
+
+ZEROS = (("range", "um", MICROMETRE, 100 * MICROMETRE), ("vertical index", "arcsec", ARCSECOND, 100 * ARCSECOND))
+"""Zeros of an instrument, and the standard deviation from which a recording says nothing of them."""
+SHIFT, TILT, TURN = slice(0, 3), slice(3, 5), slice(5, 6)
+VAGUE = 100 * MICRORADIAN
+"""Standard deviation of a level from which a recording says nothing of it."""
+TOLD = 2.0
+"""Standard deviations from which a part of a motion is told."""
+
+
+def moment(recording: Recording, time: float) -> str:
+    """A time [s] of a recording as a person reads it: the clock where its start is known, seconds or rows otherwise."""
+    if not recording.has_clock:
+        return f"pointing {time + 1:.0f}"
+    started = recording.setup.started
+    try:
+        return f"{datetime.fromisoformat(started) + timedelta(seconds=time):%Y-%m-%d %H:%M:%S}"
+    except ValueError:
+        pass
+    try:
+        start = datetime.combine(datetime(2000, 1, 1), clock.fromisoformat(started))
+    except ValueError:
+        return f"{time:.1f} s"
+    return f"{start + timedelta(seconds=time):%H:%M:%S}"
+
+
+def face_sentence(faces: Faces, recording: Recording, limit: str) -> tuple[str, tuple[str, ...], Ints]:
+    """The two-face differences in words, the targets beyond the limit, and the rows of the worst pair there."""
+    name, pairs = recording.stations[0], faces.still
+    if not faces.over.any():
+        sizes = f"{pairs.rms[0] / MICROMETRE:.1f} um, {pairs.rms[1] / ARCSECOND:.2f} and {pairs.rms[2] / ARCSECOND:.2f}"
+        sentence = (
+            f"{name}: half two-face differences of {len(pairs)} pairs within {limit}, rms {sizes} arcsec "
+            "(range, across the beam, elevation)"
+        )
+        return sentence, (), np.zeros(0, dtype=np.int64)
+    targets = [recording.targets[t] for t in recording.target[pairs.rows[:, 0]]]
+    ratio = np.abs(pairs.half) / faces.limit
+    k, column = (int(i) for i in np.unravel_index(int(ratio.argmax()), ratio.shape))
+    unit, factor = ("um", MICROMETRE) if column == 0 else ("arcsec", ARCSECOND)
+    over = np.flatnonzero(faces.over.any(axis=1))
+    what = (OBSERVABLES[0], "azimuth across the beam", OBSERVABLES[2])[column]
+    sentence = (
+        f"{name}: the two faces differ beyond {limit} at {len(over)} of {len(pairs)} pairs, most at {targets[k]}: "
+        f"half the difference in {what} is {plain(pairs.half[k, column] / factor)} {unit}, "
+        f"the limit {plain(faces.limit[k, column] / factor)} {unit}"
+    )
+    return sentence, tuple(dict.fromkeys(targets[i] for i in over)), pairs.rows[k]
+
+
+def gross_sentence(visit: StationOccupation, gross: Sequence[int], rows: Ints) -> str:
+    """What stands out among the pointings of a set-up."""
+    recording, name = visit.recording, visit.recording.stations[0]
+    if not gross:
+        return f"{name}: no pointing stands out"
+    first = recording.targets[recording.target[gross[0]]]
+    again = np.flatnonzero(recording.target == recording.target[gross[0]])
+    others = listing([str(rows[i]) for i in gross[1:]])
+    more = f"; {len(gross)} such pointings in all, with row {others}" if others else ""
+    miss = visit.miss(gross[0])
+    if not np.isfinite(miss):
+        return f"{name} to {first}, row {rows[gross[0]]}: its readings do not fit the others{more}: measure again"
+    if len(again) == 2:
+        pair = f"rows {rows[again[0]]} and {rows[again[1]]} are {length(miss)} apart, one of them is wrong"
+        return f"{name} to {first}: {pair}{more}: measure again"
+    away = f"{length(miss)} from the other pointings to it"
+    return f"{name} to {first}, row {rows[gross[0]]}: {away}{more}: measure again"
+
+
+def bump_sentence(recording: Recording, between: tuple[float, float], rows: tuple[int, int], found: ColumnsFit) -> str:
+    """When a station moved at once, and by how much."""
+    when = f"between {moment(recording, between[0])} and {moment(recording, between[1])}"
+    return f"{recording.stations[0]} moved {when} (rows {rows[0]} and {rows[1]}){_motion(found)}"
+
+
+def drift_sentence(recording: Recording, explained: ColumnsFit, passed: bool) -> str:
+    """How far a station crept in its visit, its level with a standard deviation."""
+    name = recording.stations[0]
+    minutes = float(np.ptp(recording.time)) / 60
+    within = f"in {minutes:.3g} min" if recording.has_clock else f"over {len(recording)} pointings"
+    if not passed:
+        return f"{name} drifts {within}{_motion(explained)}"
+    lean, sigma = explained.size(TILT)
+    if not sigma < VAGUE:
+        return f"{name}: no drift of the station shows {within}; what was measured again tells little of its level"
+    level = with_sigma(lean / MICRORADIAN, sigma / MICRORADIAN, "urad")
+    return f"{name}: no drift of the station {within} (level {level})"
+
+
+def instrument_sentence(recording: Recording, explained: ColumnsFit, passed: bool) -> str:
+    """How far the instrument's zeros crept in a visit."""
+    duration = float(np.ptp(recording.time))
+    spread = np.sqrt(np.maximum(np.diag(explained.covariance), 0.0))
+    parts = [
+        f"{what} by {with_sigma(value * duration / unit, sigma * duration / unit, name)}"
+        for value, sigma, (what, name, unit, most) in zip(explained.values, spread, ZEROS, strict=True)
+        if sigma * duration < most
+    ]
+    said = f" ({', '.join(parts)} over the visit)" if parts else "; what was measured again tells little of it"
+    return f"{recording.stations[0]}: {'no drift of the instrument' if passed else 'the instrument drifts'}{said}"
+
+
+def target_sentence(visit: StationOccupation, shown: Ints) -> tuple[str, tuple[str, ...]]:
+    """Which targets scatter most and least, of `shown` (k,) from the most to the least, and those of the upper half."""
+    recording = visit.recording
+    names = [recording.targets[t] for t in shown]
+    sizes = [length(visit.spread(int(t))) for t in shown]
+    low, high = (f"{sizes[i]} at {names[i]}" for i in (-1, 0))
+    sentence = f"it belongs to the targets ({low} to {high} along each axis), not to range or air"
+    return sentence, tuple(names[: (len(names) + 1) // 2])
+
+
+def _motion(found: ColumnsFit) -> str:
+    """A motion of a station in words: what the targets that were measured again tell of it."""
+    kinds = (
+        ("shifted", SHIFT, "um", MICROMETRE),
+        ("turned", TURN, "urad", MICRORADIAN),
+        ("leaning", TILT, "urad", MICRORADIAN),
+    )
+    sizes = [(what, *found.size(which), unit, one) for what, which, unit, one in kinds]
+    told = [
+        f"{what} by {with_sigma(size / one, sigma / one, unit)}"
+        for what, size, sigma, unit, one in sizes
+        if size > TOLD * sigma
+    ]
+    return f": {', '.join(told)}" if told else ""
+
+
+def length(metres: float) -> str:
+    """A length in the unit that a person would use."""
+    unit, one = ("mm", MILLIMETRE) if metres > MILLIMETRE else ("um", MICROMETRE)
+    return f"{plain(metres / one)} {unit}"
+
+
+def plain(value: float, digits: int = 3) -> str:
+    """A number rounded to so many digits, large ones written out: 2710 and not 2.71e+03."""
+    return f"{float(f'{value:.{digits}g}'):.6g}"

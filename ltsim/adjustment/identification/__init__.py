@@ -1,0 +1,17 @@
+"""Detection, identification and adaptation: the simple causes that a network supports, by one log evidence for all.
+
+A simple cause is one of a short list at one place: an outlier, an offset of all distances to a target, a station that
+moved, a wrong reference value. Each is a hypothesis with a prior and a change of the model; the network is fitted with
+it, and its log evidence compared with that of the others. A cause of a million standard deviations is found as surely
+as one of twenty, because every fit begins at a robust state and is relinearised.
+
+References
+----------
+Baarda, A testing procedure for use in geodetic networks (1968); Teunissen, Testing theory (2006): detection,
+identification and adaptation of model errors. Kass and Raftery, Bayes factors, J. Am. Stat. Assoc. 90 (1995) 773.
+"""
+
+from ltsim.adjustment.identification.fit import Fit as Fit, Network as Network
+from ltsim.adjustment.identification.hypothesis import Hypothesis as Hypothesis
+from ltsim.adjustment.identification.selection import Selection as Selection, identified as identified, select as select
+from ltsim.adjustment.identification.tests import Test as Test, outcomes as outcomes

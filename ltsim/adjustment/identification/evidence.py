@@ -1,0 +1,51 @@
+"""Log evidence of hypotheses whose size nobody knows beforehand: from just visible to absurd by one formula.
+
+A shift of p components has a prior that is uniform in the logarithm of its size, over `DECADES` decades, and in its
+direction (Jeffreys). In units of the standard deviations of its estimate, of length w, the marginal likelihood ratio
+against no shift is, by Laplace's method,
+
+    log B = w^2 / 2 - p log w + (p / 2) log(2 pi) - log S_p - log R,
+
+S_p the surface of the unit sphere in p dimensions and R the logarithm of the ratio of the largest size to the smallest.
+
+References
+----------
+Kass and Raftery, Bayes factors, J. Am. Stat. Assoc. 90 (1995) 773; Jeffreys, Theory of probability (1961), 3.1.
+"""
+
+import numpy as np
+from scipy import special
+
+from ltsim.core.arrays import Floats
+
+DECADES = 6.0
+"""Decades of size, from what shows to what is absurd: 10 um and 10 m."""
+LOG_RANGE = float(np.log(DECADES * np.log(10.0)))
+
+
+def occam(w: Floats | float, rank: int) -> Floats:
+    """Log of the Occam factor, never positive, of shifts of `rank` components estimated at `w` standard deviations."""
+    size = np.maximum(np.asarray(w, dtype=np.float64), np.sqrt(rank))
+    log_surface = np.log(2.0) + 0.5 * rank * np.log(np.pi) - special.gammaln(0.5 * rank)
+    return np.minimum(0.5 * rank * np.log(2.0 * np.pi) - log_surface - LOG_RANGE - rank * np.log(size), 0.0)
+
+
+FACTOR_DECADES = 2.0
+"""Decades of the size of the noise over, or under, what is declared."""
+
+
+def occam_of_variance(redundancy: Floats | float) -> Floats:
+    """Log of the Occam factor of a variance factor that so much redundancy determines."""
+    width = np.sqrt(np.pi / np.maximum(np.asarray(redundancy, dtype=np.float64), 1.0))
+    return np.minimum(np.log(width / (2.0 * FACTOR_DECADES * np.log(10.0))), 0.0)
+
+
+def variance_factor(squares: Floats, redundancy: Floats) -> tuple[Floats, Floats]:
+    """Restricted maximum likelihood of a common factor on standard deviations, and its log likelihood ratio.
+
+    By weighted sums of squares and redundancies, of groups of readings (g,).
+    """
+    enough = np.asarray(redundancy) > 1.0
+    ratio = np.where(enough, np.maximum(squares, 1e-12) / np.where(enough, redundancy, 1.0), 1.0)
+    gain = 0.5 * (squares - redundancy) - 0.5 * redundancy * np.log(ratio)
+    return np.sqrt(ratio), np.where(enough, gain, 0.0)

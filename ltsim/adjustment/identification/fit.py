@@ -1,0 +1,367 @@
+"""A network with some hypotheses in its model, fitted robustly, and the log evidence of that."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy import special
+
+from ltsim.adjustment.adjustment import Adjustment
+from ltsim.adjustment.identification.evidence import occam, occam_of_variance, variance_factor
+from ltsim.adjustment.identification.hypothesis import Correction, Hypothesis, NoiseFactor, Omission, Shift
+from ltsim.adjustment.identification.prior import log_prior_of
+from ltsim.adjustment.known import loosened
+from ltsim.adjustment.prior import ParameterPrior
+from ltsim.adjustment.problem import NetworkProblem
+from ltsim.adjustment.robust import robust_state
+from ltsim.adjustment.snooping import LARGEST_ERROR, snooped, without_loose
+from ltsim.adjustment.start import reached_network
+from ltsim.adjustment.stated import KnownInRows, KnownValue, common_scale, known_values, without
+from ltsim.core.arrays import Bools, Floats, Ints
+from ltsim.core.errors import NetworkError
+from ltsim.core.units import ARCSECOND, MILLIMETRE
+from ltsim.geometry.polar import wrap
+from ltsim.physics.effects.signature import Signature
+from ltsim.physics.model.construction import Construction
+from ltsim.physics.model.measurement import MeasurementModel, State, with_plumb_lines
+from ltsim.recordings.recording import SIGMA_COLUMNS, Recording
+from ltsim.scene.sightings import Sightings
+from ltsim.solve.design import median_deviation
+from ltsim.solve.gauss_newton import Solution, solve
+
+TOLD = 4.0
+"""Standard deviations of a shift below which no network supports it: four are exceeded by chance in one of 16,000."""
+FAR = 50.0
+"""Residual of a reference value at a robust state, in standard deviations of the readings, that no noise explains."""
+REWEIGHTED, SAME_NOISE = 3, 0.05
+"""Estimates of noise factors at most, and the relative change that ends them: less moves no log evidence by 0.1."""
+OTHER_OUTLIERS = 0.2
+"""Relative change of the noise by which other readings become outliers."""
+ROUNDS = 6
+"""Solutions in which outliers are left out and taken back: what still alternates is left out, and tells no cause."""
+FREE = 1e6
+"""Plausible sizes to which a shift is held: nothing that happens is larger."""
+
+
+@dataclass(frozen=True)
+class Network:
+    """What a fit begins with: recording, construction, priors of its parameters, readings (n, 3) that may be used."""
+
+    recording: Recording
+    construction: Construction
+    prior: ParameterPrior | None = None
+    usable: Bools | None = None
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A network fitted with some hypotheses in its model; readings that contradict it are left out as outliers.
+
+    Attributes
+    ----------
+    network : Network
+    hypotheses : tuple of Hypothesis
+    whole : NetworkProblem
+        With all usable readings in use.
+    problem : NetworkProblem
+        With the readings in use that fit.
+    solution : Solution
+    """
+
+    network: Network
+    hypotheses: tuple[Hypothesis, ...]
+    whole: NetworkProblem
+    problem: NetworkProblem
+    solution: Solution[State]
+
+    @classmethod
+    def far_references(cls, network: Network, hypotheses: Sequence[Hypothesis]) -> list[KnownInRows]:
+        """Reference values that a robust state misses by far: a fit that believes them bends the whole network."""
+        problem, start = cls._problem(network, hypotheses)
+        state, residual = robust_state(loosened(problem, start), start)
+        limit = FAR * max(median_deviation(residual[: int(problem.use.sum())]), 1.0)
+        values = [v for v in known_values(problem, state) if v.kind != "mark"]
+        far = [v for v in values if float(np.abs(residual[v.rows]).max()) > limit]
+        return far if 3 * len(far) <= max(len(values), 3) else []
+
+    @classmethod
+    def of(
+        cls,
+        network: Network,
+        hypotheses: Sequence[Hypothesis] = (),
+        start: State | None = None,
+        near: Sightings | None = None,
+    ) -> Fit | None:
+        """The fit from a start, by default from the recording alone; None where the network is not determined.
+
+        From the recording less what the hypotheses' guesses say of it, where the sightings `near` are given.
+        """
+        fresh = start is None
+        problem, start = cls._problem(network, hypotheses, start, near)
+        if fresh:
+            start = robust_state(problem, start)[0]
+        whole = without_loose(problem, start)
+        fit = cls(network, tuple(hypotheses), whole, *snooped(whole, start, ROUNDS))
+        if any(isinstance(h.change, NoiseFactor) for h in hypotheses):
+            fit = fit._reweighted()
+        return fit if fit.solution.converged and fit._is_determined else None
+
+    @property
+    def _is_determined(self) -> bool:
+        """Whether each shift is told by the readings: one that a place of its own may as well be has no size."""
+        return all(self._length(h) > TOLD for h, _, _ in self.shifts)
+
+    @property
+    def shifts(self) -> Iterator[tuple[Hypothesis, Shift, slice]]:
+        """Hypotheses that are shifts, and where their parameters stand among those of the state."""
+        first = 0
+        for h in self.hypotheses:
+            if isinstance(h.change, Shift):
+                yield h, h.change, slice(first, first := first + len(h.change.effect.parameters))
+
+    def estimate(self, hypothesis: Hypothesis) -> tuple[Floats, Floats]:
+        """Estimate (p,) and covariance (p, p) of a shift of the model [SI]."""
+        at = next(at for h, _, at in self.shifts if h is hypothesis)
+        return self.state.extra[at], self.adjustment.extra_covariance[at, at]
+
+    def _length(self, hypothesis: Hypothesis) -> float:
+        """Length of the estimate of a shift in its standard deviations."""
+        values, covariance = self.estimate(hypothesis)
+        return float(np.sqrt(max(float(values @ np.linalg.pinv(covariance) @ values), 0.0)))
+
+    @staticmethod
+    def _problem(
+        network: Network,
+        hypotheses: Sequence[Hypothesis],
+        start: State | None = None,
+        near: Sightings | None = None,
+    ) -> tuple[NetworkProblem, State]:
+        """The problem with all usable readings in use, and a start, as of `of`."""
+        recording = changed_recording(network.recording, hypotheses)
+        lost = np.zeros(len(recording.targets), dtype=bool)
+        if start is None:
+            reached, lost = reached_network(recording if near is None else _unshifted(recording, hypotheses, near))
+            recording = recording.with_readings(np.where(lost[recording.target][:, None], np.nan, recording.readings))
+            parameters = np.zeros((len(recording.instruments), network.construction.size))
+            start = State(*reached, parameters if network.prior is None else network.prior.mean)
+        recording = with_plumb_lines(recording, start.position)
+        effects = tuple(h.change.effect for h in hypotheses if isinstance(h.change, Shift))
+        model = MeasurementModel(recording, network.construction, effects)
+        if len(start.extra) != model.extra_size:
+            start = replace(start, extra=_guesses(hypotheses, model.extra_size, near))
+        usable = np.ones((len(recording), 3), dtype=bool) if network.usable is None else network.usable
+        sigma = recording.sigma()
+        for h in hypotheses:
+            if isinstance(h.change, NoiseFactor):
+                sigma = np.where(h.change.readings, sigma * h.change.guess, sigma)
+        problem = NetworkProblem.of(
+            model,
+            sigma=sigma,
+            use=usable & ~lost[recording.target][:, None],
+            held_to=FREE,
+            prior=network.prior,
+        )
+        return problem, replace(start, position=problem.marks.on_marks(start.position, start.points))
+
+    def _reweighted(self) -> Fit:
+        """The fit with its noise factors as the residuals have them (restricted maximum likelihood)."""
+        fit = self
+        for _ in range(REWEIGHTED):
+            sigma = fit._sigma()
+            changed = float(np.nanmax(np.abs(np.log(sigma / fit.whole.sigma))))
+            if not changed > SAME_NOISE:
+                break
+            whole, problem = replace(fit.whole, sigma=sigma), replace(fit.problem, sigma=sigma)
+            solution = solve(problem, fit.state)
+            if solution.factor is None or changed > OTHER_OUTLIERS:
+                problem, solution = snooped(whole, fit.state, ROUNDS)
+            fit = replace(fit, whole=whole, problem=problem, solution=solution)
+        return fit
+
+    def _sigma(self) -> Floats:
+        """Standard deviations (n, 3) with the noise factors that the residuals show."""
+        sigma = self.network.recording.sigma()
+        for h in self.hypotheses:
+            if isinstance(h.change, NoiseFactor):
+                chosen = h.change.readings & self.problem.use
+                squares = float(np.sum((self.residuals / sigma)[chosen] ** 2))
+                factor, _ = variance_factor(np.array(squares), np.array(float(np.nansum(self.redundancy[chosen]))))
+                sigma = np.where(h.change.readings, sigma * factor, sigma)
+        return sigma
+
+    def without_distances(self, rows: Ints) -> Fit | None:
+        """The fit, from the beginning, without the distances of some rows; None where that is no network."""
+        readings = self.network.recording.readings.copy()
+        readings[rows, 0] = np.nan
+        network = replace(self.network, recording=self.network.recording.with_readings(readings))
+        try:
+            return Fit.of(network, self.hypotheses)
+        except NetworkError:
+            return None
+
+    def residuals_of(self, recording: Recording) -> Floats:
+        """Readings (n, 3) of a recording with the same pointings less the predicted ones [m, rad, rad]."""
+        gap = recording.readings - self.problem.model.predict(self.state)
+        gap[:, 1:] = wrap(gap[:, 1:])
+        return gap
+
+    @property
+    def state(self) -> State:
+        """Poses, targets and parameters."""
+        return self.solution.x
+
+    @cached_property
+    def adjustment(self) -> Adjustment:
+        """The fit as an adjustment."""
+        out = self.recording.measured.any(axis=1) & ~self.problem.use.any(axis=1)
+        return Adjustment(self.problem, self.solution, np.asarray(out))
+
+    @property
+    def recording(self) -> Recording:
+        """The recording with the hypotheses' corrections."""
+        return self.problem.model.recording
+
+    @property
+    def effects(self) -> tuple[Signature, ...]:
+        """The shifts in the model, each with a plausible size of at least its estimate."""
+        signatures = list[Signature]()
+        for _, shift, at in self.shifts:
+            times = float(np.max(np.abs(self.state.extra[at]) / shift.effect.spread))
+            signatures.append(replace(shift.effect, coarse=max(1.0, times)))  # type: ignore[type-var]
+        return tuple(signatures)
+
+    def corrected(self, recording: Recording, outliers: bool = False) -> Recording:
+        """A recording without what is in the model: rows corrected, shifts subtracted; `outliers` stay or are left out.
+
+        Noise that differs from the declared is declared so; reference values that are not believed are left out.
+        """
+        readings = self.recording.readings.copy()
+        for _, shift, at in self.shifts:
+            readings -= shift.effect.shift(self.adjustment.sightings, self.state.extra[at])
+        if not outliers:
+            readings[self.outliers] = np.nan
+        corrected = recording.replace(
+            readings=readings, target=self.recording.target, face=self.recording.face, setup=self.recording.setup
+        )
+        if not any(isinstance(h.change, NoiseFactor) for h in self.hypotheses):
+            return corrected
+        sigma = self.problem.sigma / [MILLIMETRE, ARCSECOND, ARCSECOND]
+        columns = dict(zip(SIGMA_COLUMNS, sigma.T, strict=True))
+        return corrected.replace(covariates={**corrected.covariates, **columns})
+
+    @cached_property
+    def residuals(self) -> Floats:
+        """Observed minus predicted readings (n, 3) [m, rad, rad], outliers among them."""
+        return self.problem.residuals(self.problem.model.predict(self.state))
+
+    @cached_property
+    def whitened(self) -> Floats:
+        """The same over the standard deviations; 0 where nothing can be used."""
+        return np.where(self.whole.use, np.nan_to_num(self.residuals / self.problem.sigma), 0.0)
+
+    @property
+    def redundancy(self) -> Floats:
+        """Redundancy numbers (n, 3)."""
+        return self.adjustment.redundancy
+
+    @cached_property
+    def outliers(self) -> Bools:
+        """(n, 3): usable readings that are left out."""
+        return self.whole.use & ~self.problem.use
+
+    def _missed_by(self, value: KnownValue) -> float:
+        """Miss of an omitted reference value, in its declared standard deviations."""
+        return float(np.linalg.norm(self.gap_of(value) / np.where(value.sigma > 0, value.sigma, np.inf)))
+
+    def gap_of(self, value: KnownValue) -> Floats:
+        """What an omitted reference value (q,) misses the network by [m, rad]."""
+        model = replace(self.problem.model, recording=self.network.recording)
+        declared = NetworkProblem.of(model, use=self.problem.use)
+        every = (*known_values(declared, self.state), *common_scale(declared, self.state))
+        return next(v.residual for v in every if (v.kind, v.name) == (value.kind, value.name))
+
+    def displacement(self, hypothesis: Hypothesis) -> float:
+        """Largest displacement [m] of a reading, or miss of a reference value, by a hypothesis of the model."""
+        change, sightings = hypothesis.change, self.adjustment.sightings
+        if isinstance(change, Omission):
+            return float(np.abs(self.gap_of(change.value)).max())
+        if not isinstance(change, Shift):
+            return 0.0
+        moved = np.abs(change.effect.design(sightings) @ self.estimate(hypothesis)[0])
+        return float(np.max(moved * _arms(sightings)))
+
+    @property
+    def is_gross(self) -> Bools:
+        """(n, 3): readings that miss by more than any error of a tracker."""
+        return np.abs(np.nan_to_num(self.residuals)) * _arms(self.adjustment.sightings) > LARGEST_ERROR
+
+    @property
+    def p_value(self) -> float:
+        """Chance of a larger chi-square if the model with its hypotheses holds."""
+        return float(special.chdtrc(max(self.problem.dof, 1), self.solution.cost))
+
+    @cached_property
+    def outlier_terms(self) -> float:
+        """Log of the Occam factors and priors of all outliers."""
+        w = np.abs(self.whitened[self.outliers])
+        return float(np.sum(occam(w, 1))) + len(w) * log_prior_of("outlier", int(self.whole.use.sum()))
+
+    @cached_property
+    def log_evidence(self) -> float:
+        """Log marginal likelihood up to a constant of the recording: fit, Occam factors and priors of all causes."""
+        total = -0.5 * self.solution.cost + sum(h.log_prior for h in self.hypotheses)
+        total += self.outlier_terms
+        for h in self.hypotheses:
+            if isinstance(h.change, Shift):
+                total += float(occam(self._length(h), len(h.change.effect.parameters)))
+            elif isinstance(h.change, NoiseFactor):
+                chosen = h.change.readings & self.problem.use
+                redundancy = np.nansum(self.redundancy[chosen])
+                ratio = self.problem.sigma[chosen] / self.network.recording.sigma()[chosen]
+                total -= float(np.sum(np.nan_to_num(self.redundancy[chosen]) * np.log(ratio)))
+                total += float(occam_of_variance(redundancy))
+            elif isinstance(h.change, Omission):
+                total += float(occam(self._missed_by(h.change.value), len(h.change.value.sigma)))
+        return total
+
+
+def _arms(sightings: Sightings) -> Floats:
+    """Lengths (n, 3) [m or m/rad] that turn errors of the readings into displacements."""
+    range_ = sightings.range_
+    return np.stack([np.ones_like(range_), range_ * np.cos(sightings.elevation), range_], axis=1)
+
+
+def _guesses(hypotheses: Sequence[Hypothesis], size: int, near: Sightings | None) -> Floats:
+    """Where the parameters of the shifts begin (q,)."""
+    shifts = [h.change for h in hypotheses if isinstance(h.change, Shift)]
+    values = [s.guess if near is not None and s.guess else (0.0,) * len(s.effect.parameters) for s in shifts]
+    whole = np.zeros(size)
+    flat = [v for value in values for v in value]
+    whole[: len(flat)] = flat
+    return whole
+
+
+def _unshifted(recording: Recording, hypotheses: Sequence[Hypothesis], near: Sightings) -> Recording:
+    """The recording less the shifts of the hypotheses, as large as they are guessed."""
+    readings = recording.readings.copy()
+    for h in hypotheses:
+        if isinstance(h.change, Shift) and h.change.guess:
+            readings -= h.change.effect.shift(near, np.array(h.change.guess))
+    return recording.with_readings(readings)
+
+
+def changed_recording(recording: Recording, hypotheses: Sequence[Hypothesis]) -> Recording:
+    """The recording with corrected rows and without the reference values that are not believed."""
+    readings, target, face = recording.readings.copy(), recording.target.copy(), recording.face.copy()
+    for h in hypotheses:
+        if isinstance(h.change, Correction):
+            rows = h.change.rows
+            readings[rows], target[rows], face[rows] = h.change.readings, h.change.target, h.change.face
+    recording = recording.replace(readings=readings, target=target, face=face)
+    for h in hypotheses:
+        if isinstance(h.change, Omission):
+            recording = without(recording, h.change.value)
+    return recording

@@ -1,0 +1,234 @@
+"""The library of simple causes: what may be wrong at a station, a target, a reference value, in the noise.
+
+A family is one kind of shift at every station or target, from the beginning or from any moment on. Its signatures are
+made from one array, so that a network of thousands of places is screened at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from ltsim.adjustment.gross import mend_faces, mend_stations, mistakes
+from ltsim.adjustment.identification.fit import Fit
+from ltsim.adjustment.identification.hypothesis import Correction, Hypothesis, Kind, NoiseFactor, Omission, Shift
+from ltsim.adjustment.identification.prior import log_prior_of
+from ltsim.adjustment.identification.signatures import ReadingShift
+from ltsim.adjustment.moving import EvenMotion
+from ltsim.adjustment.stated import KnownInRows, known_values
+from ltsim.core.arrays import Bools, Floats, Ints
+from ltsim.physics.effects.motions import station_design
+from ltsim.physics.effects.signature import Signature
+from ltsim.physics.effects.smr_offset import SmrOffset
+from ltsim.physics.effects.station_bump import StationBump
+from ltsim.physics.effects.target_moved import TargetMoved
+from ltsim.recordings.recording import OBSERVABLES, Recording
+from ltsim.scene.sightings import Sightings
+
+LEAST_REPEATED = 4
+"""Pointings to a target from which it may have noise of its own: of two or three one that is wrong says as much."""
+LEAST_SEEN = 3
+"""Pointings before and after the moment at which a station moves: with fewer a single reading explains as much."""
+MOST_MOMENTS = 60
+"""Moments of one station or target at which a change is tried; spread evenly over its pointings."""
+Place = Literal["station", "target"]
+
+
+@dataclass(frozen=True)
+class Family:
+    """One kind of shift at every station or target.
+
+    Attributes
+    ----------
+    kind : Kind
+    acts_on : str
+    place : {`station`, `target`}
+    design : (n, 3, p) float
+        Change of the readings per unit of each parameter, if it acted everywhere.
+    onset : int
+        Pointings of the place that must lie before and after the moment when it begins; 0 for a shift from the
+        beginning.
+    """
+
+    kind: Kind
+    acts_on: str
+    place: Place
+    design: Floats
+    onset: int = 0
+
+    def moments(self, sightings: Sightings, rows: Ints) -> list[float]:
+        """Times [s] at which a change is tried at the place with these rows, in the order of the work."""
+        if not self.onset:
+            return [-np.inf]
+        times = sightings.time[rows]
+        middle, gap = 0.5 * (times[1:] + times[:-1]), np.diff(times)
+        inner = slice(self.onset - 1, max(len(middle) - self.onset + 1, self.onset - 1))
+        chosen = np.flatnonzero(gap[inner] > 0.0) + self.onset - 1
+        if self.place == "target":  # what moves between two pointings of one station is as well told of its set-up
+            moved = np.diff(sightings.station[rows])[chosen] != 0
+            chosen = chosen[moved] if moved.any() else chosen
+        if len(chosen) > MOST_MOMENTS:
+            chosen = chosen[np.linspace(0, len(chosen) - 1, MOST_MOMENTS).round().astype(int)]
+        return middle[chosen].tolist()
+
+    def effect(self, name: str, since: float) -> Signature:
+        """The signature at a station or target, from a time [s] on."""
+        names = (name,)
+        stations, targets = (names, ()) if self.place == "station" else ((), names)
+        if self.kind == "station-bump":
+            return StationBump(stations, targets, time=since)
+        if self.kind == "station-drift":
+            return EvenMotion(stations, targets)
+        if self.kind == "target-moved":
+            return TargetMoved(stations, targets, time=since)
+        if self.kind == "reflector-radius":
+            return SmrOffset(stations, targets)
+        return ReadingShift(self.acts_on, self.kind == "scale-error", stations, targets, since)
+
+
+def families(sightings: Sightings) -> Iterator[Family]:
+    """The families that a recording offers."""
+    stations = len(sightings.station_names) > 1
+    distance, azimuth, elevation = (
+        ReadingShift(observable).design(sightings) for observable in ("distance", "azimuth", "elevation")
+    )
+    if stations:
+        yield Family("constant-offset", "distance", "station", distance)
+        yield Family("constant-offset", "elevation", "station", elevation)
+        yield Family("scale-error", "distance", "station", distance * sightings.range_[:, None, None])
+        yield Family("constant-offset", "distance", "target", distance)
+        yield Family("target-moved", "position", "target", sightings.by_target, onset=1)
+        if np.isfinite(sightings.nest_normal).all(axis=1).any():
+            yield Family("reflector-radius", "position", "station", SmrOffset().design(sightings))
+    motion = station_design(sightings)
+    yield Family("orientation", "azimuth", "station", azimuth, onset=LEAST_SEEN)
+    yield Family("station-bump", "position", "station", motion, onset=LEAST_SEEN)
+    yield Family("station-drift", "position", "station", EvenMotion().design(sightings))
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A shift of a family at a place, from a time on."""
+
+    family: Family
+    name: str
+    since: float
+    rows: Ints
+    """Pointings on which it acts."""
+    before: Ints
+    """Pointings of the place before it."""
+    places: int
+    """How many of the kind there are."""
+
+    def hypothesis(self, guess: Floats) -> Hypothesis:
+        """The hypothesis, whose estimate begins at a guess (p,)."""
+        effect = self.family.effect(self.name, self.since)
+        kind, acts_on = self.family.kind, self.family.acts_on
+        change = Shift(effect, tuple(guess.tolist()))
+        return Hypothesis(kind, acts_on, effect.stations, effect.targets, self.log_prior, change)
+
+    @property
+    def log_prior(self) -> float:
+        """Log prior odds."""
+        return log_prior_of(self.family.kind, self.places)
+
+
+def candidates(sightings: Sightings) -> list[Candidate]:
+    """Every shift of every family."""
+    found: list[tuple[Family, str, float, Ints, Ints]] = []
+    for family in families(sightings):
+        station = family.place == "station"
+        index = sightings.station if station else sightings.target
+        names = sightings.station_names if station else sightings.target_names
+        order = sightings.order[np.argsort(index[sightings.order], kind="stable")]
+        edges = np.searchsorted(index[order], np.arange(len(names) + 1))
+        for i, name in enumerate(names):
+            rows = order[edges[i] : edges[i + 1]]
+            for since in family.moments(sightings, rows) if len(rows) else ():
+                late = sightings.time[rows] >= since
+                found.append((family, name, since, rows[late], rows[~late]))
+    count: dict[Kind, int] = {}
+    for family, *_ in found:
+        count[family.kind] = count.get(family.kind, 0) + 1
+    return [Candidate(*one, count[one[0].kind]) for one in found]
+
+
+def omissions(fit: Fit) -> list[Hypothesis]:
+    """Reference values that may be wrong."""
+    return omissions_of(fit.recording, list(known_values(fit.problem, fit.state)))
+
+
+def omissions_of(recording: Recording, values: Sequence[KnownInRows]) -> list[Hypothesis]:
+    """Hypotheses that each of some reference values is wrong."""
+    found = []
+    for v in values:
+        ends = (v.name, *v.name.partition("#")[0].split("-")) if v.kind in ("length", "difference") else (v.name,)
+        targets = (
+            tuple(name for name in recording.targets if name in ends) if v.kind not in ("level", "yaw", "mark") else ()
+        )
+        stations = tuple(name for name in recording.stations if name in ends) if not targets else ()
+        prior = log_prior_of("reference-value", len(values))
+        found.append(Hypothesis("reference-value", v.kind, stations, targets, prior, Omission(v), v.name))
+    return found
+
+
+MISTAKES: dict[str, Kind] = {
+    "target-swap": "names",
+    "wrong-unit": "unit",
+    "face-confusion": "unit",
+    "outlier": "height",
+}
+
+
+def corrections(fit: Fit) -> list[Hypothesis]:
+    """Rows that were written down wrongly, by where outliers would land."""
+    places, found = len(fit.recording.stations) * len(fit.recording.targets), []
+    for mistake, readings, target in mistakes(fit.adjustment):
+        kind = MISTAKES[mistake.effect]
+        change = Correction(mistake.rows, readings, target, fit.recording.face[mistake.rows])
+        rows = tuple((mistake.rows + 1).tolist())
+        prior = log_prior_of(kind, places)
+        found.append(
+            Hypothesis(kind, "position", mistake.stations, mistake.targets, prior, change, mistake.sentence, rows)
+        )
+    return found
+
+
+def conventions(recording: Recording) -> list[Hypothesis]:
+    """Set-ups that were recorded in another unit, sense or face: by the shape of what they saw, without a network."""
+    converted, slips = mend_stations(recording)
+    faced, faces = mend_faces(converted)
+    found = []
+    for mistake in (*slips, *faces) if len(recording.stations) > 2 or faces else ():
+        rows = mistake.rows
+        change = Correction(rows, converted.readings[rows], recording.target[rows], faced.face[rows])
+        prior = log_prior_of("unit", len(recording.stations))
+        found.append(Hypothesis("unit", "position", mistake.stations, (), prior, change, mistake.sentence))
+    return found
+
+
+def noises(fit: Fit) -> Iterator[tuple[Hypothesis, Bools]]:
+    """Noise other than declared, of all readings, an observable, a target, a station; and the readings (n, 3)."""
+    recording = fit.recording
+    every = np.ones((len(recording), 3), dtype=bool)
+    several = len(recording.stations) > 1
+    places = len(OBSERVABLES) + len(recording.targets) + several * len(recording.stations)
+
+    def noise(acts_on: str, stations: tuple[str, ...], targets: tuple[str, ...], among: int, rows: Bools) -> Hypothesis:
+        prior = log_prior_of("noise-level", among)
+        return Hypothesis("noise-level", acts_on, stations, targets, prior, NoiseFactor(rows))
+
+    yield noise("noise", (), (), 1, every), every
+    for k, observable in enumerate(OBSERVABLES):
+        column = every & (np.arange(3) == k)
+        yield noise(observable, (), (), places, column), column
+    for t, name in enumerate(recording.targets):
+        rows = every & (recording.target == t)[:, None]
+        if rows[:, 0].sum() >= LEAST_REPEATED:
+            yield noise("noise", (), (name,), places, rows), rows
+    for s, name in enumerate(recording.stations) if several else ():
+        rows = every & (recording.station == s)[:, None]
+        yield noise("noise", (name,), (), places, rows), rows

@@ -1,0 +1,291 @@
+"""Quick looks at every hypothesis beside a fit: how much log evidence each seems to gain.
+
+Two looks, of which the better counts. By the residual space of a fit a small cause is seen exactly, smeared or not. By
+the residuals of single pointings, the network taken as it is, a cause that is so large that its readings were left out
+as outliers is seen, whatever its size. Both only rank: what is reported comes from a fit with the hypothesis in it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ltsim.adjustment.adjustment import Adjustment
+from ltsim.adjustment.identification.evidence import occam, occam_of_variance, variance_factor
+from ltsim.adjustment.identification.fit import Fit
+from ltsim.adjustment.identification.hypothesis import Hypothesis, NoiseFactor, Shift
+from ltsim.adjustment.identification.library import Candidate, candidates, corrections, noises, omissions
+from ltsim.adjustment.identification.prior import log_prior_of
+from ltsim.adjustment.known import KnownTest, known_tests, loosened
+from ltsim.adjustment.residual_space import VISIBLE, ResidualSpace
+from ltsim.core.arrays import Bools, Floats, Ints
+from ltsim.physics.effects.gauge_scale import GaugeScale
+from ltsim.solve.gauss_newton import solve
+
+AT_ONCE = 4_000_000
+"""Numbers of signatures that are projected at once."""
+EXACT = 3_000_000
+"""Numbers of all signatures that are projected off the network exactly; of more the best by their own rows alone."""
+MANY, HALF, PLACES = 6, 0.4, 5
+"""Outliers, and the share of gross ones among a place's pointings, from which its distances are put aside; places."""
+SEVERAL = 2
+"""Reference lengths from which they share a scale."""
+STEPS = 6
+"""Reweightings of a shift that is estimated from the residuals of its own rows."""
+
+
+def looks(fit: Fit) -> list[tuple[float, Hypothesis]]:
+    """Hypotheses with the log evidence that each seems to gain, the most first."""
+    every = candidates(fit.adjustment.sightings)
+    gains = np.full(len(every), -np.inf)
+    plain = _plain(fit)
+    spaces = [(ResidualSpace.of(fit.adjustment), 0.0)]
+    if plain is not None:
+        spaces.append((ResidualSpace.of(plain[0]), plain[1]))
+    for space, behind in spaces:
+        gains = np.maximum(gains, _exact(space, every) + behind)
+    guesses = [np.zeros(c.family.design.shape[2]) for c in every]
+    if fit.outliers.any():
+        local, guesses = _local(fit, every)
+        gains = np.maximum(gains, local)
+    found = [(float(gains[i]), i) for i in np.argsort(-gains).tolist() if gains[i] > 0.0]
+    made = [(gain, every[i].hypothesis(guesses[i])) for gain, i in _one_a_place(found, every)]
+    for space, behind in spaces:
+        made += [(gain + behind, h) for gain, h in _references(fit, space.adjustment)]
+        made += [(gain + behind, h) for gain, h in _scale_of_lengths(fit, space)]
+    if fit.outliers.any():
+        made += [(_paid(fit, np.array(h.rows) - 1) + h.log_prior, h) for h in corrections(fit)]
+        made += [(_paid(fit, _rows_of(fit, h)) + h.log_prior, h) for h in omissions(fit) if h.targets]
+    made += _noises(fit)
+    if fit.outliers.sum() > MANY:
+        made += _distances_aside(fit, every)
+    made.sort(key=lambda one: -one[0])
+    return made
+
+
+def _plain(fit: Fit) -> tuple[Adjustment, float] | None:
+    """The least-squares fit of all readings, and how much log evidence it is behind; None where it is the same."""
+    if not fit.outliers.any():
+        return None
+    solution = solve(fit.whole, fit.state)
+    if solution.factor is None or not solution.converged:
+        return None
+    behind = -0.5 * (solution.cost - fit.solution.cost) - fit.outlier_terms
+    return replace(fit.adjustment, problem=fit.whole, solution=solution), min(behind, 0.0)
+
+
+def _one_a_place(found: Sequence[tuple[float, int]], every: Sequence[Candidate]) -> list[tuple[float, int]]:
+    """The best moment of each kind at each place."""
+    seen, best = set[tuple[str, str, str]](), []
+    for gain, i in found:
+        candidate = every[i]
+        key = candidate.family.kind, candidate.family.acts_on, candidate.name
+        if key not in seen:
+            seen.add(key)
+            best.append((gain, i))
+    return best
+
+
+def _exact(space: ResidualSpace, every: Sequence[Candidate]) -> Floats:
+    """Log evidence (h,) of candidates in a residual space."""
+    gains = np.full(len(every), -np.inf)
+    chosen = np.arange(len(every))
+    sizes = np.array([space.size * c.family.design.shape[2] for c in every], dtype=np.int64)
+    if sizes.sum() > EXACT:
+        chosen = np.argsort(-_rough(space, every))
+        chosen = chosen[np.cumsum(sizes[chosen]) <= EXACT]
+    by_rank: dict[int, list[int]] = {}
+    for i in chosen.tolist():
+        by_rank.setdefault(every[i].family.design.shape[2], []).append(i)
+    for rank, group in by_rank.items():
+        step = max(1, AT_ONCE // (space.size * rank))
+        for some in (group[k : k + step] for k in range(0, len(group), step)):
+            rows = np.hstack([_signature(space, every[i]) for i in some])
+            left = space.project(rows).reshape(space.size, len(some), rank)
+            size = np.linalg.norm(rows, axis=0).reshape(len(some), rank)
+            unit = left / np.where(size > 0, size, 1.0)
+            gram = np.einsum("mhi,mhj->hij", unit, unit)
+            score = np.einsum("mhi,m->hi", unit, space.residual)
+            strength, turn = np.linalg.eigh(gram)
+            along = np.einsum("hij,hi->hj", turn, score)
+            seen = strength > VISIBLE
+            drop = np.sum(np.where(seen, along**2 / np.where(seen, strength, 1.0), 0.0), axis=1)
+            shown = seen.sum(axis=1)
+            value = np.array([_evidence(d, r) for d, r in zip(drop.tolist(), shown.tolist(), strict=True)])
+            gains[some] = value + [every[i].log_prior for i in some]
+    return gains
+
+
+def _evidence(drop: float, rank: int) -> float:
+    return 0.5 * drop + float(occam(np.sqrt(drop), rank)) if rank else -np.inf
+
+
+def _signature(space: ResidualSpace, candidate: Candidate) -> Floats:
+    design = np.zeros_like(candidate.family.design)
+    design[candidate.rows] = candidate.family.design[candidate.rows]
+    return space.whiten(design)
+
+
+def _rough(space: ResidualSpace, every: Sequence[Candidate]) -> Floats:
+    """Log evidence (h,) of candidates by their own rows alone, each error shown by its redundancy."""
+    use, count = space.use, int(space.use.sum())
+    residual, share = np.zeros(use.shape), np.zeros(use.shape)
+    residual[use], share[use] = space.residual[:count], np.maximum(space.redundancy[:count], 1e-3)
+    found = np.empty(len(every))
+    weighted = {id(c.family): np.where(use[:, :, None], c.family.design / space.sigma[:, :, None], 0.0) for c in every}
+    for i, c in enumerate(every):
+        g, r, q = weighted[id(c.family)][c.rows], residual[c.rows], share[c.rows]
+        gram = np.einsum("nki,nk,nkj->ij", g, q, g)
+        score = np.einsum("nki,nk->i", g, r)
+        scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+        strength, turn = np.linalg.eigh(gram / np.outer(scale, scale))
+        seen = strength > 1e-3
+        along = turn[:, seen].T @ (score / scale)
+        found[i] = _evidence(float(np.sum(along**2 / strength[seen])), int(seen.sum())) + c.log_prior
+    return found
+
+
+def _local(fit: Fit, every: Sequence[Candidate]) -> tuple[Floats, list[Floats]]:
+    """Log evidence (h,) that shifts save by readings that they make no outliers of; the network taken as it is.
+
+    And a guess of each shift. Where a change begins in mid-work, the network may have followed what came after it:
+    then its negative shows before.
+    """
+    gains = np.full(len(every), -np.inf)
+    guesses = [np.zeros(c.family.design.shape[2]) for c in every]
+    price = -log_prior_of("outlier", int(fit.whole.use.sum())) - float(occam(10.0, 1))
+    weighted = {
+        id(c.family): np.where(fit.whole.use[:, :, None], c.family.design / fit.problem.sigma[:, :, None], 0.0)
+        for c in every
+    }
+    gross = np.asarray(fit.outliers.any(axis=1))
+    for i, c in enumerate(every):
+        rank = c.family.design.shape[2]
+        for sign, rows in ((1.0, c.rows), (-1.0, c.before)):
+            out = int(gross[rows].sum())
+            if 4 * out < len(rows) or 3 * out < rank or not out:
+                continue
+            g, r = weighted[id(c.family)][rows].reshape(-1, rank), fit.whitened[rows].ravel()
+            acts = g.any(axis=1)
+            saved, guess = _saved(g[acts], r[acts], fit.outliers[rows].ravel()[acts], price)
+            gain = saved + float(occam(10.0, rank)) + c.log_prior
+            if gain > gains[i]:
+                gains[i], guesses[i] = gain, sign * guess
+    return gains, guesses
+
+
+def _saved(g: Floats, r: Floats, out: Bools, price: float) -> tuple[float, Floats]:
+    """Fall of the negative log likelihood in which no reading costs more than an outlier's price, and the shift."""
+    before = np.minimum(0.5 * r**2, price).sum()
+    size = np.linalg.norm(g, axis=0)
+    found = np.zeros(g.shape[1])
+    unit = g[:, size > 0] / size[size > 0]
+    if not unit.shape[1] or not out.any():
+        return -np.inf, found
+    if unit.shape[1] == 1:
+        ratio = r[out] / np.where(unit[out, 0] != 0.0, unit[out, 0], 1.0)
+        a = np.array([np.median(ratio)])
+    else:
+        a = np.linalg.lstsq(unit[out], r[out], rcond=1e-10)[0]
+        for _ in range(STEPS):
+            e = np.abs(r - unit @ a)
+            w = 1.0 / np.sqrt(np.maximum(e / max(1.5 * float(np.median(e)), 1.0), 1.0))
+            a = np.linalg.lstsq(unit * w[:, None], r * w, rcond=1e-10)[0]
+    for _ in range(2):
+        fits = 0.5 * (r - unit @ a) ** 2 < price
+        if fits.sum() <= unit.shape[1]:
+            break
+        a = np.linalg.lstsq(unit[fits], r[fits], rcond=1e-10)[0]
+    found[size > 0] = a / size[size > 0]
+    return float(before - np.minimum(0.5 * (r - unit @ a) ** 2, price).sum()), found
+
+
+def _distances_aside(fit: Fit, every: Sequence[Candidate]) -> list[tuple[float, Hypothesis]]:
+    """Offsets and scale errors of the distances at the places with most outliers, by a network without these distances.
+
+    Distances that are wrong by far displace the target or the station itself, and its angles look as wrong as they.
+    """
+    gross = np.asarray((fit.outliers & fit.is_gross).any(axis=1))
+    tried = [c for c in every if c.family.acts_on == "distance" and np.isneginf(c.since)]
+    share = {id(c): float(gross[c.rows].mean()) for c in tried}
+    price = -log_prior_of("outlier", int(fit.whole.use.sum())) - float(occam(10.0, 1))
+    found, fits = list[tuple[float, Hypothesis]](), dict[str, Fit | None]()
+    for c in sorted(tried, key=lambda c: -share[id(c)]):
+        if c.name not in fits:
+            if len(fits) == PLACES or not share[id(c)] > HALF:
+                continue
+            fits[c.name] = fit.without_distances(c.rows)
+        aside = fits[c.name]
+        if aside is None:
+            continue
+        use = c.rows[fit.whole.use[c.rows, 0]]
+        g = c.family.design[use, 0, 0] / fit.problem.sigma[use, 0]
+        r = aside.residuals_of(fit.recording)[use, 0] / fit.problem.sigma[use, 0]
+        acts = g != 0.0
+        if not acts.any():
+            continue
+        guess = float(np.median(r[acts] / g[acts]))
+        rest = float(np.minimum(0.5 * (r - g * guess) ** 2, price).sum())
+        gain = aside.log_evidence - rest - fit.log_evidence + float(occam(10.0, 1)) + c.log_prior
+        found.append((gain, c.hypothesis(np.array([guess]))))
+    return found
+
+
+def _paid(fit: Fit, rows: Ints) -> float:
+    """Log evidence that the outliers among some rows cost."""
+    out = fit.outliers[rows]
+    w = np.abs(fit.whitened[rows][out])
+    return -float(np.sum(occam(w, 1))) - len(w) * log_prior_of("outlier", int(fit.whole.use.sum()))
+
+
+def _rows_of(fit: Fit, hypothesis: Hypothesis) -> Ints:
+    """Rows to the targets of a hypothesis."""
+    at = [fit.recording.targets.index(name) for name in hypothesis.targets]
+    return np.flatnonzero(np.isin(fit.recording.target, at))
+
+
+def _references(fit: Fit, adjustment: Adjustment) -> list[tuple[float, Hypothesis]]:
+    problem = loosened(adjustment.problem, adjustment.state)
+    solution = adjustment.solution if problem is adjustment.problem else solve(problem, adjustment.state)
+    tests: dict[tuple[str, str], KnownTest] = {}
+    if solution.factor is not None:
+        tests = {(t.kind, t.name): t for t in known_tests(problem, solution)}
+    found = []
+    for h in omissions(fit):
+        test = tests.get((h.acts_on, h.name))
+        if test is not None and test.rank:
+            found.append((_evidence(test.drop, test.rank) + h.log_prior, h))
+    return found
+
+
+def _scale_of_lengths(fit: Fit, space: ResidualSpace) -> list[tuple[float, Hypothesis]]:
+    """The scale that all reference lengths share: their temperature, or that of the distances beside them."""
+    scale = GaugeScale()
+    if any(h.kind == "reference-scale" for h in fit.hypotheses) or len(fit.problem.gauge) < SEVERAL:
+        return []
+    drop, rank = space.explained(space.signature(scale))
+    prior = log_prior_of("reference-scale", 1)
+    found = Hypothesis("reference-scale", "length", (), (), prior, Shift(scale))
+    return [(_evidence(drop, rank) + prior, found)] if rank else []
+
+
+def _noises(fit: Fit) -> list[tuple[float, Hypothesis]]:
+    """Changes of the noise; readings that are outliers by the declared noise may be none by another."""
+    return [_noise(fit, h, readings) for h, readings in noises(fit)]
+
+
+def _noise(fit: Fit, hypothesis: Hypothesis, readings: Bools) -> tuple[float, Hypothesis]:
+    """A change of the noise with its log evidence and a guess, where the best number of outliers stays out."""
+    within, out = readings & fit.problem.use, readings & fit.outliers
+    sizes = np.sort(np.abs(fit.whitened[out]))  # as many of the smaller ones as is best are outliers no more
+    squares = np.sum(fit.whitened[within] ** 2) + np.append(0.0, np.cumsum(sizes**2))
+    redundancy = np.nansum(fit.redundancy[within]) + np.arange(len(sizes) + 1)
+    factor, gain = variance_factor(squares, redundancy)
+    # `variance_factor` compares with all of them within the declared noise; but outliers have paid another price
+    price = -occam(sizes, 1) - log_prior_of("outlier", int(fit.whole.use.sum()))
+    gain = gain + np.append(0.0, np.cumsum(price - 0.5 * sizes**2)) + occam_of_variance(redundancy)
+    best = int(np.argmax(gain))
+    change = NoiseFactor(readings, float(factor[best]))
+    return float(gain[best]) + hypothesis.log_prior, replace(hypothesis, change=change)

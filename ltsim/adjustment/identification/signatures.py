@@ -1,0 +1,60 @@
+"""Signatures of simple causes: an offset or a scale error of one observable, at a station or target, from a time on."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ltsim.core.arrays import Floats
+from ltsim.core.units import MICROMETRE, MICRORADIAN, PPM
+from ltsim.physics.effects.signature import Parameter, Signature, on_readings
+from ltsim.scene.sightings import Sightings
+
+
+@dataclass(frozen=True)
+class ReadingShift(Signature):
+    """Offset, or scale error, of the readings of one observable.
+
+    Attributes
+    ----------
+    observable : {`distance`, `azimuth`, `elevation`}
+    proportional : bool
+        Whether it grows with the range (a scale error).
+    stations, targets : tuple of str
+        Where it acts; empty for all.
+    since : float
+        First time [s] at which it acts.
+    coarse : float
+        Times its usual size that is plausible.
+    """
+
+    observable: str
+    proportional: bool = False
+    stations: tuple[str, ...] = ()
+    targets: tuple[str, ...] = ()
+    since: float = -np.inf
+    coarse: float = 1.0
+
+    @property
+    def name(self) -> str:
+        """`scale-error` or `constant-offset`."""
+        return "scale-error" if self.proportional else "constant-offset"
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The change of a reading, or of its share of the range."""
+        if self.proportional:
+            return (Parameter("scale-error", "ppm", "scale error of the readings", PPM),)
+        if self.observable == "distance":
+            return (Parameter("offset", "um", "offset of the readings", 10 * MICROMETRE),)
+        return (Parameter("offset", "urad", "offset of the readings", 10 * MICRORADIAN),)
+
+    @property
+    def spread(self) -> Floats:
+        """Plausible size (1,) of the parameter [SI]."""
+        return self.coarse * super().spread
+
+    def design(self, sightings: Sightings) -> Floats:
+        """Change (n, 3, 1) of the raw readings per unit of the parameter."""
+        acts = self.mask(sightings) * (sightings.time >= self.since)
+        size = acts * sightings.range_ if self.proportional else acts
+        return on_readings(sightings, **{self.observable: -size[:, None]})

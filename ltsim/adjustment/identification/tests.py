@@ -1,0 +1,288 @@
+"""The table of tests that every result has: each hypothesis that was accepted, each outlier, with size and evidence."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from scipy import special
+
+from ltsim.adjustment.identification.fit import Fit
+from ltsim.adjustment.identification.hypothesis import Correction, Hypothesis, NoiseFactor, Omission, Shift
+from ltsim.adjustment.identification.selection import Choice, Selection
+from ltsim.adjustment.identification.signatures import ReadingShift
+from ltsim.core.arrays import Floats
+from ltsim.core.notation import with_sigma
+from ltsim.core.units import ARCSECOND, MICRORADIAN, MILLIMETRE, PPM
+from ltsim.physics.effects.target_moved import TargetMoved
+from ltsim.recordings.recording import OBSERVABLES
+from ltsim.recordings.result_file import Entry, Finite, Known
+
+
+class Place(Entry):
+    """What a test is confined to; empty for everything."""
+
+    stations: tuple[str, ...] = ()
+    """Stations."""
+    targets: tuple[str, ...] = ()
+    """Targets."""
+
+
+class Alternative(Entry):
+    """Another hypothesis that was fitted in the place of an accepted one."""
+
+    kind: str
+    """What it is."""
+    where: Place
+    """Its place."""
+    probability: Finite
+    """Posterior probability."""
+
+
+class Test(Entry):
+    """One hypothesis, tested in the network with all that was accepted."""
+
+    kind: str
+    """`outlier`, `constant-offset`, `scale-error`, `target-moved`, `station-bump`, `reference-value` and so on."""
+    acts_on: str
+    """Observable, `position`, a kind of reference value, or `noise`."""
+    where: Place
+    """Its place."""
+    statistic: Finite
+    """Fall of chi-square; twice the log likelihood ratio for noise and mistakes."""
+    dof: int
+    """Components that are tested."""
+    p_value: Known = None
+    """Chance of as large a statistic without it, one test alone."""
+    estimate: Known = None
+    """Size."""
+    sigma: Known = None
+    """Its standard deviation."""
+    unit: str = ""
+    """Of both."""
+    rows: tuple[int, ...] = ()
+    """Rows of the recording, from 1, where they are few."""
+    probability: Known = None
+    """Posterior probability among the alternatives."""
+    alternatives: tuple[Alternative, ...] = ()
+    """What was fitted in its place, with a probability above 1 %."""
+    accepted: bool = True
+    """Whether the result has it in its model."""
+    sentence: str = ""
+    """For a person."""
+
+
+MOST_OUTLIERS = 20
+"""Outliers that have a test of their own; of more the largest."""
+NOT_EXCLUDED = 0.01
+"""Probability from which an alternative is listed."""
+USUAL_SIZES = {
+    12.7e-3: "a 0.5 inch SMR in place of a 1.5 inch one",
+    7.94e-3: "a 7/8 inch SMR in place of a 1.5 inch one",
+    4.76e-3: "a 0.5 inch SMR in place of a 7/8 inch one",
+    17.5e-3: "the constant of a mini prism",
+    34.4e-3: "the constant of a round prism",
+}
+"""[m] Sizes of an offset that have a usual cause: differences of the radii of SMRs, constants of prisms."""
+NEAR = 60e-6
+"""[m] How near such a size an offset must be, where its own uncertainty is less."""
+
+
+def outcomes(selection: Selection) -> tuple[Test, ...]:
+    """The tests of a selection: accepted hypotheses, the surest first, then outliers."""
+    fit = selection.fit
+    return (*(_accepted(fit, choice) for choice in selection.choices), *_outliers(fit))
+
+
+def _accepted(fit: Fit, choice: Choice) -> Test:
+    h = choice.hypothesis
+    told: dict[str, Any] = {}
+    drop, rank = max(2.0 * min(choice.gain, 1e300), 0.0), 1
+    if isinstance(h.change, Shift):
+        values, covariance = fit.estimate(h)
+        rank = len(values)
+        drop = float(values @ np.linalg.pinv(covariance) @ values)
+        told = _size(h, values, covariance)
+    elif isinstance(h.change, Omission):
+        rank = len(h.change.value.sigma)
+        size, unit, factor = _missed(fit, h)
+        told = {"estimate": size / factor, "unit": unit}
+    elif isinstance(h.change, NoiseFactor):
+        told = {"estimate": noise_factor(fit, h)}
+    p = float(special.chdtrc(rank, drop)) if isinstance(h.change, Shift | Omission) else None
+    others = [(other, gain) for other, gain in choice.alternatives]
+    gains = np.array([choice.gain, *(g for _, g in others), 0.0])
+    share = np.exp(np.minimum(gains, 1e300) - np.logaddexp.reduce(np.minimum(gains, 1e300)))
+    alternatives = tuple(
+        Alternative(kind=other.kind, where=Place(stations=other.stations, targets=other.targets), probability=float(s))
+        for (other, _), s in zip(others, share[1:-1].tolist(), strict=True)
+        if s > NOT_EXCLUDED
+    )
+    return Test(
+        kind=h.kind,
+        acts_on=h.acts_on,
+        where=Place(stations=h.stations, targets=h.targets),
+        statistic=drop,
+        dof=rank,
+        p_value=p,
+        rows=h.rows if len(h.rows) <= MOST_OUTLIERS else (),
+        probability=float(share[0]),
+        alternatives=alternatives,
+        sentence=sentence_of(fit, h),
+        **told,
+    )
+
+
+def noise_factor(fit: Fit, hypothesis: Hypothesis) -> float:
+    """Factor on the declared standard deviations of an accepted change of the noise."""
+    assert isinstance(hypothesis.change, NoiseFactor)
+    chosen = hypothesis.change.readings & fit.problem.use
+    return float(np.median(fit.problem.sigma[chosen] / fit.network.recording.sigma()[chosen]))
+
+
+def _size(h: Hypothesis, values: Floats, covariance: Floats) -> dict[str, Any]:
+    """Size, standard deviation and unit: of a vector its length."""
+    assert isinstance(h.change, Shift)
+    unit, factor = ("mm", MILLIMETRE)
+    if isinstance(h.change.effect, ReadingShift):
+        unit, factor = ("ppm", PPM) if h.kind == "scale-error" else (unit, factor)
+        unit, factor = ("arcsec", ARCSECOND) if h.acts_on in ("azimuth", "elevation") else (unit, factor)
+    if h.kind == "reference-scale":
+        unit, factor = "ppm", PPM
+    part, spread = values[:3], covariance[:3, :3]
+    size = float(part[0]) if len(part) == 1 else float(np.linalg.norm(part))
+    sigma = float(np.sqrt(max(float(part @ spread @ part), 0.0))) / max(abs(size), 1e-300)
+    return {"estimate": size / factor, "sigma": sigma / factor, "unit": unit}
+
+
+def _missed(fit: Fit, h: Hypothesis) -> tuple[float, str, float]:
+    """By how much an omitted reference value misses the network [SI], and its unit."""
+    assert isinstance(h.change, Omission)
+    size = float(np.linalg.norm(fit.gap_of(h.change.value)))
+    angular = h.change.value.kind in ("level", "yaw")
+    return size, *(
+        ("arcsec", ARCSECOND) if angular else ("ppm", PPM) if h.change.value.kind == "scale" else ("mm", MILLIMETRE)
+    )
+
+
+REFERENCE_UNITS = {"level": ("arcsec", ARCSECOND), "yaw": ("arcsec", ARCSECOND), "scale": ("ppm", PPM)}
+"""Units of reference values that are no lengths."""
+REFERENCES = {
+    "point": "The reference coordinates of",
+    "difference": "The reference difference",
+    "length": "The reference length",
+    "level": "The level of",
+    "yaw": "The azimuth zero of",
+    "mark": "The set-up of",
+    "scale": "The scale of",
+}
+
+
+def sentence_of(fit: Fit, h: Hypothesis) -> str:
+    """A hypothesis that was accepted, in a sentence with its usual causes."""
+    at = ", ".join((*h.stations, *h.targets))
+    if isinstance(h.change, Correction):
+        return h.name
+    if isinstance(h.change, NoiseFactor):
+        factor = noise_factor(fit, h)
+        what = "The readings" if h.acts_on == "noise" else f"The readings of the {h.acts_on}"
+        of = f" {'from' if h.stations else 'to'} {at}" if at else ""
+        cure = "state the noise as it is in the set-up" if not at else "measure again, or state it so in the set-up"
+        return f"{what}{of} scatter {factor:.2g} times as much as stated (sigma); {cure}."
+    if isinstance(h.change, Omission):
+        miss, unit, factor = _missed(fit, h)
+        plural = h.change.value.kind == "point"
+        verb, them = ("are", "them") if plural else ("is", "it")
+        return f"{REFERENCES[h.change.value.kind]} {h.name} {verb} off by {_plain(miss / factor)} {unit}: check {them}."
+    values, covariance = fit.estimate(h)
+    told = _size(h, values, covariance)
+    size = f"{with_sigma(abs(told['estimate']), told['sigma'], told['unit'])}"
+    more = "long" if told["estimate"] > 0 else "short"
+    effect = h.change.effect
+    if h.kind == "constant-offset" and h.acts_on == "distance":
+        cause = usual_size(float(values[0]), float(np.sqrt(covariance[0, 0])))
+        cause = cause or ("another SMR or prism" if h.targets else "another SMR, or a wrong distance constant")
+        return f"The distances {'to' if h.targets else 'from'} {at} are {size} too {more}: {cause}."
+    if h.kind == "constant-offset":
+        return f"The elevations from {at} are off by {size}: another vertical index at this set-up."
+    if h.kind == "scale-error":
+        return f"The distances from {at} are {size} too {more}: a wrong atmospheric correction or unit at this set-up."
+    if h.kind == "reference-scale":
+        causes = "a temperature, an expansion or the scale of the distances is not as stated"
+        return f"The reference lengths and the distances differ in scale by {size}: {causes}."
+    if h.kind == "reflector-radius":
+        cause = usual_size(float(values[0]), float(np.sqrt(covariance[0, 0]))) or "another SMR radius"
+        return f"At {at} the centres of the SMRs are displaced along the normals of their nests by {size}: {cause}."
+    if h.kind == "station-drift":
+        return f"Station {at} moved evenly while it measured, by {size} in all."
+    between = _between(fit, h)
+    if h.kind == "orientation":
+        return f"The horizontal circle of {at} was turned by {size} {between}."
+    if h.kind == "station-bump":
+        turn, spread = values[3:], covariance[3:, 3:]
+        length = float(np.linalg.norm(turn))
+        sigma = float(np.sqrt(max(float(turn @ spread @ turn), 0.0))) / max(length, 1e-300)
+        turned = with_sigma(length / MICRORADIAN, sigma / MICRORADIAN, "urad")
+        return f"Station {at} moved {between}, by {size} and {turned}."
+    assert isinstance(effect, TargetMoved)
+    return f"Target {at} moved {between}, by {size}."
+
+
+def _between(fit: Fit, h: Hypothesis) -> str:
+    """The rows between which a change happened."""
+    assert isinstance(h.change, Shift)
+    effect, s = h.change.effect, fit.adjustment.sightings
+    since = effect.since if isinstance(effect, ReadingShift) else getattr(effect, "time", -np.inf)
+    acts = np.ones(len(s), dtype=bool)
+    if h.stations:
+        acts &= np.isin(s.station, [s.station_names.index(name) for name in h.stations])
+    if h.targets:
+        acts &= np.isin(s.target, [s.target_names.index(name) for name in h.targets])
+    rows = s.order[acts[s.order]]
+    at = int(np.searchsorted(s.time[rows], since))
+    if not 0 < at < len(rows):
+        return "while it was measured"
+    return f"between rows {rows[at - 1] + 1} and {rows[at] + 1}"
+
+
+def _plain(value: float) -> str:
+    """Four digits, large numbers written out."""
+    return f"{float(f'{value:.4g}'):.12g}"
+
+
+def usual_size(value: float, sigma: float) -> str:
+    """The usual cause of an offset [m] of such a size; empty for none."""
+    near = [cause for size, cause in USUAL_SIZES.items() if abs(abs(value) - size) < NEAR and sigma < NEAR]
+    return near[0] if near else ""
+
+
+def _outliers(fit: Fit) -> list[Test]:
+    """Single readings that were left out, the largest first."""
+    recording, found = fit.recording, list[Test]()
+    at = np.argwhere(fit.outliers)
+    size = np.abs(fit.whitened[fit.outliers])
+    for i, k in at[np.argsort(-size)][:MOST_OUTLIERS].tolist():
+        station, target = recording.stations[recording.station[i]], recording.targets[recording.target[i]]
+        unit, factor = ("mm", MILLIMETRE) if k == 0 else ("arcsec", ARCSECOND)
+        value, w = float(fit.residuals[i, k]), float(fit.whitened[i, k])
+        sigma = float(fit.problem.sigma[i, k])
+        sentence = (
+            f"The {OBSERVABLES[k]} from {station} to {target} (row {i + 1}) is off by "
+            f"{with_sigma(abs(value) / factor, sigma / factor, unit)}: measure it again."
+        )
+        found.append(
+            Test(
+                kind="outlier",
+                acts_on=OBSERVABLES[k],
+                where=Place(stations=(station,), targets=(target,)),
+                statistic=w**2,
+                dof=1,
+                p_value=float(special.chdtrc(1, w**2)),
+                estimate=value / factor,
+                sigma=sigma / factor,
+                unit=unit,
+                rows=(i + 1,),
+                sentence=sentence,
+            )
+        )
+    return found

@@ -1,0 +1,137 @@
+"""A network with pointings that nobody has made yet: the one way to extend a recording.
+
+Readings do not enter a covariance: those of a new pointing are what the adjusted network predicts, and everything that
+an adjustment knows of precision is then known of the extended network.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from ltsim.adjustment.adjustment import Adjustment
+from ltsim.adjustment.prior import ParameterPrior
+from ltsim.adjustment.rows import GaugeRows
+from ltsim.core.arrays import Floats, Ints
+from ltsim.core.units import MILLIMETRE
+from ltsim.physics.model.construction import Construction
+from ltsim.physics.model.measurement import MeasurementModel, State
+from ltsim.recordings.recording import KIND_COLUMN, SHARED_COLUMN, Recording
+from ltsim.recordings.setup import GaugeDistance
+
+SECONDS = 15.0
+"""Time of a pointing where the recording has no clock."""
+
+
+@dataclass(frozen=True)
+class Network:
+    """A recording that may hold pointings nobody made, and the state that predicts them."""
+
+    recording: Recording
+    state: State
+    construction: Construction
+    """Whose parameters are estimated."""
+    prior: ParameterPrior | None = None
+    """Of these; default what the set-up states."""
+
+    @classmethod
+    def of(cls, adjustment: Adjustment, construction: Construction | None = None) -> Network:
+        """The adjusted network as it is, without readings that were left out.
+
+        An adjustment of corrected readings has no parameters: they count as zeros of `construction`.
+        """
+        built, state = construction or adjustment.construction, adjustment.state
+        recording = adjustment.recording
+        values, prior = state.instrument, adjustment.problem.prior if adjustment.construction == built else None
+        if values.shape[1] != built.size:
+            values = np.zeros((len(recording.instruments), built.size))
+        used = np.where(adjustment.problem.use, recording.readings, np.nan)
+        return cls(recording.with_readings(used), replace(state, instrument=values, extra=np.zeros(0)), built, prior)
+
+    @cached_property
+    def adjustment(self) -> Adjustment:
+        """The adjustment that this network would have; NetworkError where the pointings leave a pose undetermined."""
+        return Adjustment.planned(self.recording, self.state, self.construction, prior=self.prior)
+
+    def parameter_covariance(self) -> tuple[Floats, Floats]:
+        """Covariance (I, p, p) of each instrument's parameters, and their prior sigmas (I, p)."""
+        problem = self.adjustment.problem
+        return self.adjustment.covariance_of(problem.unknowns.instrument), problem.prior.sigma
+
+    @property
+    def seconds_per_pointing(self) -> float:
+        """[s] usual time between pointings."""
+        recording = self.recording
+        if not recording.has_clock or len(recording) < 2:
+            return SECONDS
+        return float(np.median(np.diff(np.sort(recording.time)))) or SECONDS
+
+    def with_pointings(
+        self, station: Ints | int, target: Ints, face: Ints | int, time: Floats | float | None = None
+    ) -> Network:
+        """Further pointings at `target` (k,), all later than the rest; an instrument reads what it has read so far.
+
+        `time` [s] is that of the first of them, or of each; default right after the last one made.
+        """
+        recording, count, step = self.recording, len(target), self.seconds_per_pointing
+        when = np.asarray(recording.time.max(initial=-step) + step if time is None else time)
+        when = when if when.ndim else when + step * np.arange(count)
+        last = int(np.argmax(recording.time))
+        flat = "horizontal" if recording.is_horizontal[recording.measured[:, 0]].all() else ""
+
+        def joined(column: Floats | Ints, new: Floats | Ints | float) -> Floats:
+            return np.concatenate([column, np.broadcast_to(new, (count, *column.shape[1:])).astype(column.dtype)])
+
+        whole = recording.replace(
+            station=joined(recording.station, station),
+            target=joined(recording.target, target),
+            face=joined(recording.face, face),
+            repeat=joined(recording.repeat, int(recording.repeat.max(initial=0)) + 1),
+            time=joined(recording.time, when),
+            readings=joined(recording.readings, np.nan),
+            covariates={
+                key: joined(column, np.nan if SHARED_COLUMN.fullmatch(key) else column[last])
+                for key, column in recording.covariates.items()
+            },
+            labels={
+                key: (*column, *([flat if key == KIND_COLUMN else ""] * count))
+                for key, column in recording.labels.items()
+            },
+        )
+        predicted = MeasurementModel(whole, self.construction).predict(self.state)[len(recording) :]
+        reads = np.array(
+            [recording.measured[recording.instrument == i].any(axis=0) for i in range(len(whole.instruments))]
+        )
+        predicted[~reads[whole.instrument[len(recording) :]]] = np.nan
+        return replace(self, recording=whole.with_readings(np.concatenate([recording.readings, predicted])))
+
+    def with_station(self, name: str, like: int, position: Floats, rotation: Floats) -> Network:
+        """A further set-up at `position` (3,), `rotation` (3, 3), with the instrument and level of set-up `like`."""
+        recording, state = self.recording, self.state
+        known = recording.station_setup(recording.stations[like])
+        fresh = known.model_copy(update={"position_mm": None, "yaw_deg": None, "yaw_sigma_arcsec": None, "over": None})
+        setup = recording.setup.model_copy(update={"stations": {**recording.setup.stations, name: fresh}})
+        places, turns = np.vstack([state.position, position]), np.concatenate([state.rotation, rotation[None]])
+        grown = recording.replace(setup=setup, stations=(*recording.stations, name))
+        return replace(self, recording=grown, state=replace(state, position=places, rotation=turns))
+
+    def with_targets(self, names: Sequence[str], points: Floats) -> Network:
+        """Further reflectors at `points` (k, 3), not measured yet."""
+        grown = self.recording.replace(targets=(*self.recording.targets, *names))
+        return replace(self, recording=grown, state=replace(self.state, points=np.vstack([self.state.points, points])))
+
+    def with_length(self, first: int, second: int, sigma_mm: float) -> Network:
+        """The distance between two targets calibrated; the same network where it is known already."""
+        recording, rows = self.recording, GaugeRows.of(self.recording)
+        if {first, second} in (set(pair) for pair in zip(rows.first.tolist(), rows.second.tolist(), strict=True)):
+            return self
+        length = float(np.linalg.norm(self.state.points[first] - self.state.points[second])) / MILLIMETRE
+        # `from` is a keyword: the alias goes in through a mapping.
+        ends: dict[str, Any] = {"from": recording.targets[first], "to": recording.targets[second], "length_mm": length}
+        added = GaugeDistance(**ends, sigma_mm=sigma_mm, measured_in_place=True)
+        gauge = recording.gauge.model_copy(update={"distance": (*recording.gauge.distance, added)})
+        return replace(self, recording=recording.replace(setup=recording.setup.model_copy(update={"gauge": gauge})))

@@ -1,0 +1,327 @@
+"""What to measure next: the remedy that tells most about the instrument, or that decides between explanations.
+
+The expected evidence between two explanations is what the best instance of the rival, at any of its places and shapes,
+leaves of the true signature: a difference of chi-square. Nobody knows which of the two is true; the smaller counts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import chain
+
+import numpy as np
+
+from ltsim.adjustment import adjust
+from ltsim.adjustment.adjustment import Adjustment
+from ltsim.adjustment.remedies.detectability import thinned
+from ltsim.adjustment.remedies.network import Network
+from ltsim.adjustment.remedies.remedy import (
+    EFFORT,
+    Remedy,
+    advice,
+    further_pointings,
+    further_stations,
+    known_length,
+    listed,
+    other_ways,
+    returns,
+)
+from ltsim.adjustment.residual_space import ResidualSpace
+from ltsim.core.arrays import Floats
+from ltsim.core.errors import ModelError
+from ltsim.core.results import Columns, Result
+from ltsim.core.values import Valued
+from ltsim.physics.effects import find_effect
+from ltsim.physics.effects.effect import Effect, NoiseEffect
+from ltsim.physics.effects.signature import Signature
+from ltsim.physics.effects.verbs import each_of
+from ltsim.physics.model.construction import stated_construction
+from ltsim.recordings.exchange import RecordingSource, recording_of
+
+DECISIVE = 10.0
+"""Expected difference of chi-square from which two explanations count as told apart."""
+FINALISTS = 24
+"""Further places whose evidence is computed in full: those that tell most about the instrument."""
+MOVE = 1200.0
+"""[s] to carry the instrument to another place and set it up, where nothing else is said."""
+
+Progress = Callable[[str, float], None]
+"""Told what is being done and which share of it is done."""
+
+
+def quiet(*_told: object) -> None:
+    """Nobody is told."""
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """An effect at the place and with the shape that fit a recording best, and its size (q,) [SI]."""
+
+    effect: Effect
+    values: Floats
+
+
+def space_of(adjustment: Adjustment, extra_effects: Sequence[Signature] = ()) -> ResidualSpace:
+    """The residual space of an adjustment with `extra_effects` estimated too."""
+    return ResidualSpace.of(adjustment).beside(extra_effects)
+
+
+def explanation(space: ResidualSpace, name: str) -> Explanation:
+    """The effect called `name` where, and with the shape with which, it fits the residuals best.
+
+    Raises ModelError when there is no such effect, or it leaves no trace in this recording.
+    """
+    kind = find_effect(name)
+    if issubclass(kind, NoiseEffect):
+        raise ModelError(f"{name} is a change of the noise; only effects that shift readings can be told apart here")
+    best: Explanation | None = None
+    least = float(space.residual @ space.residual)
+    for effect in kind.candidates(space.sightings):
+        values, left = _fitted(space, effect, space.residual)
+        if left < least:
+            least, best = left, Explanation(effect, values)
+    if best is None:
+        raise ModelError(f"{name} leaves no trace in this recording; no size of it can be taken from it")
+    return best
+
+
+def _fitted(space: ResidualSpace, effect: Effect, residual: Floats) -> tuple[Floats, float]:
+    """Size (q,) of an effect that fits a projected vector best, and the square of what it leaves."""
+    left = space.project(space.signature(effect))
+    if not np.isfinite(left).all() or not left.any():
+        return np.zeros(len(effect.parameters)), float(residual @ residual)
+    values = np.asarray(np.linalg.lstsq(left, residual, rcond=1e-6)[0], dtype=np.float64)
+    return values, float(np.sum((residual - left @ values) ** 2))
+
+
+@dataclass(frozen=True)
+class Rivals:
+    """Two explanations, with all that could stand in for either."""
+
+    first: Explanation
+    second: Explanation
+    stand_ins: tuple[list[tuple[float, Effect]], list[tuple[float, Effect]]]
+    """Every instance of the second and what it leaves of the first in the recording as it is, the least
+    first; then the other way round. More pointings never leave less.
+    """
+
+    @classmethod
+    def of(cls, space: ResidualSpace, first: Explanation, second: Explanation) -> Rivals:
+        """As a recording leaves them."""
+        return cls(first, second, (_stand_ins(space, first, second.effect), _stand_ins(space, second, first.effect)))
+
+    @property
+    def now(self) -> float:
+        """Evidence in the recording as it is."""
+        return min(found[0][0] for found in self.stand_ins)
+
+    def evidence(self, space: ResidualSpace) -> float:
+        """Expected difference of chi-square in a longer recording, whichever of the two holds."""
+        least = []
+        for truth, stand_ins in zip((self.first, self.second), self.stand_ins, strict=True):
+            signature = space.project(space.signature(truth.effect) @ truth.values)
+            smallest = float(signature @ signature)
+            for before, effect in stand_ins:
+                if before >= smallest:
+                    break
+                smallest = min(smallest, _fitted(space, effect, signature)[1])
+            least.append(smallest)
+        return min(least)
+
+
+def _stand_ins(space: ResidualSpace, truth: Explanation, rival: Effect) -> list[tuple[float, Effect]]:
+    signature = space.project(space.signature(truth.effect) @ truth.values)
+    instances = [rival, *thinned(type(rival).candidates(space.sightings))]
+    return sorted(((_fitted(space, effect, signature)[1], effect) for effect in instances), key=lambda pair: pair[0])
+
+
+@dataclass(frozen=True)
+class Proposal(Valued):
+    """A remedy and what it would bring."""
+
+    remedy: Remedy
+    sharper: float
+    """Factor on the geometric mean of the parameters' standard deviations; below one is better."""
+    serves: str
+    """The parameter that profits most, and the factor on its standard deviation."""
+    serves_factor: float
+    evidence: dict[str, float] = field(default_factory=dict)
+    """Expected difference of chi-square between the first explanation and each other, whichever of the two holds."""
+
+    @classmethod
+    def of(cls, remedy: Remedy, adjustment: Adjustment, evidence: dict[str, float] | None = None) -> Proposal:
+        """What a remedy tells about the first instrument of a planned network; nothing of one without parameters."""
+        if not adjustment.construction.size:
+            return cls(remedy, 1.0, "", 1.0, evidence or {})
+        before, after = adjustment.instrument_covariance, remedy.network.adjustment.instrument_covariance
+        sharper = np.exp(0.5 / len(before) * (np.linalg.slogdet(after)[1] - np.linalg.slogdet(before)[1]))
+        ratio = np.sqrt(np.diag(after) / np.diag(before))
+        best = int(np.argmin(ratio))
+        return cls(remedy, float(sharper), adjustment.construction.names[best], float(ratio[best]), evidence or {})
+
+    @property
+    def tells_apart(self) -> tuple[str, ...]:
+        """Explanations that would be told from the first."""
+        return tuple(name for name, value in self.evidence.items() if value >= DECISIVE)
+
+    @property
+    def decides(self) -> bool:
+        """All would be told from the first."""
+        return bool(self.evidence) and len(self.tells_apart) == len(self.evidence)
+
+    @property
+    def rank(self) -> tuple[int, int, float, float]:
+        """The smaller, the better: how many are told apart, then with how little effort, then how nearly."""
+        near = sum(min(value, DECISIVE) for value in self.evidence.values())
+        if not self.tells_apart:
+            return 0, 0, 0.0, -near
+        return -len(self.tells_apart), EFFORT.index(self.remedy.kind), self.remedy.seconds, -near
+
+
+@dataclass(frozen=True, repr=False)
+class NextMeasurement(Result):
+    """Proposals, the best first."""
+
+    proposals: tuple[Proposal, ...]
+    between: tuple[str, ...] = ()
+    """The explanations to decide between; none where the instrument was asked about."""
+    evidence_now: dict[str, float] = field(default_factory=dict)
+    """Between the first and each other in the recording as it is."""
+
+    @property
+    def advice(self) -> str:
+        """The answer to what would decide, as a sentence; without a question the best thing to do."""
+        best = self.proposals[0]
+        if not self.between:
+            return best.remedy.words
+        apart = best.tells_apart or self.between[1:]
+        now, then = (listed([f"{values[name]:.0f}" for name in apart]) for values in (self.evidence_now, best.evidence))
+        values = {"first": self.between[0], "others": listed(apart), "then": then}
+        if not best.tells_apart:
+            return advice("undecided", needed=DECISIVE, **values)
+        said = advice("decided", do=best.remedy.words, now=now, **values)
+        left = [name for name in self.between[1:] if name not in apart]
+        return said + (advice("left open", others=listed(left)) if left else "")
+
+    def _lines(self) -> list[str]:
+        question = f" between {listed(self.between)}" if self.between else ""
+        return [f"Next measurement{question}: {self.proposals[0].remedy.words}, of {len(self.proposals)} proposals"]
+
+    def _tables(self) -> Mapping[str, Callable[[], Columns]]:
+        return {"proposals": self._proposals}
+
+    def _proposals(self) -> Columns:
+        return {
+            "do": [p.remedy.words for p in self.proposals],
+            "minutes": [p.remedy.seconds / 60 for p in self.proposals],
+            "sharper": [p.sharper for p in self.proposals],
+            "serves": [p.serves for p in self.proposals],
+            "tells_apart": [" ".join(p.tells_apart) for p in self.proposals],
+        }
+
+
+def next_measurement(
+    recording: RecordingSource,
+    *,
+    between: Sequence[str] = (),
+    with_effects: str | Signature | Sequence[str | Signature] = (),
+    minutes_per_move: float = 20.0,
+    progress: Progress = quiet,
+) -> NextMeasurement:
+    """Rank further measurements after a recording.
+
+    Parameters
+    ----------
+    recording : Recording, str or Path
+    between : sequence of str
+        Names of two or more effects: rank by how many are told from the first, of these what asks least of a person
+        and is done first, then by the evidence between them; none: rank what can be pointed at from here or from a
+        further station by what it tells about the instrument's parameters.
+    with_effects : str, Effect or sequence of them
+        What has been found already beside the question; of a name, where it fits the residuals best.
+    minutes_per_move : float
+        What it costs to move the tripod.
+    progress : callable
+        Told what is done and the share of it.
+
+    Raises
+    ------
+    ModelError
+        When an effect does not exist, is a noise effect, or cannot be fitted to this recording.
+
+    Examples
+    --------
+    >>> import ltsim as lt
+    >>> recording, _ = lt.simulate("paper-workshop", seed=7)
+    >>> proposals = lt.next_measurement(recording)
+    >>> proposals.proposals[0].sharper < 1
+    True
+    """
+    seen = recording_of(recording)
+    adjustment = adjust(seen, stated_construction(seen))
+    adjustment.solution.require_success()
+    if len(between) > 1:
+        plain = space_of(adjustment)
+        extra_effects = [explanation(plain, e).effect if isinstance(e, str) else e for e in each_of(with_effects)]
+        space = space_of(adjustment, extra_effects)
+        asked = [explanation(space, name) for name in between]
+        return deciding(adjustment, asked, extra_effects, seconds_per_move=60.0 * minutes_per_move, progress=progress)
+    network, move = Network.of(adjustment), 60.0 * minutes_per_move
+    every = *further_pointings(network), *returns(network, move), *further_stations(network, move)
+    found = [remedy for remedy in every if remedy.is_determined]
+    proposals = []
+    for done, remedy in enumerate(found, 1):
+        proposals.append(Proposal.of(remedy, network.adjustment))
+        progress("trying further measurements", done / len(found))
+    return NextMeasurement(tuple(sorted(proposals, key=lambda p: p.sharper)))
+
+
+def deciding(
+    adjustment: Adjustment,
+    explanations: Sequence[Explanation],
+    extra_effects: Sequence[Signature] = (),
+    *,
+    seconds_per_move: float = MOVE,
+    first_is_enough: bool = False,
+    progress: Progress = quiet,
+) -> NextMeasurement:
+    """Rank remedies by the evidence that they bring between explanations of an adjusted recording, two or more.
+
+    Each is to be told from the first; those that the recording tells from it already are left aside. `extra_effects`
+    have been found already. With `first_is_enough` the first remedy that decides, the best of all, ends the search.
+    """
+    network, (first, *others) = Network.of(adjustment), explanations
+    space = space_of(network.adjustment, extra_effects)
+    rivals = {other.effect.name: Rivals.of(space, first, other) for other in others}
+    told = [name for name, pair in rivals.items() if pair.now >= DECISIVE]
+    if len(told) < len(rivals):
+        rivals = {name: pair for name, pair in rivals.items() if name not in told}
+    suspects = [target for e in explanations for target in e.effect.targets]
+    near = sorted(further_pointings(network, suspects), key=_effort)
+    again = sorted(returns(network, seconds_per_move), key=_effort)
+    late = sorted([*other_ways(network), *known_length(network)], key=_effort)
+    total = len(near) + len(again) + FINALISTS + len(late)
+    judged: list[Proposal] = []
+    every = chain(near, again, _finalists(network, seconds_per_move), late)
+    for remedy in (one for one in every if one.is_determined):
+        longer = space_of(remedy.network.adjustment, extra_effects)
+        evidence = {name: pair.evidence(longer) for name, pair in rivals.items()}
+        judged.append(Proposal.of(remedy, network.adjustment, evidence))
+        progress("weighing the explanations", min(len(judged) / total, 1.0))
+        if first_is_enough and judged[-1].decides:
+            break
+    ranked = tuple(sorted(judged, key=lambda p: p.rank))
+    return NextMeasurement(ranked, (first.effect.name, *rivals), {name: pair.now for name, pair in rivals.items()})
+
+
+def _effort(remedy: Remedy) -> tuple[int, float]:
+    return EFFORT.index(remedy.kind), remedy.seconds
+
+
+def _finalists(network: Network, seconds_per_move: float) -> Iterator[Remedy]:
+    """The further places that tell most about the instrument, the quickest first."""
+    some = (remedy for remedy in further_stations(network, seconds_per_move) if remedy.is_determined)
+    told = [Proposal.of(remedy, network.adjustment) for remedy in some]
+    best = sorted(told, key=lambda p: p.sharper)[:FINALISTS]
+    yield from sorted((p.remedy for p in best), key=_effort)

@@ -1,0 +1,316 @@
+"""The list of further measurements: pointings, set-ups, another way of working, a known length, near reflectors.
+
+Calibration asks which of them determines a combination, diagnosis and planning which of them decides between
+explanations; all choose from this list.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+
+from ltsim.adjustment.remedies.network import Network
+from ltsim.core.arrays import Floats, Ints
+from ltsim.core.errors import NetworkError
+from ltsim.core.units import DEGREE, MILLIMETRE
+from ltsim.geometry.polar import from_polar
+from ltsim.geometry.rotations import about_z
+from ltsim.physics.model.measurement import State
+from ltsim.recordings.recording import Recording
+from ltsim.recordings.setup import Limits, Setup
+from ltsim.scene.visibility import SightLimits, visibility
+
+Kind = Literal["pointings", "return", "station", "survey", "length", "reflectors"]
+EFFORT: tuple[Kind, ...] = get_args(Kind)
+"""Kinds of remedies, the one that asks least of a person first."""
+SET_UPS = ("return", "station")
+
+CLOSING = 3
+"""Targets measured again before leaving a station."""
+ROUNDS, AGAIN = 4, 3
+"""Further rounds at the last station, and pointings at a target worth another look."""
+TURN = 90.0 * DEGREE
+"""Turn of the base at a place where an instrument has stood already."""
+RETURNS = 12
+"""Set-ups that are tried once more; of many, some evenly spread."""
+GRID, TURNS = 5, 4
+"""Places along each side of the floor, and turns at each, that are tried for a further station."""
+CROWDED = 30
+"""Set-ups from which a further place for one more is not looked for: it is one among many."""
+CLEARANCE = 0.8
+"""[m] how near to another station, and to a target, a further one is not put; nor is a nearer target asked for."""
+KNOWN_LENGTH, KNOWN_SIGMA_MM, CALIBRATION = 2.0, 0.002, 7200.0
+"""[m] a length that a workshop can have calibrated, how well, and the time it takes [s]."""
+NEAR = np.array([[1.2, a * DEGREE, e * DEGREE] for a, e in ((0, 40), (90, -30), (180, 40), (270, -30))])
+"""Range [m], azimuth, elevation [rad] of near reflectors."""
+NEST = 300.0
+"""[s] to mount a nest."""
+ADVICE = {
+    # from the last station, before it is left
+    "other face here": "measure all targets from {station} in the other face as well",
+    "close here": "measure the first {count} targets of {station} again before leaving it",
+    "reverse here": "measure all targets of {station} again in the reverse order",
+    "look again": "measure {targets} from {station} {count} more times, without touching the reflector",
+    "to and fro": "measure all targets of {station} {count} more times, to and fro",
+    "unmeasured": "measure from {station} the targets it has not measured ({targets})",
+    # a further set-up
+    "turned": "set up once more at {station}, the base turned by {turn:.0f} degrees, and measure all targets",
+    "new station": "add station {station} at ({place[0]:.2f}, {place[1]:.2f}, {place[2]:.2f}) m, "
+    "yaw {yaw:.0f} deg ({frame}), and measure all targets",
+    # the whole work in another way
+    "other face": "measure every target in both faces",
+    "close": "measure the first {count} targets again before leaving each station",
+    "reverse": "measure every station's targets again in the reverse order",
+    # other things than pointings
+    "length": "calibrate a length of about {length:.0f} m, such as that between {targets}",
+    "near": "add reflectors at 1 to 1.5 m from two stations and measure them from all",
+    "other face and near": "measure in both faces, and add reflectors at 1 to 1.5 m from two stations",
+    # what it brings
+    "decided": "{do}: expected chi-square between {first} and {others} from {now} to {then}",
+    "left open": "; nothing that was tried tells it from {others} as well",
+    "undecided": "nothing that was tried tells {first} from {others} (expected chi-square {then}, {needed:.0f} would); "
+    "an independent measurement of the cause would",
+    "cause": "an independent measurement of its cause",
+    "determined": "{do} (gain {now:.2f} to {then:.2f})",
+    "determined already": "use the network method: it determines this from the same recording (gain {then:.2f})",
+    "not determined": "none of the measurements that were tried shows it; only a tighter guarantee would",
+}
+"""Every sentence of advice, once: what to do, and what it would bring."""
+
+
+def advice(key: str, **values: object) -> str:
+    """A sentence of the table with its values."""
+    return ADVICE[key].format(**values)
+
+
+def listed(names: list[str] | tuple[str, ...]) -> str:
+    """Names with `and`."""
+    return " and ".join(names)
+
+
+@dataclass(frozen=True)
+class Remedy:
+    """A measurement that could be added."""
+
+    kind: Kind
+    words: str
+    """What to do, for a person."""
+    seconds: float
+    """[s]."""
+    network: Network
+    """With it, as the adjusted network predicts it."""
+
+    @property
+    def is_determined(self) -> bool:
+        """Whether every pose is determined with it: a further set-up may see too little."""
+        try:
+            _ = self.network.adjustment
+        except NetworkError:
+            return False
+        return True
+
+    @property
+    def set_up(self) -> tuple[Floats, float] | None:
+        """Place (3,) [m] and turn [rad] of a further set-up, on the floor plan."""
+        state, plan = self.network.state, FloorPlan.of(self.network.recording, self.network.state)
+        return (plan.place(state.position[-1]), plan.yaw(state.rotation[-1])) if self.kind in SET_UPS else None
+
+
+@dataclass(frozen=True)
+class FloorPlan:
+    """From the network's frame to the floor plan's; the identity where no plan is known.
+
+    Plans are rough, levels are not: only a turn about the vertical is taken from the plan.
+    """
+
+    rotation: Floats
+    """(3, 3) (3,)."""
+    translation: Floats
+    known: bool
+
+    @classmethod
+    def of(cls, recording: Recording, state: State) -> FloorPlan:
+        """By the stations of an adjusted network."""
+        return cls.by(recording.setup, recording.stations, state.position, state.rotation)
+
+    @classmethod
+    def by(cls, setup: Setup, stations: Sequence[str], position: Floats, rotation: Floats) -> FloorPlan:
+        """By the stations whose places, or directions of zero too, a set-up states."""
+        stated = {i: setup.stations[name] for i, name in enumerate(stations) if name in setup.stations}
+        known = [i for i, station in stated.items() if station.position_mm is not None]
+        if not known:
+            return cls(np.eye(3), np.zeros(3), known=False)
+        here, there = position[known], np.array([stated[i].position_mm for i in known]) * MILLIMETRE
+        yaws = [i for i in known if stated[i].yaw_deg is not None]
+        if yaws:
+            own = np.arctan2(rotation[yaws, 1, 0], rotation[yaws, 0, 0])
+            turns = np.exp(1j * (np.array([stated[i].yaw_deg for i in yaws]) * DEGREE - own))
+        else:
+            away, goal = here - here.mean(axis=0), there - there.mean(axis=0)
+            turns = (goal[:, 0] + 1j * goal[:, 1]) * (away[:, 0] - 1j * away[:, 1])
+        turn = about_z(float(np.angle(turns.sum())))
+        return cls(turn, there.mean(axis=0) - turn @ here.mean(axis=0), known=True)
+
+    def place(self, position: Floats) -> Floats:
+        """Positions (..., 3) on the plan."""
+        return position @ self.rotation.T + self.translation
+
+    def yaw(self, rotation: Floats) -> float:
+        """Turn [rad] on the plan of an instrument's rotation (3, 3)."""
+        turned = self.rotation @ rotation
+        return float(np.arctan2(turned[1, 0], turned[0, 0]))
+
+
+def further_pointings(network: Network, suspects: Iterable[str] = ()) -> Iterator[Remedy]:
+    """What can be done from the last station before it is left; `suspects` are targets worth another look."""
+    recording = network.recording
+    last = int(recording.station[np.argmax(recording.time)])
+    station, here = recording.stations[last], _visit(recording, last)
+    order = _first_visits(recording.target[here])
+    usual = int(recording.face[here[0]])
+
+    def remedy(key: str, target: Ints, face: int = usual, **values: object) -> Remedy:
+        seconds = len(target) * network.seconds_per_pointing
+        words = advice(key, station=station, **values)
+        return Remedy("pointings", words, seconds, network.with_pointings(last, target, face))
+
+    if len(np.unique(recording.face[here])) == 1:
+        yield remedy("other face here", order[::-1], 3 - usual)
+    yield remedy("close here", order[:CLOSING], count=min(CLOSING, len(order)))
+    yield remedy("reverse here", order[::-1])
+    again = [t for t in order.tolist() if recording.targets[t] in set(suspects)]
+    if again:
+        names = listed([recording.targets[t] for t in again])
+        yield remedy("look again", np.tile(np.array(again, dtype=np.int64), AGAIN), targets=names, count=AGAIN)
+    yield remedy("to and fro", np.tile(np.r_[order[::-1], order], ROUNDS // 2), count=ROUNDS)
+    unseen = np.setdiff1d(np.arange(len(recording.targets)), order)
+    away = np.linalg.norm(network.state.points[unseen] - network.state.position[last], axis=1)
+    unseen = unseen[away > CLEARANCE]  # nobody aims at the mark that the tripod stands on
+    if len(unseen):
+        yield remedy("unmeasured", unseen, targets=", ".join(recording.targets[t] for t in unseen[:6]))
+
+
+def returns(network: Network, seconds_per_move: float, stations: Iterable[int] | None = None) -> Iterator[Remedy]:
+    """Each place of an instrument once more, its base turned, for the targets that it saw."""
+    recording, state = network.recording, network.state
+    count = len(recording.stations)
+    some = np.unique(np.linspace(0, count - 1, min(count, RETURNS)).round().astype(int)).tolist()
+    for s in some if stations is None else stations:
+        target = _first_visits(recording.target[_visit(recording, s)])
+        if len(target):
+            words = advice("turned", station=recording.stations[s], turn=TURN / DEGREE)
+            grown = network.with_station(_fresh(recording), s, state.position[s], state.rotation[s] @ about_z(TURN))
+            yield _set_up("return", words, grown, target, seconds_per_move)
+
+
+def further_stations(network: Network, seconds_per_move: float) -> Iterator[Remedy]:
+    """A further station on a grid between and around the others, with some turns, for the targets in sight."""
+    recording, state = network.recording, network.state
+    if len(recording.stations) >= CROWDED:
+        return
+    plan, name = FloorPlan.of(recording, state), _fresh(recording)
+    frame = "floor plan" if plan.known else f"frame of {recording.stations[0]}"
+    travel = recording.instrument_of(recording.stations[0]).limits or Limits()
+    limits = SightLimits(travel.elevation_min_deg * DEGREE, travel.elevation_max_deg * DEGREE)
+    low, high = state.position.min(axis=0), state.position.max(axis=0)
+    margin = 0.2 * (high - low) + 0.2
+    x, y = (np.linspace(low[k] - margin[k], high[k] + margin[k], GRID) for k in range(2))
+    places = np.array([(a, b, state.position[:, 2].mean()) for a in x for b in y])
+    taken = np.concatenate([state.position, state.points])
+    seen = visibility(places, state.points, limits).visible
+    for position, sights in zip(places, seen, strict=True):
+        if sights.sum() < 3 or np.linalg.norm(taken - position, axis=1).min() < CLEARANCE:
+            continue
+        for turn in range(TURNS):
+            rotation = state.rotation[0] @ about_z(turn * 2 * np.pi / TURNS)
+            place, yaw = plan.place(position), plan.yaw(rotation) / DEGREE % 360
+            words = advice("new station", station=name, place=place, yaw=yaw, frame=frame)
+            grown = network.with_station(name, 0, position, rotation)
+            yield _set_up("station", words, grown, np.flatnonzero(sights), seconds_per_move)
+
+
+def _set_up(kind: Kind, words: str, grown: Network, target: Ints, seconds_per_move: float) -> Remedy:
+    """Targets measured from a further set-up, the last of a network."""
+    recording, faces = grown.recording, np.unique(grown.recording.face)
+    targets, face = np.tile(target, len(faces)), np.repeat(faces, len(target))
+    start = float(recording.time.max()) + seconds_per_move
+    seconds = seconds_per_move + len(targets) * grown.seconds_per_pointing
+    return Remedy(kind, words, seconds, grown.with_pointings(len(recording.stations) - 1, targets, face, start))
+
+
+def other_ways(network: Network) -> Iterator[Remedy]:
+    """The whole work with something more at each station: both faces first, where one is used, then another order."""
+    recording = network.recording
+    step, work = network.seconds_per_pointing, float(np.ptp(recording.time))
+    for key in ("other face", "close", "reverse"):
+        made = []
+        for s in np.unique(recording.station):
+            rows = _visit(recording, s)
+            last = recording.time[rows[-1]]
+            made += [(s, t, f, last + step * i) for i, (t, f) in enumerate(_more(recording, rows, key), 1)]
+        if made:
+            station, targets, faces, time = (np.array(column) for column in zip(*made, strict=True))
+            grown = network.with_pointings(station, targets, faces, time)
+            yield Remedy("survey", advice(key, count=CLOSING), work + len(made) * step, grown)
+
+
+def _more(recording: Recording, rows: Ints, key: str) -> list[tuple[int, int]]:
+    """Target and face of the further pointings of a visit that another way of working makes."""
+    made = list(zip(recording.target[rows].tolist(), recording.face[rows].tolist(), strict=True))
+    if key == "other face":
+        return sorted({(t, 3 - f) for t, f in made} - set(made))
+    if key == "close":
+        return [(t, made[0][1]) for t in _first_visits(recording.target[rows])[:CLOSING].tolist()]
+    return made[::-1]
+
+
+def other_face(network: Network) -> Remedy | None:
+    """Both faces at each station; None where they are used already."""
+    first = next(other_ways(network), None)
+    return first if first and first.words == advice("other face") else None
+
+
+def known_length(network: Network) -> Iterator[Remedy]:
+    """The pair of targets nearest to 2 m apart, with that length known."""
+    points, names = network.state.points, network.recording.targets
+    if len(points) < 2:
+        return
+    first, second = np.triu_indices(len(points), k=1)
+    best = int(np.argmin(np.abs(np.linalg.norm(points[first] - points[second], axis=1) - KNOWN_LENGTH)))
+    i, j = int(first[best]), int(second[best])
+    words = advice("length", length=KNOWN_LENGTH, targets=listed([names[i], names[j]]))
+    yield Remedy("length", words, CALIBRATION, network.with_length(i, j, KNOWN_SIGMA_MM))
+
+
+def near_reflectors(network: Network) -> Iterator[Remedy]:
+    """Four reflectors near each of the first two stations, seen from all stations; with the other face as well."""
+    both = other_face(network)
+    for key, start in [("near", network), *([("other face and near", both.network)] if both else [])]:
+        recording, state = start.recording, start.state
+        points = np.concatenate([centre + from_polar(NEAR) for centre in state.position[:2]])
+        axes = np.arange(len(recording.stations)), len(state.points) + np.arange(len(points)), np.unique(recording.face)
+        station, target, face = (axis.ravel() for axis in np.meshgrid(*axes, indexing="ij"))
+        wider = start.with_targets([f"near-{i + 1}" for i in range(len(points))], points)
+        grown = wider.with_pointings(station, target, face)
+        added = len(grown.recording) - len(network.recording)
+        seconds = NEST * len(points) + float(np.ptp(recording.time)) + added * start.seconds_per_pointing
+        yield Remedy("reflectors", advice(key), seconds, grown)
+
+
+def _visit(recording: Recording, station: int) -> Ints:
+    """Rows of one set-up in the order of time."""
+    here = np.flatnonzero(recording.station == station)
+    return here[np.argsort(recording.time[here], kind="stable")]
+
+
+def _first_visits(target: Ints) -> Ints:
+    """Each target once, in the order in which they come."""
+    return np.array(list(dict.fromkeys(target.tolist())), dtype=np.int64)
+
+
+def _fresh(recording: Recording) -> str:
+    """A name that no set-up has."""
+    return next(f"S{i}" for i in range(1, len(recording.stations) + 2) if f"S{i}" not in recording.stations)

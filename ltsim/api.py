@@ -1,0 +1,187 @@
+"""Recordings and results in and out of files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ltsim.core.errors import ModelError, RecordError
+from ltsim.recordings import Hints, Recording, read as read_recording, write as write_recording
+from ltsim.recordings.exchange import RecordingSource, is_recording
+from ltsim.recordings.native import OBSERVATIONS
+from ltsim.recordings.result_file import read_json, read_result
+
+if TYPE_CHECKING:
+    from ltsim.calibration.calibration import Calibration
+    from ltsim.diagnosis.diagnosis import Diagnosis
+    from ltsim.planning.plan import Plan
+    from ltsim.simulation.truth import Truth
+
+
+def read(path: str | Path, *, format: str | None = None, hints: Hints | None = None) -> Any:  # noqa: A002
+    """Recording in any format, or result that a command or `lt.write` wrote.
+
+    A file is data: it is checked against the model of its format, and nothing that it names is imported or run.
+
+    Parameters
+    ----------
+    path : str or Path
+        A folder or a file.
+    format : str, optional
+        Name of a recording's format; default by content, then by suffix.
+    hints : Hints, optional
+        What an ambiguous recording means: `ltsim.recordings.Hints`.
+
+    Returns
+    -------
+    Recording, or the result
+        A recording's `notes` say what was decided about ambiguous conventions, skipped or left out. Of a folder that
+        holds a recording and results the recording is read; name the result's file to read that.
+
+    Raises
+    ------
+    RecordError
+        One sentence: what is wrong and where, or which hint is wanted.
+
+    Examples
+    --------
+    >>> import ltsim as lt
+    >>> recording, _ = lt.simulate("paper-workshop", seed=7)
+    >>> lt.write(recording, "my-recording")
+    >>> lt.read("my-recording")
+    Recording: The paper's workshop: 140 pointings, 5 stations, 28 targets, face 1 only, 6 known lengths
+    >>> lt.write(lt.calibrate(recording), "my-calibration")
+    >>> len(lt.read("my-calibration").names)
+    16
+    """
+    place = Path(path)
+    result = _result_file(place) if format is None else None
+    if result is not None:
+        return _read_result(result)
+    return read_recording(place, format=format, hints=hints)
+
+
+def _result_file(place: Path) -> Path | None:
+    """The file of a result that a path names, itself or in a folder without a recording; None for a recording."""
+    if place.is_file():
+        return place if place.suffix == ".json" and not is_recording(place) else None
+    if (place / OBSERVATIONS).is_file():
+        return None
+    from ltsim.reports.schemas import FILES  # which takes a second
+
+    return next((place / name for name in FILES if name.endswith(".json") and (place / name).is_file()), None)
+
+
+def _read_result(file: Path) -> Any:
+    """What a command wrote: a calibration or a truth whole, of others what their file says."""
+    from ltsim.calibration.files import read_calibration
+    from ltsim.calibration.schema import CalibrationFile
+    from ltsim.reports.schemas import RESULTS
+    from ltsim.simulation.truth import read_truth
+
+    kind = str(read_json(file, "result of ltsim").get("format", ""))
+    if kind == CalibrationFile.model_fields["format"].default:
+        return read_calibration(file)
+    if kind.startswith("ltsim-truth/"):
+        return read_truth(file)
+    model = next((m for m in RESULTS if m.model_fields["format"].default == kind), None)
+    if model is None:
+        raise RecordError("is no recording and no result of ltsim", file=file)
+    return read_result(file, model)
+
+
+def write(
+    result: Recording | Truth | Calibration | Diagnosis | Plan,
+    path: str | Path,
+    *,
+    format: str = "native",  # noqa: A002
+    recording: Recording | None = None,
+) -> None:
+    """Write a recording or a result as the command of its name does: a folder, for a truth a file.
+
+    Parameters
+    ----------
+    result : Recording, Truth, Calibration, Diagnosis or Plan
+    path : str or Path
+        Of the folder or file; what is there is replaced.
+    format : str
+        Of a recording: `native`, or another format that can be written.
+    recording : Recording, optional
+        What a diagnosis was found from, to lie beside it for its report.
+
+    Raises
+    ------
+    ModelError
+        When the object is none of these.
+    RecordError
+        When the place cannot be written; nothing half-written stays behind.
+
+    Examples
+    --------
+    >>> import ltsim as lt
+    >>> recording, truth = lt.simulate("paper-workshop", seed=7)
+    >>> lt.write(recording, "workshop.txt", format="polar-text")
+    >>> lt.write(truth, "truth.json")
+    """
+    if isinstance(result, Recording):
+        write_recording(result, path, format)
+    else:
+        _write_result(result, Path(path), recording)
+
+
+def _write_result(result: Truth | Calibration | Diagnosis | Plan, path: Path, recording: Recording | None) -> None:
+    """What is no recording; its room is loaded already, since the result came from it."""
+    from ltsim.calibration.calibration import Calibration
+    from ltsim.calibration.files import write_calibration
+    from ltsim.diagnosis.diagnosis import Diagnosis
+    from ltsim.diagnosis.files import write_diagnosis
+    from ltsim.planning.plan import Plan, write_plan
+    from ltsim.simulation.truth import Truth, write_truth
+
+    match result:
+        case Truth():
+            write_truth(result, path)
+        case Calibration():
+            write_calibration(result, path)
+        case Diagnosis():
+            write_diagnosis(result, path, recording)
+        case Plan():
+            write_plan(result, path)
+        case _:
+            raise ModelError(f"a {type(result).__name__} has no files; a recording, truth, calibration, ... has")
+
+
+def convert(
+    source: RecordingSource,
+    destination: str | Path,
+    *,
+    to: str = "native",
+    format: str | None = None,  # noqa: A002
+    hints: Hints | None = None,
+) -> Recording:
+    """Read a recording in one format and write it in another.
+
+    Parameters
+    ----------
+    source : Recording, str or Path
+    destination : str or Path
+    to : str
+        Format to write.
+    format, hints
+        As of `read`.
+
+    Returns
+    -------
+    Recording
+        Its `notes` say what was decided about an ambiguous file.
+
+    Examples
+    --------
+    >>> import ltsim as lt
+    >>> recording, _ = lt.simulate("paper-workshop", seed=7)
+    >>> lt.convert(recording, "workshop.txt", to="polar-text")
+    Recording: The paper's workshop: 140 pointings, 5 stations, 28 targets, face 1 only, 6 known lengths
+    """
+    recording = source if isinstance(source, Recording) else read_recording(source, format=format, hints=hints)
+    write_recording(recording, destination, to)
+    return recording

@@ -1,0 +1,250 @@
+"""Would I see it in my hall? A cause is put into a recording in hand, and the diagnosis is asked."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from scipy.stats import binomtest
+
+from ltsim.adjustment import adjust
+from ltsim.adjustment.residual_space import ResidualSpace
+from ltsim.calibration.beside import Wanted
+from ltsim.calibration.verbs import wanted
+from ltsim.core.arrays import Floats
+from ltsim.core.errors import ModelError
+from ltsim.core.randomness import stream
+from ltsim.diagnosis.diagnosis import Diagnosis
+from ltsim.diagnosis.verbs import diagnose
+from ltsim.physics.effects import find_effect
+from ltsim.physics.effects.effect import Effect, Mistake, NoiseEffect
+from ltsim.physics.effects.signature import Tunable
+from ltsim.physics.effects.verbs import Sized
+from ltsim.physics.laws.law import Law
+from ltsim.physics.model.construction import stated_construction
+from ltsim.recordings.exchange import RecordingSource, recording_of
+from ltsim.simulation.inject import Injected, Injection, InjectionCurve, InjectionTruth, Injector
+
+SIZE = "size"
+"""Of a law in words: rms of what its carrier does, in the carrier's unit."""
+STRENGTHS = (25.0, 50.0, 100.0, 200.0, 400.0, 800.0)
+TRIES = 25
+"""Draws of what was not said until one is seen."""
+ALIKE = 0.5
+"""Share of the targets or stations in common from which several are the right ones."""
+
+
+def inject(
+    recording: RecordingSource, *causes: str | Tunable | Sized, noncentrality: float | None = None, seed: int = 0
+) -> Injection:
+    """Put causes into the readings of a recording through the exact model; nothing else is changed.
+
+    Parameters
+    ----------
+    recording : Recording, str or Path
+        Measured or simulated.
+    *causes : str or Effect
+        ``EFFECT`` or ``EFFECT:WHERE,...``: an effect of the catalogue, or a law in words as of `calibrate`
+        (``CARRIER ~ DRIVER``); stations, targets, constants and parameters (``range-step:S3,range-step=30``) in their
+        units, of a law ``size=VALUE`` (rms, um or urad). What is not said is drawn: place, constants, plausible size.
+        Vectors are in the axes of the recording's adjustment.
+    noncentrality : float, optional
+        What the adjustment leaves of each cause: sizes are scaled to it.
+    seed : int
+        Root of the draws.
+
+    Returns
+    -------
+    recording : Recording
+    truth : InjectionTruth
+        Nothing that calibrates or diagnoses takes it.
+
+    Raises
+    ------
+    ModelError
+        When a cause does not exist, or the network hides it.
+
+    Examples
+    --------
+    >>> import ltsim as lt
+    >>> recording, _ = lt.simulate("paper-workshop", seed=7)
+    >>> made, truth = lt.inject(recording, "range-step:S3", noncentrality=100, seed=1)
+    >>> round(truth.causes[0].noncentrality)
+    100
+    """
+    if not causes:
+        raise ModelError(
+            "nothing to inject: name an effect (ltsim effects lists them) or a law such as 'azimuth ~ time'"
+        )
+    if noncentrality is not None and not noncentrality > 0.0:
+        raise ModelError(f"noncentrality: found {noncentrality:g}, expected more than 0")
+    for cause in causes:
+        if isinstance(cause, (list, tuple)):
+            raise ModelError("causes are given one after another, not as a list: inject(recording, first, second)")
+    seen = recording_of(recording)
+    injector, told = Injector(seen, ResidualSpace.of(adjust(seen, stated_construction(seen)))), []
+    for number, cause in enumerate(causes):
+        rng = stream(seed, "inject", number)
+        drawn, values = _sized(injector, cause, noncentrality, rng)
+        seen, one = injector.put(drawn, values, _called(cause), rng)
+        injector = injector.after(seen)
+        told.append(one)
+    return Injection(seen, InjectionTruth(seed, tuple(told)))
+
+
+def injection_curve(
+    recording: RecordingSource,
+    cause: str | Tunable | Sized,
+    *,
+    strengths: Sequence[float] = STRENGTHS,
+    injections: int = 5,
+    seed: int = 0,
+) -> InjectionCurve:
+    """How strong a cause must be to be found, placed and named in a recording in hand.
+
+    Parameters
+    ----------
+    recording : Recording, str or Path
+    cause : str
+        As of `inject`; what it does not say, such as the place, is drawn anew for each injection.
+    strengths : sequence of float
+        Noncentralities.
+    injections : int
+        At each strength; each is diagnosed.
+    seed : int
+
+    Returns
+    -------
+    InjectionCurve
+        What is told of the recording without any injection is no success.
+
+    Raises
+    ------
+    ModelError
+        As of `inject`.
+    """
+    if injections < 1 or not len(strengths) or any(not s > 0.0 for s in strengths):
+        raise ModelError("a curve needs one injection at least at each strength, and strengths above 0")
+    seen = recording_of(recording)
+    background = diagnose(seen)
+    rows = []
+    for strength in strengths:
+        draws = [inject(seen, cause, noncentrality=strength, seed=seed + k) for k in range(injections)]
+        judged = [judge(diagnose(made), truth.causes[0], background) for made, truth in draws]
+        rows.append(_row(strength, [truth.causes[0] for _, truth in draws], judged))
+    told = tuple(sorted({f.effect for f in background.findings}))
+    return InjectionCurve(_called(cause), told, tuple(rows))
+
+
+def _called(cause: str | Tunable | Sized) -> str:
+    return cause if isinstance(cause, str) else cause.effect.name if isinstance(cause, Sized) else cause.name
+
+
+def judge(found: Diagnosis, cause: Injected, background: Diagnosis) -> dict[str, bool]:
+    """Whether a cause was found, placed and named by what is told beyond the background."""
+    before = {_key(f) for f in background.findings}
+    new = [f for f in found.findings if _key(f) not in before]
+    placed = [f for f in new if _placed(cause.cause, f)]
+    name = cause.cause.name
+    named = [f for f in placed if name in (f.effect, *(e.effect for e in f.equivalents))]
+    first = new[:1]
+    return {
+        "found": bool(new),
+        "placed": bool(placed),
+        "named": bool(named),
+        "right": bool(first) and first[0].effect == name and first[0] in placed,
+    }
+
+
+def _key(finding: Any) -> tuple[Any, ...]:
+    where = finding.where
+    return finding.effect, tuple(where.stations), tuple(where.targets), tuple(where.observables)
+
+
+def _placed(cause: Tunable, finding: Any) -> bool:
+    """Stations and targets alike; where the cause is everywhere, its observables."""
+    where = finding.where
+    pairs = [(set(cause.stations), set(where.stations)), (set(cause.targets), set(where.targets))]
+    alike = all(a == b if len(a) < 2 else len(a & b) >= ALIKE * len(a | b) for a, b in pairs)
+    told = set(where.observables) or set(cause.observables)
+    return alike and bool(told & set(cause.observables))
+
+
+def _row(strength: float, causes: Sequence[Injected], judged: Sequence[Mapping[str, bool]]) -> dict[str, float]:
+    row: dict[str, float] = {"noncentrality": strength, "injections": len(judged)}
+    row["largest_um"] = float(np.mean([c.largest["distance_um"] for c in causes]))
+    row["largest_urad"] = float(np.mean([max(c.largest["azimuth_urad"], c.largest["elevation_urad"]) for c in causes]))
+    for key in ("found", "placed", "named", "right"):
+        row[key] = sum(one[key] for one in judged)
+        if key != "right":
+            interval = binomtest(int(row[key]), len(judged)).proportion_ci(method="wilson")
+            row[f"{key}_low"], row[f"{key}_high"] = interval.low, interval.high
+    return row
+
+
+def _sized(
+    injector: Injector, cause: str | Tunable | Sized, noncentrality: float | None, rng: np.random.Generator
+) -> tuple[Tunable, Floats]:
+    """A cause and its values [SI]; where the network hides what was drawn, another place and constants are drawn."""
+    for attempt in range(TRIES):
+        drawn, values = _drawn(injector, cause, rng)
+        if noncentrality is None:
+            break
+        try:
+            return drawn, injector.sized(drawn, values, noncentrality)
+        except ModelError:
+            if attempt == TRIES - 1:
+                raise
+    return drawn, values
+
+
+def _drawn(injector: Injector, cause: str | Tunable | Sized, rng: np.random.Generator) -> tuple[Tunable, Floats]:
+    """A cause with its place and constants, and values (q,) [SI] of its parameters; what is not said is drawn."""
+    if isinstance(cause, str):
+        text, stated = _split(cause)
+        asked = wanted(text, injector.recording)
+    else:
+        given, stated = (cause.effect, dict(cause.sizes)) if isinstance(cause, Sized) else (cause, {})
+        asked = wanted(given, injector.recording) if isinstance(given, Effect) else Wanted(given)
+    effect, sightings = asked.effect, injector.space.sightings
+    tries: Sequence[Tunable] = [effect]
+    if isinstance(effect, Mistake) and not effect.place:
+        tries = type(effect).possible(sightings)
+    elif isinstance(effect, Effect) and not isinstance(effect, Mistake):
+        tries = asked.tries(injector.space.adjustment)
+    if not tries:
+        raise ModelError(f"{effect.name} can act nowhere in this recording")
+    chosen = tries[int(rng.integers(len(tries)))]
+    return chosen, _values(chosen, stated, injector, rng)
+
+
+def _split(text: str) -> tuple[str, dict[str, float]]:
+    """The text without the values of parameters, and these."""
+    name, _, rest = text.partition(":")
+    names = {SIZE} if "~" in name else {p.name for p in find_effect(name.strip()).parameters}
+    items, stated = [part.strip() for part in rest.split(",") if part.strip()], {}
+    for item in items:
+        key, _, value = item.partition("=")
+        if key.strip() in names:
+            try:
+                stated[key.strip()] = float(value)
+            except ValueError:
+                raise ModelError(f"'{text}': {key.strip()} is {value!r}, expected a number") from None
+    left = [item for item in items if item.partition("=")[0].strip() not in stated]
+    return f"{name}:{','.join(left)}" if left else name, stated
+
+
+def _values(cause: Tunable, stated: Mapping[str, float], injector: Injector, rng: np.random.Generator) -> Floats:
+    drawn = np.array([p.prior_sigma for p in cause.parameters]) * rng.standard_normal(len(cause.parameters))
+    positive = [p.positive or isinstance(cause, NoiseEffect) for p in cause.parameters]
+    drawn = np.where(positive, np.abs(drawn), drawn)
+    if isinstance(cause, Mistake):
+        return np.ones(len(cause.parameters))
+    if not stated:
+        return drawn
+    if isinstance(cause, Law):
+        moved = cause.columns(injector.space.sightings) @ drawn.reshape(-1, cause.driver.size).T
+        rms = float(np.sqrt(np.mean(np.sum(moved[cause.mask(injector.space.sightings) > 0] ** 2, axis=1))))
+        return drawn * stated[SIZE] * cause.parameters[0].factor / rms
+    return np.array([stated.get(p.name, 0.0) * p.factor for p in cause.parameters])

@@ -1,0 +1,87 @@
+"""How a number is written: one rule for value and sigma, one for an expanded uncertainty, everywhere.
+
+`a +- b` is always a value and **one standard deviation** (sigma, JCGM 100 standard uncertainty). What covers 95 % is
+written as an expanded uncertainty with its factor, `U = b (k = 2)`, or as an interval that says so. Pages turn `+-` and
+`um` into their signs.
+"""
+
+import math
+from collections.abc import Sequence
+
+from ltsim.core.errors import ModelError
+
+NONE = "-"
+"""What stands for a number that does not exist; never `nan`."""
+MOST_DECIMALS = 12
+
+
+def number(value: float | None, digits: int = 3) -> str:
+    """A number of so many significant digits, without exponent from 1e-4 to 1e6; a dash for none."""
+    if value is None or not math.isfinite(value):
+        return NONE
+    if value == 0:
+        return "0"
+    size = abs(value)
+    if not 1e-4 <= size < 1e6:
+        return f"{value:.{max(digits - 1, 0)}e}"
+    return fixed(value, max(digits - 1 - math.floor(math.log10(size)), 0))
+
+
+def with_sigma(value: float | None, sigma: float | None, unit: str = "") -> str:
+    """`1.23 +- 0.10 um`: value and one standard deviation, both to the second digit of sigma."""
+    if value is None or not math.isfinite(value):
+        return NONE
+    if sigma is None or not (math.isfinite(sigma) and sigma > 0):
+        return f"{number(value)} {unit}".rstrip()
+    places = decimals(sigma)
+    return f"{fixed(value, places)} +- {fixed(sigma, places)} {unit}".rstrip()
+
+
+def expanded(value: float | None, u: float | None, unit: str = "", factor: float = 2.0) -> str:
+    """`1.23 um, U = 0.20 um (k = 2)`: value and expanded uncertainty of a coverage factor."""
+    if u is None or not (math.isfinite(u) and u > 0):
+        return with_sigma(value, None, unit)
+    if value is None or not math.isfinite(value):
+        return NONE
+    places = decimals(u)
+    measured, half = (f"{fixed(v, places)} {unit}".rstrip() for v in (value, u))
+    return f"{measured}, U = {half} (k = {factor:.3g})"
+
+
+def decimals(sigma: float) -> int:
+    """Decimals that end at the second digit of an uncertainty: 2 for 0.10, 0 for 12 and above."""
+    rounded = float(f"{sigma:.1e}")  # 0.0996 is 0.10
+    return min(max(1 - math.floor(math.log10(rounded)), 0), MOST_DECIMALS)
+
+
+def aligned(header: Sequence[str], rows: Sequence[Sequence[str]], left: int = 1) -> str:
+    """Rows as aligned text, the first `left` columns to the left, the others to the right.
+
+    Raises ModelError when a row is not as long as the header.
+    """
+    if any(len(row) != len(header) for row in rows):
+        raise ModelError("a row of a table is not as long as its header")
+    lines = [header, *rows]
+    widths = [max(len(line[i]) for line in lines) for i in range(len(header))]
+    return "\n".join(
+        "  ".join(
+            cell.ljust(width) if i < left else cell.rjust(width)
+            for i, (cell, width) in enumerate(zip(line, widths, strict=True))
+        ).rstrip()
+        for line in lines
+    )
+
+
+def listing(words: Sequence[str], most: int = 6) -> str:
+    """Words with commas, the last few counted."""
+    if len(words) <= most:
+        return ", ".join(words)
+    return ", ".join(words[:most]) + f" and {len(words) - most} more"
+
+
+def fixed(value: float | None, places: int) -> str:
+    """A number with so many decimals, a dash for none; thousands are not divided, so that it can be copied."""
+    if value is None or not math.isfinite(value):
+        return NONE
+    text = f"{value:.{places}f}"
+    return text.removeprefix("-") if not text.strip("-0.") else text

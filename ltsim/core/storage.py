@@ -1,0 +1,156 @@
+"""Atomic replacement of the files of a folder, by one process that may be killed at any moment.
+
+Contents go to temporary siblings first; a note then lists where each belongs, and the moves follow. A process that is
+killed before the note leaves the folder as it was; the moves that it leaves behind after it are finished by the next
+one that writes there (`settle`). Files and folders have the permissions that the user's umask gives.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import json
+import os
+import re
+import secrets
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+from ltsim.core.errors import RecordError
+
+MODE = 0o666
+"""Permissions of a new file before the umask."""
+_RUN = secrets.token_hex(4)
+"""Mark of this process: a later one may have its number."""
+_TEMPORARY = re.compile(r"\.ltsim-(\d{1,9})-([0-9a-f]{8})-[0-9a-f]{8}\.(tmp|moves)")
+"""Names of temporary files and of notes, with number and mark of the process that writes."""
+
+
+def write_files(folder: Path, contents: Mapping[str, bytes], *, durable: bool = False) -> None:
+    """Write files into a folder, made where it is missing: all of them, or none.
+
+    A name may lead through folders. A device or a pipe is written to. `durable` files are on the disk before they have
+    their names, and the names before this returns. Raises OSError, and RecordError as `place_in`.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    settle(folder)
+    moves: dict[str, str] = {}
+    note = folder / _temporary("moves")
+    try:
+        for name, content in contents.items():
+            place = place_in(folder, name)
+            place.parent.mkdir(parents=True, exist_ok=True)
+            if place.is_dir():
+                raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(folder / name))
+            if is_device(place):
+                place.write_bytes(content)
+                continue
+            temporary = place.parent / _temporary("tmp")
+            moves[os.path.relpath(temporary, folder)] = name
+            _create(temporary, content, durable=durable)
+        if len(moves) > 1:
+            _create(note, json.dumps(moves).encode(), durable=durable)
+        try:
+            _move(folder, moves, durable=durable)
+        except KeyboardInterrupt:
+            _move(folder, moves, durable=durable)
+            raise
+    finally:
+        for left in (*(folder / name for name in moves), note):
+            with contextlib.suppress(OSError):
+                left.unlink(missing_ok=True)
+
+
+def settle(folder: Path) -> set[str]:
+    """Finish what a killed process had begun to move into a folder, and remove what it had not; names of the former.
+
+    Raises OSError.
+    """
+    finished: set[str] = set()
+    for note in _abandoned(folder, "moves"):
+        try:
+            moves = json.loads(note.read_bytes())
+            valid = isinstance(moves, dict) and all(
+                isinstance(name, str) and _TEMPORARY.fullmatch(Path(source).name) for source, name in moves.items()
+            )
+        except ValueError:  # killed while it wrote the note
+            valid = False
+        if valid:
+            moves = {source: name for source, name in moves.items() if _inside(folder, source)}
+            _move(folder, moves, durable=False)
+            finished.update(moves.values())
+        note.unlink(missing_ok=True)
+    for left in _abandoned(folder, "tmp"):
+        left.unlink(missing_ok=True)
+    return finished
+
+
+def place_in(folder: Path, name: str) -> Path:
+    """Place of a file in a folder, symbolic links followed; RecordError for links that lead out of the folder."""
+    place = Path(os.path.realpath(folder / name))
+    if not (place.is_relative_to(os.path.realpath(folder)) or is_device(place)):
+        raise RecordError(
+            f"is a symbolic link that leads out of the folder, to {place}; remove the link, or name another place",
+            file=folder / name,
+        )
+    return place
+
+
+def is_device(path: Path) -> bool:
+    """True when a path leads to something that is neither a file nor a folder: a device, a pipe."""
+    return path.exists() and not path.is_file() and not path.is_dir()
+
+
+def _temporary(ending: str) -> str:
+    return f".ltsim-{os.getpid()}-{_RUN}-{secrets.token_hex(4)}.{ending}"
+
+
+def _create(path: Path, content: bytes, *, durable: bool) -> None:
+    """A new file; the kernel applies the umask."""
+    with open(path, "xb", opener=lambda name, flags: os.open(name, flags, MODE)) as stream:
+        stream.write(content)
+        if durable:
+            stream.flush()
+            os.fsync(stream.fileno())
+
+
+def _move(folder: Path, moves: Mapping[str, str], *, durable: bool) -> None:
+    """Give temporary files their names; those that have them already are passed over."""
+    parents = set()
+    for source, name in moves.items():
+        place = place_in(folder, name)
+        with contextlib.suppress(FileNotFoundError):
+            os.replace(folder / source, place)
+        parents.add(place.parent)
+    for parent in parents if durable else ():
+        handle = os.open(parent, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
+
+
+def _inside(folder: Path, name: str) -> bool:
+    return Path(os.path.realpath(folder / name)).is_relative_to(os.path.realpath(folder))
+
+
+def _abandoned(folder: Path, ending: str) -> Iterator[Path]:
+    """Temporary files of processes that have ended, in a folder and in those below it."""
+    for path in [*folder.glob(f".ltsim-*.{ending}"), *folder.glob(f"*/.ltsim-*.{ending}")]:
+        match = _TEMPORARY.fullmatch(path.name)
+        if match and not _runs(int(match[1]), match[2]):
+            yield path
+
+
+def _runs(process: int, mark: str) -> bool:
+    if os.name == "nt":  # there `os.kill` ends the process that it asks after
+        return True
+    if process == os.getpid():
+        return mark == _RUN
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:
+        pass
+    return True

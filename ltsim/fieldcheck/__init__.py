@@ -1,4 +1,0 @@
-"""Go or no-go in the field: one set-up at a time, from what was measured twice."""
-
-from ltsim.fieldcheck.check import Check as Check, check as check, check_file as check_file, write_check as write_check
-from ltsim.fieldcheck.items import Item as Item

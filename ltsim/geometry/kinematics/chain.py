@@ -1,0 +1,127 @@
+"""Kinematic chains: a tracker as a sequence of elementary motions, exact, with exact derivatives.
+
+A chain is a literal list read from the base outwards: turn about z by the azimuth, shift along x by the
+transit offset, ... The target sits at the origin of the last frame. Errors enter as an amount added to a
+motion's nominal amount; the motion's `slot` is the name under which they are added. The derivative of the
+point by any slot is the axis carried into the base frame (a translation) or crossed with the lever arm behind
+it (a rotation).
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from ltsim.core.arrays import Floats
+
+Nominal = Callable[[Floats], Floats]
+
+
+@dataclass(frozen=True)
+class Turn:
+    """Rotation about a coordinate axis (0, 1, 2) by ``nominal(raw) + error[slot]`` [rad]."""
+
+    axis: int
+    slot: str = ""
+    nominal: Nominal | None = None
+    sign: float = 1.0
+
+
+@dataclass(frozen=True)
+class Shift:
+    """Translation along a coordinate axis (0, 1, 2) by ``nominal(raw) + error[slot]`` [m]."""
+
+    axis: int
+    slot: str = ""
+    nominal: Nominal | None = None
+    sign: float = 1.0
+
+
+Motion = Turn | Shift
+Chain = tuple[Motion, ...]
+
+
+@dataclass(frozen=True)
+class Constant:
+    """A nominal amount that does not depend on the readings."""
+
+    value: float
+
+    def __call__(self, raw: Floats) -> Floats:
+        """(n,) of raw readings (n, 3)."""
+        return np.full(len(raw), self.value)
+
+
+@dataclass(frozen=True)
+class Reading:
+    """A nominal amount that is a raw reading (0 range, 1 azimuth, 2 elevation) plus `offset`."""
+
+    column: int
+    offset: float = 0.0
+
+    def __call__(self, raw: Floats) -> Floats:
+        """(n,) of raw readings (n, 3)."""
+        return raw[:, self.column] + self.offset
+
+
+def _amount(motion: Motion, raw: Floats, errors: Mapping[str, Floats]) -> Floats | None:
+    amount = None if motion.nominal is None else motion.nominal(raw)
+    error = errors.get(motion.slot)
+    if error is not None:
+        amount = error if amount is None else amount + error
+    return None if amount is None else motion.sign * amount
+
+
+def _turn(axis: int, angle: Floats, *vectors: Floats) -> None:
+    """Turn vectors (..., n, 3) about a coordinate axis by angles (n,), in place."""
+    i, j = (axis + 1) % 3, (axis + 2) % 3
+    c, s = np.cos(angle), np.sin(angle)
+    for v in vectors:
+        v[..., i], v[..., j] = c * v[..., i] - s * v[..., j], s * v[..., i] + c * v[..., j]
+
+
+def point(chain: Chain, raw: Floats, errors: Mapping[str, Floats]) -> Floats:
+    """Point (n, 3) [m] that raw readings (n, 3) describe; `errors` gives (n,) amounts by slot."""
+    p = np.zeros((len(raw), 3))
+    for motion in reversed(chain):
+        amount = _amount(motion, raw, errors)
+        if amount is None:
+            continue
+        if isinstance(motion, Shift):
+            p[:, motion.axis] += amount
+        else:
+            _turn(motion.axis, amount, p)
+    return p
+
+
+def point_and_derivatives(
+    chain: Chain, raw: Floats, errors: Mapping[str, Floats], slots: set[str]
+) -> tuple[Floats, dict[str, Floats]]:
+    """Point (n, 3) and its derivative (n, 3) by the amount of each wanted slot.
+
+    Walks from the target inwards, carrying point and derivatives through every motion: all are vectors of the
+    current frame, so a turn turns them all, and a shift moves the point alone.
+    """
+    p = np.zeros((len(raw), 3))
+    carried, count = np.zeros((len(chain), len(raw), 3)), 0
+    derivatives: dict[str, Floats] = {}
+    for motion in reversed(chain):
+        amount = _amount(motion, raw, errors)
+        if isinstance(motion, Shift):
+            if amount is not None:
+                p[:, motion.axis] += amount
+        elif amount is not None:
+            _turn(motion.axis, amount, p, carried[:count])
+        if motion.slot not in slots:
+            continue
+        if motion.slot not in derivatives:
+            derivatives[motion.slot] = carried[count]
+            count += 1
+        by_amount = derivatives[motion.slot]
+        if isinstance(motion, Shift):
+            by_amount[:, motion.axis] += motion.sign
+        else:
+            i, j = (motion.axis + 1) % 3, (motion.axis + 2) % 3
+            by_amount[:, i] -= motion.sign * p[:, j]
+            by_amount[:, j] += motion.sign * p[:, i]
+    return p, derivatives

@@ -1,0 +1,53 @@
+"""The tracker with a beam-steering mirror: the source is fixed in the base, a mirror turns at half the beam's rate.
+
+The beam leaves the base upward along the standing axis and meets a plane mirror that turns with the head about the
+transit axis. With V the zenith angle of the target the mirror's normal points V/2 below the horizon, and the
+target is the image of a point straight up the beam:
+
+    p = T F T^-1 C' B (0, 0, range),   F = diag(-1, 1, 1)
+    T = Rz(azimuth) Dx(e) Rx(i) Ry(V/2) Dx(f) Rz(c)               base to mirror, its normal along x
+    C' = Rz(azimuth) Dx(forward) Dy(left) Rz(azimuth)^-1          the cover plate's offset, which turns with the head
+    B = Dx(O_x) Dy(O_y) Rx(I_x) Ry(I_y)                           the beam in the base
+
+with e the transit offset, i the transit tilt, f the mirror offset, c the mirror tilt. A reflection F before a turn or a
+shift is the reflected turn or shift before F, and F leaves the origin, where the target sits, as it is: so F moves
+through T^-1, C' and B to the end and vanishes. Turns about x and shifts along y and z stay, turns about y and z and
+shifts along x change their sign. What is left is a chain of turns and shifts like any other, in which the mirror's
+motions stand twice.
+
+Source: Loser and Kyle 1998, Alignment and field check procedures for the Leica laser tracker LTD 500, Boeing Large
+Scale Optical Metrology Seminar (the parameters); Muralikrishnan et al. 2009, J. Res. NIST 114, 21-35,
+doi:10.6028/jres.114.003. Written here in the exact form; signs as in `kinematics.misalignment`.
+"""
+
+import math
+
+from ltsim.geometry.kinematics.chain import Chain, Reading, Shift, Turn
+
+ZENITH = -0.5 * math.pi
+HALF = -0.5
+
+STEERING_MIRROR: Chain = (
+    # To the mirror: T.
+    Turn(2, "azimuth", Reading(1)),
+    Shift(0, "transit-offset"),
+    Turn(0, "transit-tilt"),
+    Turn(1, "elevation", Reading(2, ZENITH), sign=HALF),
+    Shift(0, "mirror-offset"),
+    Turn(2, "mirror-tilt"),
+    # Its image: T^-1 reflected.
+    Turn(2, "mirror-tilt"),
+    Shift(0, "mirror-offset"),
+    Turn(1, "elevation", Reading(2, ZENITH), sign=HALF),
+    Turn(0, "transit-tilt", sign=-1.0),
+    Shift(0, "transit-offset"),
+    Shift(0, "cover-forward", sign=-1.0),
+    Shift(1, "cover-left"),
+    Turn(2, "azimuth", Reading(1)),
+    # The beam in the base, reflected.
+    Shift(0, "beam-x", sign=-1.0),
+    Shift(1, "beam-y"),
+    Turn(0, "beam-tilt-x"),
+    Turn(1, "beam-tilt-y", sign=-1.0),
+    Shift(2, "range", Reading(0)),
+)

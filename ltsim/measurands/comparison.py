@@ -1,0 +1,261 @@
+"""Two epochs compared: the congruence test, which points moved, and comparison.json with displacements.csv.
+
+References
+----------
+Pelzer, Zur Analyse geodaetischer Deformationsmessungen (1971): the congruence test.
+Baarda, A testing procedure for use in geodetic networks (1968): the single hypotheses and their smallest visible size.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+import scipy.linalg
+from scipy import special
+
+from ltsim.adjustment.reliability import noncentrality
+from ltsim.core.arrays import Bools, Floats, Ints
+from ltsim.core.chances import p_is
+from ltsim.core.notation import listing
+from ltsim.core.results import Column, Result, Table, numbers
+from ltsim.core.units import MICROMETRE, MILLIMETRE, PPM
+from ltsim.recordings.result_file import Entry, Finite, Known, ResultFile, SourceEntry, Vector
+
+DISPLACEMENTS = Table(
+    "displacements.csv",
+    "what every common point did from the first epoch to the second",
+    (
+        Column("target", "name", "text"),
+        Column("moved", "True where it moved", "flag"),
+        *numbers(".4f", x_mm="place in the first epoch", y_mm="as x_mm", z_mm="as x_mm"),
+        *(Column(f"d{a}_um", "displacement, second less first epoch", sigma=f"s{a}_um") for a in "xyz"),
+        *(Column(f"s{a}_um", f"standard deviation of d{a}_um") for a in "xyz"),
+        *numbers("", ".1f", a_um="semi-axes of its 95 % ellipsoid", b_um="as a_um", c_um="as a_um"),
+        Column("p_value", "that it did not move, paid for all points tested", "chance"),
+        Column("visible_um", "smallest motion that is found in 4 of 5 cases, whatever its direction", shown=".0f"),
+    ),
+)
+MOST_NAMED = 6
+COVERAGE = 0.95
+"""Of the error ellipsoids."""
+
+
+class Displacement(Entry):
+    """One point: place in the first epoch [mm], displacement and its uncertainty [um]."""
+
+    target: str
+    """Name of the target."""
+    moved: bool
+    """The test says so."""
+    place_mm: Vector
+    """In the first epoch."""
+    shift_um: Vector
+    """Second minus first epoch, in the frame that the stable points hold."""
+    sigma_um: Vector
+    """Of each component."""
+    covariance_um2: tuple[Vector, Vector, Vector]
+    """Of the components together."""
+    semi_axes_um: Vector
+    """Of its error ellipsoid for 95 %, the largest first."""
+    p_value: Finite
+    """that the point did not move, the other moved ones apart, paid for all points tested"""
+    visible_um: tuple[Finite, Finite]
+    """smallest motion found with 80 %: best and worst direction"""
+    own_chi2: Known = None
+    """of the point's own difference between epochs in one frame, whatever the others did"""
+
+    @property
+    def row(self) -> list[Any]:
+        """Its row of `DISPLACEMENTS`."""
+        sizes = *self.place_mm, *self.shift_um, *self.sigma_um, *self.semi_axes_um
+        return [self.target, self.moved, *sizes, self.p_value, self.visible_um[1]]
+
+
+class Comparison(ResultFile, Result):
+    """`comparison.json`: from `compare`; `recording` is the first epoch."""
+
+    FILE: ClassVar[str] = "comparison.json"
+    format: Literal["ltsim-comparison/1"] = "ltsim-comparison/1"
+    """Which format and version this file is in."""
+    second: SourceEntry | None
+    """The second epoch."""
+    sentence: str
+    """The answer for a person."""
+    level: Finite
+    """probability that any point is told to have moved when none did"""
+    statistic: Finite
+    """of the global test: no point moved; chi-square"""
+    dof: int
+    """Degrees of freedom of the global test."""
+    p_value: Finite
+    """Of the global test."""
+    p_value_after: Finite
+    """of the same test without the points that moved"""
+    scale_ppm: Known = None
+    """of the second epoch, where it was estimated"""
+    notes: tuple[str, ...] = ()
+    """What was assumed of the epochs: motions that they leave open, names that are exchanged."""
+    displacements: tuple[Displacement, ...]
+    """One a common point, in the order of the first recording."""
+
+    __repr__ = __str__ = Result.__repr__
+
+    def _lines(self) -> list[str]:
+        return [
+            self.sentence,
+            *self.notes,
+            f"no motion at all: {p_is(self.p_value)}; without what moved: {p_is(self.p_value_after)}",
+        ]
+
+    def _tables(self) -> Mapping[str, Callable[[], Table]]:
+        return {"displacements": lambda: DISPLACEMENTS.filled(d.row for d in self.displacements)}
+
+    @property
+    def moved(self) -> tuple[str, ...]:
+        """Names of the points that moved."""
+        return tuple(d.target for d in self.displacements if d.moved)
+
+
+def rows_of(points: Sequence[int] | Ints, axes: int) -> Ints:
+    """Rows (a k,) of some points (k,) among coordinates along a axes, point by point."""
+    return (axes * np.asarray(points, dtype=np.int64)[:, None] + np.arange(axes)).ravel()
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Differences d (T a,) of common points after alignment along `axes` (a,), their covariance, free motions (T a, f).
+
+    What is added to the covariance along the free motions changes nothing, and makes that of a datum of its own whole.
+    """
+
+    names: Sequence[str]
+    gap: Floats
+    covariance: Floats
+    free: Floats
+    axes: Ints
+    places: Floats
+    """(T, 3) [m]: in the first epoch."""
+    scaled: bool = False
+    """The last of the free motions is the scale of the second epoch."""
+
+    @property
+    def count(self) -> int:
+        """Number of points."""
+        return len(self.places)
+
+    @property
+    def dof(self) -> int:
+        """Degrees of freedom of the global test."""
+        return len(self._root) - self.free.shape[1]
+
+    def chi2_of(self, point: int) -> float | None:
+        """Chi-square of one point's difference by itself; None where the frame is free."""
+        if self.free.shape[1]:
+            return None
+        at = rows_of([point], len(self.axes))
+        return float(self.gap[at] @ np.linalg.solve(self.covariance[np.ix_(at, at)], self.gap[at]))
+
+    @cached_property
+    def _root(self) -> Floats:
+        scale = np.sqrt(np.diag(self.covariance))
+        values, vectors = np.linalg.eigh(self.covariance / np.outer(scale, scale))
+        # Directions that neither epoch measured at all say nothing.
+        keep = values > 1e-12 * values[-1]
+        return (vectors[:, keep] / np.sqrt(values[keep])).T / scale
+
+    def _design(self, moved: Sequence[int]) -> Floats:
+        """Whitened free motions and unit displacements of the points that moved."""
+        columns = np.eye(len(self.gap))[:, rows_of(moved, len(self.axes))]
+        return self._root @ np.hstack([self.free, columns])
+
+    def cost(self, moved: Sequence[int] = ()) -> float:
+        """Weighted sum of squares of what free motions and displacements of `moved` points do not explain."""
+        left, design = self._root @ self.gap, self._design(moved)
+        basis = scipy.linalg.orth(design / np.linalg.norm(design, axis=0))
+        return float(left @ left - np.sum((basis.T @ left) ** 2))
+
+    def estimate(self, moved: Sequence[int]) -> tuple[Floats, Floats]:
+        """Values of free motions and of the displacements of `moved` points, and their covariance."""
+        design = self._design(moved)
+        size = np.linalg.norm(design, axis=0)
+        inverse = np.linalg.pinv(design / size) / size[:, None]
+        return inverse @ (self._root @ self.gap), inverse @ inverse.T
+
+
+def judged(gap: Gap, fixed: Bools, level: float, sources: tuple[SourceEntry, SourceEntry]) -> Comparison:
+    """The search among the common points that are not `fixed`, known to be stable, and what is told of all."""
+    tested = np.flatnonzero(~fixed)
+    moved = _search(gap, tested, level)
+    displacements = tuple(_displacement(gap, i, moved, len(tested), level) for i in range(gap.count))
+    statistic, dof, left = gap.cost(), gap.dof, gap.dof - len(gap.axes) * len(moved)
+    scale = float(gap.estimate(moved)[0][gap.free.shape[1] - 1]) if gap.scaled else None
+    return Comparison(
+        recording=sources[0],
+        second=sources[1],
+        sentence=_sentence(displacements),
+        level=level,
+        statistic=statistic,
+        dof=dof,
+        p_value=float(special.chdtrc(dof, max(statistic, 0.0))),
+        p_value_after=float(special.chdtrc(left, max(gap.cost(moved), 0.0))) if left > 0 else 1.0,
+        scale_ppm=None if scale is None else scale / PPM,
+        displacements=displacements,
+    )
+
+
+def _search(gap: Gap, tested: Ints, level: float) -> list[int]:
+    """Points that moved: added while one stands out, then each tested again beside the others."""
+    moved: list[int] = []
+    limit = special.chdtri(len(gap.axes), level / max(len(tested), 1))
+    most = max(0, gap.count - (len(gap.axes) if gap.free.shape[1] else 0))
+    while len(moved) < min(len(tested), most):
+        now = gap.cost(moved)
+        rest = [p for p in tested if p not in moved]
+        drops = [now - gap.cost([*moved, p]) for p in rest]
+        best = int(np.argmax(drops))
+        if drops[best] < limit:
+            break
+        moved.append(int(rest[best]))
+    for point in list(moved):
+        others = [p for p in moved if p != point]
+        if gap.cost(others) - gap.cost(moved) < limit:
+            moved = others
+    return moved
+
+
+def _displacement(gap: Gap, i: int, moved: list[int], tested: int, level: float) -> Displacement:
+    """What one point did in the frame that the unmoved ones hold, and its test beside the moved ones."""
+    count, a = max(tested, 1), len(gap.axes)
+    others = [p for p in moved if p != i]
+    values, joint = gap.estimate([*others, i])
+    drop = gap.cost(others) - gap.cost([*others, i])
+    needed = noncentrality(a, level=level / count)
+    visible = np.sqrt(needed * np.clip(np.linalg.eigvalsh(joint[-a:, -a:]), 0.0, None)) / MICROMETRE
+    shift, covariance = np.zeros(3), np.zeros((3, 3))
+    shift[gap.axes], covariance[np.ix_(gap.axes, gap.axes)] = values[-a:], joint[-a:, -a:]
+    factor = float(2.0 * special.gammaincinv(0.5 * a, COVERAGE))
+    semi_axes = np.sqrt(factor * np.clip(np.linalg.eigvalsh(covariance), 0.0, None))[::-1]
+    return Displacement(
+        target=gap.names[i],
+        moved=i in moved,
+        place_mm=(gap.places[i] / MILLIMETRE).tolist(),
+        shift_um=(shift / MICROMETRE).tolist(),
+        sigma_um=(np.sqrt(np.diag(covariance)) / MICROMETRE).tolist(),
+        covariance_um2=(covariance / MICROMETRE**2).tolist(),
+        semi_axes_um=(semi_axes / MICROMETRE).tolist(),
+        p_value=float(min(1.0, count * special.chdtrc(a, max(drop, 0.0)))),
+        visible_um=(float(visible[0]), float(visible[-1])),
+        own_chi2=gap.chi2_of(i),
+    )
+
+
+def _sentence(displacements: Sequence[Displacement]) -> str:
+    size = {d.target: float(np.linalg.norm(d.shift_um)) for d in displacements if d.moved}
+    if not size:
+        sure = max(d.visible_um[1] for d in displacements)
+        return f"no point moved; a motion of {sure:.0f} um would have been found anywhere in 4 of 5 cases"
+    worst = sorted(size, key=lambda name: -size[name])
+    names = listing([f"{name} by {size[name]:.0f} um" for name in worst], MOST_NAMED)
+    return f"{len(worst)} of {len(displacements)} points moved: {names}"

@@ -1,0 +1,210 @@
+"""Did points move between two recordings? The congruence test, and which points moved.
+
+Each epoch is adjusted by itself; the second is brought onto the first by the rigid motions that one of them leaves open
+(and a scale, if asked for). What remains is compared with the full covariance of both. Points that moved are found one
+by one: whichever explains most of what is left, until the rest is congruent; each is then tested beside the others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+import scipy.linalg
+
+from ltsim.adjustment.adjustment import Adjustment
+from ltsim.core.arrays import Bools, Floats, Ints
+from ltsim.core.errors import ModelError, NetworkError, unknown_name
+from ltsim.geometry.alignment import align
+from ltsim.geometry.rigid import rigid_motion
+from ltsim.measurands.assumed import datum_note, exchange_note, exchanged, open_motions
+from ltsim.measurands.comparison import Comparison, Gap, judged, rows_of
+from ltsim.measurands.inputs import CONTROL, LENGTHS, PRIORS, observed_sources, reach_of
+from ltsim.recordings.coordinates import Coordinates
+from ltsim.recordings.lengths import COEFFICIENT
+from ltsim.recordings.result_file import SourceEntry
+from ltsim.recordings.setup import Gauge
+
+SPACE = np.arange(3)
+ALIGNING = 30
+"""Rounds of the alignment by distances, which a third of the points may leave far."""
+STILL = 1e-9
+"""Share of the extent by which a unit motion has to move points along the axes that are known."""
+
+
+def compare(
+    first: Adjustment,
+    second: Adjustment,
+    *,
+    stable: Sequence[str] | None = None,
+    scaled: bool = False,
+    same_instrument: bool = False,
+    level: float = 0.05,
+) -> Comparison:
+    """The points that two converged adjustments share, each in its own frame; options and errors as of `lt.compare`."""
+    lost = {*first.lost_targets, *second.lost_targets}
+    common = [n for n in first.recording.targets if n in second.recording.targets and n not in lost]
+    known = _frame("recordings", common, stable, held=3)
+    at = [np.array([a.recording.targets.index(n) for n in common]) for a in (first, second)]
+    given = _in_common(first, second, same_instrument)
+    one, other = (_Epoch.of(a, i, given) for a, i in zip((first, second), at, strict=True))
+    sources = SourceEntry.of(first.recording), SourceEntry.of(second.recording)
+    return _compared(one, other, scaled, known, known & (stable is not None), level, sources)
+
+
+def compare_coordinates(
+    first: Coordinates,
+    second: Coordinates,
+    *,
+    stable: Sequence[str] | None = None,
+    free: bool = False,
+    scaled: bool = False,
+    level: float = 0.05,
+) -> Comparison:
+    """Two lists of coordinates in one frame, or in `free` ones; options and errors as of `lt.compare`."""
+    if first.axes != second.axes:
+        raise ModelError(
+            f"the first list holds {first.axes} and the second {second.axes}; the axes have to be the same"
+        )
+    common = [name for name in first.names if name in second.names]
+    open_ = [np.eye(6) if free else open_motions(epoch) for epoch in (first, second)]
+    is_open = scaled or any(motions.shape[1] for motions in open_)
+    known = _frame("lists", common, stable, held=len(first.axes) if is_open else 0)
+    one, other = (_Epoch.listed(epoch, common, motions) for epoch, motions in zip((first, second), open_, strict=True))
+    count = 0 if free else max(motions.shape[1] for motions in open_)
+    notes = [datum_note(count)] if count else []
+    sources = SourceEntry.listed(first), SourceEntry.listed(second)
+    held = known & (stable is not None)
+    return _compared(one, other, scaled, known, held, level, sources, first.along, notes)
+
+
+def _compared(
+    first: _Epoch,
+    second: _Epoch,
+    scaled: bool,
+    known: Bools,
+    held: Bools,
+    level: float,
+    sources: tuple[SourceEntry, SourceEntry],
+    axes: Ints = SPACE,
+    notes: Sequence[str] = (),
+) -> Comparison:
+    """The comparison of epochs of the same names; points whose names are exchanged are compared by place."""
+    gap = _aligned(first, second, scaled, known, axes)
+    result = judged(gap, held, level, sources)
+    order = exchanged(gap, [i for i, d in enumerate(result.displacements) if d.moved])
+    if order is not None:
+        result = judged(_aligned(first, second.reordered(order, len(axes)), scaled, known, axes), held, level, sources)
+        notes = [*notes, exchange_note(first.names, order)]
+    return result.model_copy(update={"notes": tuple(notes)})
+
+
+def _frame(kind: str, common: Sequence[str], stable: Sequence[str] | None, *, held: int) -> Bools:
+    """(T,): which common points may hold the frame, `held` of them at least: all, or those said to be stable."""
+    for name in stable or ():
+        if name not in common:
+            raise unknown_name("common point", name, common)
+    if len(common) < held + 1:
+        needed = f"at least {held + 1} are needed to see one of them move"
+        raise NetworkError(f"the {kind} share {len(common)} points; {needed}")
+    if stable is not None and len(stable) < held:
+        raise ModelError(f"{len(stable)} stable points hold no frame; name at least {held}")
+    return np.array([stable is None or name in stable for name in common])
+
+
+@dataclass(frozen=True)
+class _Epoch:
+    """Points (T, 3) of one epoch, their joint covariance (T a, T a), and the rigid motions (6, f) that are open.
+
+    `by_given` (T a, g) is how the points follow what the epochs may have in common, in standard deviations.
+    """
+
+    names: Sequence[str]
+    points: Floats
+    covariance: Floats
+    by_given: Floats
+    free: Floats
+
+    @classmethod
+    def of(cls, adjustment: Adjustment, at: Ints, common: Sequence[str]) -> Self:
+        reach = reach_of(adjustment, at)
+        groups = {source.name: source.response for source in observed_sources(adjustment, reach)}
+        given = [np.zeros((reach.shape[1], 0)), *(groups[name] for name in common if name in groups)]
+        names = [adjustment.recording.targets[i] for i in at]
+        return cls(names, adjustment.state.points[at], reach.T @ reach, np.hstack(given), adjustment.problem.free)
+
+    @classmethod
+    def listed(cls, found: Coordinates, common: Sequence[str], free: Floats) -> Self:
+        """Points of a list that leaves motions `free` (6, f)."""
+        at = np.array([found.names.index(name) for name in common])
+        rows = rows_of(at, len(found.axes))
+        return cls(common, found.points[at], found.covariance[np.ix_(rows, rows)], np.zeros((len(rows), 0)), free)
+
+    def reordered(self, order: Ints, axes: int) -> Self:
+        """The epoch with the place of point `order[i]` at point i."""
+        rows = rows_of(order, axes)
+        covariance = self.covariance[np.ix_(rows, rows)]
+        return replace(self, points=self.points[order], covariance=covariance, by_given=self.by_given[rows])
+
+
+def _in_common(first: Adjustment, second: Adjustment, same_instrument: bool) -> list[str]:
+    """Groups of observations that are the same ones in both epochs, errors included: equal statements."""
+    one, other = first.recording.setup, second.recording.setup
+    common = []
+    if same_instrument:
+        if first.problem.prior.sigma.shape != second.problem.prior.sigma.shape:
+            raise ModelError("the recordings hold different numbers of instruments, they cannot be the same one")
+        common.append(PRIORS)
+    if one.gauge is not None and other.gauge is not None and _certificate(one.gauge) == _certificate(other.gauge):
+        shared = [a.problem.gauge.shared for a in (first, second)]
+        common += [LENGTHS, *(name for name in shared[0] if name in shared[1] and name.startswith(COEFFICIENT))]
+    known = [
+        {name: t.known_mm for name, t in setup.targets.items() if t.known_mm is not None} for setup in (one, other)
+    ]
+    if known[0] and known[0] == known[1]:
+        common.append(CONTROL)
+    return common
+
+
+def _certificate(gauge: Gauge) -> Gauge:
+    """What was known of the lengths before they were used: not how warm they were then."""
+    plain = {"measured_at_c": None, "sigma_temperature_k": None}
+    lengths = tuple(line.model_copy(update=plain) for line in gauge.distance)
+    return gauge.model_copy(update={"measured_at_c": 0.0, "sigma_temperature_k": None, "distance": lengths})
+
+
+def _aligned(first: _Epoch, second: _Epoch, scaled: bool, known: Bools, axes: Ints = SPACE) -> Gap:
+    """The second epoch moved onto the first; where both frames are held, as they are; along `axes` (a,)."""
+    one, other, turn = first.points, second.points, np.eye(3)
+    middle = one[known].mean(axis=0)
+    both = np.hstack([first.free, second.free])
+    free = scipy.linalg.orth(both) if both.shape[1] else both
+    if free.shape[1] and len(axes) > 1:
+        weights = known.astype(np.float64)
+        for _ in range(ALIGNING):
+            turn, shift = align(second.points, one, weights)
+            other = second.points @ turn.T + shift
+            off = np.linalg.norm(other - one, axis=1)
+            weights = known / (off + np.median(off[known]) + 1e-12)  # A point that moved must not turn the rest.
+    big = np.kron(np.eye(len(one)), turn[np.ix_(axes, axes)])
+    shared = first.by_given @ second.by_given.T @ big.T
+    covariance = first.covariance + big @ second.covariance @ big.T - shared - shared.T
+    motions = rigid_motion(one, middle)
+    motions = motions @ _about(free, middle) if free.shape[1] else motions[:, :0]
+    motions = motions.reshape(len(one), 3, -1)[:, axes].reshape(len(covariance), -1)
+    motions = motions[:, np.linalg.norm(motions, axis=0) > STILL * np.abs(one - middle).max()]
+    if motions.shape[1]:
+        basis = scipy.linalg.orth(motions)
+        covariance = covariance + np.trace(covariance) * basis @ basis.T
+    if scaled:
+        motions = np.hstack([motions, (one - middle)[:, axes].reshape(-1, 1)])
+    return Gap(first.names, (other - one)[:, axes].ravel(), covariance, motions, axes, one, scaled)
+
+
+def _about(free: Floats, centre: Floats) -> Floats:
+    """Motions (6, f) with their turns about a centre instead of the origin."""
+    about = free.copy()
+    about[:3] += np.cross(free[3:].T, centre).T
+    return about

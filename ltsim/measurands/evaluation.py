@@ -1,0 +1,159 @@
+"""The whole evaluation: readings to results, uncertainty twice, budget, verdicts."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ltsim.adjustment.singular import refusing_singular
+from ltsim.calibration.result import frame_of
+from ltsim.core.arrays import Bools, Floats
+from ltsim.core.results import Result, Table
+from ltsim.measurands.files import BudgetPart, Distribution, TaskResult, UncertaintyFile, conformity
+from ltsim.measurands.inputs import Inputs
+from ltsim.measurands.measurands import Measurand, Output
+from ltsim.measurands.propagation import CURVED, Drawn, Propagated, curvature, draw, expansion_of, propagate
+from ltsim.measurands.spec import Task, Tasks
+from ltsim.recordings.coordinates import Coordinates
+from ltsim.recordings.recording import Recording
+from ltsim.recordings.result_file import SourceEntry
+from ltsim.solve.threads import in_one_thread
+
+MOST_TOLD = 8
+"""Results that stand in the few lines of an evaluation."""
+
+
+@dataclass(frozen=True, repr=False)
+class Evaluation(Result):
+    """What tasks on a recording are worth."""
+
+    tasks: Tasks
+    inputs: Inputs
+    measurands: tuple[Measurand, ...]
+    linear: Propagated
+    """By the law of propagation."""
+    drawn: Drawn
+    """By Monte Carlo."""
+    agrees: Bools
+    """(k,): whether the linear interval is that of the distribution (JCGM 101, clause 8)."""
+    curved: Floats
+    """(k,): gap between the exact adjustment and its linear form, in standard uncertainties."""
+
+    def _lines(self) -> list[str]:
+        told = [r.words for r in self.content.results[:MOST_TOLD]]
+        more = len(self.results) - len(told)
+        head = f"{len(self.results)} results, {100 * self.content.coverage:g} % intervals, {self.drawn.trials} trials"
+        return [head, *told, *([f"and {more} more: to_dataframe()"] if more > 0 else [])]
+
+    def _tables(self) -> Mapping[str, Callable[[], Table]]:
+        return self.content.tables()
+
+    @property
+    def results(self) -> list[tuple[Task, Output]]:
+        """Task and output of each of the k results, in order."""
+        return [(m.task, output) for m in self.measurands for output in m.outputs]
+
+    @property
+    def warnings(self) -> list[str]:
+        """What makes a figure less than it seems, one sentence each."""
+        air = self.inputs.air
+        told = [f"every budget holds the {air}; other numbers: [air] of the task file"] if air else []
+        for i, (task, output) in enumerate(self.results):
+            what = f"{task.name}, {output.name}"
+            if self.curved[i] > CURVED:
+                gap = f"off by {self.curved[i]:.2g} of it"
+                told.append(f"{what}: the adjustment is not linear over its uncertainty ({gap}); the network is weak")
+            elif not self.agrees[i] and self.drawn.stable[i]:
+                told.append(f"{what}: the distribution is not normal; take the interval by Monte Carlo")
+        if not self.drawn.stable.all():
+            count = int(np.sum(~self.drawn.stable))
+            told.append(
+                f"{count} of {len(self.drawn.stable)} results are not stable to {self.tasks.monte_carlo.digits} digits "
+                f"after {self.drawn.trials} trials; raise most_trials, or ask for fewer digits"
+            )
+        return told
+
+    @cached_property
+    def content(self) -> UncertaintyFile:
+        """The contents of uncertainty.json."""
+        found = self.inputs.origin
+        if isinstance(found, Coordinates):
+            source, frame, sigma0 = SourceEntry.listed(found), "that of the list of coordinates", None
+        else:
+            source, frame, sigma0 = SourceEntry.of(found.recording), frame_of(found), found.sigma0
+        return UncertaintyFile(
+            recording=source,
+            title=self.tasks.title,
+            source=self.tasks.source,
+            coverage=self.tasks.monte_carlo.coverage,
+            trials=self.drawn.trials,
+            frame=frame,
+            sigma0=sigma0,
+            results=tuple(self._result(i, task, output) for i, (task, output) in enumerate(self.results)),
+            correlation=tuple(tuple(row) for row in self.linear.correlation.tolist()),
+            warnings=tuple(self.warnings),
+        )
+
+    def _result(self, i: int, task: Task, output: Output) -> TaskResult:
+        unit, drawn = output.factor, self.drawn
+        value, sigma = float(self.linear.values[i]) / unit, float(self.linear.sigma[i]) / unit
+        wide = float(self.linear.expanded(self.tasks.monte_carlo.coverage)[i]) / unit
+        tolerance, draws = task.tolerances.get(output.name), drawn.values[:, i] / unit
+        return TaskResult(
+            task=task.name,
+            kind=task.kind,
+            name=output.name,
+            unit=output.unit,
+            value=value,
+            standard_uncertainty=sigma,
+            coverage_factor=wide / sigma if sigma > 0 else 0.0,
+            expanded_uncertainty=wide,
+            monte_carlo=Distribution(
+                mean=float(drawn.mean[i]) / unit,
+                standard_uncertainty=float(drawn.sigma[i]) / unit,
+                symmetric=(drawn.symmetric[i] / unit).tolist(),
+                shortest=(drawn.shortest[i] / unit).tolist(),
+                stable=bool(drawn.stable[i]),
+                agrees=bool(self.agrees[i]),
+            ),
+            curvature=float(self.curved[i]),
+            budget=self._budget(i, sigma),
+            conformity=None if tolerance is None else conformity(value, sigma, tolerance, self.tasks.decision, draws),
+        )
+
+    def _budget(self, i: int, sigma: float) -> tuple[BudgetPart, ...]:
+        """Sources of one result with their share of its variance, the largest first; they add up to 1."""
+        shares, kinds = {name: float(share[i]) for name, share in self.linear.shares.items()}, self.linear.kinds
+        total = sum(shares.values())
+        ranked = [
+            (name, shares[name] / total if total > 0 else 0.0) for name in sorted(shares, key=lambda n: -shares[n])
+        ]
+        return tuple(
+            BudgetPart(source=name, type=kinds[name], share=share, standard_uncertainty=float(np.sqrt(share)) * sigma)
+            for name, share in ranked
+        )
+
+
+@refusing_singular
+def evaluate_tasks(recording: Recording, tasks: Tasks) -> Evaluation:
+    """Results of tasks with their uncertainty by propagation and by Monte Carlo; errors as of `lt.uncertainty`."""
+    return _evaluated(Inputs.of(recording, tasks), tasks)
+
+
+def evaluate_listed_tasks(coordinates: Coordinates, tasks: Tasks) -> Evaluation:
+    """The same of coordinates with their covariance."""
+    return _evaluated(Inputs.listed(coordinates, tasks), tasks)
+
+
+@in_one_thread
+def _evaluated(inputs: Inputs, tasks: Tasks) -> Evaluation:
+    """Results of tasks on points whose covariance is known."""
+    measurands = tuple(Measurand.of(task, inputs.targets, inputs.points) for task in tasks.task)
+    stretch = expansion_of(tasks.growth)
+    linear = propagate(inputs, measurands, stretch)
+    drawn = draw(inputs, measurands, stretch, tasks.monte_carlo, linear)
+    gap = curvature(inputs, measurands, tasks.monte_carlo.seed)
+    curved = gap / np.where(linear.sigma > 0, linear.sigma, np.inf)
+    agrees = drawn.agrees(linear, tasks.monte_carlo.coverage)
+    return Evaluation(tasks, inputs, measurands, linear, drawn, agrees, curved)

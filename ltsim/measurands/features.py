@@ -1,0 +1,239 @@
+"""Geometric features fitted to points by least squares of orthogonal distances, many sets of points at once.
+
+Line and plane are closed forms; circle, sphere and cylinder are Gauss-Newton iterations from algebraic starts. Points
+(..., n, 3) [m] carry any leading dimensions: draws of a Monte Carlo trial, or steps of a derivative.
+
+References
+----------
+Forbes, Least-squares best-fit geometric elements, NPL report DITC 140/89 (1989).
+Shakarji, J. Res. NIST 103 (1998) 633: objective functions and Gauss-Newton iterations of the same elements.
+"""
+
+from dataclasses import astuple, dataclass
+
+import numpy as np
+
+from ltsim.core.arrays import Bools, Floats
+from ltsim.core.errors import ModelError
+
+ITERATIONS = 60
+CONVERGED = 1e-11
+"""A step smaller than this share of the points' extent is the last."""
+DIRECTIONS = 60
+"""Axes from which a cylinder is started, spread over half the sphere."""
+
+
+@dataclass(frozen=True)
+class Feature:
+    """A fitted element."""
+
+    centre: Floats
+    """(..., 3) [m]: a point of the line, plane or axis (the foot of the points' centroid), or the centre."""
+    normal: Floats
+    """(..., 3): direction of the line or axis, normal of the plane or of the circle's plane; a unit vector. NaN for a
+    sphere.
+    """
+    radius: Floats
+    """[m]: naN for line and plane."""
+    deviations: Floats
+    """(..., n) [m]: signed orthogonal distances from the element; for a line and a circle in space, which have no
+    sides, the distance for the line and the larger of radial and axial deviation, with its sign, for the circle.
+    """
+
+
+LEAST = {"line": 2, "plane": 3, "circle": 3, "sphere": 4, "cylinder": 5}
+"""Points that determine each element."""
+
+
+def fit(kind: str, points: Floats, near: Feature | None = None) -> Feature:
+    """The element that fits points (..., n, 3) [m] best: line, plane, circle, sphere or cylinder.
+
+    It is started `near` an element of one set of points; a cylinder without one from many axes. Raises ModelError when
+    the points do not determine the element.
+    """
+    points = np.asarray(points, dtype=np.float64)
+    if points.shape[-2] < LEAST[kind]:
+        raise ModelError(f"a {kind} needs at least {LEAST[kind]} points, not {points.shape[-2]}")
+    middle = points.mean(axis=-2, keepdims=True)
+    local = points - middle
+    extent = np.sqrt(np.mean(np.sum(local**2, axis=-1), axis=-1))
+    if not np.all(extent > 0):
+        raise ModelError(f"the points of the {kind} are all at one place")
+    local = local / extent[..., None, None]
+    place, scale = middle[..., 0, :], extent[..., None]
+    if near is not None:
+        centre = (near.centre - place) / scale
+        near = Feature(centre, np.broadcast_to(near.normal, centre.shape), near.radius / extent, near.deviations)
+    found = _FITS[kind](local, near)
+    return Feature(found.centre * scale + place, found.normal, found.radius * extent, found.deviations * scale)
+
+
+def _fit_line(local: Floats, _near: Feature | None) -> Feature:
+    _, s, v = np.linalg.svd(local, full_matrices=False)
+    _determined("line", s[..., 0] - s[..., 1] > 1e-9 * s[..., 0], "have no direction of their own")
+    direction = v[..., 0, :]
+    along = np.einsum("...ni,...i->...n", local, direction)
+    side = local - along[..., None] * direction[..., None, :]
+    return _without_radius(direction, np.linalg.norm(side, axis=-1))
+
+
+def _fit_plane(local: Floats, _near: Feature | None) -> Feature:
+    _, s, v = np.linalg.svd(local, full_matrices=False)
+    _determined("plane", s[..., 1] > 1e-9 * s[..., 0], "lie on one line")
+    normal = v[..., 2, :]
+    return _without_radius(normal, np.einsum("...ni,...i->...n", local, normal))
+
+
+def _without_radius(normal: Floats, deviations: Floats) -> Feature:
+    return Feature(np.zeros_like(normal), normal, np.full(normal.shape[:-1], np.nan), deviations)
+
+
+def _fit_sphere(local: Floats, _near: Feature | None) -> Feature:
+    centre, radius = _algebraic(local)
+    for _ in range(ITERATIONS):
+        arm = local - centre[..., None, :]
+        length = np.linalg.norm(arm, axis=-1)
+        design = np.concatenate([-arm / length[..., None], -np.ones((*length.shape, 1))], axis=-1)
+        step = _step(design, length - radius[..., None], "sphere")
+        centre, radius = centre + step[..., :3], radius + step[..., 3]
+        if np.abs(step).max(initial=0.0) < CONVERGED * (1 + np.abs(radius).max()):
+            break
+    deviations = np.linalg.norm(local - centre[..., None, :], axis=-1) - radius[..., None]
+    return Feature(centre, np.full_like(centre, np.nan), radius, deviations)
+
+
+def _fit_circle(local: Floats, _near: Feature | None) -> Feature:
+    normal = _fit_plane(local, None).normal
+    centre, radius = _circle_across(local, normal)
+    for _ in range(ITERATIONS):
+        (first, second), height, x, y = _about(local, centre, normal)
+        reach = np.hypot(x, y)
+        c, s, zero = x / reach, y / reach, np.zeros_like(x)
+        # The normal turns by (a, b): n + a first + b second; a point's height changes by a x + b y, its reach by
+        # minus its height times that direction.
+        radial = np.stack([-c, -s, zero, -height * c, -height * s, -np.ones_like(x)], axis=-1)
+        axial = np.stack([zero, zero, -np.ones_like(x), x, y, zero], axis=-1)
+        gap = np.concatenate([reach - radius[..., None], height], axis=-1)
+        step = _step(np.concatenate([radial, axial], axis=-2), gap, "circle")
+        shift = step[..., :1] * first + step[..., 1:2] * second + step[..., 2:3] * normal
+        centre, radius = centre + shift, radius + step[..., 5]
+        normal = _unit(normal + step[..., 3:4] * first + step[..., 4:5] * second)
+        if np.abs(step).max(initial=0.0) < CONVERGED * (1 + np.abs(radius).max()):
+            break
+    _, height, x, y = _about(local, centre, normal)
+    radial = np.hypot(x, y) - radius[..., None]
+    return Feature(centre, normal, radius, np.where(np.abs(radial) >= np.abs(height), radial, height))
+
+
+def _fit_cylinder(local: Floats, near: Feature | None) -> Feature:
+    """One set after another: the best of many axes, each with an algebraic circle across it, is refined."""
+    if near is not None:
+        return _refined_cylinder(local, near.normal, near.centre, near.radius)
+    found = []
+    for one in local.reshape(-1, *local.shape[-2:]):
+        axes = np.concatenate([np.linalg.svd(one, full_matrices=False)[2], _half_sphere(DIRECTIONS)])
+        many = np.broadcast_to(one, (len(axes), *one.shape))
+        centre, radius = _circle_across(many, axes, strict=False)
+        gap = np.hypot(*_about(many, centre, axes)[2:]) - radius[:, None]
+        cost = np.where(np.isfinite(radius), np.sum(gap**2, axis=-1), np.inf)
+        best = np.argsort(cost)[:6]
+        tried = _refined_cylinder(many[best], axes[best], centre[best], radius[best], strict=False)
+        size = np.nan_to_num(np.sum(tried.deviations**2, axis=-1), nan=np.inf)
+        k = int(np.argmin(size))
+        _determined("cylinder", np.isfinite(size[k]), "determine no axis")
+        found.append(Feature(tried.centre[k], tried.normal[k], tried.radius[k], tried.deviations[k]))
+    parts = (np.stack(part) for part in zip(*map(astuple, found), strict=True))
+    return Feature(*(part.reshape((*local.shape[:-2], *part.shape[1:])) for part in parts))
+
+
+def _refined_cylinder(local: Floats, normal: Floats, centre: Floats, radius: Floats, *, strict: bool = True) -> Feature:
+    for _ in range(ITERATIONS):
+        (first, second), along, x, y = _about(local, centre, normal)
+        reach = np.maximum(np.hypot(x, y), 1e-300)
+        c, s = x / reach, y / reach
+        design = np.stack([-c, -s, -along * c, -along * s, -np.ones_like(x)], axis=-1)
+        step = _step(design, reach - radius[..., None], "cylinder", strict=strict)
+        size = np.abs(step).max(axis=-1, keepdims=True)
+        step = step / np.maximum(size / 0.3, 1.0)  # A far start must not turn the axis over.
+        centre = centre + step[..., :1] * first + step[..., 1:2] * second
+        normal = _unit(normal + step[..., 2:3] * first + step[..., 3:4] * second)
+        radius = radius + step[..., 4]
+        if np.nanmax(size, initial=0.0) < CONVERGED:
+            break
+    centre = centre - np.einsum("...i,...i->...", centre, normal)[..., None] * normal
+    return Feature(centre, normal, radius, np.hypot(*_about(local, centre, normal)[2:]) - radius[..., None])
+
+
+def _about(local: Floats, centre: Floats, normal: Floats) -> tuple[tuple[Floats, Floats], Floats, Floats, Floats]:
+    """Two directions across an axis, and the coordinates (..., n) of points along it and along these."""
+    sides = _across(normal)
+    arm = local - centre[..., None, :]
+    height, x, y = (np.einsum("...ni,...i->...n", arm, axis) for axis in (normal, *sides))
+    return sides, height, x, y
+
+
+def _circle_across(local: Floats, normal: Floats, *, strict: bool = True) -> tuple[Floats, Floats]:
+    """Centre (..., 3) and radius (...) of the algebraic circle through points as they are seen along an axis."""
+    (first, second), _, x, y = _about(local, np.zeros_like(normal), normal)
+    middle, radius = _algebraic(np.stack([x, y], axis=-1), strict=strict)
+    return middle[..., :1] * first + middle[..., 1:] * second, radius
+
+
+def _algebraic(local: Floats, *, strict: bool = True) -> tuple[Floats, Floats]:
+    """Centre (..., d) and radius (...) with least squares of |p|^2 - 2 c p - k: a start that needs no start."""
+    design = np.concatenate([2.0 * local, np.ones((*local.shape[:-1], 1))], axis=-1)
+    right = np.sum(local**2, axis=-1)
+    solution = -_step(design, right, "sphere" if local.shape[-1] == 3 else "circle", strict=strict)
+    centre = solution[..., :-1]
+    with np.errstate(invalid="ignore"):
+        return centre, np.sqrt(solution[..., -1] + np.sum(centre**2, axis=-1))
+
+
+def _step(design: Floats, gap: Floats, kind: str, *, strict: bool = True) -> Floats:
+    """The step (..., k) that takes `gap` (..., m) down by its `design` (..., m, k); NaN, or refused, where singular."""
+    q, r = np.linalg.qr(design)
+    pivots = np.abs(np.diagonal(r, axis1=-2, axis2=-1))
+    whole = pivots.min(axis=-1) > 1e-10 * pivots.max(axis=-1)
+    if strict:
+        _determined(kind, whole, "do not determine it")
+    r = np.where(whole[..., None, None], r, np.eye(r.shape[-1]))
+    right = -np.einsum("...mk,...m->...k", q, gap)
+    step = np.linalg.solve(r, right[..., None])[..., 0]
+    return np.where(whole[..., None], step, np.nan)
+
+
+def _determined(kind: str, good: Bools | np.bool_, reason: str) -> None:
+    if not np.all(good):
+        raise ModelError(f"the points of the {kind} {reason}")
+
+
+def _unit(vectors: Floats) -> Floats:
+    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+
+
+def _across(normal: Floats) -> tuple[Floats, Floats]:
+    """Two unit vectors (..., 3) that make a right-handed frame with `normal`, chosen smoothly near any direction."""
+    least = np.argmin(np.abs(normal.reshape(-1, 3)).mean(axis=0)) if normal.ndim > 1 else int(np.argmin(np.abs(normal)))
+    helper = np.eye(3)[least]
+    parallel = np.abs(normal @ helper)[..., None] > 0.95
+    helper = np.where(parallel, np.eye(3)[(least + 1) % 3], helper)
+    first = _unit(np.cross(helper, normal))
+    return first, np.cross(normal, first)
+
+
+def _half_sphere(count: int) -> Floats:
+    """Directions (count, 3) spread evenly over half the sphere (a Fibonacci spiral)."""
+    i = np.arange(count) + 0.5
+    z = i / count
+    turn = i * np.pi * (3.0 - np.sqrt(5.0))
+    flat = np.sqrt(1.0 - z**2)
+    return np.stack([flat * np.cos(turn), flat * np.sin(turn), z], axis=1)
+
+
+_FITS = {
+    "line": _fit_line,
+    "plane": _fit_plane,
+    "circle": _fit_circle,
+    "sphere": _fit_sphere,
+    "cylinder": _fit_cylinder,
+}

@@ -1,0 +1,217 @@
+"""uncertainty.json, uncertainty.csv and budget.csv: what the tasks of a file are worth."""
+
+from collections.abc import Callable, Mapping
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+from scipy import special
+
+from ltsim.core.arrays import Floats
+from ltsim.core.notation import expanded
+from ltsim.core.results import Column, Table, numbers, texts
+from ltsim.measurands.spec import Decision, Tolerance
+from ltsim.recordings.result_file import Entry, Known, ResultFile
+
+RESULTS = Table(
+    "uncertainty.csv",
+    "results of the tasks",
+    (
+        *texts(task="name", result="name", unit="of all numbers"),
+        Column("value", "estimate", form=".9g", like="U"),
+        Column("u", "standard uncertainty", form=".9g", shown=".2g"),
+        Column("U", "expanded uncertainty for the coverage", form=".9g", like="U"),
+        Column("mc_u", "standard uncertainty by Monte Carlo", form=".9g", shown=".2g"),
+        Column("mc_low", "end of its interval", form=".9g", like="U"),
+        Column("mc_high", "as mc_low", form=".9g", like="U"),
+        Column("agrees", "True where both intervals agree", "flag"),
+        *texts(judgement="against the tolerance, empty without one", largest_source="of its variance, with its share"),
+    ),
+)
+BUDGET = Table(
+    "budget.csv",
+    "where the uncertainty comes from",
+    (
+        *texts(task="name", result="name", source="of uncertainty", type="A or B", unit="of u"),
+        *numbers(".6g", share="of the variance", u="standard uncertainty from this source"),
+    ),
+)
+
+
+class Distribution(Entry):
+    """The distribution of a result: mean, standard uncertainty and coverage intervals in its unit (JCGM 101)."""
+
+    mean: float
+    """Of the draws."""
+    standard_uncertainty: float
+    """Of the draws."""
+    symmetric: tuple[float, float]
+    """Probabilistically symmetric interval."""
+    shortest: tuple[float, float]
+    """Shortest interval."""
+    stable: bool
+    """whether the figures are stable to the digits asked for"""
+    agrees: bool
+    """whether the linear interval is that of the distribution (JCGM 101, clause 8)"""
+
+
+class BudgetPart(Entry):
+    """One source of a result's uncertainty: its type, its share of the variance, its standard uncertainty."""
+
+    source: str
+    """Where it comes from."""
+    type: Literal["A", "B"]
+    """Of the evaluation, by the GUM."""
+    share: float
+    """Of the variance."""
+    standard_uncertainty: float
+    """In the result's unit."""
+
+
+class Conformity(Entry):
+    """A result against its tolerance (JCGM 106), limits and guard band in its unit."""
+
+    lower: float | None
+    """Limit of the tolerance."""
+    upper: float | None
+    """Limit of the tolerance."""
+    rule: Literal["guarded", "simple"]
+    """As the task file says."""
+    guard_band: float
+    """Between tolerance and acceptance, inside each limit."""
+    probability: float
+    """that the true value lies within the tolerance"""
+    judgement: Literal["accepted", "rejected", "undecided"]
+    """`accepted` within the limits less their guard bands, `rejected` outside them by more, else `undecided`."""
+    wrong: float
+    """probability that the judgement is wrong: of a wrong acceptance or of a wrong rejection"""
+
+
+class TaskResult(Entry):
+    """One number of a task with its uncertainty, in its unit."""
+
+    task: str
+    """Name of the task."""
+    kind: str
+    """Its kind."""
+    name: str
+    """Which of its numbers."""
+    unit: str
+    """Of all figures."""
+    value: float
+    """The estimate."""
+    standard_uncertainty: float
+    """By the GUM's law of propagation."""
+    coverage_factor: float
+    """Of the expanded uncertainty."""
+    expanded_uncertainty: float
+    """For the coverage."""
+    monte_carlo: Distribution
+    """By distributions."""
+    curvature: float
+    """gap of the linear adjustment, in standard uncertainties"""
+    budget: tuple[BudgetPart, ...]
+    """Sources, the largest first."""
+    conformity: Conformity | None = None
+    """Against its tolerance."""
+
+    @property
+    def words(self) -> str:
+        """The result with its expanded uncertainty."""
+        figures = expanded(self.value, self.expanded_uncertainty, self.unit, self.coverage_factor)
+        return f"{self.task}, {self.name}: {figures}"
+
+    @property
+    def row(self) -> list[Any]:
+        """Its row of `RESULTS`."""
+        largest, drawn = self.budget[0], self.monte_carlo
+        sizes = self.value, self.standard_uncertainty, self.expanded_uncertainty
+        judgement = self.conformity.judgement if self.conformity else ""
+        beside = drawn.standard_uncertainty, *drawn.symmetric, drawn.agrees, judgement
+        return [self.task, self.name, self.unit, *sizes, *beside, f"{largest.source} ({100 * largest.share:.0f} %)"]
+
+
+class UncertaintyFile(ResultFile):
+    """`uncertainty.json`: from `uncertainty`."""
+
+    FILE: ClassVar[str] = "uncertainty.json"
+    format: Literal["ltsim-uncertainty/1"] = "ltsim-uncertainty/1"
+    """Which format and version this file is in."""
+    title: str
+    """Free text."""
+    source: str
+    """The recording or scenario."""
+    coverage: float
+    """Of all intervals."""
+    trials: int
+    """Of the propagation of distributions."""
+    frame: str
+    """Of all coordinates."""
+    sigma0: Known
+    """of the adjustment that the points come from"""
+    results: tuple[TaskResult, ...]
+    """One a number."""
+    correlation: tuple[tuple[Known, ...], ...]
+    """of the results, in their order"""
+    warnings: tuple[str, ...] = ()
+    """What to know before the numbers are used."""
+
+    def tables(self) -> Mapping[str, Callable[[], Table]]:
+        """The tables of the results and of their budgets."""
+        parts = [(r, p) for r in self.results for p in r.budget]
+        rows = [(r.task, r.name, p.source, p.type, r.unit, p.share, p.standard_uncertainty) for r, p in parts]
+        return {"results": lambda: RESULTS.filled(r.row for r in self.results), "budget": lambda: BUDGET.filled(rows)}
+
+
+def conformity(
+    value: float, sigma: float, tolerance: Tolerance, decision: Decision, draws: Floats | None = None
+) -> Conformity:
+    """Judge a result (in the unit of the tolerance) by its distribution: the `draws`, or a normal one.
+
+    References
+    ----------
+    JCGM 106:2012, clauses 7 (probability of conformity) and 8 (guard bands).
+    """
+    low = -np.inf if tolerance.lower is None else tolerance.lower
+    high = np.inf if tolerance.upper is None else tolerance.upper
+    if draws is not None:
+        probability = float(np.mean((draws >= low) & (draws <= high)))
+    elif sigma > 0:
+        probability = float(special.ndtr((high - value) / sigma) - special.ndtr((low - value) / sigma))
+    else:
+        probability = float(low <= value <= high)
+    guard = float(-special.ndtri(decision.risk)) * sigma if decision.rule == "guarded" else 0.0
+    judgement: Literal["accepted", "rejected", "undecided"] = "undecided"
+    wrong = min(probability, 1.0 - probability)
+    if low + guard <= value <= high - guard:
+        judgement, wrong = "accepted", 1.0 - probability
+    elif value < low - guard or value > high + guard:
+        judgement, wrong = "rejected", probability
+    return Conformity(
+        lower=tolerance.lower,
+        upper=tolerance.upper,
+        rule=decision.rule,
+        guard_band=guard,
+        probability=probability,
+        judgement=judgement,
+        wrong=wrong,
+    )
+
+
+def compared(first: UncertaintyFile, second: UncertaintyFile) -> list[tuple[str, float]]:
+    """``task, result`` and E_n of every result that both files have in the same unit.
+
+    E_n compares independent results: two recordings, or two instruments.
+    """
+    others = {(r.task, r.name, r.unit): r for r in second.results}
+    both = [(r, others[key]) for r in first.results if (key := (r.task, r.name, r.unit)) in others]
+    return [
+        (f"{r.task}, {r.name}", normalised_error(r.value, r.expanded_uncertainty, o.value, o.expanded_uncertainty))
+        for r, o in both
+    ]
+
+
+def normalised_error(value: float, expanded: float, other: float, other_expanded: float) -> float:
+    """E_n = difference over the root of the squared expanded uncertainties; |E_n| <= 1 agrees (ISO 13528)."""
+    together = float(np.hypot(expanded, other_expanded))
+    gap = value - other
+    return gap / together if together > 0 else (0.0 if gap == 0 else float(np.copysign(np.inf, gap)))

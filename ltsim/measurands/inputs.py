@@ -1,0 +1,278 @@
+"""What the results depend on: adjusted points, and every source of their uncertainty with its reach.
+
+To first order an adjusted point moves with the readings by P = N^-1 A' (N the normal matrix, A the whitened design):
+the errors of any group of observations, and any effect that shifts readings, reach the points through the same P. So
+the covariance of the points falls apart into the shares of its sources, which add up to the whole.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Literal, Self
+
+import numpy as np
+
+from ltsim.adjustment import Adjustment, adjust
+from ltsim.core.arrays import Floats, Ints
+from ltsim.core.errors import ModelError, SetupError, unknown_name
+from ltsim.core.units import MILLIMETRE
+from ltsim.core.values import Valued
+from ltsim.measurands.spec import Tasks, TypeB
+from ltsim.physics.effects.air import Air
+from ltsim.physics.effects.effect import Effect, NoiseEffect, by_displacement
+from ltsim.physics.effects.verbs import effect_from
+from ltsim.physics.model.construction import ideal, stated_construction
+from ltsim.recordings.coordinates import Coordinates
+from ltsim.recordings.recording import OBSERVABLES, Recording
+from ltsim.recordings.reflectors import smrs_of
+
+SPREAD = {"normal": 1.0, "rectangular": 1 / np.sqrt(3), "triangular": 1 / np.sqrt(6), "arcsine": 1 / np.sqrt(2)}
+"""Standard deviation of each distribution of unit size (a normal's size is its standard deviation)."""
+
+
+LENGTHS, CONTROL, PRIORS = "known lengths", "control points", "what the maker guarantees"
+"""Names of groups of observations; the last is the prior of the instrument's constants."""
+
+
+@dataclass(frozen=True)
+class Source(Valued):
+    """One source of uncertainty of the points."""
+
+    name: str
+    kind: Literal["A", "B"]
+    """``A`` for what was observed repeatedly or stated with the observations, ``B`` for the rest."""
+    response: Floats
+    """(3 T, q) [m]: displacement of the points for one standard deviation of each independent variate."""
+    distribution: str = "normal"
+    """Of the variates."""
+
+    @property
+    def covariance(self) -> Floats:
+        """(3 T, 3 T) [m^2]."""
+        return self.response @ self.response.T
+
+
+@dataclass(frozen=True)
+class Inputs(Valued):
+    """Estimated points and what they depend on."""
+
+    origin: Adjustment | Coordinates
+    """The adjusted network, or the list of coordinates with their covariance."""
+    targets: tuple[str, ...]
+    """The points that the tasks use."""
+    points: Floats
+    """(T, 3) [m]."""
+    reach: Floats
+    """(m, 3 T) [m]: displacement of the points for a unit of each whitened row of the adjustment."""
+    sources: tuple[Source, ...]
+    air: str = ""
+    """What the sources hold of the air, in words; empty where ranges are short."""
+
+    @classmethod
+    def of(cls, recording: Recording, tasks: Tasks) -> Self:
+        """Adjust a recording and trace the points of the tasks back to their sources.
+
+        Raises NetworkError, ConvergenceError when the network cannot be solved; ModelError, SetupError when a target or
+        an effect does not exist.
+        """
+        construction = stated_construction(recording) if tasks.calibrate else ideal()
+        found = adjust(recording, construction, robust=tasks.robust, datum=tasks.datum or None)
+        found.solution.require_success()
+        names = _used(tasks)
+        for name in names:
+            if name not in recording.targets:
+                raise unknown_name("target", name, recording.targets)
+            if name in found.lost_targets:
+                raise ModelError(f"the readings do not determine target {name}, which a task uses")
+        at = np.array([recording.targets.index(name) for name in names])
+        reach = reach_of(found, at)
+        observed = [replace(s, response=_compact(s.response)) for s in observed_sources(found, reach)]
+        observed += smr_sources(found, reach)
+        further = [_type_b(found, reach, entry, i + 1) for i, entry in enumerate(tasks.type_b)]
+        air, told = _air_of(tasks, float(found.sightings.range_.max()))
+        further += air_sources(found, reach, air) if told else []
+        return cls(found, names, found.state.points[at], reach, (*observed, *further), told)
+
+    @classmethod
+    def listed(cls, found: Coordinates, tasks: Tasks) -> Self:
+        """The points of the tasks in a list of coordinates, which depend on its joint covariance alone.
+
+        Raises ModelError where a task asks for points or axes that the list lacks, or for sources that act on readings.
+        """
+        if tasks.type_b:
+            raise ModelError("a list of coordinates holds no readings: type_b acts on readings; give their recording")
+        if len(found.axes) < 3:
+            raise ModelError(f"the list holds {found.axes} alone; tasks need x, y and z")
+        names = _used(tasks)
+        for name in names:
+            if name not in found.names:
+                raise unknown_name("target", name, found.names)
+        at = np.array([found.names.index(name) for name in names])
+        rows = (3 * at[:, None] + np.arange(3)).ravel()
+        values, vectors = np.linalg.eigh(found.covariance[np.ix_(rows, rows)])
+        reach = (vectors * np.sqrt(np.maximum(values, 0.0))).T
+        source = Source(f"coordinates of {found.title}", "A", reach.T)
+        return cls(found, names, found.points[at], reach, (source,))
+
+    @property
+    def covariance(self) -> Floats:
+        """Covariance (3 T, 3 T) [m^2] of the points from all sources."""
+        return np.sum([source.covariance for source in self.sources], axis=0)
+
+
+def _used(tasks: Tasks) -> tuple[str, ...]:
+    """Names of the points that tasks use."""
+    return tuple(dict.fromkeys(name for task in tasks.task for name in task.targets))
+
+
+def reach_of(adjustment: Adjustment, at: Ints) -> Floats:
+    """Displacement (m, 3 T) [m] of targets `at` (T,) for a unit of each whitened row of the adjustment."""
+    problem, system = adjustment.problem, adjustment.solution.system
+    columns = problem.unknowns.target[at].ravel()
+    unit = np.zeros((problem.unknowns.size, len(columns)))
+    unit[columns, np.arange(len(columns))] = 1.0
+    spread = adjustment.factor.covariance_columns(unit)
+    if adjustment.datum is not None:
+        spread = spread - adjustment.datum.carried @ adjustment.datum.motion[columns].T
+    return np.asarray(system.design @ spread)
+
+
+def observed_sources(adjustment: Adjustment, reach: Floats) -> list[Source]:
+    """The groups of observations; a standard deviation of each row is a variate. What only defines the frame is none.
+
+    Errors that known lengths share, of a coefficient of expansion or a thermometer, are sources of their own, as are
+    the errors of a known size that the adjustment estimates: of heads, of reflectors, of readings together.
+    """
+    problem = adjustment.problem
+    observable = np.nonzero(problem.use)[1]
+    groups = [(f"{name} readings", np.flatnonzero(observable == i)) for i, name in enumerate(OBSERVABLES)]
+    gauge, at = problem.gauge, len(observable)
+    by_length = reach[at : at + len(gauge)].T
+    at += len(gauge)
+    for name, count in (
+        (CONTROL, problem.control.count + problem.known_marks.count),
+        ("known differences", problem.differences.count),
+        ("levels", 2 * len(problem.levels)),
+        ("orientations", len(problem.yaws)),
+        ("", problem.structure.held),
+        (PRIORS, int(np.isfinite(problem.prior.sigma).sum())),
+    ):
+        groups.append((name, np.arange(at, at + count)))
+        at += count
+    found = [Source(name, "A", reach[rows].T) for name, rows in groups if name and len(rows)]
+    if len(gauge):
+        own = Source(LENGTHS, "A", by_length @ gauge.whitened(np.diag(gauge.certificate)))
+        found.insert(sum(len(rows) > 0 for _, rows in groups[: len(OBSERVABLES)]), own)
+    shared = ((name, by_length @ gauge.whitened(change)) for name, change in gauge.shared.items())
+    found += [Source(name, "B", response[:, None]) for name, response in shared]
+    return [*found, *_sources_of_known_size(adjustment, reach[at:])]
+
+
+def _sources_of_known_size(adjustment: Adjustment, reach: Floats) -> list[Source]:
+    """Errors whose size is known beforehand, kind by kind; `reach` begins with the rows of the further effects."""
+    model = adjustment.problem.model
+    finite = np.isfinite(adjustment.problem.extra_sigma[: model.effects_size])
+    at, reached = int(finite.sum()), dict[str, list[Floats]]()
+    for error in model.stated:
+        count = len(error.parameters)
+        reached.setdefault(error.parameters[0].meaning, []).append(reach[at : at + count].T)
+        at += count
+    return [Source(name, "B", np.concatenate(parts, axis=1)) for name, parts in reached.items()]
+
+
+def smr_sources(adjustment: Adjustment, reach: Floats) -> list[Source]:
+    """The radius of each SMR whose standard deviation is stated: one error of all its pointings, along the normals."""
+    problem, sightings, names = adjustment.problem, adjustment.sightings, np.array(smrs_of(adjustment.recording))
+    rows, columns = np.nonzero(problem.use)
+    normal = np.nan_to_num(sightings.nest_normal)[sightings.target]
+    found = []
+    for name, reflector in adjustment.recording.setup.reflectors.items():
+        off = normal * ((names == name) * (reflector.sigma_radius_mm or 0.0) * MILLIMETRE)[:, None]
+        if np.any(off):
+            change = by_displacement(sightings, off[:, :, None])[rows, columns, 0] / problem.sigma[rows, columns]
+            found.append(Source(f"radius of {name}", "B", (reach[: len(rows)].T @ change)[:, None]))
+    return found
+
+
+def _air_of(tasks: Tasks, longest: float) -> tuple[Air, str]:
+    """What a budget holds of the air, less what the tasks state themselves, and that in words where ranges are long."""
+    stated = {entry.effect for entry in tasks.type_b}
+    known = {"temperature_k": "station-weather", "gradient_k_per_m": "air-gradient"}
+    air = tasks.air.model_copy(update={size: 0.0 for size, effect in known.items() if effect in stated})
+    return air, air.words(longest) if air.counts(longest) else ""
+
+
+def air_sources(adjustment: Adjustment, reach: Floats, air: Air) -> list[Source]:
+    """What nobody measured of the air along the beams: temperature and gradient of each station, and turbulence."""
+    problem, sightings = adjustment.problem, adjustment.sightings
+    rows, columns = np.nonzero(problem.use)
+    own, sigma = reach[: len(rows)].T, problem.sigma[rows, columns]
+    common = own @ (air.errors(sightings)[rows, columns] / sigma[:, None])
+    scatter = own * (np.sqrt(air.variance(sightings)[rows, columns]) / sigma)
+    found = [Source("temperature of the air", "B", common[:, ::2]), Source("gradient of the air", "B", common[:, 1::2])]
+    return [s for s in (*found, Source("turbulence", "B", _compact(scatter))) if np.any(s.response)]
+
+
+def _compact(response: Floats) -> Floats:
+    """A response with the same covariance and at most as many variates as coordinates."""
+    if response.shape[1] <= response.shape[0]:
+        return response
+    return np.asarray(np.linalg.qr(response.T, mode="r")).T
+
+
+def _type_b(adjustment: Adjustment, reach: Floats, entry: TypeB, number: int) -> Source:
+    effect, sizes = _effect(adjustment.recording, entry, number)
+    sigma = sizes * SPREAD[entry.distribution]
+    problem = adjustment.problem
+    rows, columns = np.nonzero(problem.use)
+    design = (effect.design(adjustment.sightings) * sigma)[rows, columns]
+    whitened = design / problem.sigma[rows, columns][:, None]
+    group = _shares(adjustment.recording, entry.shared)[rows]
+    response = np.zeros((reach.shape[1], int(group.max(initial=0)) + 1, design.shape[1]))
+    for g in np.unique(group):
+        mine = np.flatnonzero(group == g)
+        response[:, g] = reach[mine].T @ whitened[mine]
+    gauge = problem.gauge
+    lengths = effect.gauge_design(gauge.first, gauge.second, adjustment.state.points) * sigma
+    if np.any(lengths):
+        if entry.shared != "all":
+            raise SetupError(f'type_b.{number}.shared: {entry.effect} acts on known lengths, expected shared = "all"')
+        response[:, 0] += reach[len(rows) : len(rows) + len(gauge)].T @ gauge.whitened(lengths)
+    if not np.any(response):
+        raise SetupError(f"type_b.{number}: {entry.effect} acts on no reading that the tasks depend on")
+    place = ", ".join(entry.stations + entry.targets)
+    name = entry.name or (f"{entry.effect} at {place}" if place else entry.effect)
+    return Source(name, "B", response.reshape(len(response), -1), entry.distribution)
+
+
+def _effect(recording: Recording, entry: TypeB, number: int) -> tuple[Effect, Floats]:
+    """The effect of an entry and the sizes (p,) [SI] of its parameters."""
+    try:
+        effect = effect_from(entry.effect, {"stations": entry.stations, "targets": entry.targets}, entry.shape)
+    except ModelError as problem:
+        raise SetupError(f"type_b.{number}: {problem}") from None
+    if isinstance(effect, NoiseEffect):
+        raise SetupError(f"type_b.{number}: {entry.effect} changes the noise; state it as the instrument's noise")
+    for what, wanted, known in (
+        ("station", entry.stations, recording.stations),
+        ("target", entry.targets, recording.targets),
+    ):
+        missing = [name for name in wanted if name not in known]
+        if missing:
+            raise SetupError(f"type_b.{number}.{what}s: {unknown_name(what, missing[0], known)}")
+    names = [p.name for p in effect.parameters]
+    wrong = [name for name in entry.sizes if name not in names]
+    if wrong:
+        raise SetupError(f"type_b.{number}.sizes: {unknown_name('parameter', wrong[0], names)}")
+    if not entry.sizes:
+        return effect, np.array([p.prior_sigma for p in effect.parameters])
+    return effect, np.array([entry.sizes.get(p.name, 0.0) * p.factor for p in effect.parameters])
+
+
+def _shares(recording: Recording, shared: str) -> Ints:
+    """(n,): pointings with the same number share one draw."""
+    return {
+        "all": np.zeros(len(recording), dtype=np.int64),
+        "station": recording.station,
+        "instrument": recording.instrument,
+        "target": recording.target,
+        "pointing": np.arange(len(recording)),
+    }[shared]

@@ -1,0 +1,297 @@
+"""Propagation of uncertainty: to first order (JCGM 100, 102), and by Monte Carlo (JCGM 101, clauses 7 and 8).
+
+For Monte Carlo every source is drawn from its own distribution and its own stream; points move by its response, the
+tasks are then evaluated exactly. The same draws are put through the linear model too, whose distribution is known
+without drawing: a sum of independent variates. What Monte Carlo has to find is then only the difference of the two (a
+control variate), which for a nearly linear task takes few trials and for a linear one none. Trials come in batches
+until averages over batches are known to a fifth of the tolerance, as a comparison with the linear interval asks for
+(clause 8.2).
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from scipy import optimize, special
+
+from ltsim.adjustment import adjust
+from ltsim.core.arrays import Bools, Floats
+from ltsim.core.randomness import stream
+from ltsim.core.values import Valued
+from ltsim.geometry.expansion import Expansion
+from ltsim.measurands.inputs import Inputs
+from ltsim.measurands.measurands import Measurand
+from ltsim.measurands.spec import MonteCarlo, PartExpansion
+from ltsim.recordings.coordinates import Coordinates
+
+CHECKS = 8
+CURVED = 0.05
+"""Share of a standard uncertainty by which the exact adjustment may miss the linear one before it is said."""
+
+
+def expansion_of(growth: PartExpansion | None) -> Expansion:
+    """The part's expansion as an input: it was too long by that factor when it was measured."""
+    if growth is None:
+        return Expansion()
+    kelvin = growth.measured_c - growth.reference_c
+    return Expansion.of(growth.expansion_per_k, kelvin, growth.sigma_expansion_per_k, growth.sigma_temperature_k)
+
+
+def parts_of(stretch: Expansion) -> list[tuple[str, float]]:
+    """Name and size of each error of the part's expansion."""
+    named = [("expansion of the part", stretch.by_coefficient), ("temperature of the part", stretch.by_temperature)]
+    return [(name, change) for name, change in named if change]
+
+
+@dataclass(frozen=True)
+class Propagated(Valued):
+    """Results of all tasks together by the law of propagation."""
+
+    values: Floats
+    """(k,): results of all tasks, one after another [SI]."""
+    covariance: Floats
+    """(k, k)."""
+    shares: dict[str, Floats]
+    """(k,): variance of each result by source; they add up to the diagonal of the covariance."""
+    kinds: dict[str, Literal["A", "B"]]
+    """``A`` or ``B`` of each source."""
+    by_points: Floats
+    """(k, 3 T): derivative of the results by the points."""
+    by_stretch: Floats
+    """(k,): derivative by the part's expansion."""
+
+    @property
+    def sigma(self) -> Floats:
+        """Standard uncertainty (k,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+    def expanded(self, coverage: float) -> Floats:
+        """Expanded uncertainty (k,) for a coverage probability, each result by itself (normal)."""
+        return float(special.ndtri(0.5 + coverage / 2)) * self.sigma
+
+    @property
+    def correlation(self) -> Floats:
+        """Correlation (k, k) of the results; NaN where a result has no uncertainty."""
+        with np.errstate(invalid="ignore", divide="ignore"):
+            correlation: Floats = self.covariance / np.outer(self.sigma, self.sigma)
+        return correlation
+
+
+def propagate(inputs: Inputs, measurands: Sequence[Measurand], stretch: Expansion) -> Propagated:
+    """First-order propagation of every source through adjustment and tasks."""
+    points = inputs.points
+    values = np.concatenate([m.values(points, stretch.factor) for m in measurands])
+    by_points = np.concatenate([m.by_points(points, stretch.factor) for m in measurands])
+    by_stretch = np.concatenate([m.by_stretch(points, stretch.factor) for m in measurands])
+    covariance = np.zeros((len(values), len(values)))
+    shares: dict[str, Floats] = {}
+    kinds: dict[str, Literal["A", "B"]] = {}
+    for source in inputs.sources:
+        reached = by_points @ source.response
+        covariance += reached @ reached.T
+        shares[source.name] = shares.get(source.name, 0.0) + np.sum(reached**2, axis=1)
+        kinds[source.name] = source.kind
+    for name, sigma in parts_of(stretch):
+        reached = by_stretch * sigma
+        covariance += np.outer(reached, reached)
+        shares[name] = reached**2
+        kinds[name] = "B"
+    return Propagated(values, covariance, shares, kinds, by_points, by_stretch)
+
+
+def curvature(inputs: Inputs, measurands: Sequence[Measurand], seed: int) -> Floats:
+    """Largest gap (k,) [SI] between exact and linear change of each result, adjusted anew with a few draws of noise.
+
+    Zero for a list of coordinates: what made them is not at hand.
+    """
+    found = inputs.origin
+    if isinstance(found, Coordinates):
+        return np.zeros(sum(len(m.outputs) for m in measurands))
+    recording, problem = found.recording, found.problem
+    at = [recording.targets.index(name) for name in inputs.targets]
+    used, count = problem.use, int(problem.use.sum())
+    worst = np.zeros(sum(len(m.outputs) for m in measurands))
+    for i in range(CHECKS):
+        noise = stream(seed, "curvature", i).standard_normal(count)
+        readings = recording.readings.copy()
+        readings[used] += noise * problem.sigma[used]
+        again = adjust(
+            recording.with_readings(readings),
+            found.construction,
+            sigma=problem.sigma,
+            use=problem.use,
+            start=found.state,
+            datum=found.datum.names if found.datum is not None else None,
+        )
+        shift = (noise @ inputs.reach[:count]).reshape(-1, 3)
+        linear = np.concatenate([m.values(inputs.points + shift) for m in measurands])
+        exact = np.concatenate([m.values(again.state.points[at]) for m in measurands])
+        worst = np.maximum(worst, np.abs(exact - linear))
+    return worst
+
+
+BATCH = 10_000
+PIECE = 1_000
+"""Trials evaluated at once: enough to be fast, few enough to stay small."""
+FINE = 5.0
+"""Part of the tolerance to which figures are found that are compared with it (clause 8.2)."""
+NORMAL = 1e-9
+"""Share of a variance below which variates that are not normal leave a sum normal."""
+STEP, STEPS = 0.05, 40_000
+"""Of the integral over the characteristic function, per standard deviation."""
+CHARACTERISTIC: dict[str, Callable[[Floats], Floats]] = {
+    "rectangular": lambda t: np.sinc(np.sqrt(3.0) * t / np.pi),
+    "triangular": lambda t: np.sinc(np.sqrt(1.5) * t / np.pi) ** 2,
+    "arcsine": lambda t: special.j0(np.sqrt(2.0) * t),
+}
+"""Characteristic functions of the variates of `variates`, of unit standard deviation."""
+
+
+@dataclass(frozen=True)
+class Drawn(Valued):
+    """The distribution of the results."""
+
+    values: Floats
+    """(trials, k)."""
+    mean: Floats
+    sigma: Floats
+    """(k,) each."""
+    symmetric: Floats
+    shortest: Floats
+    """(k, 2): coverage intervals with equal tails, and the shortest."""
+    error: Floats
+    """(k,): numerical error of the ends of the symmetric interval, two standard deviations."""
+    stable: Bools
+    """(k,): whether the figures are stable to the digits asked for."""
+    tolerance: Floats
+    """(k,): half a unit of the last digit of the standard uncertainty (clause 7.9.2)."""
+
+    @property
+    def trials(self) -> int:
+        """Number of trials."""
+        return len(self.values)
+
+    def agrees(self, linear: Propagated, coverage: float) -> Bools:
+        """(k,): whether the linear interval's ends are those of the distribution within the tolerance (clause 8).
+
+        What the numerical error leaves open counts as agreement; where the figures are stable that is a fifth.
+        """
+        expanded = linear.expanded(coverage)
+        ends = np.stack([linear.values - expanded, linear.values + expanded], axis=1)
+        allowed = self.tolerance + self.error
+        return np.all(np.abs(ends - self.symmetric) <= allowed[:, None], axis=1)
+
+
+def draw(
+    inputs: Inputs, measurands: Sequence[Measurand], stretch: Expansion, settings: MonteCarlo, linear: Propagated
+) -> Drawn:
+    """Trials until every figure is known to a fifth of its tolerance, or the most that the settings allow."""
+    exact = _linear_figures(inputs, linear, settings.coverage)
+    kept: list[Floats] = []
+    figures: list[Floats] = []
+    most = max(settings.most_trials // BATCH, 1)
+    known = linear.sigma > 0  # half a unit of the last digit of each standard uncertainty (clause 7.9.2)
+    power = np.floor(np.log10(np.where(known, linear.sigma, 1.0))) - (settings.digits - 1)
+    tolerance = np.where(known, 0.5 * 10.0**power, 0.0)
+    error = np.full((4, len(linear.values)), np.inf)
+    while len(kept) < most and not np.all(FINE * error <= tolerance):
+        shift, grown = _errors(inputs, stretch, settings.seed, len(kept))
+        by_line = linear.values + shift @ linear.by_points.T + np.outer(grown, linear.by_stretch)
+        points = inputs.points + shift.reshape(BATCH, *inputs.points.shape)
+        kept.append(_results(measurands, points, stretch.factor + grown))
+        figures.append(_figures(kept[-1], settings.coverage) - _figures(by_line, settings.coverage))
+        if len(kept) > 1:
+            error = 2.0 * np.std(figures, axis=0, ddof=1) / np.sqrt(len(figures))
+    mean, sigma, low, high = exact + np.mean(figures, axis=0)
+    every = np.concatenate(kept)
+    return Drawn(
+        values=every,
+        mean=mean,
+        sigma=sigma,
+        symmetric=np.stack([low, high], axis=1),
+        shortest=shortest_intervals(every, settings.coverage),
+        error=error[2:].max(axis=0),
+        stable=np.all(error <= tolerance, axis=0),
+        tolerance=tolerance,
+    )
+
+
+def _errors(inputs: Inputs, stretch: Expansion, seed: int, number: int) -> tuple[Floats, Floats]:
+    """Draws of one batch: errors of all points (BATCH, 3 T) [m], and of the part's expansion (BATCH,)."""
+    shift = np.zeros((BATCH, inputs.points.size))
+    for i, source in enumerate(inputs.sources):
+        shape = BATCH, source.response.shape[1]
+        rng = stream(seed, "uncertainty", source.name, i, number)
+        shift += variates(rng, source.distribution, shape) @ source.response.T
+    grown = np.zeros(BATCH)
+    for name, sigma in parts_of(stretch):
+        grown += sigma * stream(seed, "uncertainty", name, number).standard_normal(BATCH)
+    return shift, grown
+
+
+def _results(measurands: Sequence[Measurand], points: Floats, factor: Floats) -> Floats:
+    """Results (BATCH, k) at points (BATCH, T, 3) [m] of a part that has grown by factors (BATCH,)."""
+    pieces = [slice(at, at + PIECE) for at in range(0, BATCH, PIECE)]
+    rows = [np.concatenate([m.values(points[p], factor[p]) for m in measurands], axis=1) for p in pieces]
+    return np.concatenate(rows)
+
+
+def _linear_figures(inputs: Inputs, linear: Propagated, coverage: float) -> Floats:
+    """(4, k): mean, standard deviation and the ends of the interval of the linear model, without drawing."""
+    others = [(s.distribution, linear.by_points @ s.response) for s in inputs.sources if s.distribution != "normal"]
+    half = np.array(
+        [
+            _half_width(float(sigma), [(name, sizes[i]) for name, sizes in others], coverage)
+            for i, sigma in enumerate(linear.sigma)
+        ]
+    )
+    return np.stack([linear.values, linear.sigma, linear.values - half, linear.values + half])
+
+
+def _half_width(sigma: float, others: Sequence[tuple[str, Floats]], coverage: float) -> float:
+    """Half the coverage interval of a sum of independent symmetric variates of variance sigma^2 in all.
+
+    By the characteristic function, which is a product, and its inversion (Gil-Pelaez, Biometrika 38 (1951) 481).
+    """
+    apart = sum(float(np.sum(sizes**2)) for _, sizes in others)
+    if sigma == 0 or apart <= NORMAL * sigma**2:
+        return float(special.ndtri(0.5 + coverage / 2)) * sigma
+    at = STEP * (np.arange(STEPS) + 0.5)
+    left = np.exp(-0.5 * max(1.0 - apart / sigma**2, 0.0) * at**2)
+    for name, sizes in others:
+        for size in np.abs(sizes[sizes != 0]) / sigma:
+            left = left * CHARACTERISTIC[name](size * at)
+
+    def excess(width: float) -> float:
+        return float(2.0 / np.pi * STEP * np.sum(np.sin(width * at) / at * left)) - coverage
+
+    return sigma * float(optimize.brentq(excess, 1e-3, 20.0, xtol=1e-6))
+
+
+def variates(rng: np.random.Generator, distribution: str, shape: tuple[int, ...]) -> Floats:
+    """Draws of zero mean and unit standard deviation."""
+    if distribution == "rectangular":
+        return rng.uniform(-np.sqrt(3.0), np.sqrt(3.0), shape)
+    if distribution == "triangular":
+        return rng.triangular(-np.sqrt(6.0), 0.0, np.sqrt(6.0), shape)
+    if distribution == "arcsine":
+        return np.sqrt(2.0) * np.sin(rng.uniform(-np.pi, np.pi, shape))
+    return rng.standard_normal(shape)
+
+
+def _figures(values: Floats, coverage: float) -> Floats:
+    """(4, k): mean, standard deviation and the ends of the symmetric interval of one batch."""
+    tail = 50.0 * (1.0 - coverage)
+    ends = np.percentile(values, [tail, 100.0 - tail], axis=0)
+    return np.stack([values.mean(axis=0), values.std(axis=0, ddof=1), *ends])
+
+
+def shortest_intervals(values: Floats, coverage: float) -> Floats:
+    """Shortest coverage intervals (k, 2) of trials (n, k) (JCGM 101, 7.7)."""
+    ordered = np.sort(values, axis=0)
+    count = len(ordered)
+    inside = int(np.clip(round(coverage * count), 1, count - 1))
+    best = np.argmin(ordered[inside:] - ordered[: count - inside], axis=0)
+    columns = np.arange(values.shape[1])
+    return np.stack([ordered[best, columns], ordered[best + inside, columns]], axis=1)

@@ -1,0 +1,143 @@
+"""The public functions of what measured points are worth: tasks, and two epochs."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from ltsim.adjustment import Adjustment, adjust
+from ltsim.core.errors import ModelError, option
+from ltsim.measurands.comparison import Comparison
+from ltsim.measurands.epochs import compare as compared, compare_coordinates
+from ltsim.measurands.evaluation import Evaluation, evaluate_listed_tasks, evaluate_tasks
+from ltsim.measurands.spec import FORMAT, Tasks, load_tasks, tasks_from
+from ltsim.physics.effects.verbs import names
+from ltsim.physics.model.construction import ideal, stated_construction
+from ltsim.recordings.coordinates import Coordinates, holds_coordinates, read_coordinates
+from ltsim.recordings.exchange import RecordingSource, recording_of
+from ltsim.recordings.recording import Recording
+
+
+def uncertainty(
+    recording: RecordingSource | Coordinates,
+    tasks: str | Path | Mapping[str, Any] | Tasks,
+    *,
+    seed: int | None = None,
+) -> Evaluation:
+    """Say how well tasks (lengths, angles, features, ...) are known: by propagation and by Monte Carlo, with budgets.
+
+    Parameters
+    ----------
+    recording : Recording, Coordinates, str or Path
+        A recording, or a list of coordinates with their joint covariance, such as the `targets.csv` of `adjust` with
+        `targets.covariance.csv` in its folder.
+    tasks : str, Path, mapping or Tasks
+        A task file, or its tables (``task``, ``type_b``, ...); `format` and `source` may be left out of tables.
+    seed : int, optional
+        Root of all draws; default as the file says.
+
+    Raises
+    ------
+    ModelError, SetupError
+        When a task names what does not exist or is not determined.
+
+    Examples
+    --------
+    >>> import ltsim as lt
+    >>> recording, _ = lt.simulate("paper-workshop", seed=7)
+    >>> length = {"name": "length", "kind": "distance", "targets": ["T01", "T12"]}
+    >>> found = lt.uncertainty(recording, {"task": [length], "monte_carlo": {"digits": 1}})
+    >>> found.to_dataframe()[["task", "result", "unit"]]
+         task    result unit
+    0  length  distance   mm
+    """
+    given: Tasks
+    if isinstance(tasks, Tasks):
+        given = tasks
+    elif isinstance(tasks, Mapping):
+        given = tasks_from({"format": FORMAT, "source": "", **tasks}, "tasks")
+    else:
+        given = load_tasks(Path(tasks))
+    if seed is not None:
+        given = given.model_copy(update={"monte_carlo": given.monte_carlo.model_copy(update={"seed": seed})})
+    listed = _coordinates_of(recording)
+    if listed is not None:
+        return evaluate_listed_tasks(listed, given)
+    return evaluate_tasks(recording_of(recording), given)  # type: ignore[arg-type]
+
+
+def compare(
+    first: RecordingSource | Coordinates,
+    second: RecordingSource | Coordinates,
+    *,
+    stable: str | Sequence[str] | None = None,
+    free: bool = False,
+    scaled: bool = False,
+    same_instrument: bool = False,
+    calibrate: bool = True,
+    robust: bool = False,
+    level: float = 0.05,
+) -> Comparison:
+    """Say which points moved between two recordings, and which motion could not have been seen.
+
+    Parameters
+    ----------
+    first, second : Recording, Coordinates, str or Path
+        Two recordings, or two lists of coordinates with their covariance (`ltsim.recordings.coordinates`).
+    stable : str or sequence of str, optional
+        Points known not to have moved; they are not tested. Default: found by the test.
+    free : bool
+        Of lists alone: their frames differ, the second may move as a whole.
+    scaled : bool
+        Let the second recording have a scale of its own: another temperature, another instrument.
+    same_instrument : bool
+        One tracker with the same errors measured both: what its maker's guarantee leaves open then shifts both epochs
+        alike and does not count as a difference.
+    calibrate : bool
+        Estimate the instrument's constants in each recording.
+    robust : bool
+        Leave out readings that do not belong, each tested again at the end.
+    level : float
+        Probability that any point is told to have moved when none did.
+
+    Raises
+    ------
+    ModelError
+        When a stable point is not common, or an option of recordings is asked of lists of coordinates.
+    NetworkError
+        When too few points are common, or a network cannot be solved.
+
+    Examples
+    --------
+    >>> import ltsim as lt
+    >>> january, _ = lt.simulate("paper-workshop", seed=7)
+    >>> lt.compare(january, january, same_instrument=True).moved
+    ()
+    """
+    lists = [one for one in (_coordinates_of(first), _coordinates_of(second)) if one is not None]
+    held = None if stable is None else names(stable)
+    if lists and (same_instrument or robust or not calibrate):
+        asked = ", ".join(option(name) for name in ("same_instrument=True", "robust=True", "calibrate=False"))
+        raise ModelError(f"lists of coordinates hold no readings: {asked} say nothing")
+    if len(lists) == 2:
+        return compare_coordinates(*lists, stable=held, free=free, scaled=scaled, level=level)
+    if lists:
+        raise ModelError("a list of coordinates is compared with another one alone")
+    if free:
+        raise ModelError(f"{option('free=True')} is for lists of coordinates: what a recording leaves open is known")
+
+    def adjusted(recording: Recording) -> Adjustment:
+        found = adjust(recording, stated_construction(recording) if calibrate else ideal(), robust=robust)
+        found.solution.require_success()
+        return found
+
+    epochs = [adjusted(recording_of(one)) for one in (first, second) if not isinstance(one, Coordinates)]
+    return compared(*epochs, stable=held, scaled=scaled, same_instrument=same_instrument, level=level)
+
+
+def _coordinates_of(source: RecordingSource | Coordinates) -> Coordinates | None:
+    """The list of coordinates itself, read where a path leads to one; None for a recording."""
+    if isinstance(source, Coordinates):
+        return source
+    return (
+        read_coordinates(Path(source)) if isinstance(source, str | Path) and holds_coordinates(Path(source)) else None
+    )

@@ -1,1 +1,0 @@
-"""Pictures and pages: the only room that draws."""

@@ -1,0 +1,71 @@
+from dataclasses import dataclass
+from typing import Literal, Self
+
+import numpy as np
+
+from ltsim.core.arrays import Floats
+from ltsim.physics.effects.effect import Parameter, Stage, on_readings
+from ltsim.physics.effects.rays import AirField, WarmAir, bending
+from ltsim.scene.sightings import Sightings
+
+
+@dataclass(frozen=True)
+class AirGradient(WarmAir):
+    """Uniform vertical gradient of the air's temperature: the air is warmer the higher it lies, and light bends.
+
+    Delta_elevation = -1/2 beta G d cos(el) (warm air above lifts the target's image), Delta_d = +beta G d ((z_station +
+    z_target) / 2 - z_sensor), with G = dT/dz and beta = -dn/dT. The two together are a conformal map of empty space, so
+    poses and targets absorb the whole and nothing is left in the residuals, while the mesh is distorted (7 um rms at 1
+    K/m); either alone would invent a signature. A weather sensor that rides on the head (`head`) reads another height
+    at each station and leaves a scale a station.
+
+    Size: 0.1 K/m in a good hall, 1 to 2 K/m in a heated one; 1 K/m bends 8 m by 3.7 urad, 30 um.
+    Like: nothing is left to be like anything; `head`: station-weather. Bending alone: head-sag (0.92), vertical-index
+    (0.86 / 0).
+    Separate by: thermometers at two heights; a length standard at the floor and at the ceiling (5.6 ppm over 6 m at 1
+    K/m).
+    Valid: up to some kelvin a metre; the vertical is the z axis of the network frame.
+    Source: Born and Wolf, Principles of Optics, section 3.2 (ray equation); Ciddor 1996, Appl. Opt. 35, 1566,
+    doi:10.1364/AO.35.001566 (beta); that a network absorbs it is derived here.
+    Status: first order validated against the integrated ray; absorption by the network reproduced.
+    """
+
+    sensor: Literal["room", "head"] = "room"
+
+    name = "air-gradient"
+    stage = Stage.AIR
+    covariates = ("height", "distance")
+    parameters = (Parameter("air-gradient", "K/m", "rise of the temperature with the height", 1.0),)
+
+    @classmethod
+    def candidates(cls, sightings: Sightings) -> list[Self]:
+        """A weather sensor in the room, and one on the head."""
+        return [cls(sensor="room"), cls(sensor="head")]
+
+    def _sensor_height(self, sightings: Sightings) -> Floats:
+        """(n,) [m]: height at which the used temperature is right."""
+        if self.sensor == "head":
+            return sightings.position[sightings.station, 2]
+        return np.full(len(sightings), float(sightings.points[:, 2].mean()))
+
+    def design(self, sightings: Sightings) -> Floats:
+        steep = bending() * self.mask(sightings) * sightings.range_
+        heights = sightings.position[sightings.station, 2] + sightings.points[sightings.target, 2]
+        _, left, up = sightings.unit_vectors
+        column = on_readings(
+            sightings,
+            distance=steep * (0.5 * heights - self._sensor_height(sightings)),
+            azimuth=-0.5 * steep * left[:, 2] / np.cos(sightings.elevation),
+            elevation=-0.5 * steep * up[:, 2],
+        )
+        return column[:, :, None]
+
+    def field(self, sightings: Sightings) -> AirField:
+        """The field of a gradient of one kelvin a metre."""
+        bottom = self._sensor_height(sightings)
+
+        def field(points: Floats) -> tuple[Floats, Floats]:
+            higher = points[:, 2] - np.repeat(bottom, len(points) // max(len(bottom), 1))
+            return higher, np.broadcast_to([0.0, 0.0, 1.0], points.shape)
+
+        return field

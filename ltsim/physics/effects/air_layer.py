@@ -1,0 +1,68 @@
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from ltsim.core.arrays import Floats
+from ltsim.physics.effects.effect import Parameter, ShapeParameter, Stage
+from ltsim.physics.effects.rays import AirField, WarmAir
+from ltsim.scene.sightings import Sightings
+
+HEIGHTS = 7
+WIDTHS = (0.15, 0.5)
+
+
+def _ends(sightings: Sightings) -> Floats:
+    """Heights [m] of all targets and stations in the network frame."""
+    return np.concatenate([sightings.points[:, 2], sightings.position[:, 2]])
+
+
+@dataclass(frozen=True)
+class AirLayer(WarmAir):
+    """Layered room: a warm layer lies under the roof.
+
+    T(z) = D / (1 + exp(-(z - height) / width)), z above the lowest target or station, and along the path from the
+    station, (D_t, D_v) = integral of (d - s) grad_perp n ds, Delta_d = -integral of (n - n_sensor) ds, s = 0 to d. Only
+    the curvature of the profile is seen: targets in the layer are read too near and too high.
+
+    Size: 2 to 6 K across the layer; it shows from 12 K on in one face, from 4.5 K on in two.
+    Like: elevation-second-order sine (0.59); a drift, where the ceiling row is measured first.
+    Separate by: a temperature profile; another time of day; stations at different heights.
+    Valid: steps of 1 to 10 K; the weather sensor is below the layer; height and width along the network's z
+    axis.
+    Source: Born and Wolf, Principles of Optics, section 3.2 (ray equation); Ciddor 1996, Appl. Opt. 35, 1566,
+    doi:10.1364/AO.35.001566 (index).
+    Status: first order validated against the integrated ray.
+    """
+
+    height: float = 4.0
+    width: float = 0.3
+
+    name = "air-layer"
+    stage = Stage.AIR
+    covariates = ("height",)
+    parameters = (Parameter("layer-step", "K", "how much warmer the layer is than the air below", 4.0),)
+    shape = (
+        ShapeParameter("height", "m", "middle of the step above the lowest target or station", 0.0, 40.0, steps=41),
+        ShapeParameter("width", "m", "width of the step", 0.05, 1.5, logarithmic=True, steps=3),
+    )
+
+    @classmethod
+    def candidates(cls, sightings: Sightings) -> list[Self]:
+        """Heights between the lowest and the highest target or station."""
+        heights = np.linspace(0.0, float(np.ptp(_ends(sightings))), HEIGHTS + 2)[1:-1]
+        return [cls(height=float(z), width=w) for z in heights for w in WIDTHS]
+
+    def field(self, sightings: Sightings) -> AirField:
+        """The step of one kelvin above the lowest target or station."""
+        from scipy.special import expit
+
+        floor = float(_ends(sightings).min(initial=np.inf))
+
+        def field(points: Floats) -> tuple[Floats, Floats]:
+            risen: Floats = expit((points[:, 2] - floor - self.height) / self.width)
+            gradient = np.zeros_like(points)
+            gradient[:, 2] = risen * (1.0 - risen) / self.width
+            return risen, gradient
+
+        return field

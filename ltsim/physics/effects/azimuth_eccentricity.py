@@ -1,0 +1,25 @@
+from ltsim.core.units import ARCSECOND
+from ltsim.physics.effects.circles import lobes, waves
+from ltsim.physics.effects.effect import SlotEffect, Stage
+
+
+class AzimuthEccentricity(SlotEffect):
+    """Eccentricity of the azimuth circle: the circle turns off its centre, one lobe a turn.
+
+    Delta_azimuth = A1 cos(x) + B1 sin(x), x the raw azimuth; the amplitude is the eccentricity over the circle's
+    radius. Odd, so it flips with the face.
+
+    Size: raw, 10 um on a radius of 50 mm are 200 urad; after the maker's map under 0.5 urad good, 5 to 10 urad bad.
+    Like: bearing-wobble, radial run-out of order 2 (0.92 / 0).
+    Separate by: two faces; another yaw at each station, without which it is a fixed pattern of the room.
+    Valid: first order of one read head; two opposite heads cancel it to second order.
+    Source: Muralikrishnan et al. 2009, J. Res. NIST 114, 21-35, doi:10.6028/jres.114.003 (x6x, x6y); Muralikrishnan et
+    al. 2010, J. Res. NIST 115, 291-301, doi:10.6028/jres.115.022.
+    Status: validated against the exact chain in first order, and against the columns of the D-H chain.
+    """
+
+    name = "azimuth-eccentricity"
+    stage = Stage.ENCODERS
+    observables = ("azimuth",)
+    parameters = lobes("azimuth-eccentricity", "the raw azimuth", 3 * ARCSECOND, "angle")
+    terms = waves("azimuth", 1)

@@ -1,0 +1,25 @@
+from ltsim.core.units import MICRORADIAN
+from ltsim.physics.effects.circles import Harmonic, lobes
+from ltsim.physics.effects.effect import Stage
+
+
+class AzimuthHarmonic(Harmonic):
+    """Higher graduation harmonic of the azimuth circle: lines of the scale are off, as its read heads see them.
+
+    Delta_azimuth = A cos(m x) + B sin(m x), x the raw azimuth, m from 3 up. Odd m flips with the face, even m does not;
+    of several read heads, orders that are multiples of their number survive.
+
+    Size: 0.2 urad in a good circle, 2 urad in a bad one.
+    Like: noise and errors of single targets; bearing-wobble, radial run-out of order m + 1.
+    Separate by: a turn of the base between stations, which moves the pattern; a repeat, which does not change it.
+    Valid: m up to 8; with some thirty directions nothing higher can be told.
+    Source: Lu, Graetz, Amin-Shahidi and Smeds 2010, On-axis self-calibration of angle encoders, CIRP Annals 59,
+    529-534; Muralikrishnan et al. 2010, J. Res. NIST 115, 291-301, doi:10.6028/jres.115.022 (parity).
+    Status: validated against the exact chain in first order, face parity and sign.
+    """
+
+    name = "azimuth-harmonic"
+    stage = Stage.ENCODERS
+    observables = ("azimuth",)
+    covariates = ("azimuth",)
+    parameters = lobes("azimuth-harmonic", "`order` times the raw azimuth", 2 * MICRORADIAN)

@@ -1,0 +1,25 @@
+from ltsim.core.units import ARCSECOND
+from ltsim.physics.effects.circles import lobes, waves
+from ltsim.physics.effects.effect import SlotEffect, Stage
+
+
+class AzimuthSecondOrder(SlotEffect):
+    """Two-lobe error of the azimuth circle: the scale is stretched and squeezed twice a turn.
+
+    Delta_azimuth = A2 cos(2 x) + B2 sin(2 x), x the raw azimuth: the same on both faces, so two-face tests see nothing;
+    horizontal lengths breathe with the azimuth, with a period of half a turn.
+
+    Size: under 0.5 urad in a good tracker; 65 um in a length of 7.75 m at 7 m, about 5.5 urad, in older ones.
+    Like: bearing-wobble, radial run-out of order 3 (0.80 / 0).
+    Separate by: one length measured at many azimuths; another yaw at each station.
+    Valid: up to 10 urad.
+    Source: Muralikrishnan et al. 2010, J. Res. NIST 115, 291-301, doi:10.6028/jres.115.022 (sizes and method);
+    Muralikrishnan et al. 2009, J. Res. NIST 114, 21-35, doi:10.6028/jres.114.003 (x9a, x9b).
+    Status: validated against the exact chain in first order, and against the columns of the D-H chain.
+    """
+
+    name = "azimuth-second-order"
+    stage = Stage.ENCODERS
+    observables = ("azimuth",)
+    parameters = lobes("azimuth-second-order", "twice the raw azimuth", 3 * ARCSECOND, "angle")
+    terms = waves("azimuth", 2)

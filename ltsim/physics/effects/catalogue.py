@@ -1,0 +1,204 @@
+"""The catalogue of effects: what ships with ltsim, then what installed packages add; and the card of each.
+
+A package adds effects by entry points of the group `ltsim.effects`, each naming a class:
+
+    [project.entry-points."ltsim.effects"]
+    cable-drag = "my_package.cable_drag:CableDrag"
+
+They are looked for when the catalogue is first read beyond what ships, not when ltsim is imported.
+
+A card is the docstring of the effect's class, or of its file. Its first line is the title, a colon and the cause; then
+come the law, with its sign, and a paragraph for each of `PARTS`.
+"""
+
+import inspect
+import re
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache, cached_property
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any, Self
+
+from ltsim.core.errors import ModelError, unknown_name
+from ltsim.core.units import FACTOR
+from ltsim.physics.effects.effect import Effect, Stage
+
+GROUP = "ltsim.effects"
+SHIPPED = "ltsim"
+SESSION = "this session"
+ADDED = "installed"
+"""The group of effects that packages add."""
+NAME = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
+PARTS = ("Size", "Like", "Separate by", "Valid", "Source", "Status")
+"""Of a good and of a bad instrument or room; what leaves similar residuals, with two correlations of the residuals in
+the reference workshop, one face and two faces; the measurement that tells it from these; where the law holds;
+literature; how the law was validated.
+"""
+_PART = re.compile(rf"^({'|'.join(PARTS)}): ", re.MULTILINE)
+
+
+@dataclass(frozen=True)
+class Card:
+    """What is known of a physical cause."""
+
+    title: str
+    cause: str
+    """What it is called, and what happens."""
+    law: str
+    """The equation with its sign, in lines as they are written; often with what gives it away."""
+    told: tuple[str, ...]
+    """The texts of `PARTS`."""
+
+    @classmethod
+    def read(cls, text: str) -> Self:
+        """The card in a docstring; raises ModelError, naming the part that is missing, given twice or out of order."""
+        head, _, rest = inspect.cleandoc(text).partition("\n\n")
+        title, colon, cause = " ".join(head.split()).rstrip(".").partition(": ")
+        if not colon or not cause:
+            raise ModelError(f"a card begins with 'Title: what happens.', found {head.partition(chr(10))[0]!r}")
+        pieces = _PART.split(rest)
+        if tuple(pieces[1::2]) != PARTS:
+            found = ", ".join(pieces[1::2]) or "none"
+            raise ModelError(f"a card has the parts {', '.join(PARTS)} in this order, found {found}")
+        law, *told = (piece.strip() for piece in pieces[::2])
+        for name, part in zip(("law", *PARTS), (law, *told), strict=True):
+            if not part:
+                raise ModelError(f"the part {name} of a card is empty")
+        return cls(title, cause, law, tuple(" ".join(part.split()) for part in told))
+
+    def parts(self) -> tuple[tuple[str, str], ...]:
+        """(name, text) of the parts after the law."""
+        return tuple(zip(PARTS, self.told, strict=True))
+
+
+@cache
+def card_of(kind: type) -> Card:
+    """The card of an effect; raises ModelError when neither the class nor its file has one that is complete."""
+    own = kind.__dict__.get("__doc__") or ""
+    text = own if _PART.search(inspect.cleandoc(own)) else sys.modules[kind.__module__].__doc__
+    try:
+        return Card.read(text or "")
+    except ModelError as problem:
+        raise ModelError(f"{kind.__module__}.{kind.__name__}: {problem}") from None
+
+
+@dataclass(frozen=True)
+class Listed:
+    """An effect of the catalogue, the group it stands in, and the package it comes from."""
+
+    kind: type[Effect]
+    group: str
+    origin: str
+
+
+def installed() -> list[EntryPoint]:
+    """Entry points that name effects; a package that is found twice on the path counts once."""
+    found = {(_package(point), point.name, point.value): point for point in entry_points(group=GROUP)}
+    return [found[key] for key in sorted(found)]
+
+
+class Catalogue(Sequence[type[Effect]]):
+    """Every effect: those of `shipped` in their order, then the added ones in the order of their names.
+
+    `shipped` are effects by group, `points` gives the entry points of packages.
+    """
+
+    def __init__(
+        self,
+        shipped: Mapping[str, tuple[type[Effect], ...]],
+        points: Callable[[], Iterable[EntryPoint]] = installed,
+    ) -> None:
+        self._points = points
+        self._shipped = {kind.name: Listed(kind, group, SHIPPED) for group, kinds in shipped.items() for kind in kinds}
+
+    @cached_property
+    def entries(self) -> Mapping[str, Listed]:
+        """All effects by name; raises ModelError when a package's effect cannot be used: which package, and why."""
+        added: dict[str, Listed] = {}
+        for point in self._points():
+            entry = _loaded(point)
+            known = (self._shipped | added).get(entry.kind.name)
+            if known is not None:
+                raise _refused(point, f"{known.origin} has an effect '{entry.kind.name}' already")
+            added[entry.kind.name] = entry
+        return self._shipped | {name: added[name] for name in sorted(added)}
+
+    def add(self, kind: type[Effect]) -> type[Effect]:
+        """Add a class for the rest of this session, in place of one of the same name that was added before.
+
+        A class without a card is given one that states nothing. Raises ModelError when it cannot be an effect.
+        """
+        if why := fault_of(kind):
+            raise ModelError(f"{kind!r} cannot be an effect: {why}")
+        known = self.entries.get(kind.name)
+        if known is not None and known.group != SESSION:
+            raise ModelError(f"{known.origin} has an effect '{kind.name}' already: take another name")
+        try:
+            card_of(kind)
+        except ModelError:
+            title = kind.name.replace("-", " ").capitalize()
+            parts = "\n\n".join(f"{part}: not stated." for part in PARTS)
+            kind.__doc__ = f"{title}: an effect of this session.\n\nnot stated\n\n{parts}\n"
+        self.__dict__["entries"] = {**self.entries, kind.name: Listed(kind, SESSION, SESSION)}
+        return kind
+
+    @property
+    def of_session(self) -> tuple[type[Effect], ...]:
+        """Classes that were added in this session: other processes do not know them."""
+        return tuple(entry.kind for entry in self.entries.values() if entry.group == SESSION)
+
+    def find(self, name: str) -> type[Effect]:
+        """The effect called `name`; raises ModelError when there is none; the message names the closest ones."""
+        entry = self._shipped.get(name) or self.entries.get(name)
+        if entry is None:
+            raise unknown_name("effect", name, self.entries)
+        return entry.kind
+
+    def __len__(self) -> int:
+        return len(self.entries)
+
+    def __iter__(self) -> Iterator[type[Effect]]:
+        return (entry.kind for entry in self.entries.values())
+
+    def __getitem__(self, index: Any) -> Any:
+        return tuple(self)[index]
+
+
+def _package(point: EntryPoint) -> str:
+    return f"{point.dist.name} {point.dist.version}" if point.dist is not None else "an unknown package"
+
+
+def _refused(point: EntryPoint, why: str) -> ModelError:
+    place = f"{point.value} of {_package(point)}"
+    return ModelError(f"the effect '{point.name}' ({place}) cannot be used: {why}; mend or uninstall that package")
+
+
+def _loaded(point: EntryPoint) -> Listed:
+    try:
+        kind = point.load()
+    except Exception as problem:  # whatever a stranger's module does when it is imported
+        raise _refused(point, f"{type(problem).__name__}: {problem}") from problem
+    if why := fault_of(kind):
+        raise _refused(point, why)
+    try:
+        card_of(kind)
+    except ModelError as problem:
+        raise _refused(point, str(problem)) from None
+    return Listed(kind, ADDED, _package(point))
+
+
+def fault_of(kind: object) -> str:
+    """Why a class cannot be an effect; empty for none."""
+    if not (isinstance(kind, type) and issubclass(kind, Effect)):
+        return "it is no class derived from lt.Effect"
+    if lacking := sorted(getattr(kind, "__abstractmethods__", ())):
+        return f"its class lacks {', '.join(lacking)}"
+    if not NAME.fullmatch(getattr(kind, "name", "")) or kind.name == "unknown":
+        return f"its name '{getattr(kind, 'name', '')}' should be lower-case words joined by '-'"
+    if not isinstance(getattr(kind, "stage", None), Stage) or not kind.parameters:
+        return "its class lacks a stage or parameters"
+    units = {p.name: p.unit for p in kind.parameters} | {s.name: s.unit for s in kind.shape}
+    return next(
+        (f"the unit '{u}' of {name} is none of {', '.join(FACTOR)}" for name, u in units.items() if u not in FACTOR), ""
+    )

@@ -1,0 +1,80 @@
+"""Refractive index of moist air by Ciddor's equation, phase index.
+
+Reference: Ciddor, Applied Optics 35 (1996) 1566, with the vapour pressure and the compressibility that the NIST
+Engineering Metrology Toolbox uses (Stone and Zimmerman, NIST; Appendix A). Valid: 300 to 1700 nm, -40 to 100 C,
+100 to 1400 hPa; uncertainty 2e-8.
+"""
+
+from functools import lru_cache
+
+import numpy as np
+
+from ltsim.core.arrays import Floats
+
+GAS_CONSTANT = 8.314472
+WATER_MASS = 0.018015
+HELIUM_NEON = 633e-9
+
+
+def vapour_pressure(temperature: Floats) -> Floats:
+    """Saturation pressure [Pa] over water at temperatures [C] (IAPWS-IF97, region 4)."""
+    kelvin = temperature + 273.15
+    omega = kelvin - 2.38555575678e-1 / (kelvin - 6.50175348448e2)
+    a = omega**2 + 1.16705214528e3 * omega - 7.24213167032e5
+    b = -1.70738469401e1 * omega**2 + 1.20208247025e4 * omega - 3.23255503223e6
+    c = 1.49151086135e1 * omega**2 - 4.82326573616e3 * omega + 4.05113405421e5
+    return 1e6 * (2 * c / (-b + np.sqrt(b**2 - 4 * a * c))) ** 4
+
+
+def _compressibility(temperature: Floats, pressure: float, share: Floats) -> Floats:
+    kelvin = temperature + 273.15
+    linear = 1.58123e-6 - 2.9331e-8 * temperature + 1.1043e-10 * temperature**2
+    linear = linear + (5.707e-6 - 2.051e-8 * temperature) * share + (1.9898e-4 - 2.376e-6 * temperature) * share**2
+    ratio = pressure / kelvin
+    return 1.0 - ratio * linear + ratio**2 * (1.83e-11 - 0.765e-8 * share**2)
+
+
+def refractivity(
+    temperature: Floats,
+    *,
+    pressure: float = 101_325.0,
+    humidity: float = 50.0,
+    wavelength: float = HELIUM_NEON,
+) -> Floats:
+    """Phase index of air with 450 umol/mol of carbon dioxide, less one.
+
+    Parameters
+    ----------
+    temperature : float array, [C]
+    pressure : float, [Pa]
+    humidity : float, [%]
+        Relative.
+    wavelength : float, [m]
+        In vacuum.
+    """
+    temperature = np.asarray(temperature, dtype=np.float64)
+    wave = (1e-6 / wavelength) ** 2
+    dry = 1e-8 * (5_792_105.0 / (238.0185 - wave) + 167_917.0 / (57.362 - wave))
+    vapour = 1.022e-8 * (295.235 + 2.6422 * wave - 0.032380 * wave**2 + 0.004028 * wave**3)
+    enhancement = 1.00062 + 3.14e-8 * pressure + 5.6e-7 * temperature**2
+    share = humidity / 100.0 * enhancement * vapour_pressure(temperature) / pressure
+    mass = 1e-3 * (28.9635 + 12.011e-6 * 50.0)
+
+    def density(t: Floats, p: float, x: Floats) -> Floats:
+        """P M / (Z R T), with the molar mass left out."""
+        return p / (_compressibility(t, p, x) * GAS_CONSTANT * (t + 273.15))
+
+    standard = density(np.array(15.0), 101_325.0, np.array(0.0)) * mass
+    saturated = density(np.array(20.0), 1333.0, np.array(1.0)) * WATER_MASS
+    air = density(temperature, pressure, share)
+    return air * ((1.0 - share) * mass / standard * dry + share * WATER_MASS / saturated * vapour)
+
+
+@lru_cache
+def temperature_sensitivity(temperature: float = 20.0) -> float:
+    """Beta = -dn/dT [1/K] at `temperature` [C] in air of ordinary pressure and humidity (central difference).
+
+    The humidity's share follows the vapour pressure, as for a hygrometer that shows a constant percentage.
+    """
+    warm, cold = (float(refractivity(np.array(temperature + d))) for d in (0.5, -0.5))
+    return cold - warm

@@ -1,0 +1,47 @@
+from typing import Self
+
+import numpy as np
+
+from ltsim.core.arrays import Floats
+from ltsim.core.units import MICROMETRE
+from ltsim.physics.effects.effect import Effect, Parameter, Stage, on_readings
+from ltsim.scene.sightings import Sightings
+
+COLUMN = "air_temperature_c"
+STEADY = 0.05
+"""[K] span of temperature below which nothing can be learnt."""
+
+
+class DeadPath(Effect):
+    """Dead path: a part of the reference path inside the head warms with the air, and nobody corrects it.
+
+    Delta_d = k (T - T_0), T the recorded air temperature, T_0 that of the first pointing. For an interferometer
+    k = -beta D_0, with beta = 0.955 ppm/K the change of the air's index; for an absolute meter the fibre's own.
+
+    Size: 0.15 um/K for a path D_0 of 0.15 m, negligible; 1 to 5 um/K for the fibre of a bad absolute meter.
+    Like: range-drift, where the temperature follows the clock.
+    Separate by: a new homing; both distance modes along the same line.
+    Valid: needs the column air_temperature_c; without it, or with a constant one, there is nothing to try.
+    Source: Bobroff 1993, Recent advances in displacement measuring interferometry, Meas. Sci. Technol. 4, 907-926.
+    Status: validated on a temperature column; the size is general knowledge.
+    """
+
+    name = "dead-path"
+    stage = Stage.RANGE
+    observables = ("distance",)
+    covariates = ("temperature",)
+    parameters = (Parameter("dead-path", "um/K", "missing from every range a kelvin warmer", 3 * MICROMETRE),)
+
+    @classmethod
+    def candidates(cls, sightings: Sightings) -> list[Self]:
+        """One, where the temperature varies."""
+        known = sightings.covariates.get(COLUMN)
+        varies = known is not None and np.isfinite(known).any() and np.nanmax(known) - np.nanmin(known) > STEADY
+        return [cls()] if varies else []
+
+    def design(self, sightings: Sightings) -> Floats:
+        temperature = sightings.covariates.get(COLUMN, np.full(len(sightings), np.nan))
+        ordered = temperature[sightings.order]
+        known = ordered[np.isfinite(ordered)]
+        warmer = np.nan_to_num(temperature - (known[0] if len(known) else 0.0))
+        return on_readings(sightings, distance=self.mask(sightings) * warmer)[:, :, None]

@@ -1,0 +1,34 @@
+import numpy as np
+
+from ltsim.core.arrays import Floats
+from ltsim.core.units import MICROMETRE
+from ltsim.physics.effects.effect import Parameter, SlotEffect, Stage, Term
+
+
+def half(raw: Floats) -> Floats:
+    """The beam misses by half of what the returning spot is off."""
+    return np.full(len(raw), 0.5)
+
+
+class DetectorOffset(SlotEffect):
+    """Null offset of the tracking detector: the return spot is held at a wrong place, so the beam misses the vertex.
+
+    D_t = f eps_y / 2, D_v = f eps_z / 2, fixed to the scope: exactly a beam offset of half the size.
+
+    Size: under 1 um in a good tracker, 5 to 20 um in a bad one.
+    Like: beam-offset, exactly.
+    Separate by: another reflector (coating, size, dirt) or a log of the returned power: the beam offset stays.
+    Valid: one kind of reflector, a constant offset.
+    Source: general knowledge; half, because a retroreflector returns the beam mirrored at its vertex.
+    Status: validated against the beam offset.
+    """
+
+    name = "detector-offset"
+    stage = Stage.OPTICS
+    observables = ("azimuth", "elevation")
+    covariates = ("distance",)
+    parameters = (
+        Parameter("detector-offset-lateral", "um", "null offset along the transit axis", 20 * MICROMETRE),
+        Parameter("detector-offset-vertical", "um", "null offset across the transit axis", 20 * MICROMETRE),
+    )
+    terms = (Term("beam-lateral", half), Term("beam-vertical", half))

@@ -1,0 +1,25 @@
+from ltsim.core.units import ARCSECOND
+from ltsim.physics.effects.circles import lobes, waves
+from ltsim.physics.effects.effect import SlotEffect, Stage
+
+
+class ElevationEccentricity(SlotEffect):
+    """Eccentricity of the elevation circle: the circle turns off its centre, one lobe a turn.
+
+    C1 cos(x) + D1 sin(x), x the raw elevation: Delta_elevation = C1 cos(el) + f D1 sin(el) in front-face terms. C1 is
+    largest at the horizon and the same on both faces; D1 parts ceiling from floor and flips.
+
+    Size: as for the azimuth circle: under 0.5 urad good, 5 to 10 urad bad, after the maker's map.
+    Like: C1: head-sag exactly for upright trackers, vertical-index (0.96 / 0); D1: elevation-second-order sine (0.93 /
+    0).
+    Separate by: D1 by two faces; C1 from sag only with the tracker on its side.
+    Valid: first order of one read head.
+    Source: Muralikrishnan et al. 2009, J. Res. NIST 114, 21-35, doi:10.6028/jres.114.003 (x7).
+    Status: validated against the exact chain in first order, and against the columns of the D-H chain.
+    """
+
+    name = "elevation-eccentricity"
+    stage = Stage.ENCODERS
+    observables = ("elevation",)
+    parameters = lobes("elevation-eccentricity", "the raw elevation", 3 * ARCSECOND, "angle")
+    terms = waves("elevation", 1)

@@ -1,0 +1,24 @@
+from ltsim.core.units import ARCSECOND
+from ltsim.physics.effects.circles import lobes, waves
+from ltsim.physics.effects.effect import SlotEffect, Stage
+
+
+class ElevationSecondOrder(SlotEffect):
+    """Two-lobe error of the elevation circle: the scale is stretched and squeezed twice a turn.
+
+    C2 cos(2 x) + D2 sin(2 x), x the raw elevation: Delta_elevation = f C2 cos(2 el) + D2 sin(2 el); the cosine flips
+    with the face, the sine does not.
+
+    Size: under 0.5 urad in a good tracker, up to 6 urad in an old one.
+    Like: D2: elevation-eccentricity sine (0.93 / 0), air-layer (0.59), vertical mesh-expansion (0.50).
+    Separate by: two faces (C2); more elevations.
+    Valid: up to 10 urad.
+    Source: Muralikrishnan et al. 2009, J. Res. NIST 114, 21-35, doi:10.6028/jres.114.003 (x10a, x10b).
+    Status: validated against the exact chain in first order, and against the columns of the D-H chain.
+    """
+
+    name = "elevation-second-order"
+    stage = Stage.ENCODERS
+    observables = ("elevation",)
+    parameters = lobes("elevation-second-order", "twice the raw elevation", 3 * ARCSECOND, "angle")
+    terms = waves("elevation", 2)

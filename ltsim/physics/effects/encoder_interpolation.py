@@ -1,0 +1,53 @@
+from dataclasses import dataclass
+from typing import Literal, Self
+
+from ltsim.core.units import MICRORADIAN
+from ltsim.physics.effects.circles import lobes, waves
+from ltsim.physics.effects.effect import SlotEffect, Stage, Term
+from ltsim.scene.sightings import Sightings
+
+COUNTS = (256, 360, 512, 720, 1024, 2048, 3600, 4096, 8192, 9000, 10_000, 16_384, 18_000, 20_000, 32_768, 36_000)
+"""Periods per turn of encoders on the market: powers of two, and whole fractions of a degree."""
+
+
+@dataclass(frozen=True)
+class EncoderInterpolation(SlotEffect):
+    """Interpolation error of an encoder: the signal between two lines of the scale is no pure sine.
+
+    Delta = A cos(N x) + B sin(N x) on one circle, x its raw reading, N the periods a turn, 1e3 to 1e5. It looks like
+    white noise of that angle, but repeats where the same angle is read again.
+
+    Size: 0.05 urad in a good encoder, 0.5 to 1 urad in a bad one.
+    Like: white noise of that angle.
+    Separate by: a repeat with the base turned by a known fraction; a dense sweep of one target along an arc.
+    Valid: where N is known, from the data sheet: a network of some hundred pointings cannot search N over all integers,
+    so the usual counts are tried. An error e of x blurs the phase by N e, 15 urad by 0.5 rad at N = 36 000: an
+    adjustment takes it at the reading with the instrument's own errors in it (`sightings.read`), as the exact chain
+    does.
+    Source: Heydemann 1981, Appl. Opt. 20, 3382, doi:10.1364/AO.20.003382 (why a quadrature signal leaves such an
+    error); sizes are general knowledge.
+    Status: validated against the exact chain for N up to 36 000.
+    """
+
+    circle: Literal["azimuth", "elevation"] = "azimuth"
+    periods: int = 36_000
+
+    name = "encoder-interpolation"
+    stage = Stage.ENCODERS
+    observables = ("azimuth", "elevation")
+    covariates = ("azimuth", "elevation")
+    parameters = lobes("interpolation", "`periods` times the raw angle", MICRORADIAN)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "observables", (self.circle,))
+        object.__setattr__(self, "covariates", (self.circle,))
+
+    @property
+    def terms(self) -> tuple[Term, ...]:  # type: ignore[override]
+        return waves(self.circle, self.periods)
+
+    @classmethod
+    def candidates(cls, sightings: Sightings) -> list[Self]:
+        """Both circles with the usual counts."""
+        circles: tuple[Literal["azimuth", "elevation"], ...] = ("azimuth", "elevation")
+        return [cls(circle=circle, periods=n) for circle in circles for n in COUNTS]

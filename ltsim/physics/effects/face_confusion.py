@@ -1,0 +1,52 @@
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+
+from ltsim.core.arrays import Floats
+from ltsim.physics.effects.effect import Mistake, Parameter, Stage
+from ltsim.scene.sightings import Sightings
+
+
+@dataclass(frozen=True)
+class FaceConfusion(Mistake):
+    """Confused faces: readings of one face are stored as those of the other.
+
+    Rows stored as `face` hold what the other face read: azimuth + 180 deg and 180 deg - elevation of what is expected.
+
+    Size: metres: a point lands behind the tracker.
+    Like: nothing.
+    Separate by: nothing is needed: the raw elevation itself says on which face it was read.
+    Valid: the parameter is 1 where it happened and 0 elsewhere. A mistake of this size is mended before an adjustment,
+    so `candidates` is empty and `possible` lists the mistakes.
+    Source: definition of the two faces of a theodolite; Deumlich and Staiger 2002, Instrumentenkunde der
+    Vermessungstechnik.
+    Status: validated: twice the same mistake gives the reading back.
+    """
+
+    face: int = 2
+
+    name = "face-confusion"
+    stage = Stage.ELECTRONICS
+    observables = ("azimuth", "elevation")
+    covariates = ("face",)
+    scope = "station"
+    parameters = (Parameter("confused", "", "1 where the faces are confused", 1.0),)
+
+    @classmethod
+    def possible(cls, sightings: Sightings) -> list[Self]:
+        """Either face of every station."""
+        return [cls((name,), face=face) for name in sightings.station_names for face in (1, 2)]
+
+    def done(self, sightings: Sightings) -> Sightings:
+        """The other face was measured."""
+        confused = (self.mask(sightings) > 0) & (sightings.face == self.face)
+        return replace(sightings, face=np.where(confused, 3 - sightings.face, sightings.face))
+
+    def design(self, sightings: Sightings) -> Floats:
+        acts = self.mask(sightings) * (sightings.face == self.face)
+        azimuth, elevation = sightings.raw[:, 1], sightings.raw[:, 2]
+        turned = np.where(azimuth > 0, -np.pi, np.pi)
+        change = np.stack([np.zeros_like(azimuth), turned, np.pi - 2 * elevation], axis=1)
+        confused: Floats = change * acts[:, None]
+        return confused[:, :, None]

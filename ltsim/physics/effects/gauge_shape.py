@@ -1,0 +1,52 @@
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from ltsim.core.arrays import Floats, Ints
+from ltsim.core.units import MICROMETRE
+from ltsim.physics.effects.effect import Effect, Stage, along_axes
+from ltsim.scene.sightings import Sightings
+
+
+@dataclass(frozen=True)
+class GaugeShape(Effect):
+    """Shape of the gauge: a nest moved, or the gauge bent, after its lengths were measured.
+
+    One nest has moved by D since: true length = stated length + D . unit vector towards the nest. The parameters are
+    the nest's motion in the network frame (no correction of a reading); no reading changes, the target is where it is
+    today.
+
+    Size: 1 K across a frame 20 mm thick with nests 40 mm above it turns into 28 um on 590 mm; a nest moves by 5 to 50
+    um.
+    Like: smr-centring or dirt in the gauge's nest.
+    Separate by: the gauge measured again; reflectors swapped. Of the lengths' freedoms one is scale, the rest is shape.
+    Valid: motions small against the lengths; a bend out of the plane of a flat gauge leaves its lengths as they are.
+    Source: Sensors 2021, 21, 7479, doi:10.3390/s21227479, table 2 and section 2.3 (the gauge; 2.3 + L/300 um of the
+    machine that measured it).
+    Status: validated against moved points on the known lengths.
+    """
+
+    index: int = 0
+
+    name = "gauge-shape"
+    stage = Stage.TARGET
+    observables = ()
+    covariates = ("place",)
+    scope = "target"
+    plural = True
+    parameters = along_axes("nest", "um", "motion of the nest along", 30 * MICROMETRE)
+
+    @classmethod
+    def candidates(cls, sightings: Sightings) -> list[Self]:
+        """Every target; those that end no known length change nothing and are dropped as invisible."""
+        return [cls((), (name,), i) for i, name in enumerate(sightings.target_names)]
+
+    def design(self, sightings: Sightings) -> Floats:
+        return np.zeros((len(sightings), 3, 3))
+
+    def gauge_design(self, first: Ints, second: Ints, points: Floats) -> Floats:
+        gap = points[first] - points[second]
+        unit = gap / np.linalg.norm(gap, axis=1, keepdims=True)
+        ends = (second == self.index).astype(float) - (first == self.index)
+        return unit * ends[:, None]

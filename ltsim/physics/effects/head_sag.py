@@ -1,0 +1,30 @@
+from ltsim.core.arrays import Floats
+from ltsim.core.units import MICRORADIAN
+from ltsim.physics.effects.effect import Effect, Parameter, Stage, on_readings
+from ltsim.scene.sightings import Sightings
+
+
+class HeadSag(Effect):
+    """Gravity sag of the head: the scope bends under its own weight.
+
+    Delta_elevation = -g (e_up . vertical), e_up the upward unit vector across the beam; for an upright tracker -g
+    cos(el), the same on both faces.
+
+    Size: under 0.5 urad in a good head, 5 urad in a bad one; normally inside the maker's map.
+    Like: elevation-eccentricity cosine, exactly for upright trackers; vertical-index (0.96 / 0).
+    Separate by: the tracker on its side or hanging (0.84).
+    Valid: any mounting; the vertical is the z axis of the network frame.
+    Source: Wallace 2002, A rigorous algorithm for telescope pointing, Proc. SPIE 4848 (tube flexure follows the same
+    law).
+    Status: validated against the eccentricity's cosine column for upright stations.
+    """
+
+    name = "head-sag"
+    stage = Stage.AXES
+    observables = ("elevation",)
+    covariates = ("elevation",)
+    parameters = (Parameter("sag", "urad", "droop of a level beam", 5 * MICRORADIAN),)
+
+    def design(self, sightings: Sightings) -> Floats:
+        upright = sightings.unit_vectors[2][:, 2]
+        return on_readings(sightings, elevation=-self.mask(sightings) * upright)[:, :, None]

@@ -1,0 +1,96 @@
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from ltsim.core.arrays import Floats
+from ltsim.physics.effects.effect import Parameter, ShapeParameter, Stage
+from ltsim.physics.effects.rays import AirField, WarmAir
+from ltsim.scene.sightings import Sightings
+
+RING = 8
+LEVELS = (-0.6, 0.0, 0.6)
+"""[rad] elevations of the directions that are tried, besides the poles."""
+REACH = 0.5
+"""[m] from a station to the centres that are tried."""
+MOVES = (0.2, 0.08)
+"""[m] steps by which a centre is refined."""
+NEAR_STATION, NEAR_TARGET = 0.25, 0.5
+MOST_PLACES = 40
+"""Stations, or targets, beyond which single plumes are not tried."""
+
+
+def _rounded(offset: Floats) -> tuple[float, float, float]:
+    x, y, z = (round(float(v), 6) for v in offset)
+    return x, y, z
+
+
+@dataclass(frozen=True)
+class HeatPlume(WarmAir):
+    """Heat plume: a motor, a radiator or the tracker's own exhaust warms a part of the air.
+
+    T = D exp(-|r - c|^2 / (2 radius^2)), its centre c at an offset from a station or a target; along the path, s = 0 to
+    d, (D_t, D_v) = integral of (d - s) grad_perp n ds, Delta_d = -integral of (n - n_sensor) ds. The weight (d - s)
+    makes heat near the station bend the aim (a shift that grows with d), heat near a target hardly at all; the range
+    falls short by beta times the integral of T wherever it is.
+
+    Size: 5 K over 0.5 m changes a range by 2.3 um; at the head, with a gradient of 5 K in 0.2 m, it bends by 7 urad.
+    Like: the station's tilt and index-drift there (near a station); a range constant of that target (near a target).
+    Separate by: a fan on and off; a repeat after cooling; the scatter of repeats by direction.
+    Valid: on while its station, or target, is measured; the centre is searched half a metre away in all directions,
+    then moved, and the radius refined.
+    Source: Born and Wolf, Principles of Optics, section 3.2 (ray equation); Ciddor 1996, Appl. Opt. 35, 1566,
+    doi:10.1364/AO.35.001566 (index).
+    Status: first order validated against the integrated ray; the Gaussian form is a choice.
+    """
+
+    offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    radius: float = 0.3
+
+    name = "heat-plume"
+    stage = Stage.AIR
+    covariates = ("azimuth", "elevation", "place")
+    scope = "station"
+    ways = 3
+    parameters = (Parameter("plume-temperature", "K", "how much warmer its centre is", 5.0, positive=True),)
+    shape = (ShapeParameter("radius", "m", "standard deviation of the warm ball", 0.1, 1.0, logarithmic=True, steps=4),)
+
+    def __post_init__(self) -> None:
+        if self.targets and not any(self.offset):  # all rays then point at the centre, and none is bent
+            object.__setattr__(self, "observables", ("distance",))
+
+    @classmethod
+    def candidates(cls, sightings: Sightings) -> list[Self]:
+        """A ring of directions, above and below at every station; around every target."""
+        angles = np.linspace(0.0, 2 * np.pi, RING, endpoint=False)
+        ways = [(np.cos(a) * np.cos(e), np.sin(a) * np.cos(e), np.sin(e)) for a in angles for e in LEVELS]
+        offsets = [_rounded(REACH * np.array(way)) for way in (*ways, (0.0, 0.0, 1.0), (0.0, 0.0, -1.0))]
+        stations = sightings.station_names if len(sightings.station_names) <= MOST_PLACES else ()
+        targets = sightings.target_names if len(sightings.target_names) <= MOST_PLACES else ()
+        return [
+            *(cls((name,), (), offset, NEAR_STATION) for name in stations for offset in offsets),
+            *(cls((), (name,), radius=NEAR_TARGET) for name in targets),
+        ]
+
+    def finer(self, sightings: Sightings) -> list[Self]:
+        """Centres a little farther along or against each axis."""
+        if not self.stations:
+            return []
+        moved = [sign * step * axis for step in MOVES for axis in np.eye(3) for sign in (1.0, -1.0)]
+        return [self.reshaped(offset=_rounded(np.array(self.offset) + move)) for move in moved]
+
+    def field(self, sightings: Sightings) -> AirField:
+        """The plume with a centre warmer by one kelvin: from the station where one is named, else from the target."""
+        anchor = np.zeros(3)
+        if self.stations:
+            anchor = sightings.position[sightings.station_names.index(self.stations[0])]
+        elif self.targets:
+            anchor = sightings.points[sightings.target_names.index(self.targets[0])]
+        centre = anchor + np.asarray(self.offset)
+
+        def field(points: Floats) -> tuple[Floats, Floats]:
+            arm = points - centre
+            warm = np.exp(-0.5 * np.einsum("mi,mi->m", arm, arm) / self.radius**2)
+            return warm, -arm * (warm / self.radius**2)[:, None]
+
+        return field

@@ -1,0 +1,31 @@
+from ltsim.core.units import FACTOR, MICRORADIAN
+from ltsim.physics.effects.effect import Parameter, Stage
+from ltsim.physics.effects.places import Drift
+
+
+class IndexDrift(Drift):
+    """Drift of the vertical index: the head warms up and the zero of the elevation circle moves.
+
+    Correction of the raw elevation = r t (anew in every visit, or over the recording) or A exp(-t / tau). It flips with
+    the face in front-face terms, as the index does.
+
+    Size: under 2 urad/h after the warm-up; tens of urad over two hours from cold.
+    Like: the index itself (0.63 / 0.86) and elevation-second-order cosine (0.84) where points are taken level by level;
+    station-settling.
+    Separate by: a random order of the targets, the first three again before leaving, two faces.
+    Valid: the same law at every station, or one station's own; time constants of 10 min to 4 h.
+    Source: Pollack Periodica 15(3), 2020, on the warm-up of a Leica AT960 (size); patents GB 2497910 B and US 8511891
+    (the two-face error followed over time measures stability).
+    Status: validated against the vertical index at a given time, face parity and sign.
+    """
+
+    name = "index-drift"
+    stage = Stage.ENCODERS
+    observables = ("elevation",)
+    slot = "elevation"
+    rate = Parameter("index-drift", "urad/h", "growth of the index", 20 * FACTOR["urad/h"])
+    amplitude = Parameter("index-drift-amplitude", "urad", "index at the start, dying away", 20 * MICRORADIAN)
+    parameters = (rate,)
+
+    laws = ("linear", "visit")
+    alone = True

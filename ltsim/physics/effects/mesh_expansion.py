@@ -1,0 +1,49 @@
+from dataclasses import dataclass
+from typing import Literal, Self
+
+import numpy as np
+
+from ltsim.core.arrays import Floats
+from ltsim.core.units import FACTOR
+from ltsim.physics.effects.effect import Parameter, Stage
+from ltsim.physics.effects.motions import TargetMotion
+from ltsim.physics.effects.places import start_time
+from ltsim.scene.sightings import Sightings
+
+MODES = {"uniform": np.ones(3), "vertical": np.array([0.0, 0.0, 1.0])}
+
+
+@dataclass(frozen=True)
+class MeshExpansion(TargetMotion):
+    """Thermal expansion of the mesh: walls and floor carry the targets along as the hall warms.
+
+    P(t) = P + a t A (P - centroid), t since the first pointing, A = 1 (uniform) or the z axis alone (vertical). The
+    parameter is the growth of the structure itself (no correction of a reading).
+
+    Size: steel and concrete grow 11 to 12 ppm/K, 69 um over 6 m and 1 K: often more than all errors of the tracker.
+    Like: refractivity-drift and station-weather (uniform mode, exact where it grows between visits), range-drift
+    (0.955).
+    Separate by: thermometers on the structure; a gauge of another material read at each station; the first station
+    again.
+    Valid: linear over the recording; the fixed point does not matter, poses take a common motion.
+    Source: Bryan 1990, International status of thermal error research, CIRP Annals 39, 645-656; the law is derived
+    here.
+    Status: first order validated against the exact motion, and against the range scale drift in the network.
+    """
+
+    mode: Literal["uniform", "vertical"] = "uniform"
+
+    name = "mesh-expansion"
+    stage = Stage.TARGET
+    covariates = ("time", "place")
+    parameters = (Parameter("mesh-expansion", "ppm/h", "growth of the structure", 10 * FACTOR["ppm/h"]),)
+
+    @classmethod
+    def candidates(cls, sightings: Sightings) -> list[Self]:
+        """Both modes."""
+        return [cls(mode="uniform"), cls(mode="vertical")]
+
+    def displacement(self, sightings: Sightings) -> Floats:
+        since = self.mask(sightings) * (sightings.time - start_time(sightings))
+        arm = sightings.points[sightings.target] - sightings.points.mean(axis=0)
+        return (since[:, None] * arm * MODES[self.mode])[:, :, None]

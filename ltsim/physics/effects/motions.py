@@ -1,0 +1,70 @@
+"""What readings do when targets or stations move: exact, first order, and as bases of the effects that move things."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ltsim.core.arrays import Floats
+from ltsim.geometry.polar import to_face, to_polar, wrap
+from ltsim.geometry.rigid import pose_design
+from ltsim.geometry.rotations import from_rotation_vector
+from ltsim.physics.effects.effect import Effect, by_displacement
+from ltsim.scene.sightings import Sightings
+
+
+def exact_target_change(sightings: Sightings, displacement: Floats) -> Floats:
+    """Change (n, 3) of the raw readings when each pointing's target moves by (n, 3) [m] in the network frame."""
+    local = np.einsum("nji,nj->ni", sightings.rotation[sightings.station], displacement)
+    return reading_change(sightings, sightings.local + local)
+
+
+def exact_station_change(sightings: Sightings, motion: Floats) -> Floats:
+    """Change (n, 3) of the raw readings when the station of each pointing moves by (n, 6).
+
+    `motion` is a translation [m] and a rotation vector [rad] about the station's origin, both in the network frame.
+    """
+    turn = from_rotation_vector(motion[:, 3:]) @ sightings.rotation[sightings.station]
+    local = np.einsum("nji,nj->ni", turn, sightings.arm - motion[:, :3])
+    return reading_change(sightings, local)
+
+
+def station_design(sightings: Sightings) -> Floats:
+    """Change (n, 3, 6) of the raw readings per unit of the same motion, first order."""
+    return pose_design(sightings.by_target, sightings.arm)
+
+
+def reading_change(sightings: Sightings, local: Floats) -> Floats:
+    """Change (n, 3) of the raw readings when the targets appear at (n, 3) [m] in the instruments' frames."""
+    change: Floats = to_face(to_polar(local), sightings.face) - sightings.raw
+    change[:, 1] = wrap(change[:, 1])
+    return change
+
+
+@dataclass(frozen=True)
+class TargetMotion(Effect):
+    """An effect that moves targets, or lets them appear moved."""
+
+    def displacement(self, sightings: Sightings) -> Floats:
+        """Motion (n, 3, p) [m] of each pointing's target in the network frame, per unit of each parameter."""
+        raise NotImplementedError
+
+    def design(self, sightings: Sightings) -> Floats:
+        return by_displacement(sightings, self.displacement(sightings))
+
+    def shift(self, sightings: Sightings, values: Floats) -> Floats:
+        return exact_target_change(sightings, self.displacement(sightings) @ values)
+
+
+@dataclass(frozen=True)
+class StationMotion(Effect):
+    """An effect that moves stations."""
+
+    def motion(self, sightings: Sightings) -> Floats:
+        """Motion (n, 6, p) of each pointing's station, as of `exact_station_change`, per unit of each parameter."""
+        raise NotImplementedError
+
+    def design(self, sightings: Sightings) -> Floats:
+        return station_design(sightings) @ self.motion(sightings)
+
+    def shift(self, sightings: Sightings, values: Floats) -> Floats:
+        return exact_station_change(sightings, self.motion(sightings) @ values)

@@ -1,0 +1,65 @@
+from dataclasses import dataclass
+from typing import Literal, Self
+
+import numpy as np
+
+from ltsim.core.arrays import Floats
+from ltsim.core.units import MICROMETRE
+from ltsim.physics.effects.effect import Parameter, Stage, along_axes
+from ltsim.physics.effects.motions import TargetMotion
+from ltsim.physics.effects.places import visited_pairs
+from ltsim.scene.sightings import Sightings
+
+SIZE = 50 * MICROMETRE
+MOST_PAIRS = 600
+"""Pairs of station and target beyond which no network is searched for single seatings: the w-test finds them."""
+
+
+@dataclass(frozen=True)
+class NestLift(TargetMotion):
+    """Badly seated reflector: dirt or a burr lifts it in its nest during one visit of one station.
+
+    D = h n along the nest's normal (kind `normal`), or any direction (kind `free`: a cone or three balls push
+    sideways). The parameters are the motion of the reflector (no correction of a reading); all three readings of that
+    visit share it.
+
+    Size: 4 um in a clean nest, 5 to 50 um with dirt.
+    Like: outlier in one reading (0.85).
+    Separate by: reseating and repeating; a lift hits all three readings in a fixed direction.
+    Valid: 5 to 200 um; one seating a visit, so both faces and all repeats share it.
+    Source: Hughes et al. 2011, Meas. Sci. Technol. 22, 045103, doi:10.1088/0957-0233/22/4/045103 (repeatability of
+    nests, second hand); Baarda 1968, A testing procedure for use in geodetic networks (its smallest detectable size).
+    Status: first order validated against the exact motion.
+    """
+
+    kind: Literal["normal", "free"] = "normal"
+
+    name = "nest-lift"
+    stage = Stage.TARGET
+    covariates = ("place",)
+    scope = "pointing"
+    plural = True
+    parameters = (Parameter("lift", "um", "lift of the reflector along the nest's normal", SIZE),)
+
+    def __post_init__(self) -> None:
+        if self.kind == "free":
+            moved = along_axes("lift", "um", "motion of the reflector along", SIZE)
+            object.__setattr__(self, "parameters", moved)
+
+    @classmethod
+    def candidates(cls, sightings: Sightings) -> list[Self]:
+        """Every pair of station and target, free and, where the nest is known, along its normal."""
+        pairs = visited_pairs(sightings)
+        if len(pairs) > MOST_PAIRS:
+            return []
+        known = np.flatnonzero(np.isfinite(sightings.nest_normal).all(axis=1))
+        nests = {sightings.target_names[t] for t in known}
+        along = [cls((s,), (t,), "normal") for s, t in pairs if t in nests]
+        return [*along, *(cls((s,), (t,), "free") for s, t in pairs)]
+
+    def displacement(self, sightings: Sightings) -> Floats:
+        acts = self.mask(sightings)[:, None, None]
+        if self.kind == "free":
+            return acts * np.eye(3)
+        normal: Floats = np.nan_to_num(sightings.nest_normal[sightings.target])[:, :, None]
+        return acts * normal

@@ -1,0 +1,35 @@
+import numpy as np
+
+from ltsim.core.arrays import Floats
+from ltsim.physics.effects.effect import NoiseEffect, Parameter, Stage
+from ltsim.scene.sightings import Sightings
+
+LEAST = 0.01
+"""Smallest factor on a variance."""
+
+
+class NoiseLevel(NoiseEffect):
+    """Noise level: all readings of a kind scatter more, or less, than the set-up states.
+
+    variance = sigma^2 (1 + v), v the variance added over the stated one, for each observable. Negative: less noise.
+
+    Size: v between -0.5 and 3.
+    Like: turbulence (grows with the range), many small effects at once.
+    Separate by: repeats: pointings of one target from one station show the noise without any model.
+    Valid: factors on the variance from 0.1 up.
+    Source: Teunissen 2000, Testing Theory: an introduction (weights come before tests).
+    Status: validated: zero gives the stated variance.
+    """
+
+    name = "noise-level"
+    least = -0.95
+    stage = Stage.NOISE
+    parameters = (
+        Parameter("noise-distance", "", "variance added to the ranges over the stated", 1.0),
+        Parameter("noise-azimuth", "", "variance added to the azimuths over the stated", 1.0),
+        Parameter("noise-elevation", "", "variance added to the elevations over the stated", 1.0),
+    )
+
+    def variance(self, sightings: Sightings, sigma: Floats, values: Floats) -> Floats:
+        factor = 1.0 + self.mask(sightings)[:, None] * values
+        return sigma**2 * np.maximum(factor, LEAST)

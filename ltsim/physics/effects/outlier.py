@@ -1,0 +1,63 @@
+from dataclasses import dataclass
+from typing import Literal, Self
+
+import numpy as np
+
+from ltsim.core.arrays import Floats
+from ltsim.core.units import MICROMETRE, MICRORADIAN
+from ltsim.physics.effects.effect import Effect, Parameter, Stage
+from ltsim.scene.sightings import Sightings
+
+Observable = Literal["distance", "azimuth", "elevation"]
+
+
+COLUMN: dict[Observable, int] = {"distance": 0, "azimuth": 1, "elevation": 2}
+MOST_ROWS = 1500
+
+
+@dataclass(frozen=True)
+class Outlier(Effect):
+    """Outlier: one reading of one pointing is wrong.
+
+    Correction of that reading alone, whatever its cause.
+
+    Size: any; from 16 um on a range shows.
+    Like: nest-lift (0.85), which hits all three readings of a pointing in one direction.
+    Separate by: the pointing repeated.
+    Valid: any size below a millimetre; larger ones are screened before an adjustment. In large recordings `candidates`
+    is empty: the w-test of the residuals finds single readings without trying each.
+    Source: Baarda 1968, A testing procedure for use in geodetic networks (data snooping).
+    Status: validated on a single row.
+    """
+
+    row: int = 0
+    observable: Observable = "distance"
+
+    name = "outlier"
+    stage = Stage.ELECTRONICS
+    scope = "reading"
+    plural = True
+    parameters = (Parameter("outlier", "um", "correction of the range", 300 * MICROMETRE),)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "observables", (self.observable,))
+        if self.observable != "distance":
+            angle = Parameter("outlier", "urad", f"correction of the raw {self.observable}", 100 * MICRORADIAN)
+            object.__setattr__(self, "parameters", (angle,))
+
+    @classmethod
+    def candidates(cls, sightings: Sightings) -> list[Self]:
+        """Every reading of a recording of ordinary size."""
+        if len(sightings) > MOST_ROWS:
+            return []
+        places = [
+            ((sightings.station_names[s],), (sightings.target_names[t],))
+            for s, t in zip(sightings.station, sightings.target, strict=True)
+        ]
+        return [cls(*place, row, o) for o in COLUMN for row, place in enumerate(places)]
+
+    def design(self, sightings: Sightings) -> Floats:
+        design = np.zeros((len(sightings), 3, 1))
+        if self.row < len(sightings):
+            design[self.row, COLUMN[self.observable], 0] = -self.mask(sightings)[self.row]
+        return design

@@ -1,0 +1,133 @@
+"""Where and when an effect may act, read from a recording's pointings; and the laws of the clock that drifts share."""
+
+from dataclasses import dataclass
+from typing import ClassVar, Literal, Self
+
+import numpy as np
+
+from ltsim.core.arrays import Floats
+from ltsim.physics.effects.effect import Effect, Parameter, ShapeParameter
+from ltsim.scene.sightings import Sightings
+
+MOST_CHANGES = 140
+"""Change points tried over all stations of a network together."""
+REACH = 6
+
+
+def change_times(times: Floats, *, least: int, most: int) -> list[float]:
+    """Middles of the gaps between pointings at `times` [s] with `least` pointings on either side.
+
+    At most `most` of them, spread evenly over the work.
+    """
+    ordered = np.sort(times)
+    middle, gap = 0.5 * (ordered[1:] + ordered[:-1]), np.diff(ordered)
+    inner = slice(least - 1, max(len(middle) - least + 1, least - 1))
+    found = middle[inner][gap[inner] > 0]
+    if len(found) > most:
+        found = found[np.unique(np.linspace(0, len(found) - 1, most).round().astype(int))]
+    return [float(t) for t in found]
+
+
+def station_change_times(sightings: Sightings, *, least: int) -> list[tuple[str, float]]:
+    """(station, time [s]) of every change point inside a station's visit that is worth a trial."""
+    most = max(2, MOST_CHANGES // max(len(sightings.station_names), 1))
+    return [
+        (name, time)
+        for s, name in enumerate(sightings.station_names)
+        for time in change_times(sightings.time[sightings.station == s], least=least, most=most)
+    ]
+
+
+def visit_change_times(sightings: Sightings, target: int, *, most: int) -> list[float]:
+    """Times [s] between two visits to a target from different stations; between all pointings if only one sees it."""
+    rows = sightings.order[sightings.target[sightings.order] == target]
+    times, stations = sightings.time[rows], sightings.station[rows]
+    if len(np.unique(stations)) < 2:
+        return change_times(times, least=2, most=most)
+    moved = np.flatnonzero(np.diff(stations))
+    middles = 0.5 * (times[moved] + times[moved + 1])
+    if len(middles) > most:
+        middles = middles[np.linspace(0, len(middles) - 1, most).round().astype(int)]
+    return [float(t) for t in np.unique(middles)]
+
+
+def gaps_near(times: Floats, time: float) -> list[float]:
+    """Middles [s] of the `REACH` gaps between pointings at `times` on either side of `time`."""
+    ordered = np.unique(times)
+    middle = 0.5 * (ordered[1:] + ordered[:-1])
+    at = int(np.searchsorted(middle, time))
+    return [float(t) for t in middle[max(at - REACH, 0) : at + REACH + 1]]
+
+
+def visited_pairs(sightings: Sightings) -> list[tuple[str, str]]:
+    """(station, target) of every pair with a pointing."""
+    pairs = np.unique(np.stack([sightings.station, sightings.target], axis=1), axis=0)
+    return [(sightings.station_names[s], sightings.target_names[t]) for s, t in pairs]
+
+
+def start_time(sightings: Sightings) -> float:
+    """Time [s] of the first pointing."""
+    return float(sightings.time.min(initial=np.inf))
+
+
+Law = Literal["visit", "linear", "exponential"]
+
+WARM_UP = ShapeParameter(
+    "time_constant", "min", "time constant of the warm-up", 600.0, 14_400.0, logarithmic=True, steps=6
+)
+
+
+SLOWEST, OF_SPAN = 2.0, (0.3, 1.0)
+"""Time constants over the span of the work: the slowest that is tried, and those where the usual ones are slower."""
+
+
+@dataclass(frozen=True)
+class Drift(Effect):
+    """A correction of one slot that follows the clock."""
+
+    law: Law = "linear"
+    """``visit``: rate times the time since the station's first pointing; ``linear``: rate times the time since the
+    recording's first pointing; ``exponential``: amplitude times exp(-t / time_constant) of the same time.
+    """
+    time_constant: float = 3600.0
+    """[s], of the exponential law."""
+
+    covariates = ("time",)
+    shape = (WARM_UP,)
+    slot: ClassVar[str]
+    rate: ClassVar[Parameter]
+    amplitude: ClassVar[Parameter]
+    laws: ClassVar[tuple[Law, ...]]
+    """Linear laws that are tried at all stations together: the first, and the others where there are several."""
+    alone: ClassVar[bool] = False
+    """The law of a visit is tried at single stations too."""
+
+    def __post_init__(self) -> None:
+        chosen = self.amplitude if self.law == "exponential" else self.rate
+        object.__setattr__(self, "parameters", (chosen,))
+
+    @classmethod
+    def candidates(cls, sightings: Sightings) -> list[Self]:
+        """Linear at all stations, at one alone, and warm-ups that end while it is measured.
+
+        A slower one is a constant, or linear. Without a clock time goes by rows: constants are shares of all of it.
+        """
+        span = float(np.ptp(sightings.time))
+        times = [t for t in WARM_UP.grid().tolist() if t <= SLOWEST * span] or [share * span for share in OF_SPAN]
+        names = sightings.station_names if len(sightings.station_names) > 1 else ()
+        linear = [cls(law=law) for law in (cls.laws if names else cls.laws[:1])]
+        alone = [cls((name,), law="visit") for name in names if cls.alone]
+        warming = [cls(law="exponential", time_constant=t) for t in times if t > 0.0]
+        return [*linear, *alone, *warming]
+
+    def progress(self, sightings: Sightings) -> Floats:
+        """(n,): the law at each pointing, [s] or dimensionless."""
+        if self.law == "visit":
+            return sightings.station_time
+        since = sightings.time - start_time(sightings)
+        return since if self.law == "linear" else np.asarray(np.exp(-since / self.time_constant))
+
+    def design(self, sightings: Sightings) -> Floats:
+        amount = self.mask(sightings) * self.progress(sightings)
+        column: Floats = sightings.slot_responses[self.slot] * amount[:, None]
+        return column[:, :, None]

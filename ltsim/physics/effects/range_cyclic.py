@@ -1,0 +1,58 @@
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from ltsim.core.arrays import Floats
+from ltsim.core.units import MICROMETRE
+from ltsim.physics.effects.effect import Effect, Parameter, ShapeParameter, Stage, on_readings
+from ltsim.scene.sightings import Sightings
+
+SHORTEST, LONGEST = 0.02, 2.0
+PHASE = 0.125
+"""Share of a period by which the phase may be wrong at the ends of the span when it is right in the middle."""
+MOST = 1200
+
+
+@dataclass(frozen=True)
+class RangeCyclic(Effect):
+    """Cyclic range error: crosstalk of the modulation, periodic in the range with its unit length.
+
+    Delta_d = A cos(2 pi d / L) + B sin(2 pi d / L), the unit length L = c / (2 n f): 150 mm for a modulation of 1 GHz,
+    53.5 mm for 2.8 GHz. Ranges that differ by L have the same error.
+
+    Size: under 1 um in a good meter, 5 to 10 um in a bad one.
+    Like: noise that repeats; biases the range zero where it is left out.
+    Separate by: one reflector slid along a rail over one L; the modulation frequency of the data sheet.
+    Valid: L from 20 mm to 2 m: a network tells two wavelengths apart whose phases differ over its span of ranges. An
+    interferometer's 0.3 um cannot be seen.
+    Source: Rüeger 1996, Electronic Distance Measurement (unit length; zero and cyclic terms are estimated together);
+    Lichti 2007, ISPRS J. Photogramm. Remote Sens. 61, 307-324, doi:10.1016/j.isprsjprs.2006.10.004.
+    Status: validated on wave and sign; the density of the search by the share of power kept between its steps.
+    """
+
+    wavelength: float = 0.15
+
+    name = "range-cyclic"
+    stage = Stage.RANGE
+    observables = ("distance",)
+    covariates = ("distance",)
+    parameters = (
+        Parameter("cyclic-cos", "um", "cosine of the range's phase", 8 * MICROMETRE),
+        Parameter("cyclic-sin", "um", "sine of the range's phase", 8 * MICROMETRE),
+    )
+    shape = (ShapeParameter("wavelength", "mm", "unit length", SHORTEST, LONGEST, steps=600, reciprocal=True),)
+
+    @classmethod
+    def candidates(cls, sightings: Sightings) -> list[Self]:
+        """Wavelengths as close as the span of ranges can tell apart, from the longest down."""
+        span = float(np.ptp(sightings.range_)) if len(sightings) else 0.0
+        step = 4 * PHASE / max(span, 0.5)
+        highest = min(1 / SHORTEST, 1 / LONGEST + MOST * step)
+        return [cls(wavelength=float(1 / f)) for f in np.arange(1 / LONGEST, highest, step)]
+
+    def design(self, sightings: Sightings) -> Floats:
+        phase = 2 * np.pi * sightings.range_ / self.wavelength
+        acts = self.mask(sightings)
+        columns = [on_readings(sightings, distance=acts * wave(phase)) for wave in (np.cos, np.sin)]
+        return np.stack(columns, axis=2)

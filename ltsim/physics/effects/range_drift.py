@@ -1,0 +1,28 @@
+from ltsim.core.units import FACTOR, MICROMETRE
+from ltsim.physics.effects.effect import Parameter, Stage
+from ltsim.physics.effects.places import Drift
+
+
+class RangeDrift(Drift):
+    """Drift of the range zero: the electronics and the head warm up.
+
+    Delta_d = r t (linear over the recording, or anew in every visit) or A exp(-t / tau) (warm-up).
+
+    Size: 1 to 2 um/h after the warm-up; tenths of a millimetre over two hours from cold.
+    Like: mesh-expansion (0.955), dead-path.
+    Separate by: a new homing in between; thermometers; a target measured every quarter of an hour.
+    Valid: the same law at every station, time constants of 10 min to 4 h.
+    Source: Pollack Periodica 15(3), 2020, on the warm-up of a Leica AT960 (size); the exponential is that of a body
+    that reaches its temperature.
+    Status: validated against the range zero at a given time.
+    """
+
+    name = "range-drift"
+    stage = Stage.RANGE
+    observables = ("distance",)
+    slot = "range"
+    rate = Parameter("range-drift", "um/h", "growth of what is missing from every range", 15 * FACTOR["um/h"])
+    amplitude = Parameter("range-drift-amplitude", "um", "missing at the start, dying away", 20 * MICROMETRE)
+    parameters = (rate,)
+
+    laws = ("linear", "visit")

@@ -1,0 +1,39 @@
+from typing import Self
+
+import numpy as np
+
+from ltsim.core.arrays import Floats
+from ltsim.core.units import MICROMETRE
+from ltsim.physics.effects.effect import Effect, Parameter, Stage, on_readings
+from ltsim.recordings.recording import MODE_COLUMN
+from ltsim.scene.sightings import Sightings
+
+
+class RangeMode(Effect):
+    """Range zero by mode: the interferometer starts from another zero than the absolute distance meter.
+
+    Delta_d = rho for the ranges of the interferometer, where a recording holds both modes (column `distance_mode`): the
+    difference of the two zeros. The zero that both share is range-offset.
+
+    Size: 5 um in a good tracker, 20 to 50 um in a bad one.
+    Like: range-step, where the mode changes once in a visit; range-offset, where all ranges are of one mode.
+    Separate by: the same targets in both modes.
+    Valid: one zero a mode for the whole recording: an interferometer homed anew gets another (range-step).
+    Source: the manual of a Brunson laser-tracker kit (both zeros are checked apart).
+    Status: validated on the rows of either mode, and by a recording with both.
+    """
+
+    name = "range-mode"
+    stage = Stage.RANGE
+    observables = ("distance",)
+    covariates = (MODE_COLUMN,)
+    parameters = (Parameter("interferometer-zero", "um", "missing from ranges of the interferometer", 30 * MICROMETRE),)
+
+    @classmethod
+    def candidates(cls, sightings: Sightings) -> list[Self]:
+        """One, where both modes were used."""
+        return [cls()] if MODE_COLUMN in sightings.covariates else []
+
+    def design(self, sightings: Sightings) -> Floats:
+        interferometer = sightings.covariates.get(MODE_COLUMN, np.zeros(len(sightings)))
+        return on_readings(sightings, distance=self.mask(sightings) * interferometer)[:, :, None]

@@ -1,0 +1,52 @@
+from dataclasses import dataclass
+from typing import Self
+
+from ltsim.core.arrays import Floats
+from ltsim.core.units import MICROMETRE
+from ltsim.physics.effects.effect import Effect, Parameter, Stage, on_readings
+from ltsim.physics.effects.places import gaps_near, station_change_times
+from ltsim.scene.sightings import Sightings
+
+
+@dataclass(frozen=True)
+class RangeStep(Effect):
+    """Step of the range zero: the beam is lost and found again, and the zero is another one afterwards.
+
+    Delta_d = rho from a time on, until the station is left.
+
+    Size: 5 um in a current tracker, 20 to 50 um in a bad one.
+    Like: station-weather (0.965, where the step is at the station's start), a station-bump along the beams.
+    Separate by: near and far targets at that station; a target measured before and after.
+    Valid: one step a station; the next station starts with a new zero of its own.
+    Source: general knowledge: an interferometer is homed anew after each lost beam, an absolute meter keeps its own
+    zero.
+    Status: validated on rows before and after the step.
+    """
+
+    time: float = 0.0
+
+    name = "range-step"
+    stage = Stage.RANGE
+    observables = ("distance",)
+    covariates = ("time",)
+    scope = "station"
+    parameters = (Parameter("range-step", "um", "missing from every range after the step", 30 * MICROMETRE),)
+
+    @classmethod
+    def candidates(cls, sightings: Sightings) -> list[Self]:
+        """The start of every visit, and the gaps between its pointings."""
+        starts = [
+            (name, float(sightings.time[sightings.station == s].min(initial=0.0)))
+            for s, name in enumerate(sightings.station_names)
+        ]
+        changes = station_change_times(sightings, least=2)
+        return [cls((name,), time=time) for name, time in [*starts, *changes]]
+
+    def finer(self, sightings: Sightings) -> list[Self]:
+        """The gaps between pointings around this one."""
+        times = sightings.time[self.mask(sightings) > 0]
+        return [self.reshaped(time=t) for t in gaps_near(times, self.time)]
+
+    def design(self, sightings: Sightings) -> Floats:
+        after = self.mask(sightings) * (sightings.time >= self.time)
+        return on_readings(sightings, distance=after)[:, :, None]

@@ -1,0 +1,150 @@
+"""Light through air of uneven temperature: the bent ray by integration, and its first order on the straight path.
+
+An air field gives, at points (m, 3) of the network frame, the temperature above that of the weather sensor (m,) [K] and
+its gradient (m, 3) [K/m].
+
+Ray equation d/ds (n dr/ds) = grad n. First order, s from the station (truth - reading):
+(D_t, D_v) = integral of (d - s) grad_perp n ds, Delta_d = -integral of (n - n_sensor) ds.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.polynomial import Polynomial
+
+from ltsim.core.arrays import Bools, Floats
+from ltsim.physics.effects.ciddor import refractivity, temperature_sensitivity
+from ltsim.physics.effects.effect import Effect, on_readings
+from ltsim.physics.effects.motions import reading_change
+from ltsim.scene.sightings import Sightings
+
+AirField = Callable[[Floats], tuple[Floats, Floats]]
+
+REFERENCE = 20.0
+"""[C] at the weather sensor; beta changes by 0.5 % a kelvin."""
+STEPS = 64
+NODES, WEIGHTS = (a for a in np.polynomial.legendre.leggauss(32))
+
+
+@lru_cache
+def _index_law() -> tuple[Polynomial, Polynomial]:
+    """Index of air less one by the temperature above the sensor's, -15 to +40 K, and its derivative."""
+    excess = np.linspace(-15.0, 40.0, 56)
+    law: Polynomial = Polynomial.fit(excess, refractivity(REFERENCE + excess), 8).convert()
+    return law, law.deriv()
+
+
+@lru_cache
+def bending() -> float:
+    """Relative fall beta / n [1/K] of the index a kelvin, at the weather sensor."""
+    law, _ = _index_law()
+    return temperature_sensitivity(REFERENCE) / (1.0 + float(law(0.0)))
+
+
+def first_order(sightings: Sightings, field: AirField, acts: Bools | None = None) -> Floats:
+    """Change (n, 3) of the raw readings by integrals along the straight paths (Gauss-Legendre).
+
+    Only pointings on which the field `acts` (n,) are integrated where that is given, the others do not change.
+    """
+    rows = np.arange(len(sightings)) if acts is None else np.flatnonzero(acts)
+    beam, left, up = (way[rows] for way in sightings.unit_vectors)
+    length = sightings.range_[rows]
+    share = 0.5 * (1.0 + NODES)
+    start = sightings.position[sightings.station[rows]]
+    points = start[:, None] + (length[:, None] * share)[:, :, None] * beam[:, None]
+    warmer, gradient = field(points.reshape(-1, 3))
+    beta = bending()
+    weight = 0.5 * WEIGHTS
+    mean = warmer.reshape(len(length), len(NODES)) @ weight
+    pull = np.einsum("nqi,q->ni", gradient.reshape(len(length), len(NODES), 3), weight * (1.0 - share))
+    bend = -beta * length[:, None] * pull  # D over d: an angle
+    change = np.zeros((3, len(sightings)))
+    change[0, rows] = beta * length * mean
+    change[1, rows] = np.sum(bend * left, axis=1) / np.cos(sightings.elevation[rows])
+    change[2, rows] = np.sum(bend * up, axis=1)
+    return on_readings(sightings, distance=change[0], azimuth=change[1], elevation=change[2])
+
+
+def bent(sightings: Sightings, field: AirField, *, steps: int = STEPS) -> Floats:
+    """Change (n, 3) of the raw readings when the light follows the ray equation (Runge-Kutta, fourth order).
+
+    The ray leaves in the direction that first order predicts; what it misses the target by turns that direction.
+    """
+    start, target = sightings.position[sightings.station], sightings.points[sightings.target]
+    length = sightings.range_
+    guess = _aim(sightings, field)
+    end, arrival, optical = _traced(start, guess, length, field, steps)
+    miss = target - end
+    along = np.sum(miss * arrival, axis=1)
+    aim = guess + (miss - along[:, None] * arrival) / length[:, None]
+    law, _ = _index_law()
+    at_target = law(field(target)[0])
+    excess = (optical + at_target * along - law(0.0) * (length + along)) / (1.0 + law(0.0))
+    local = np.einsum("nji,nj->ni", sightings.rotation[sightings.station], aim)
+    apparent = local / np.linalg.norm(local, axis=1, keepdims=True) * (length + along + excess)[:, None]
+    return reading_change(sightings, apparent)
+
+
+def _aim(sightings: Sightings, field: AirField) -> Floats:
+    """Unit vectors (n, 3) toward where the targets appear, first order."""
+    beam, left, up = sightings.unit_vectors
+    change = first_order(sightings, field)
+    aside = change[:, 1] * np.cos(sightings.elevation)
+    aim = beam + aside[:, None] * left + (change[:, 2] * sightings.face_sign)[:, None] * up
+    return aim / np.linalg.norm(aim, axis=1, keepdims=True)
+
+
+def _traced(
+    start: Floats, direction: Floats, length: Floats, field: AirField, steps: int
+) -> tuple[Floats, Floats, Floats]:
+    """Ends (n, 3), directions there (n, 3), and integrals (n,) of n - 1 along rays of given arc length."""
+    law, slope = _index_law()
+
+    def rates(place: Floats, heading: Floats) -> tuple[Floats, Floats]:
+        warmer, gradient = field(place)
+        above = law(warmer)
+        steep = slope(warmer)[:, None] * gradient
+        turn = (steep - np.sum(steep * heading, axis=1, keepdims=True) * heading) / (1.0 + above)[:, None]
+        return turn, above
+
+    place, heading, optical = start.copy(), direction.copy(), np.zeros(len(start))
+    h = length / steps
+    hv = h[:, None]
+    for _ in range(steps):
+        t1, n1 = rates(place, heading)
+        h2 = heading + 0.5 * hv * t1
+        t2, n2 = rates(place + 0.5 * hv * heading, h2)
+        h3 = heading + 0.5 * hv * t2
+        t3, n3 = rates(place + 0.5 * hv * h2, h3)
+        h4 = heading + hv * t3
+        t4, n4 = rates(place + hv * h3, h4)
+        place = place + hv / 6.0 * (heading + 2.0 * h2 + 2.0 * h3 + h4)
+        heading = heading + hv / 6.0 * (t1 + 2.0 * t2 + 2.0 * t3 + t4)
+        heading /= np.linalg.norm(heading, axis=1, keepdims=True)
+        optical = optical + h / 6.0 * (n1 + 2.0 * n2 + 2.0 * n3 + n4)
+    return place, heading, optical
+
+
+@dataclass(frozen=True)
+class WarmAir(Effect):
+    """An effect of air that is warmer in places by its one parameter [K]."""
+
+    def field(self, sightings: Sightings) -> AirField:
+        """The field of one kelvin."""
+        raise NotImplementedError
+
+    def design(self, sightings: Sightings) -> Floats:
+        """Change (n, 3, 1) of the raw readings per kelvin, first order."""
+        return first_order(sightings, self.field(sightings), self.mask(sightings) > 0)[:, :, None]
+
+    def shift(self, sightings: Sightings, values: Floats) -> Floats:
+        """Change (n, 3) of the raw readings by the integrated ray."""
+        kelvin = self.field(sightings)
+
+        def field(points: Floats) -> tuple[Floats, Floats]:
+            warmer, gradient = kelvin(points)
+            return values[0] * warmer, values[0] * gradient
+
+        return bent(sightings, field) * self.mask(sightings)[:, None]

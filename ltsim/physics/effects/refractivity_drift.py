@@ -1,0 +1,32 @@
+from ltsim.core.arrays import Floats
+from ltsim.core.units import FACTOR
+from ltsim.physics.effects.effect import Effect, Parameter, Stage, on_readings
+from ltsim.physics.effects.places import start_time
+from ltsim.scene.sightings import Sightings
+
+
+class RefractivityDrift(Effect):
+    """Drift of the air's index: the hall warms up, the weather entered in the morning is kept.
+
+    Delta_d = d s t, t since the first pointing; a kelvin is 0.955 ppm. Later stations see the mesh smaller.
+
+    Size: 0.5 to 2 K a morning, 0.1 to 1 ppm/h.
+    Like: mesh-expansion, the uniform mode (0.996, exact where it grows between visits), station-weather in single
+    stations.
+    Separate by: a thermometer on the structure; the first station again at the end.
+    Valid: linear over the recording.
+    Source: Ciddor 1996, Appl. Opt. 35, 1566, doi:10.1364/AO.35.001566 (sensitivities by `effects.ciddor`).
+    Status: validated against the range scale at one hour.
+    """
+
+    name = "refractivity-drift"
+    stage = Stage.AIR
+    observables = ("distance",)
+    covariates = ("time", "distance")
+    parameters = (
+        Parameter("refractivity-drift", "ppm/h", "growth of the share missing from every range", 3 * FACTOR["ppm/h"]),
+    )
+
+    def design(self, sightings: Sightings) -> Floats:
+        since = sightings.time - start_time(sightings)
+        return on_readings(sightings, distance=self.mask(sightings) * sightings.range_ * since)[:, :, None]

@@ -1,0 +1,254 @@
+"""What has a signature: a law whose parameters an adjustment can estimate beside poses, targets and instrument.
+
+`Signature` is all that `MeasurementModel`, `NetworkProblem` and `ResidualSpace` ask for. A class that inherits from it
+gives `name`, `parameters` and `design`. What a search over laws needs beyond is `Tunable`; laws of the scatter are
+`NoiseSignature`. An effect (`effects.effect.Effect`) is a `Tunable` with a card: a physical cause with a name.
+
+Sign: a parameter is a correction, truth - reading; the change of a reading is therefore its negative.
+"""
+
+from abc import abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, Literal, Protocol, Self
+
+import numpy as np
+
+from ltsim.core.arrays import Bools, Floats, Ints
+from ltsim.core.units import ARCSECOND, FACTOR, MILLIMETRE, PPM
+from ltsim.recordings.setup import Prior
+from ltsim.scene.sightings import Sightings
+
+PriorKind = Literal["angle", "offset", "range_scale", "range_offset"]
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number of an effect."""
+
+    name: str
+    unit: str
+    """The unit a person reads it in, a key of `units.FACTOR`; values are SI."""
+    meaning: str
+    prior_sigma: float
+    """One standard deviation [SI] where the set-up gives none; also the scale of a plausible size."""
+    prior_kind: PriorKind | None = None
+    """Which guarantee of the maker bounds it; None: only `prior_sigma`."""
+    positive: bool = False
+    """Never negative: a thickness."""
+
+    def sigma_from(self, prior: Prior) -> float:
+        """Prior standard deviation [SI] under a maker's guarantee."""
+        if self.name in prior.parameters:
+            return prior.parameters[self.name] * self.factor
+        if self.prior_kind is None:
+            return self.prior_sigma
+        return {
+            "angle": prior.angle_arcsec * ARCSECOND,
+            "offset": prior.offset_mm * MILLIMETRE,
+            "range_scale": prior.range_scale_ppm * PPM,
+            "range_offset": prior.range_offset_mm * MILLIMETRE,
+        }[self.prior_kind]
+
+    @property
+    def factor(self) -> float:
+        """The unit in SI."""
+        return FACTOR[self.unit]
+
+
+def along_axes(name: str, unit: str, meaning: str, size: float) -> tuple[Parameter, ...]:
+    """Parameters along, or about, the axes of the network; `meaning` ends before them."""
+    return tuple(Parameter(f"{name}-{axis}", unit, f"{meaning} the network's {axis} axis", size) for axis in "xyz")
+
+
+@dataclass(frozen=True)
+class ShapeParameter:
+    """A constant that enters nonlinearly: a field of the effect, searched between bounds."""
+
+    name: str
+    unit: str
+    meaning: str
+    low: float
+    high: float
+    logarithmic: bool = False
+    steps: int = 9
+    reciprocal: bool = False
+
+    def grid(self) -> Floats:
+        """Values (steps,) [SI] between the bounds, at which a search tries the effect.
+
+        Evenly spaced in the value, its logarithm, or (`reciprocal`, a wavelength) its inverse.
+        """
+        if self.reciprocal:
+            return 1.0 / np.linspace(1.0 / self.high, 1.0 / self.low, self.steps)
+        if self.logarithmic:
+            return np.geomspace(self.low, self.high, self.steps)
+        return np.linspace(self.low, self.high, self.steps)
+
+    def bracket(self, value: float) -> tuple[float, float]:
+        """The stretch [SI] from one step of the grid below a value to one above, within the bounds and around it."""
+        grid = np.sort(self.grid())
+        if len(grid) < 2:
+            return value, value
+        i = int(np.clip(np.searchsorted(grid, value), 1, len(grid) - 1))
+        below, above = float(grid[i - 1]), float(grid[i])
+        low = value * below / above if self.logarithmic else value - (above - below)
+        high = value * above / below if self.logarithmic else value + (above - below)
+        return max(low, min(self.low, value)), min(high, max(self.high, value))
+
+
+class Signature(Protocol):
+    """A law of the readings, linear in its parameters."""
+
+    @property
+    @abstractmethod
+    def name(self) -> str:
+        """What it is called."""
+
+    @property
+    @abstractmethod
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Its p parameters; `prior_sigma` is a bad but plausible size of each."""
+
+    @abstractmethod
+    def design(self, sightings: Sightings) -> Floats:
+        """Change (n, 3, p) of the raw readings (range [m], azimuth, elevation [rad]) per unit of each parameter."""
+
+    @property
+    def spread(self) -> Floats:
+        """Plausible sizes (p,) of its parameters [SI]."""
+        return np.array([p.prior_sigma for p in self.parameters], dtype=np.float64)
+
+    @property
+    def stations(self) -> tuple[str, ...]:
+        """Names of the stations where it acts; empty for all."""
+        return ()
+
+    @property
+    def targets(self) -> tuple[str, ...]:
+        """Names of the targets where it acts; empty for all."""
+        return ()
+
+    def shift(self, sightings: Sightings, values: Floats) -> Floats:
+        """Change (n, 3) of the raw readings for parameter values (p,) [SI]."""
+        return self.design(sightings) @ values
+
+    def gauge_design(self, first: Ints, second: Ints, points: Floats) -> Floats:
+        """Change (g, p) of the known lengths between targets `first` and `second` (g,) per unit of each parameter.
+
+        Only what acts on the gauge itself has one.
+        """
+        return np.zeros((len(first), len(self.parameters)))
+
+    @property
+    def place(self) -> str:
+        """Where it acts, in a word; empty for everywhere."""
+        return ",".join(self.stations + self.targets)
+
+    def mask(self, sightings: Sightings) -> Floats:
+        """(n,) 1 where it acts, 0 elsewhere."""
+        acts = np.ones(len(sightings), dtype=bool)
+        if self.stations:
+            acts &= _among(sightings.station, sightings.station_ids, self.stations)
+        if self.targets:
+            acts &= _among(sightings.target, sightings.target_ids, self.targets)
+        return acts.astype(np.float64)
+
+
+def _among(values: Ints, known: Mapping[str, Sequence[int]], names: Sequence[str]) -> Bools:
+    """(n,): whether each value is that of one of a few names; one is the common case, and much faster alone."""
+    ids = [i for name in names for i in known.get(name, ())]
+    return values == ids[0] if len(ids) == 1 else np.isin(values, ids)
+
+
+class Tunable(Signature, Protocol):
+    """A signature that a search compares with others, with constants that it may move."""
+
+    shape: ClassVar[tuple[ShapeParameter, ...]] = ()
+    """Constants that enter nonlinearly; each is a field of the instance."""
+    ways: ClassVar[int] = 1
+    """Independent directions in which `finer` moves."""
+
+    @property
+    @abstractmethod
+    def observables(self) -> tuple[str, ...]:
+        """What it acts on: distance, azimuth, elevation."""
+
+    @property
+    @abstractmethod
+    def covariates(self) -> tuple[str, ...]:
+        """What it depends on."""
+
+    def finer(self, sightings: Sightings) -> Sequence[Self]:
+        """Neighbours that a first search leaves out; tried once this one stands out."""
+        return ()
+
+    def reshaped(self, **constants: Any) -> Self:
+        """The same law with other constants: fields of a dataclass."""
+        return replace(self, **constants)  # type: ignore[type-var]
+
+
+class NoiseSignature(Tunable, Protocol):
+    """A law of the scatter: parameters are added variances or factors on them, not mean shifts."""
+
+    least: ClassVar[float] = 0.0
+    """Smallest value of a parameter in units of its prior sigma: most causes add noise and take none away."""
+
+    @abstractmethod
+    def variance(self, sightings: Sightings, sigma: Floats, values: Floats) -> Floats:
+        """Variance (n, 3) of the readings when the stated standard deviations are `sigma` (n, 3).
+
+        Must give sigma^2 at zero values; each reading follows one of the values at most.
+        """
+
+    def size_grid(self) -> list[tuple[float, ...]]:
+        """Parameter values [SI] that a diagnosis tries: each parameter alone and all together, in several sizes."""
+        count = len(self.parameters)
+        subsets = [*np.eye(count), *([np.ones(count)] if count > 1 else [])]
+        return [tuple(size * subset * self.spread) for subset in subsets for size in (0.05, 0.15, 0.4, 1.0, 3.0, 10.0)]
+
+    def design(self, sightings: Sightings) -> Floats:
+        """No mean shift: zeros (n, 3, p)."""
+        return np.zeros((len(sightings), 3, len(self.parameters)))
+
+
+def on_readings(
+    sightings: Sightings,
+    *,
+    distance: Floats | float = 0.0,
+    azimuth: Floats | float = 0.0,
+    elevation: Floats | float = 0.0,
+) -> Floats:
+    """A design (n, 3) or (n, 3, p) from corrections (truth - reading) (n,) or (n, p) of front-face coordinates.
+
+    The elevation's sign is turned on the back face, whose raw elevation runs backwards, and all are negated:
+    a reading changes by minus its correction.
+    """
+    corrections = [np.asarray(c, dtype=np.float64) for c in (distance, azimuth, elevation)]
+    design = np.empty((len(sightings), 3, *max((c.shape[1:] for c in corrections), key=len)))
+    for j, correction in enumerate(corrections):
+        design[:, j] = -correction
+    design[sightings.face == 2, 2] *= -1.0
+    return design
+
+
+def by_displacement(sightings: Sightings, displacement: Floats) -> Floats:
+    """Change (n, 3, p) of the raw readings when targets move by (n, 3, p) [m] in the network frame."""
+    acts = np.flatnonzero(displacement.any(axis=(1, 2)))
+    if 2 * len(acts) > len(displacement):
+        return sightings.by_target @ displacement
+    change = np.zeros(displacement.shape)
+    change[acts] = sightings.by_target[acts] @ displacement[acts]
+    return change
+
+
+def constants_of(effect: Tunable) -> int:
+    """How many numbers say what an effect does: its parameters, and those of its shape and place."""
+    own = (value for name, value in vars(effect).items() if name != "coarse")
+    return len(effect.parameters) + sum(np.size(value) for value in own if _is_number(value))
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, float) or (
+        isinstance(value, tuple) and all(isinstance(v, float) for v in value) and value != ()
+    )

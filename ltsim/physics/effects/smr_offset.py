@@ -1,0 +1,40 @@
+from typing import Self
+
+import numpy as np
+
+from ltsim.core.arrays import Floats
+from ltsim.core.units import MILLIMETRE
+from ltsim.physics.effects.effect import Parameter, Stage
+from ltsim.physics.effects.motions import TargetMotion
+from ltsim.scene.sightings import Sightings
+
+
+class SmrOffset(TargetMotion):
+    """Another reflector or adaptor: at one station an SMR of another radius was used, and the old constant kept.
+
+    D = (R_true - R_used) n along the nest's normal n. The parameter is the motion of the sphere's centre away from the
+    nest (no correction of a reading).
+
+    Size: 12.7 mm for 1.5 in taken for 0.5 in, 7.94 mm for 7/8 in: one of a few catalogue lengths.
+    Like: nest-lift of many targets at once, a station-bump along a wall's normal.
+    Separate by: nothing is needed, the size tells.
+    Valid: nests with a known normal. At all stations alike it moves the targets, and only the gauge would show it.
+    Source: nominal radii of reflectors: 1.5, 7/8 and 0.5 in across.
+    Status: first order validated against the exact motion.
+    """
+
+    name = "smr-offset"
+    stage = Stage.TARGET
+    covariates = ("incidence", "place")
+    scope = "station"
+    parameters = (Parameter("radius-difference", "mm", "radius of the SMR used, less that assumed", 5 * MILLIMETRE),)
+
+    @classmethod
+    def candidates(cls, sightings: Sightings) -> list[Self]:
+        """Every station, where nests are known."""
+        known = np.isfinite(sightings.nest_normal).all(axis=1).any()
+        return [cls((name,)) for name in sightings.station_names] if known else []
+
+    def displacement(self, sightings: Sightings) -> Floats:
+        normal = np.nan_to_num(sightings.nest_normal[sightings.target])
+        return (normal * self.mask(sightings)[:, None])[:, :, None]

@@ -1,0 +1,44 @@
+from typing import Self
+
+import numpy as np
+
+from ltsim.core.arrays import Floats
+from ltsim.core.units import MICRORADIAN
+from ltsim.physics.effects.effect import Parameter, Stage
+from ltsim.physics.effects.motions import StationMotion
+from ltsim.scene.sightings import Sightings
+
+
+class StationLevelling(StationMotion):
+    """Levelling error: the level is wrong, and the station's axis leans although it was levelled.
+
+    w = R_i (b_x, b_y, 0): the parameters are the true lean of the instrument, a rotation vector about its own x and y
+    axes (no correction of a reading). One station with its own, or the same bias b at all of them (a level fixed to the
+    head).
+
+    Size: 2 urad for a good level, 10 to 20 urad for a bad one.
+    Like: nothing, where the poses are free: then it is the pose, and leaves no residual.
+    Separate by: freeing the tilts and comparing; plumb lines converge by 0.157 urad a metre.
+    Valid: only levelled stations feel it.
+    Source: the user manual of SpatialAnalyzer (weights of levels); ISO 10360-10:2021 (inclinometers).
+    Status: first order validated against the exact motion.
+    """
+
+    name = "station-levelling"
+    stage = Stage.STATION
+    observables = ("azimuth", "elevation")
+    covariates = ("place",)
+    scope = "station"
+    parameters = (
+        Parameter("lean-x", "urad", "turn about the instrument's x axis", 20 * MICRORADIAN),
+        Parameter("lean-y", "urad", "turn about the instrument's y axis", 20 * MICRORADIAN),
+    )
+
+    @classmethod
+    def candidates(cls, sightings: Sightings) -> list[Self]:
+        """Every station alone, and the same bias at all."""
+        return [cls(), *(cls((name,)) for name in sightings.station_names)]
+
+    def motion(self, sightings: Sightings) -> Floats:
+        axes = sightings.rotation[sightings.station][:, :, :2] * self.mask(sightings)[:, None, None]
+        return np.concatenate([np.zeros_like(axes), axes], axis=1)

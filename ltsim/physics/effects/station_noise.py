@@ -1,0 +1,20 @@
+from ltsim.physics.effects.noise_level import NoiseLevel
+
+
+class StationNoise(NoiseLevel):
+    """Noise of one station: an unsteady stand, a fan or the sun makes its readings scatter more than stated.
+
+    variance = sigma^2 (1 + v) at that station.
+
+    Size: v of 0.5 to 10.
+    Like: noise-level (all stations), a target or station that moves often.
+    Separate by: repeats at that station.
+    Valid: white from pointing to pointing.
+    Source: Teunissen 2000, Testing Theory: an introduction (weights come before tests).
+    Status: validated: zero gives the stated variance, other stations keep theirs.
+    """
+
+    name = "station-noise"
+    least = 0.0
+    covariates = ("place",)
+    scope = "station"

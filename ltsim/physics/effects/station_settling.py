@@ -1,0 +1,51 @@
+from dataclasses import dataclass
+
+import numpy as np
+
+from ltsim.core.arrays import Floats
+from ltsim.core.units import MICROMETRE, MICRORADIAN
+from ltsim.physics.effects.effect import Parameter, ShapeParameter, Stage
+from ltsim.physics.effects.motions import StationMotion
+from ltsim.scene.sightings import Sightings
+
+MOVES = [3, 4, 2]
+"""Components of a station's motion: rotation about x, about y, translation along z."""
+
+
+@dataclass(frozen=True)
+class StationSettling(StationMotion):
+    """Settling of a station: tripod, stand or floor give way after the set-up, or the stand warms.
+
+    pose(t) = pose + (1 - exp(-t_i / tau)) (tilts, height), t_i since the station's first pointing. The parameters are
+    the final motion of the station itself in the network frame (no correction of a reading): rotation vectors about x
+    and y through its origin, and up. It starts anew at the next station and is the same on both faces.
+
+    Size: under 1 urad on a good stand, 5 to 20 urad over 10 to 20 min on a bad one; a steel stand of 1.2 m grows 14
+    um/K.
+    Like: index-drift (one face), air-layer.
+    Separate by: two faces; the first targets again before leaving; a level on the head.
+    Valid: time constants of 2 to 40 min.
+    Source: the user manual of SpatialAnalyzer (drift check); the exponential is a choice.
+    Status: first order validated against the exact motion.
+    """
+
+    time_constant: float = 600.0
+
+    name = "station-settling"
+    stage = Stage.STATION
+    covariates = ("time",)
+    scope = "station"
+    parameters = (
+        Parameter("tilt-x", "urad", "final turn of the station about the network's x axis", 15 * MICRORADIAN),
+        Parameter("tilt-y", "urad", "final turn of the station about the network's y axis", 15 * MICRORADIAN),
+        Parameter("rise", "um", "final rise of the station", 20 * MICROMETRE),
+    )
+    shape = (
+        ShapeParameter(
+            "time_constant", "min", "time constant after the set-up", 120.0, 2400.0, logarithmic=True, steps=5
+        ),
+    )
+
+    def motion(self, sightings: Sightings) -> Floats:
+        settled = self.mask(sightings) * (1.0 - np.exp(-sightings.station_time / self.time_constant))
+        return settled[:, None, None] * np.eye(6)[:, MOVES]

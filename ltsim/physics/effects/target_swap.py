@@ -1,0 +1,54 @@
+from dataclasses import replace
+from itertools import combinations
+from typing import Self
+
+import numpy as np
+
+from ltsim.core.arrays import Floats
+from ltsim.physics.effects.effect import Mistake, Parameter, Stage
+from ltsim.physics.effects.motions import exact_target_change
+from ltsim.scene.sightings import Sightings
+
+
+class TargetSwap(Mistake):
+    """Swapped targets: two reflectors carry each other's name at a station.
+
+    The reading of one is that of the other: the change is the partner's reading less the own one, times 1.
+
+    Size: the distance between the two.
+    Like: two outliers, equal and opposite.
+    Separate by: nothing is needed; the length of the miss is the distance of the two.
+    Valid: the parameter is 1 where it happened and 0 elsewhere; nothing in between means anything. A mistake of this
+    size is mended before an adjustment, so `candidates` is empty and `possible` lists the pairs.
+    Source: general knowledge of networks.
+    Status: validated against a recording with two names exchanged.
+    """
+
+    name = "target-swap"
+    stage = Stage.ELECTRONICS
+    covariates = ("place",)
+    scope = "pointing"
+    parameters = (Parameter("swapped", "", "1 where the two are exchanged", 1.0),)
+
+    @classmethod
+    def possible(cls, sightings: Sightings) -> list[Self]:
+        """Every pair at every station."""
+        pairs = list(combinations(sightings.target_names, 2))
+        return [cls((station,), pair) for station in sightings.station_names for pair in pairs]
+
+    def done(self, sightings: Sightings) -> Sightings:
+        """The other of the two was measured."""
+        if len(self.targets) != 2:
+            return sightings
+        a, b = (sightings.target_names.index(name) for name in self.targets)
+        other = np.where(sightings.target == a, b, a)
+        return replace(sightings, target=np.where(self.mask(sightings) > 0, other, sightings.target))
+
+    def design(self, sightings: Sightings) -> Floats:
+        if len(self.targets) != 2:
+            return np.zeros((len(sightings), 3, 1))
+        a, b = (sightings.target_names.index(name) for name in self.targets)
+        partner = np.where(sightings.target == a, b, a)
+        gap = sightings.points[partner] - sightings.points[sightings.target]
+        acts = self.mask(sightings)[:, None]
+        return exact_target_change(sightings, gap * acts)[:, :, None]

@@ -1,0 +1,223 @@
+"""The catalogue of physical effects, to look at and add to; an effect from its name, its places and its constants."""
+
+import dataclasses
+import inspect
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Literal, TypeVar, cast, get_args, get_origin, get_type_hints
+
+from ltsim.core.errors import ModelError
+from ltsim.core.results import Columns, Result
+from ltsim.core.units import FACTOR
+from ltsim.physics.effects import CATALOGUE, find_effect
+from ltsim.physics.effects.effect import Effect as AnyEffect, Signature
+
+PLACES, COMMON = ("stations", "targets"), {f.name for f in dataclasses.fields(AnyEffect)}
+WIDER = 100.0
+"""Times beyond the bounds of a search that a length or a time constant may be simulated."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Sized:
+    """An effect with sizes, as it is simulated and injected."""
+
+    effect: AnyEffect
+    sizes: Mapping[str, float]
+    """Of its parameters, in display units."""
+
+
+S = TypeVar("S", bound=Signature | Sized)
+
+
+def Effect(  # noqa: N802 - it stands for a class of the catalogue
+    name: str, *, stations: str | Sequence[str] = (), targets: str | Sequence[str] = (), **constants: Any
+) -> AnyEffect | Sized:
+    """An effect of the catalogue at some places, with some of its constants: `lt.Effect("index-drift", stations="S3")`.
+
+    Parameters
+    ----------
+    name : str
+        As `lt.catalogue()` lists it.
+    stations, targets : str or sequence of str
+        Where it acts; all where neither is given.
+    **constants
+        In the units that the catalogue shows, such as ``law="visit"``; parameters too where the effect is simulated or
+        injected, such as ``index_drift=60``. What is not given, the readings or the draws choose; where an effect is
+        fitted they also choose what is given as it is by default, which a text holds: ``"index-drift:law=linear"``.
+
+    Returns
+    -------
+    ltsim.physics.effects.effect.Effect
+        Of its own class; with the sizes that are given, where any are.
+
+    Raises
+    ------
+    ModelError
+        When there is no such effect or constant, or a value does not fit.
+
+    Examples
+    --------
+    >>> import ltsim as lt
+    >>> lt.Effect("index-drift", stations="S3", law="visit").stations
+    ('S3',)
+    """
+    places = dict(zip(PLACES, (names(stations), names(targets)), strict=True))
+    given = {key.replace("_", "-"): key for key in constants}
+    sized = {p.name: given[key] for p in find_effect(name).parameters if (key := p.name.replace("_", "-")) in given}
+    sizes = {parameter: float(constants.pop(key)) for parameter, key in sized.items()}
+    effect = effect_from(name, places, constants)
+    return Sized(effect, sizes) if sizes else effect
+
+
+def names(given: str | Sequence[str]) -> tuple[str, ...]:
+    """Names where one alone may stand for a list of one: a text is a name, not its letters."""
+    return (given,) if isinstance(given, str) else tuple(given)
+
+
+def each_of(given: str | S | Sequence[str | S]) -> tuple[str | S, ...]:
+    """Effects by name or as objects, where one alone may stand for a list of one."""
+    alone = isinstance(given, str) or not isinstance(given, Sequence)
+    return (cast("str | S", given),) if alone else tuple(cast("Sequence[str | S]", given))
+
+
+def effect_from(name: str, places: Mapping[str, tuple[str, ...]], shape: Mapping[str, Any]) -> AnyEffect:
+    """An effect of the catalogue with its places and constants (in display units where it declares one, else SI).
+
+    Raises ModelError when there is no such effect or constant, or a value does not fit.
+    """
+    kind = find_effect(name)
+    fields = {f.name: f.default for f in dataclasses.fields(kind) if f.name not in COMMON}
+    units = {s.name: FACTOR[s.unit] for s in kind.shape}
+    constants: dict[str, Any] = {}
+    for key, value in shape.items():
+        if key not in fields:
+            known, sizes = ", ".join(sorted(fields)) or "none", ", ".join(p.name for p in kind.parameters)
+            raise ModelError(f"{name} has no constant called '{key}'; constants: {known}; sizes, where drawn: {sizes}")
+        constants[key] = _fitted(f"{name}.{key}", value, fields[key], units.get(key, 1.0))
+    effect = kind(**{**places, **constants})
+    _check_constants(effect)
+    return effect
+
+
+def _check_constants(effect: AnyEffect) -> None:
+    """Refuse a word that is none of those a constant knows, and a length or time far outside what is searched.
+
+    Raises ModelError, naming the constant and what would do.
+    """
+    hints = get_type_hints(type(effect))
+    for field in dataclasses.fields(effect):
+        known, value = get_args(hints[field.name]), getattr(effect, field.name)
+        if get_origin(hints[field.name]) is Literal and value not in known:
+            raise ModelError(f"{effect.name}.{field.name} is {value!r}, expected one of {', '.join(map(str, known))}")
+    for shape in effect.shape:
+        value, unit = getattr(effect, shape.name), FACTOR[shape.unit]
+        low, high = shape.low / WIDER, shape.high * WIDER
+        if isinstance(value, float) and (shape.logarithmic or shape.reciprocal) and not low <= value <= high:
+            bounds = f"{low / unit:.4g} to {high / unit:.4g} {shape.unit}"
+            raise ModelError(f"{effect.name}.{shape.name} is {value / unit:.4g}, expected {bounds}")
+
+
+def _fitted(key: str, value: Any, default: Any, unit: float) -> Any:
+    """A constant in SI, of the type its default has."""
+    if isinstance(default, str) != isinstance(value, str) or isinstance(default, tuple) != isinstance(value, tuple):
+        raise ModelError(f"{key} is {value!r}, expected something like {default!r}")
+    if isinstance(default, int):
+        if float(value) != int(value):
+            raise ModelError(f"{key} is {value}, expected a whole number")
+        return int(value)
+    return value * unit if isinstance(default, float) else value
+
+
+def shape_of(effect: AnyEffect) -> dict[str, Any]:
+    """The constants of an effect, as `effect_from` takes them."""
+    units = {s.name: FACTOR[s.unit] for s in effect.shape}
+    names = [f.name for f in dataclasses.fields(effect) if f.name not in COMMON]
+    values = {name: getattr(effect, name) for name in names}
+    return {name: value / units[name] if name in units else value for name, value in values.items()}
+
+
+@dataclasses.dataclass(frozen=True, repr=False)
+class EffectList(Result):
+    """Effects of the catalogue; `effects` are their classes."""
+
+    effects: tuple[type[AnyEffect], ...]
+
+    def _lines(self) -> list[str]:
+        return [f"{effect.name}: {_meaning(effect)}" for effect in self.effects]
+
+    def _tables(self) -> Mapping[str, Callable[[], Columns]]:
+        return {"effects": self._effects, "parameters": self._parameters}
+
+    def _effects(self) -> Columns:
+        return {
+            "effect": [e.name for e in self.effects],
+            "observables": [", ".join(e.observables) for e in self.effects],
+            "scope": [str(e.scope) for e in self.effects],
+            "meaning": [_meaning(e) for e in self.effects],
+        }
+
+    def _parameters(self) -> Columns:
+        listed = [(e, p) for e in self.effects for p in e.parameters]
+        return {
+            "effect": [e.name for e, _ in listed],
+            "parameter": [p.name for _, p in listed],
+            "plausible_size": [p.prior_sigma / p.factor for _, p in listed],
+            "unit": [p.unit for _, p in listed],
+            "meaning": [p.meaning for _, p in listed],
+        }
+
+
+def catalogue(*names: str) -> EffectList:
+    """The physical effects that can be simulated, calibrated and diagnosed, or some of them.
+
+    Parameters
+    ----------
+    *names : str
+        Default all.
+
+    Raises
+    ------
+    ModelError
+        When there is no such effect; the message names the closest ones.
+
+    Examples
+    --------
+    >>> import ltsim as lt
+    >>> lt.catalogue("beam-tilt").to_dataframe("parameters")[["parameter", "unit"]]
+       parameter  unit
+    0  beam-tilt  urad
+    """
+    return EffectList(tuple(find_effect(name) for name in names) if names else tuple(CATALOGUE))
+
+
+def _meaning(effect: type[AnyEffect]) -> str:
+    return (inspect.getdoc(effect) or "").partition("\n")[0]
+
+
+def add_effect(kind: type[AnyEffect]) -> type[AnyEffect]:
+    """Add an effect of your own for this session; also as a decorator of its class.
+
+    From then on its name works wherever that of an effect does: in scenarios, in `with_effects`, in campaigns (their
+    workers are told), in a diagnosis. A card is not needed; for other sessions put the class into a package.
+
+    Parameters
+    ----------
+    kind : type of Effect
+        With a name, a stage, parameters and `design`.
+
+    Raises
+    ------
+    ModelError
+        Why it cannot be an effect, or that the name is taken.
+
+    Notes
+    -----
+    The page "An effect of your own" shows one that is simulated and fitted.
+
+    Examples
+    --------
+    >>> import ltsim as lt
+    >>> lt.add_effect(int)
+    Traceback (most recent call last):
+    ltsim.core.errors.ModelError: <class 'int'> cannot be an effect: it is no class derived from lt.Effect
+    """
+    return CATALOGUE.add(kind)

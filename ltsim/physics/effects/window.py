@@ -1,0 +1,96 @@
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from ltsim.core.arrays import Floats
+from ltsim.core.units import MILLIMETRE
+from ltsim.physics.effects.effect import Parameter, Stage
+from ltsim.physics.effects.motions import TargetMotion
+from ltsim.scene.sightings import Sightings
+
+INDEX = 1.5
+SHARES = (0.25, 0.12)
+"""Lengths of the runs that are tried, as shares of a station's targets."""
+TURNS = (-0.15, -0.05, 0.05, 0.15)
+"""[rad] by which a pane is turned in refinement."""
+
+
+def _around(sightings: Sightings, station: str) -> list[int]:
+    """Targets that a station measured, in the order of their azimuths."""
+    s = sightings.station_names.index(station)
+    arm = sightings.points - sightings.position[s]
+    seen = np.unique(sightings.target[sightings.station == s])
+    return [int(t) for t in seen[np.argsort(np.arctan2(arm[seen, 1], arm[seen, 0]))]]
+
+
+@dataclass(frozen=True)
+class Window(TargetMotion):
+    """Window in the path: a pane of glass stands between a station and some of its targets.
+
+    With i the angle at the pane: range + w (sqrt(n^2 - sin^2 i) - cos i), lateral w sin i (1 - cos i / sqrt(n^2 - sin^2
+    i)) away from the normal. The parameter is the thickness w (no correction of a reading).
+
+    Size: 3 mm give 1.500 mm of range at normal incidence and 1.645 mm at 30 deg, and 0.58 mm across.
+    Like: range-step over the whole visit (if all targets are behind it), smr-offset.
+    Separate by: the window taken away.
+    Valid: plane parallel glass of index 1.5, anywhere on the path.
+    Source: Born and Wolf, Principles of Optics (refraction at a plane-parallel plate), derived here from Snell's law.
+    Status: validated against the numbers above.
+    """
+
+    normal: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    name = "window"
+    stage = Stage.AIR
+    covariates = ("azimuth", "incidence")
+    scope = "pointing"
+    ways = 2
+    parameters = (Parameter("thickness", "mm", "thickness of the glass", 3 * MILLIMETRE, positive=True),)
+
+    @classmethod
+    def candidates(cls, sightings: Sightings) -> list[Self]:
+        """At every station an upright pane across runs of neighbouring targets, in the order of their azimuths."""
+        found = []
+        for station in sightings.station_names:
+            order = _around(sightings, station)
+            for share in SHARES:
+                length = max(2, round(share * len(order)))
+                for first in range(0, len(order), max(1, length // 2)):
+                    block = [order[(first + k) % len(order)] for k in range(min(length, len(order)))]
+                    found += cls._across(sightings, station, block)
+        return found
+
+    @classmethod
+    def _across(cls, sightings: Sightings, station: str, block: list[int]) -> list[Self]:
+        """A pane square to the middle of a run of targets; none where the run has no middle."""
+        arm = sightings.points[block] - sightings.position[sightings.station_names.index(station)]
+        across = arm[:, :2].sum(axis=0)
+        if len(block) < 2 or not np.linalg.norm(across) > 0:
+            return []
+        x, y = (float(v) for v in across / np.linalg.norm(across))
+        return [cls((station,), tuple(sightings.target_names[t] for t in sorted(block)), (x, y, 0.0))]
+
+    def finer(self, sightings: Sightings) -> list[Self]:
+        """One target more or less at either end of the run; the pane turned a little."""
+        order = _around(sightings, self.stations[0])
+        behind = {sightings.target_names.index(name) for name in self.targets}
+        inside = [t in behind for t in order]
+        found: list[Self] = []
+        for k, t in enumerate(order):
+            at_edge = inside[k] != inside[k - 1] or inside[k] != inside[(k + 1) % len(order)]
+            if at_edge:
+                found += self._across(sightings, self.stations[0], sorted(behind ^ {t}))
+        x, y, _ = self.normal
+        turned = [np.arctan2(y, x) + angle for angle in TURNS]
+        return found + [self.reshaped(normal=(float(np.cos(a)), float(np.sin(a)), 0.0)) for a in turned]
+
+    def displacement(self, sightings: Sightings) -> Floats:
+        beam = sightings.unit_vectors[0]
+        normal = np.broadcast_to(np.asarray(self.normal), beam.shape) if any(self.normal) else beam
+        cosine = np.sum(beam * normal, axis=1)[:, None]
+        normal, cosine = normal * np.sign(cosine), np.abs(cosine)
+        inside = np.sqrt(INDEX**2 - 1.0 + cosine**2)
+        longer = (inside - cosine) * beam
+        aside = (1.0 - cosine / inside) * (cosine * beam - normal)
+        return ((longer + aside) * self.mask(sightings)[:, None])[:, :, None]

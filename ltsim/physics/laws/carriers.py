@@ -1,0 +1,161 @@
+"""Carriers: what the forward model knows, and how a reading changes when it does.
+
+Each is a derivative of the readings: of the instrument's constants along the kinematic chain, of a stand that turns or
+moves, of the targets' coordinates, of the air, of the reflector; and, when nothing physical carries a mismatch, a
+reading itself. What moves in space does so in any direction, which is one carrier and not three.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from ltsim.core.arrays import Floats
+from ltsim.core.units import ARCSECOND, MICROMETRE, PPM
+from ltsim.physics.effects import BASELINE
+from ltsim.physics.effects.air_gradient import AirGradient
+from ltsim.physics.effects.azimuth_eccentricity import AzimuthEccentricity
+from ltsim.physics.effects.effect import Term
+from ltsim.physics.effects.elevation_eccentricity import ElevationEccentricity
+from ltsim.physics.effects.motions import station_design
+from ltsim.physics.effects.signature import by_displacement, on_readings
+from ltsim.physics.effects.smr_centring import reflector_axes
+from ltsim.recordings.recording import OBSERVABLES
+from ltsim.scene.sightings import Sightings
+
+ANGLE, LENGTH, STRAIN, MOTION = 2 * ARCSECOND, 10 * MICROMETRE, 2 * PPM, 30 * MICROMETRE
+"""Plausible sizes: what a good instrument leaves of an angle, a length, a scale; what walls and floors move by."""
+
+
+@dataclass(frozen=True)
+class Carrier:
+    """One quantity of the forward model.
+
+    Attributes
+    ----------
+    name : str
+        In the words of the interface and of sentences.
+    unit : str
+    size : float
+        Plausible size [SI].
+    observables : tuple of str
+        What it mainly shows in; empty for all.
+    kind : str
+        reading, instrument, circle, stand, target, air or reflector.
+    ways : tuple of str
+        Its components in words; one of no name where it has no direction.
+    """
+
+    name: str
+    unit: str
+    size: float
+    observables: tuple[str, ...] = ()
+    kind: str = "instrument"
+    ways: tuple[str, ...] = ("",)
+
+
+_SLOTS = {
+    "elevation": Carrier("vertical index", "urad", ANGLE, ("elevation",)),
+    "transit-offset": Carrier("transit offset", "um", LENGTH),
+    "transit-tilt": Carrier("transit tilt", "urad", ANGLE, ("azimuth",)),
+    "beam-lateral": Carrier("lateral beam offset", "um", LENGTH, ("azimuth",)),
+    "beam-vertical": Carrier("vertical beam offset", "um", LENGTH, ("elevation",)),
+    "beam-tilt": Carrier("beam tilt", "urad", ANGLE, ("azimuth",)),
+}
+"""Slots of the kinematic chain."""
+_CIRCLES = {
+    Carrier(
+        f"{effect.observables[0]} eccentricity", "urad", ANGLE, effect.observables, "circle", ("cosine", "sine")
+    ): effect
+    for effect in (AzimuthEccentricity(), ElevationEccentricity())
+}
+"""Circles whose centre is off the axis that they turn about."""
+_READINGS = tuple(
+    Carrier(name, "um" if name == "distance" else "urad", LENGTH if name == "distance" else ANGLE, (name,), "reading")
+    for name in OBSERVABLES
+)
+_SCALE = Carrier("range scale", "ppm", STRAIN, ("distance",))
+
+
+def constants_in(slot: str) -> tuple[str, ...]:
+    """The constants of the ordinary calibration that are a slot of the chain."""
+    return tuple(p.name for e in BASELINE for p, t in zip(e.parameters, e.terms, strict=True) if t == Term(slot))
+
+
+VARIED = (
+    {carrier.name: constants_in(slot) for slot, carrier in _SLOTS.items()}
+    | {carrier.name: tuple(p.name for p in effect.parameters) for carrier, effect in _CIRCLES.items()}
+    | {"distance": constants_in("range"), _SCALE.name: ("range-scale",)}
+)
+"""The constants of the ordinary calibration that a carrier varies."""
+_LEAN = Carrier("lean of the stand", "urad", ANGLE, (), "stand", ("about x", "about y"))
+_STAND = Carrier("place of the stand", "um", MOTION, (), "stand", ("along x", "along y", "along z"))
+_TARGETS = Carrier("place of targets", "um", MOTION, (), "target", ("along x", "along y", "along z"))
+_NORMAL = Carrier("height of targets in their nests", "um", MOTION, (), "target")
+_AIR = Carrier("air gradient", "K/m", 1.0, (), "air")
+_VERTEX = Carrier("vertex of the reflectors", "um", LENGTH, (), "reflector", ("axially", "sideways", "up"))
+
+
+def _reading(sightings: Sightings, observable: str) -> Floats:
+    return on_readings(sightings, **{observable: np.ones(len(sightings))})[:, :, None]
+
+
+def _slot(sightings: Sightings, slot: str) -> Floats:
+    return sightings.slot_responses[slot][:, :, None]
+
+
+def _scale(sightings: Sightings) -> Floats:
+    return on_readings(sightings, distance=sightings.range_)[:, :, None]
+
+
+def _along_nest(sightings: Sightings) -> Floats:
+    normal = np.nan_to_num(sightings.nest_normal[sightings.target])
+    return by_displacement(sightings, normal[:, :, None])
+
+
+def _vertex(sightings: Sightings) -> Floats:
+    return by_displacement(sightings, reflector_axes(sightings))
+
+
+Derivative = Callable[[Sightings], Floats]
+
+
+def _registry() -> dict[str, tuple[Carrier, Derivative]]:
+    found: list[tuple[Carrier, Derivative]] = [
+        *((carrier, partial(_reading, observable=carrier.name)) for carrier in _READINGS),
+        *((carrier, partial(_slot, slot=slot)) for slot, carrier in _SLOTS.items()),
+        *((carrier, effect.design) for carrier, effect in _CIRCLES.items()),
+        (_SCALE, _scale),
+        (_LEAN, lambda s: station_design(s)[:, :, 3:5]),
+        (_STAND, lambda s: station_design(s)[:, :, :3]),
+        (_TARGETS, lambda s: s.by_target),
+        (_AIR, AirGradient().design),
+        (_NORMAL, _along_nest),
+        (_VERTEX, _vertex),
+    ]
+    return {carrier.name: (carrier, derivative) for carrier, derivative in found}
+
+
+CARRIERS = _registry()
+"""Every carrier by name with the change (n, 3, c) of the raw readings per unit of each of its components."""
+_NEED_NESTS = {_NORMAL.name, _VERTEX.name}
+
+
+def carrier_designs(sightings: Sightings) -> dict[str, tuple[Carrier, Floats]]:
+    """Carriers by name with their designs (n, 3, c); one that equals an earlier one is left out.
+
+    On a single face the vertical index is the elevation, say. A target that moves looks like a stand that does, but
+    they follow different things.
+    """
+    found: dict[str, tuple[Carrier, Floats]] = {}
+    nests = bool(np.isfinite(sightings.nest_normal).any())
+    for name, (carrier, derivative) in CARRIERS.items():
+        if name in _NEED_NESTS and not nests:
+            continue
+        design = derivative(sightings)
+        alike = (d for c, d in found.values() if d.shape == design.shape and c.kind != "stand")
+        same = (np.allclose(np.abs(design), np.abs(other), rtol=1e-9, atol=0.0) for other in alike)
+        if design.any() and not any(same):
+            found[name] = carrier, design
+    return found

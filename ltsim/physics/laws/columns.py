@@ -1,0 +1,143 @@
+"""What drivers are made of: columns over the pointings, each of rms about one, and priors of their coefficients.
+
+A smooth curve is a Gaussian process in one covariate, in reduced rank: a linear part and the first eigenfunctions of
+the Laplacian on the covariate's range with the spectral density of a squared-exponential kernel as variances (Solin and
+Sarkka 2020, Hilbert space methods for reduced-rank Gaussian process regression, eq. 20); round a circle, Fourier
+waves. Several length scales share the columns and differ in the variances; so does a random walk.
+"""
+
+from collections.abc import Sequence
+from functools import cache
+from itertools import combinations_with_replacement
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ltsim.core.arrays import Floats, Ints
+from ltsim.scene.sightings import Sightings
+
+CIRCULAR = ("azimuth", "circle", "bearing", "nest-direction")
+MODES, LOW, FINE = 9, 4, 32
+"""Eigenfunctions of a smooth driver: of most, of one among several, and of one that is looked at again. At the shortest
+of its length scales the last one keeps a tenth to a third of the prior deviation of the first."""
+EDGE = 1.25
+"""Half-width of the interval at whose ends all eigenfunctions are zero, over that of the covariate's range: where the
+range ends a curve need not be zero."""
+SCALES = {MODES: (0.9, 0.4, 0.18), LOW: (0.6,), FINE: (0.07,)}
+"""Length scales by number of eigenfunctions: in half-widths of the covariate's range, round a circle in radians."""
+MEMORY = ("approach-", "move-", "last-", "work-", "wound-", "lapse")
+"""How the names of covariates begin that tell of the pointing before."""
+SIMPLE = {
+    "power": lambda x, k: x**k,
+    "abs": lambda x, k: np.abs(x),
+    "cos": lambda x, k: np.cos(k * x),
+    "sin": lambda x, k: np.sin(k * x),
+    "tan": lambda x, k: np.tan(k * x),
+    "step": lambda x, k: (x > k).astype(np.float64),
+    "ramp": lambda x, k: np.maximum(x - k, 0.0),
+    "relaxing": lambda x, k: 1.0 / (1.0 + x / k),
+    "saturated": lambda x, k: x / (k + np.abs(x)),
+    "decay": lambda x, k: np.exp(-x / k),
+    "fading": lambda x, k: np.exp(-np.abs(x) / k),
+}
+"""Functions of a covariate and a constant, of which the shortest laws are made."""
+RESTING = 0.02
+"""Share of its largest value up to which a column counts as zero."""
+
+
+def has_zero(x: Floats) -> bool:
+    """Whether a column rests at zero, as a load does; one that does not, a temperature say, is told from its mean."""
+    return bool(np.nanmin(np.abs(x)) < RESTING * np.nanmax(np.abs(x)))
+
+
+def sized(column: Floats) -> Floats:
+    """A column (n, 1) with an rms of one."""
+    size = float(np.sqrt(np.mean(column**2)))
+    return column / size if size > 0 else column
+
+
+OVERTONES = 5
+"""Waves of which a cycle of any shape is made."""
+
+
+def waves_of(phase: Floats, count: int) -> Floats:
+    """Cosines and sines (n, 2 count) of a phase (n,) and its multiples."""
+    return np.sqrt(2.0) * _turns(phase, count).view(np.float64)
+
+
+def _turns(phase: Floats, count: int) -> NDArray[np.complex128]:
+    """Unit complex numbers (n, count) of a phase (n,) and its multiples: powers of the first."""
+    first = np.broadcast_to(np.exp(1j * phase)[:, None], (len(phase), count))
+    return np.cumprod(first, axis=1)
+
+
+def curve(name: str, x: Floats, count: int) -> Floats:
+    """Columns of a smooth curve over a covariate (n,)."""
+    if name in CIRCULAR:
+        return waves_of(x, (count + 1) // 2)
+    low, high = float(x.min()), float(x.max())
+    half = max(0.5 * (high - low), 1e-300)
+    u = (x - 0.5 * (low + high)) / half
+    waves = _turns(0.5 * np.pi * (u + EDGE) / EDGE, count).imag / np.sqrt(EDGE)
+    return np.hstack([np.sqrt(3.0) * u[:, None], np.sqrt(2.0) * waves])
+
+
+@cache
+def curve_spreads(circular: bool, count: int) -> tuple[Floats, ...]:
+    """Prior deviations of a curve's coefficients, one set a length scale."""
+    found = []
+    if circular:
+        orders = np.repeat(np.arange(1, count // 2 + 1 + count % 2), 2)
+        found = [np.exp(-0.25 * (orders * scale) ** 2) for scale in SCALES[count]]
+    else:
+        rates = 0.5 * np.pi * np.arange(1, count + 1) / EDGE
+        found = [np.concatenate([[0.5], np.exp(-0.25 * (rates * scale) ** 2)]) for scale in SCALES[count]]
+        found += [np.concatenate([[0.5], 1.0 / np.arange(1, count + 1)])] if count != LOW else []
+    return tuple(spread / np.linalg.norm(spread) for spread in found)
+
+
+def function(sightings: Sightings, name: str, how: str, constant: float) -> Floats:
+    """A function (n, 1) of a covariate and a constant."""
+    x = sightings.quantities[name]
+    if how == "power" and name in sightings.covariates and not has_zero(x):
+        x = x - x.mean()
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        values = SIMPLE[how](x, constant)
+    return sized(np.nan_to_num(values, posinf=0.0, neginf=0.0)[:, None])
+
+
+def field(sightings: Sightings, names: Sequence[str], around: Sequence[str], *, bent: bool) -> Floats:
+    """One and the coordinates from the middle of some targets, or of all (n, 4); `bent`, their products too (n, 10)."""
+    place = np.stack([sightings.quantities[name] for name in names], axis=1)
+    ids = [i for name in around for i in sightings.target_ids[name]]
+    near = np.isin(sightings.target, ids) if ids else slice(None)
+    place = place - place[near].mean(axis=0)
+    place = place / max(float(place[near].std()), 1e-300)
+    more = [place[:, [a]] * place[:, [b]] for a, b in combinations_with_replacement(range(3), 2)] if bent else []
+    return np.hstack([np.ones((len(place), 1)), place, *more])
+
+
+def lagging(sightings: Sightings, name: str, memory: float) -> Floats:
+    """A covariate, or the amount of a move, after a first-order lag with a memory [s]; how far it is behind (n, 2)."""
+    x = sightings.quantities[name]
+    x = np.abs(x) if name.startswith(MEMORY) else x - x.mean()
+    rows = sightings.order
+    share = -np.expm1(-np.diff(sightings.time[rows], prepend=sightings.time[rows[0]]) / memory)
+    slow = np.empty_like(x)
+    now = float(x[rows[0]])
+    for row, value, gain in zip(rows.tolist(), x[rows].tolist(), share.tolist(), strict=True):
+        now += gain * (value - now)
+        slow[row] = now
+    return np.hstack([sized(slow[:, None]), sized((x - slow)[:, None])])
+
+
+def group_means(columns: Floats, groups: Ints) -> Floats:
+    """Means (n, k) of columns (n, k) over the pointings of the same group (n,)."""
+    at = one_each(groups, np.unique(groups)) > 0
+    means: Floats = at @ ((at.T @ columns) / at.sum(axis=0)[:, None])
+    return means
+
+
+def one_each(what: Ints, ids: Ints | Sequence[int]) -> Floats:
+    """One where something (n,) has one of the ids (k,), (n, k)."""
+    return (what[:, None] == np.asarray(ids)).astype(np.float64)

@@ -1,0 +1,240 @@
+"""A law: a carrier that follows a driver at a place, as an effect like any other; and the shortest formulas for it.
+
+Laws are tested, refitted and drawn like the effects of the catalogue.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import product
+
+import numpy as np
+
+from ltsim.core.arrays import Floats
+from ltsim.physics.effects.signature import Parameter, Tunable
+from ltsim.physics.laws.carriers import CARRIERS, Carrier
+from ltsim.physics.laws.columns import CIRCULAR, FINE, LOW, MODES, one_each
+from ltsim.physics.laws.drivers import CLOCKS, CONSTANT, Driver, pieces, simple, smooth
+from ltsim.physics.laws.offered import MOST_VISITS, WAVE_STEP
+from ltsim.physics.laws.places import LEAST_GROUP
+from ltsim.recordings.recording import OBSERVABLES
+from ltsim.scene.sightings import Sightings
+
+MOST_MEMBERS = 12
+"""Targets up to which each of a group may move by an amount of its own."""
+FACE = simple("face", "power")
+"""The sign of the face: an elevation that errs by it is the vertical index."""
+ATOMS = 41
+"""Values of a covariate between which steps and ramps are tried."""
+OF_A_SET_UP = ("reading", "instrument", "circle", "stand")
+"""Kinds of carriers that may do the same at every set-up, each in its own way."""
+ANGULAR = ("elevation", "incidence", "nest-direction", "last-azimuth", "last-elevation")
+"""Angles of which sines, cosines and tangents are tried."""
+MOVED, NEAR = 4, 6
+"""Steps and ramps up to whose number each is moved, and by how many gaps between the values of their covariate;
+nearer to each other they are not set, for a few pointings make no law."""
+SCALED = ("decay", "fading", "relaxing", "saturated", "lagging")
+"""Functions and kinds with a constant that is known to a factor at first."""
+OF_SPAN = np.array([0.05, 0.15, 0.5])
+"""Constants of decays and saturations, as a share of a covariate's span."""
+
+
+@dataclass(frozen=True)
+class Law(Tunable):
+    """A carrier that follows a driver, perhaps at some stations, targets, or one instrument's stations only.
+
+    Attributes
+    ----------
+    stations, targets : tuple of str
+        Where it acts; empty for everywhere.
+    carrier : Carrier
+    driver : Driver
+    instruments : tuple of str
+        Named where the stations are those of one instrument.
+    scale : int
+        Which of the driver's sets of prior deviations holds.
+    each : bool
+        Every set-up has coefficients of its own.
+    """
+
+    stations: tuple[str, ...] = ()
+    targets: tuple[str, ...] = ()
+    carrier: Carrier = CARRIERS["distance"][0]
+    driver: Driver = CONSTANT
+    instruments: tuple[str, ...] = ()
+    scale: int = 0
+    each: bool = False
+
+    name = "unknown"
+
+    @cached_property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """One coefficient a component of the carrier, set-up, and column of the driver, with its prior deviation."""
+        spread = self.driver.spreads[self.scale] * self.carrier.size
+        spreads = np.tile(spread, len(self.carrier.ways) * (len(self.stations) if self.each else 1))
+        return tuple(
+            Parameter(f"coefficient {i + 1}", self.carrier.unit, "coefficient", float(s)) for i, s in enumerate(spreads)
+        )
+
+    @property
+    def observables(self) -> tuple[str, ...]:
+        """What the law acts on."""
+        return self.carrier.observables or OBSERVABLES
+
+    @property
+    def covariates(self) -> tuple[str, ...]:
+        """What the law depends on, in the words of the interface."""
+        return self.driver.told
+
+    def design(self, sightings: Sightings) -> Floats:
+        """Change (n, 3, k) of the raw readings per unit of each coefficient."""
+        moved = CARRIERS[self.carrier.name][1](sightings)
+        found: Floats = moved[:, :, :, None] * self.columns(sightings)[:, None, None, :]
+        return found.reshape(len(sightings), 3, -1)
+
+    def columns(self, sightings: Sightings) -> Floats:
+        """What each component of the carrier follows (n, k), zero elsewhere; for each set-up on its own, (n, S k)."""
+        columns = self.driver.columns(sightings, moving=self.carrier.kind == "target")
+        columns = columns * self.mask(sightings)[:, None]
+        if not self.each:
+            return columns
+        at = one_each(sightings.station, [sightings.station_names.index(name) for name in self.stations])
+        return (at[:, :, None] * columns[:, None, :]).reshape(len(sightings), -1)
+
+    def finer(self, sightings: Sightings) -> list[Law]:
+        """Rates between those tried first, edges and constants around one."""
+        driver = self.driver
+        if driver.kind in ("wave", "cycle"):
+            step = 2 * np.pi * WAVE_STEP / float(np.ptp(sightings.quantities[driver.covariates[0]]))
+            rates = driver.constant + step * np.linspace(-0.9, 0.9, 19)
+            return [replace(self, driver=replace(driver, constant=float(r))) for r in rates if r > 0]
+        if driver.kind == "pieces" and len(driver.factors) <= MOVED:
+            return self._with_one_moved(sightings)
+        if driver.function in SCALED or driver.kind in SCALED:
+            return [replace(self, driver=replace(driver, constant=driver.constant * s)) for s in (0.6, 0.8, 1.25, 1.7)]
+        return []
+
+    def _with_one_moved(self, sightings: Sightings) -> list[Law]:
+        """The law with one of its steps and ramps at another gap between the values of their covariate."""
+        factors = self.driver.factors
+        x = np.unique(sightings.quantities[self.driver.covariates[0]][self.mask(sightings) > 0])
+        gaps = np.searchsorted(x, [piece.constant for piece in factors])
+        found = []
+        for i, piece in enumerate(factors):
+            for k in range(max(gaps[i] - NEAR, 1), min(gaps[i] + NEAR, len(x) - 1) + 1):
+                if np.abs(np.delete(gaps, i) - k).min(initial=NEAR) >= NEAR:
+                    moved = replace(piece, constant=float(0.5 * (x[k - 1] + x[k])))
+                    found.append(self.in_pieces([*factors[:i], moved, *factors[i + 1 :]]))
+        return found
+
+    def formulas(self, sightings: Sightings) -> list[Law]:
+        """Short laws that a smooth one may turn out to be."""
+        if self.driver.kind == "smooth":
+            return [replace(self, driver=d, scale=0) for d in _short(sightings, self.driver.covariates[0])]
+        if self.driver.function == "decay":
+            return [replace(self, driver=replace(self.driver, function="relaxing"))]
+        if self.driver.kind != "product":
+            return []
+        options = [
+            list(_short(sightings, f.covariates[0], few=True)) if f.kind == "smooth" else [f]
+            for f in self.driver.factors
+        ]
+        return [replace(self, driver=Driver("product", factors=factors), scale=0) for factors in product(*options)]
+
+    def forms(self, sightings: Sightings) -> dict[str, list[list[Law]]]:
+        """What a law may be a rough sight of, each with its scales: the curve, short formulas, a finer curve."""
+        driver, found = self.driver, {"curve": [self], "formula": self.formulas(sightings)}
+        if driver.kind == "smooth":
+            finer = smooth(driver.covariates[0], FINE if driver.constant > LOW else MODES)
+            found["fine"] = [replace(self, driver=finer)]
+        if LEAST_GROUP <= len(self.targets) <= MOST_MEMBERS and self.carrier.kind == "target":
+            found["members"] = [replace(self, driver=driver.for_each(self.targets), scale=0)]
+        if driver.kind == "wave":
+            found["cycle"] = [replace(self, driver=replace(driver, kind="cycle"))]
+        return {
+            kind: [[replace(law, scale=k) for k in range(len(law.driver.spreads))] for law in laws]
+            for kind, laws in found.items()
+            if laws
+        }
+
+    def atoms(self, sightings: Sightings) -> list[Driver]:
+        """Steps and ramps of which a smooth driver may be made instead."""
+        curved = [f for f in (self.driver, *self.driver.factors) if f.kind == "smooth"]
+        if len(curved) != 1:
+            return []
+        name = curved[0].covariates[0]
+        x = np.unique(sightings.quantities[name][self.mask(sightings) > 0])
+        x = x[np.unique(np.linspace(0, len(x) - 1, ATOMS).round().astype(int))]
+        edges = 0.5 * (x[1:] + x[:-1])
+        return [simple(name, function, float(edge)) for function in ("step", "ramp") for edge in edges]
+
+    def in_pieces(self, steps: Sequence[Driver]) -> Law:
+        """The law with steps and ramps in the place of its smooth driver."""
+        made, driver = pieces(steps), self.driver
+        if driver.kind == "product":
+            made = replace(driver, factors=tuple(made if f.kind == "smooth" else f for f in driver.factors))
+        return replace(self, driver=made, scale=0)
+
+    def as_constant(self, sightings: Sightings) -> Law:
+        """The vertical index in place of an elevation that errs as one.
+
+        It does where it changes sign with the face, or on a single face whatever is pointed at.
+        """
+        if self.carrier.name != "elevation":
+            return self
+        index, driver = replace(CARRIERS["vertical index"][0], size=self.carrier.size), self.driver
+        names = {*driver.covariates, *(n for f in driver.factors for n in f.covariates)}
+        one_face = not np.ptp(sightings.face)
+        if one_face and names <= {*CLOCKS, *sightings.covariates}:
+            return replace(self, carrier=index)
+        face, *rest = driver.factors or (driver, CONSTANT)
+        return replace(self, carrier=index, driver=rest[0]) if face == FACE and len(rest) == 1 else self
+
+    def at_each(self, sightings: Sightings) -> Law | None:
+        """The law with coefficients of its own for each set-up, where that can be."""
+        stations = tuple(sightings.station_names)
+        confined = len(self.stations) > 1 or self.targets or self.instruments
+        once = self.driver.kind in ("product", "amounts") or self.carrier.kind not in OF_A_SET_UP
+        if confined or once or len(stations) < 2:
+            return None
+        return replace(self, stations=stations, each=True) if len(stations) <= MOST_VISITS else None
+
+    def along(self, mean: Floats, covariance: Floats, sightings: Sightings) -> tuple[Law, Floats, Floats, Floats]:
+        """Where a law does most: at which set-up, in which direction (c,), coefficients (c, k) and their covariance."""
+        ways, k = len(self.carrier.ways), self.driver.size
+        shape = (ways, len(mean) // (ways * k), k)
+        means, spread = mean.reshape(shape), covariance.reshape(*shape, *shape)
+        columns = self.driver.columns(sightings)
+        if self.each:
+            rows = [sightings.station == sightings.station_names.index(name) for name in self.stations]
+            size = [float(np.sum((columns[r] @ means[:, i].T) ** 2)) for i, r in enumerate(rows)]
+        top = int(np.argmax(size)) if self.each else 0
+        law = replace(self, stations=(self.stations[top],), each=False) if self.each else self
+        moved = columns[law.mask(sightings) > 0] @ means[:, top].T
+        moved = moved - moved.mean(axis=0) if self.driver.kind != "constant" else moved
+        way = np.linalg.svd(moved, full_matrices=False)[2][0]
+        way = way * np.sign(way[np.argmax(np.abs(way))])
+        return law, way, means[:, top], spread[:, top, :, :, top, :]
+
+
+def _short(sightings: Sightings, name: str, *, few: bool = False) -> Iterator[Driver]:
+    """Short drivers in a covariate; `few` where several are tried together."""
+    times = OF_SPAN * float(np.ptp(sightings.quantities[name]))
+    circular = name in CIRCULAR
+    if circular:
+        for order in range(1, 4 if few else 7):
+            yield Driver("wave", (name,), constant=float(order))
+    tried: list[tuple[str, Sequence[float] | Floats]] = [] if circular and few else [("power", (1.0, 2.0))]
+    if name in ANGULAR and not (circular and few):
+        tried += [("sin", (1.0, 2.0, 3.0)), ("cos", (1.0, 2.0, 3.0)), ("tan", (1.0,))]
+    tried += [("decay", times)] if name == "lapse" else []
+    if not few:
+        tried.append(("power", (3.0, -1.0) if name == "distance" else (3.0,)))
+        tried += [("decay", times)] if name in CLOCKS else []
+        tried += [("relaxing", times)] if name in (*CLOCKS, "lapse") else []
+        tried += [("abs", (1.0,)), ("saturated", times), ("fading", times)] if name.startswith("move-") else []
+    for function, constants in tried:
+        for constant in constants:
+            yield simple(name, function, float(constant))

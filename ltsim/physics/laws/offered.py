@@ -1,0 +1,194 @@
+"""Drivers, generated: base quantities, closed under a few operators on the order of the work.
+
+Base quantities are what a pointing itself says, the clock, and the recording's further columns. An operator takes the
+value before, the change since, the sum of changes or of their sizes; what lags behind; another amount for each station
+or each target that was measured before. Each operator costs a constant of prior odds (`COST`), and so does a product.
+"""
+
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import combinations
+
+import numpy as np
+
+from ltsim.core.arrays import Floats
+from ltsim.physics.laws.columns import LOW, MODES
+from ltsim.physics.laws.drivers import CLOCKS, CONSTANT, Driver, across_the_room, amounts, base_of, simple, smooth
+from ltsim.scene.sightings import Sightings
+
+POINTED = ("azimuth", "elevation", "distance")
+OWN = (*POINTED, "time", "station-time", "height", "bearing", "x", "y")
+_CIRCLES = ("circle", "vertical-circle")
+_BALL = ("incidence", "nest-direction")
+_SIGNS = ("face", "approach-azimuth", "approach-elevation", "parity", "seating-parity", "repeat")
+OPERATORS = ("last", "move", "work")
+"""The value before, the change since then, the sum of the changes' sizes."""
+REMEMBERED = ("wound-azimuth", "lapse", *(f"{how}-{name}" for how in OPERATORS for name in POINTED))
+FOLLOWED = tuple(dict.fromkeys((*OWN, "z", *_CIRCLES, *_BALL, *_SIGNS, *REMEMBERED)))
+"""Everything that a reading can follow beside columns of the recording."""
+_HEAD = ("azimuth", "elevation", *_CIRCLES, *_SIGNS, *(n for n in REMEMBERED if not n.endswith("distance")))
+DRIVES: dict[str, tuple[str, ...]] = {
+    "instrument": (*CLOCKS, *_HEAD, "distance", "height", "move-distance", "last-distance", "work-distance"),
+    "circle": (*CLOCKS, "lapse", *_SIGNS[3:]),
+    "stand": (*CLOCKS, "azimuth", "elevation", "distance", "wound-azimuth", "work-azimuth", "lapse", "last-target"),
+    "target": ("time", "station", *_SIGNS[3:]),
+    "reflector": ("time", "lapse", "last-target", *_SIGNS[3:], *_BALL),
+    "air": CLOCKS,
+}
+"""What each kind of carrier can follow beside columns of the recording: a wall does not know where a tracker looks; its
+stand does, for a head is never quite in balance, and the floor gives under whoever holds the reflector."""
+DECAYS = np.array([0.03, 0.1, 0.3, 1.0])
+"""Time constants of decays over a clock's span: what lies between two of them is within a factor of two of one."""
+MEMORIES = (60.0, 300.0, 1000.0, 3000.0)
+"""[s] Lags that are tried: of detectors, of parts of an instrument, of stands, of walls and floors."""
+FEW_VISITS, MOST_VISITS, MOST_AMOUNTS = 3, 12, 60
+"""Set-ups beyond and up to whose number each may have a value of its own (of few, one or two stand out); targets up to
+whose number."""
+WAVE_STEP = 0.6
+"""Step of the rates tried for a wave, in cycles over the covariate's span: no rate lies far from one that is tried."""
+MOST_CYCLES, LEAST_OF_A_CYCLE = 60, 8
+"""Cycles over a covariate's span that a wave may have, and pointings that each must have."""
+ROUNDING = 1e-12
+"""[rad, m, s] Spread of what a pointing says that is none: elevations in a plan differ by 1e-31."""
+COST = 1.0 / 3.0
+"""Prior odds that an operator, or a second factor, costs: odds of one in three that there is one."""
+DEPTHS = {
+    "constant": 0,
+    "sign": 0,
+    "curve": 0,
+    "clock": 0,
+    "decay": 0,
+    "wave": 0,
+    "memory": 1,
+    "lag": 1,
+    "amounts": 1,
+    "room": 1,
+    "product": 2,
+}
+"""Operators, and factors beyond one, of each kind of drivers."""
+
+
+def further(sightings: Sightings) -> list[str]:
+    """Columns of the recording beyond the format's that vary."""
+    return [name for name, values in sightings.covariates.items() if np.nanstd(values) > 0]
+
+
+def _varying(sightings: Sightings, names: Iterable[str]) -> list[str]:
+    """What of some quantities varies here."""
+    seen, faces = np.isfinite(sightings.incidence).any(), np.ptp(sightings.face) > 0
+    asked = [n for n in names if (seen or n not in _BALL) and (faces or n not in _CIRCLES)]
+    floor = {n: ROUNDING * (base_of(n) not in sightings.covariates) for n in asked}
+    return [n for n in asked if np.ptp(sightings.quantities[n]) > floor[n]]
+
+
+def moves(kind: str, driver: Driver, sightings: Sightings) -> bool:
+    """Whether a driver can move a kind of carrier; a reading may err with anything."""
+    names = [*driver.covariates, *(n for f in driver.factors if f.kind != "field" for n in f.covariates)]
+    return kind == "reading" or all(n in DRIVES[kind] or base_of(n) in sightings.covariates for n in names)
+
+
+def drivers_of(sightings: Sightings, modes: int = MODES) -> dict[str, list[Driver]]:
+    """Every driver that is tried, by kind; curves with so many `modes`."""
+    s, columns = sightings, further(sightings)
+    own = _varying(s, (*OWN, *columns, *_CIRCLES, *_BALL))
+    before = _varying(s, (*REMEMBERED, *(f"{how}-{name}" for how in OPERATORS for name in columns)))
+    signs = [n for n in _varying(s, _SIGNS) if n != "seating-parity" or _apart(s)]
+    return {
+        "constant": [CONSTANT],
+        "sign": [simple(name, "power") for name in signs],
+        "curve": [smooth(name, modes) for name in own],
+        "clock": local_drivers(s),
+        "decay": [simple(n, "decay", float(t)) for n in CLOCKS if n in own for t in np.ptp(s.quantities[n]) * DECAYS],
+        "memory": [
+            *(smooth(name, modes) for name in before),
+            *(simple(name, "abs") for name in before if name.startswith("move-")),
+        ],
+        "lag": lags(s, (*columns, "elevation", "distance", "move-azimuth", "move-elevation")),
+        "amounts": [*_each_visit(s, FEW_VISITS + 1), *_each_before(s)],
+        "wave": list(waves(s)),
+        "room": [*across_the_room(_slow_waves(s), 1), *across_the_room(local_drivers(s), 2)],
+        "product": list(products(s)),
+    }
+
+
+def local_drivers(sightings: Sightings) -> list[Driver]:
+    """What happens to targets: it goes with the clock, or with what the recording's further columns say."""
+    names = _varying(sightings, ("time", *further(sightings)))
+    straight = [simple(name, "power") for name in names]
+    return [*straight, *(smooth(name, LOW) for name in names), *lags(sightings, further(sightings))]
+
+
+def group_drivers(sightings: Sightings) -> dict[str, list[Driver]]:
+    """What happens to targets that belong together: they move as one, another way at each set-up, or tilt."""
+    local, each = local_drivers(sightings), _each_visit(sightings, 2)
+    return {
+        "constant": [CONSTANT],
+        "clock": local,
+        "amounts": each,
+        "wave": _slow_waves(sightings),
+        "room": across_the_room([*local, *each], 1),
+    }
+
+
+def _apart(sightings: Sightings) -> bool:
+    """Whether seatings and pointings alternate differently."""
+    one, other = (sightings.quantities[name] for name in ("parity", "seating-parity"))
+    return abs(float(one @ other)) < len(one)
+
+
+def _each_visit(sightings: Sightings, least: int) -> list[Driver]:
+    count = len(np.unique(sightings.station))
+    return [amounts("station", count)] if least <= count <= MOST_VISITS else []
+
+
+def _each_before(sightings: Sightings) -> list[Driver]:
+    count = len(sightings.target_names)
+    return [amounts("last-target", count)] if 1 < count <= MOST_AMOUNTS else []
+
+
+def lags(sightings: Sightings, names: Iterable[str]) -> list[Driver]:
+    """Drivers that follow quantities with a lag."""
+    varying = _varying(sightings, names)
+    return [Driver("lagging", (name,), constant=t) for t in MEMORIES if np.ptp(sightings.time) > t for name in varying]
+
+
+def products(sightings: Sightings) -> Iterator[Driver]:
+    """Products of two drivers: a sign or a move with a curve, two curves, another curve for each instrument."""
+    names = _varying(sightings, (*OWN[:7], *further(sightings), *_CIRCLES, *_BALL))
+    trackers = len(np.unique(sightings.instrument))
+    if 1 < trackers <= MOST_VISITS:
+        own = amounts("instrument", trackers)
+        yield from (Driver("product", factors=(smooth(name, LOW), own)) for name in names)
+    for sign in _varying(sightings, _SIGNS[:3]):
+        yield from (Driver("product", factors=(simple(sign, "power"), smooth(name, LOW))) for name in names)
+    weights = [simple("distance", "power"), simple("elevation", "power")]
+    weights += [smooth("lapse", LOW)] if np.ptp(sightings.quantities["lapse"]) > 0 else []  # a move is forgotten
+    for move in _varying(sightings, [f"move-{name}" for name in POINTED]):
+        lengths = (simple(move, how) for how in ("abs", "power"))
+        yield from (Driver("product", factors=(length, weight)) for length in lengths for weight in weights)
+    for one, other in combinations(names, 2):
+        if {one, other} not in ({"time", "station-time"}, {"azimuth", "bearing"}) and other not in _CIRCLES:
+            yield Driver("product", factors=(smooth(one, LOW), smooth(other, LOW)))
+
+
+def rates(sightings: Sightings, name: str, most: float) -> Floats:
+    """Rates of waves in a quantity with up to `most` cycles over its span."""
+    span = float(np.ptp(sightings.quantities[name]))
+    return 2 * np.pi * np.arange(1.0, most, WAVE_STEP) / span if span > ROUNDING else np.zeros(0)
+
+
+def waves(
+    sightings: Sightings, names: Sequence[str] = ("time", *POINTED, "x", "y", "z", "station-time"), among: int = 1
+) -> Iterator[Driver]:
+    """Waves in some quantities, of which each of so many parts has its share of pointings."""
+    most = min(len(sightings) / LEAST_OF_A_CYCLE, MOST_CYCLES) / among
+    for name in names:
+        for rate in rates(sightings, name, most):
+            yield Driver("wave", (name,), constant=float(rate))
+
+
+SLOW = 18
+"""Rates of waves, the slowest ones, that targets are tried with."""
+
+
+def _slow_waves(sightings: Sightings) -> list[Driver]:
+    return list(waves(sightings, ("time",)))[:SLOW]

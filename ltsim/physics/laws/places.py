@@ -1,0 +1,75 @@
+"""Places where a law may act: set-ups, targets, and targets that belong together."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.cluster.hierarchy import linkage
+
+from ltsim.core.arrays import Ints
+from ltsim.scene.sightings import Sightings
+
+NEIGHBOURS = (3, 6)
+"""Targets around one that may move with it."""
+LEVEL = 5.0
+"""Weight of heights in the tree of levels: a fifth of the room up counts as much as a surface turned by 60 deg."""
+LEAST_GROUP = 3
+"""Targets of a group, and targets beside it, at least."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a law acts: names of set-ups or targets, and their pointings."""
+
+    stations: tuple[str, ...]
+    targets: tuple[str, ...]
+    rows: Ints
+    instruments: tuple[str, ...] = ()
+
+
+def each(names: Sequence[str], members: Ints) -> Iterator[tuple[str, Ints]]:
+    """Names with their pointings, where they have any."""
+    rows = ((name, np.flatnonzero(members == i)) for i, name in enumerate(names))
+    return (pair for pair in rows if len(pair[1]))
+
+
+def stations_of(s: Sightings, rows: Ints) -> tuple[str, ...]:
+    """Names of the set-ups of some pointings."""
+    return tuple(s.station_names[k] for k in np.unique(s.station[rows]))
+
+
+def trackers_of(s: Sightings, names: Sequence[str]) -> tuple[Place, ...]:
+    """The set-ups of each of several instruments."""
+    places = tuple(Place(stations_of(s, rows), (), rows, (name,)) for name, rows in each(names, s.instrument))
+    return places if len(places) > 1 else ()
+
+
+def branches(s: Sightings) -> set[tuple[int, ...]]:
+    """Targets that belong together: by where they stand, and by the surface that they hang on or its level.
+
+    These are the branches of three trees (average linkage); a surface is known by where its nests look.
+    """
+    if len(s.points) < 2 * LEAST_GROUP:
+        return set()
+    look = np.nan_to_num(s.nest_normal) * np.ptp(s.points, axis=0).max()
+    found = set()
+    for features in (s.points, np.hstack([s.points, look]), np.hstack([s.points[:, 2:] * LEVEL, look])):
+        tree = [[t] for t in range(len(features))]
+        for one, other in linkage(features, "average")[:, :2].astype(int):
+            tree.append(sorted(tree[one] + tree[other]))
+        found |= {tuple(b) for b in tree if LEAST_GROUP <= len(b) <= len(features) - LEAST_GROUP}
+    return found
+
+
+def corners_of(s: Sightings) -> set[tuple[int, ...]]:
+    """Groups of a target and the few that stand nearest to it."""
+    near = [np.argsort(np.linalg.norm(s.points - point, axis=1), kind="stable") for point in s.points]
+    return {tuple(sorted(n[: k + 1].tolist())) for n in near for k in NEIGHBOURS if 2 * k < len(n)}
+
+
+def together(s: Sightings, sets: set[tuple[int, ...]]) -> Iterator[Place]:
+    """Places of some targets, with pointings to them."""
+    for members in sorted(sets):
+        rows = np.flatnonzero(np.isin(s.target, members))
+        if len(rows):
+            yield Place((), tuple(s.target_names[t] for t in members), rows)

@@ -1,0 +1,92 @@
+"""Noise that no card describes: where it grows, and amounts that repeat; its carrier is the noise."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ltsim.core.arrays import Floats, Ints
+from ltsim.physics.effects.signature import NoiseSignature, Parameter
+from ltsim.physics.laws.columns import MEMORY
+from ltsim.recordings.recording import OBSERVABLES
+from ltsim.scene.sightings import Sightings
+
+REPEATS = EACH_FACE, BOTH_FACES = ("in each face", "in both faces")
+"""How amounts may repeat: what errs on the way to a target is in the ranges of both faces."""
+
+
+def owners_of(sightings: Sightings, each: str) -> tuple[tuple[str, ...], Ints]:
+    """Names of all targets, or of all stations, and that (n,) of each pointing."""
+    if each == "station":
+        return tuple(sightings.station_names), sightings.station
+    return tuple(sightings.target_names), sightings.target
+
+
+@dataclass(frozen=True)
+class NoisePattern(NoiseSignature):
+    """Noise of some observables that grows with a covariate, or is larger at some targets: not in the catalogue.
+
+    variance = sigma^2 (1 + value * pattern), the pattern running from 0 to 1 over the network. Each of its `owners`,
+    the names of all targets or stations, has a value of its own; where they are `apart`, one for each observable.
+    """
+
+    observables: tuple[str, ...] = OBSERVABLES
+    covariates: tuple[str, ...] = ()
+    targets: tuple[str, ...] = ()
+    stations: tuple[str, ...] = ()
+    instruments: tuple[str, ...] = ()
+    falling: bool = False
+    repeating: str = ""
+    each: str = ""
+    owners: tuple[str, ...] = ()
+    apart: bool = False
+
+    name = "unknown"
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """One size; one for each of the owners where each has its own noise."""
+        kinds = [f"-{name}" for name in self.observables] if self.apart else [""]
+        names = [f"added-variance{kind} at {name}" for name in self.owners for kind in kinds]
+        return tuple(
+            Parameter(n, "", "variance added where the pattern is 1, over the stated", 3.0)
+            for n in names or ["added-variance"]
+        )
+
+    @property
+    def carrier(self) -> str:
+        """What errs: a reading whose amounts repeat, the noise otherwise."""
+        return self.observables[0] if self.repeating and len(self.observables) == 1 else "noise"
+
+    @property
+    def driver(self) -> str:
+        """What it follows, in words."""
+        return "station and target" if self.repeating else self.each or " ".join(self.covariates)
+
+    @property
+    def law(self) -> str:
+        """What the noise does, in words."""
+        if self.repeating:
+            again = ", in both faces" if self.repeating == BOTH_FACES else ""
+            return f"amounts without a visible law that repeat when a target is measured again{again}"
+        if self.each:
+            what = self.each.replace("station", "set-up")
+            return f"noise that differs from {what} to {what}" + (
+                ", in each observable by itself" if self.apart else ""
+            )
+        if not self.covariates:
+            return "larger noise"
+        return f"noise that {'falls' if self.falling else 'grows'} with {self.covariates[0]}"
+
+    def variance(self, sightings: Sightings, sigma: Floats, values: Floats) -> Floats:
+        """Variance (n, 3)."""
+        if self.each:
+            added = values.reshape(len(self.owners), -1)[owners_of(sightings, self.each)[1]]
+            return np.asarray(sigma**2 * (1.0 + added))
+        pattern = self.mask(sightings)
+        for name in self.covariates:
+            x = np.abs(sightings.quantities[name]) if name.startswith(MEMORY) else sightings.quantities[name]
+            x = (x - x.min()) / max(float(np.ptp(x)), 1e-12)
+            pattern = pattern * ((1 - x) if self.falling else x) ** 2
+        acts = [float(o in self.observables) for o in OBSERVABLES]
+        grown: Floats = sigma**2 * (1.0 + values[0] * pattern[:, None] * np.array(acts))
+        return grown

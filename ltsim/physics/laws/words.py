@@ -1,0 +1,189 @@
+"""Laws in words: ``exp(-station-time / 8 min)``, ``a smooth function of time``; what is told can be read."""
+
+import re
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from ltsim.core.errors import ModelError
+from ltsim.physics.laws.carriers import CARRIERS
+from ltsim.physics.laws.columns import LOW, MODES
+from ltsim.physics.laws.drivers import CLOCKS, PLACE, Driver, amounts, pieces
+from ltsim.physics.laws.law import Law
+from ltsim.physics.laws.offered import FOLLOWED, OPERATORS
+from ltsim.recordings.recording import Recording
+
+ANGLES = ("azimuth", "bearing", "circle", "elevation", "nest-direction")
+SECONDS = (*CLOCKS, "lapse")
+METRES = ("distance", "height", "move-distance", "last-distance", "x", "y", "z")
+"""Covariates that are told in degrees, in minutes or seconds, in metres."""
+SAID = {
+    "parity": "the parity of the order (every other pointing)",
+    "seating-parity": "the parity of the seatings (every other target)",
+    "station": "the station",
+    "target": "the target",
+    "last-target": "the target before",
+}
+OWNERS = ("station", "target", "last-target")
+"""What may have amounts of its own."""
+PHRASES: dict[tuple[str, str, float | None], str] = {
+    ("constant", "", None): "constant",
+    ("smooth", "", None): "a smooth function of {x}",
+    ("field", "", None): "the place in the room",
+    ("amounts", "", None): "{x}, another at each",
+    ("lagging", "", None): "{x} with a lag of {value}",
+    ("wave", "turn", 1.0): "a wave in {x}, 1 period a turn",
+    ("wave", "turn", None): "a wave in {x}, {k} periods a turn",
+    ("wave", "period", None): "a wave in {x} with a period of {value}",
+    ("cycle", "turn", 1.0): "a cycle in {x}, 1 period a turn",
+    ("cycle", "turn", None): "a cycle in {x}, {k} periods a turn",
+    ("cycle", "period", None): "a cycle in {x} with a period of {value}",
+    ("simple", "sin", 1.0): "sin({x})",
+    ("simple", "sin", None): "sin({k} {x})",
+    ("simple", "cos", 1.0): "cos({x})",
+    ("simple", "cos", None): "cos({k} {x})",
+    ("simple", "tan", 1.0): "tan({x})",
+    ("simple", "tan", None): "tan({k} {x})",
+    ("simple", "abs", 1.0): "|{x}|",
+    ("simple", "decay", None): "exp(-{x} / {value})",
+    ("simple", "fading", None): "exp(-|{x}| / {value})",
+    ("simple", "relaxing", None): "1 / (1 + {x} / {value})",
+    ("simple", "saturated", None): "saturation({x}, half at {value})",
+    ("simple", "step", None): "step({x} above {value})",
+    ("simple", "ramp", None): "ramp({x} from {value})",
+    ("simple", "power", -1.0): "1/{x}",
+    ("simple", "power", None): "{x}^{k}",
+    ("simple", "power", 1.0): "{x}",
+}
+"""What is said of a kind of driver, its function and its constant (None: any): x is a covariate, k the constant, and
+value a constant, or a wave's period, with its unit."""
+UNIT_OF = {"lagging": "time"}
+"""Covariates whose unit the constant of such a driver has."""
+LEAST = {"min": 2.0, "m": 1.0}
+"""Values from which a unit is used that has a smaller one beside it: 90 s, but 2 min; 400 mm, but 1 m."""
+IN_ITS_OWN_WAY = ", in its own way at each set-up"
+"""Said after the driver of a law that has coefficients of its own for each set-up."""
+AT_EACH = ", another at each instrument"
+"""Said after the other factor of a product that each instrument has of its own."""
+BETWEEN = {"product": " times ", "pieces": ", "}
+
+
+def value_of(name: str, value: float, *, clock: bool = True) -> str:
+    """A value of a covariate with its unit, in a person's words; without a `clock` time is told by rows."""
+    units = _units(name, clock)
+    *larger, last = units
+    unit = next((u for u in larger if abs(value) >= LEAST[u] * units[u]), last)
+    digits = 4 if unit in ("mm", "") else 3
+    return f"{value / units[unit]:.{digits}g} {unit}".rstrip()
+
+
+def _units(name: str, clock: bool) -> dict[str, float]:
+    """Units in which a covariate is told [SI], the larger one first."""
+    if name.endswith((*ANGLES, "incidence")):
+        return {"deg": np.pi / 180.0}
+    if name in SECONDS:
+        return {"min": 60.0, "s": 1.0} if clock else {"rows": 1.0}
+    return {"m": 1.0, "mm": 1e-3} if name in METRES else {"": 1.0}
+
+
+def describe(driver: Driver, *, clock: bool = True) -> str:
+    """A driver in words."""
+    if driver.owned:
+        return describe(driver.factors[0], clock=clock) + AT_EACH
+    if driver.kind in BETWEEN:
+        return BETWEEN[driver.kind].join(describe(f, clock=clock) for f in driver.factors)
+    name, k, how = "".join(driver.covariates[-1:]), driver.constant, driver.function
+    if driver.kind in ("wave", "cycle"):
+        how = "turn" if name.endswith(ANGLES) else "period"
+    phrase = PHRASES.get((driver.kind, how, k)) or PHRASES[driver.kind, how, None]
+    unit = UNIT_OF.get(driver.kind, name)
+    value = value_of(unit, 2 * np.pi / k if how == "period" else k, clock=clock)
+    return phrase.format(x=SAID.get(name, name), k=f"{k:.4g}", value=value)
+
+
+EXAMPLES = (
+    "constant",
+    "time^2",
+    "sin(2 elevation)",
+    "exp(-time / 8 min)",
+    "step(time above 47 min)",
+    "a wave in x with a period of 400 mm",
+    "a smooth function of circle",
+    "face times distance",
+)
+"""What a driver may look like."""
+_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?"
+_GROUPS = {"x": "(?P<x>.+)", "k": f"(?P<k>{_NUMBER})", "value": f"(?P<value>{_NUMBER}) ?(?P<unit>[a-z]*)"}
+_STEPS = re.compile(r", (?=step\(|ramp\()")
+
+
+def read_law(
+    carrier: str, words: str, recording: Recording, *, stations: tuple[str, ...] = (), targets: tuple[str, ...] = ()
+) -> Law:
+    """The law of a carrier that follows a driver, as `describe` tells it, at some places; raises ModelError."""
+    if carrier not in CARRIERS:
+        raise ModelError(f"there is no carrier called '{carrier}'; carriers are {', '.join(CARRIERS)}")
+    driver, each = read_driver(words.removesuffix(IN_ITS_OWN_WAY), recording), words.endswith(IN_ITS_OWN_WAY)
+    if each and (stations or targets):
+        raise ModelError(f"'{words}' goes with all set-ups, not with {', '.join((*stations, *targets))}")
+    owned = [f for f in (driver, *driver.factors) if f.covariates == ("target",)]
+    driver = Driver("product", factors=(driver,)) if owned == [driver] else driver
+    if not targets and owned:
+        raise ModelError(f"'{words}' goes with some targets, named behind the law: {carrier} ~ {words}:TARGET,TARGET")
+    if targets or any(factor.kind == "wave" for factor in driver.factors):  # a group tilts, the whole may bend
+        orders = {PLACE: 1.0, ("target",): float(len(targets))}
+        factors = (
+            replace(f, around=targets, constant=orders[f.covariates]) if f.covariates in orders else f
+            for f in driver.factors
+        )
+        driver = replace(driver, factors=tuple(factors))
+    return Law(recording.stations if each else stations, targets, CARRIERS[carrier][0], driver, each=each)
+
+
+def read_driver(words: str, recording: Recording, modes: int = MODES) -> Driver:
+    """The driver that some words describe, `describe` backwards; a smooth one has so many modes; raises ModelError."""
+    factors, steps = words.split(BETWEEN["product"]), _STEPS.split(words)
+    if words.endswith(AT_EACH):
+        own = amounts("instrument", len(recording.instruments))
+        return Driver("product", factors=(read_driver(words.removesuffix(AT_EACH), recording, LOW), own))
+    if len(factors) > 1:
+        return Driver("product", factors=tuple(read_driver(factor.strip(), recording, LOW) for factor in factors))
+    if len(steps) > 1:
+        return pieces([read_driver(step, recording) for step in steps])
+    further = recording.circumstances
+    known = (*FOLLOWED, *further, *(f"{how}-{name}" for how in OPERATORS for name in further))
+    names = {"": ""} | {SAID.get(name, name): name for name in (*known, *OWNERS)}
+    for (kind, how, constant), phrase in PHRASES.items():
+        pattern = re.sub(r"\\{(\w+)\\}", lambda group: _GROUPS[group[1]], re.escape(phrase))
+        if not (found := re.fullmatch(pattern, words)):
+            continue
+        said: dict[str, str] = found.groupdict()
+        name = names.get(said.get("x", ""))
+        if name is None or (how == "turn" and not name.endswith(ANGLES)) or (name in OWNERS) != (kind == "amounts"):
+            continue
+        many = len(np.unique(recording.station)) if name == "station" else len(recording.targets)
+        k = constant or {"smooth": modes, "field": 2.0, "amounts": many}.get(kind, 0.0)
+        if "k" in said or "value" in said:
+            k = _constant(words, UNIT_OF.get(kind, name), said, recording.has_clock)
+            if k <= 0.0 and how not in ("step", "ramp", "power"):
+                raise ModelError(f"'{words}': expected a number above zero")
+        along = PLACE if kind == "field" else (name,) if name else ()
+        constant = 2 * np.pi / k if how == "period" else k
+        return Driver(kind, along, how if kind == "simple" else "", constant)
+    raise ModelError(
+        f"'{words}' is nothing that a law can follow here; expected words such as {'; '.join(EXAMPLES)}; with one of "
+        f"{', '.join(known)}"
+    )
+
+
+def _constant(words: str, name: str, said: Mapping[str, str], clock: bool) -> float:
+    """The number in some words [SI]."""
+    if "k" in said:
+        return float(said["k"])
+    units, unit = _units(name, clock), said["unit"]
+    if unit not in units:
+        raise ModelError(
+            f"'{words}': expected a value of {name} {' or '.join(f'in {u}' if u else 'alone' for u in units)}"
+        )
+    return float(said["value"]) * units[unit]

@@ -1,0 +1,358 @@
+"""A tracker construction: a kinematic chain with its error parameters, exact in both directions."""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import cache, cached_property
+from typing import Self
+
+import numpy as np
+
+from ltsim.core.arrays import Floats, Ints
+from ltsim.core.errors import ModelError, NetworkError, unknown_name
+from ltsim.core.units import ARCSECOND, MICROMETRE, PPM
+from ltsim.geometry.kinematics.chain import Chain, point, point_and_derivatives
+from ltsim.geometry.kinematics.dh import DH
+from ltsim.geometry.kinematics.misalignment import MISALIGNMENT
+from ltsim.geometry.kinematics.steering_mirror import STEERING_MIRROR
+from ltsim.geometry.polar import polar_jacobian, to_face, to_polar, wrap
+from ltsim.physics.effects import BASELINE
+from ltsim.physics.effects.azimuth_eccentricity import AzimuthEccentricity
+from ltsim.physics.effects.azimuth_second_order import AzimuthSecondOrder
+from ltsim.physics.effects.effect import Basis, Lobe, Parameter, Power, SlotEffect, Term, one
+from ltsim.physics.effects.range_offset import RangeOffset
+from ltsim.physics.effects.range_scale import RangeScale
+from ltsim.physics.effects.signature import PriorKind
+from ltsim.physics.effects.transit_offset import TransitOffset
+from ltsim.physics.effects.transit_tilt import TransitTilt
+from ltsim.physics.effects.vertical_index import VerticalIndex
+from ltsim.recordings.recording import Recording
+
+NEWTON_STEPS = 12
+CLOSED = 1e-14
+NEARLY = 1e-11
+"""[m, rad] gap that a last step with the exact derivative closes to rounding."""
+
+
+@dataclass(frozen=True)
+class Construction:
+    """A chain and the parameters that feed its slots."""
+
+    name: str
+    chain: Chain
+    parameters: tuple[Parameter, ...]
+    terms: tuple[Term, ...]
+    """One a parameter: slot and basis."""
+
+    @property
+    def size(self) -> int:
+        """Number of parameters p."""
+        return len(self.parameters)
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters in the order of the vector."""
+        return tuple(p.name for p in self.parameters)
+
+    def names_of(self, instruments: Sequence[str]) -> tuple[str, ...]:
+        """Names (I p) of the parameters of all instruments: ``beam-tilt@NAME`` where there are several."""
+        marks = [f"@{name}" if name and len(instruments) > 1 else "" for name in instruments]
+        return tuple(name + mark for mark in marks for name in self.names)
+
+    def index(self, name: str) -> int:
+        """Place of a parameter in the vector."""
+        if name not in self.names:
+            raise unknown_name("instrument parameter", name, self.names)
+        return self.names.index(name)
+
+    def only(self, places: Iterable[int]) -> Self:
+        """The same chain with some of the parameters."""
+        kept = [int(k) for k in places]
+        parameters, terms = tuple(self.parameters[k] for k in kept), tuple(self.terms[k] for k in kept)
+        return replace(self, parameters=parameters, terms=terms)
+
+    @cached_property
+    def _moving(self) -> tuple[Chain, tuple[str, ...]]:
+        """The chain with slots on all motions that a reading drives, and those of range, azimuth and elevation."""
+        still, chain, slots = np.zeros((1, 3)), list(self.chain), []
+        for column in range(3):
+            moved = np.eye(3)[[column]]
+            driven = (m.nominal is not None and m.nominal(moved)[0] != m.nominal(still)[0] for m in self.chain)
+            place = list(driven).index(True)
+            motion = self.chain[place]
+            slots.append(motion.slot or f"reading-{column}")
+            chain[place] = replace(motion, slot=slots[-1])
+        return tuple(chain), tuple(slots)
+
+    def bases(self, raw: Floats) -> Floats:
+        """(n, p): each parameter's basis at raw readings (n, 3)."""
+        found = np.ones((len(self.terms), len(raw)))
+        for k, term in self._varying:
+            found[k] = term.basis(raw)
+        return found.T
+
+    @cached_property
+    def _varying(self) -> list[tuple[int, Term]]:
+        """Terms whose basis is not 1 everywhere, with their places."""
+        return [(k, term) for k, term in enumerate(self.terms) if term.basis is not one]
+
+    def errors(self, raw: Floats, values: Floats) -> dict[str, Floats]:
+        """Amount (n,) added to each slot; `values` (p,) or one row a pointing (n, p) [SI]."""
+        return self._amounts(self.bases(raw), values)
+
+    def _amounts(self, bases: Floats, values: Floats) -> dict[str, Floats]:
+        amounts: dict[str, Floats] = {}
+        for term, amount in zip(self.terms, (bases * values).T, strict=True):
+            amounts[term.slot] = amounts[term.slot] + amount if term.slot in amounts else amount
+        return amounts
+
+    def point(self, raw: Floats, values: Floats) -> Floats:
+        """Point (n, 3) [m] in the instrument frame that raw readings (n, 3) describe; exact."""
+        return point(self.chain, raw, self.errors(raw, values))
+
+    def linearised(self, raw: Floats, values: Floats) -> tuple[Floats, Floats, Floats]:
+        """Point (n, 3), its derivative by the raw readings (n, 3, 3) and by the parameters (n, 3, p).
+
+        The derivative by the readings leaves out that the bases depend on them (a relative 1e-5 of it, the
+        size of the errors themselves); Newton's method corrects for that, as does Gauss-Newton.
+        """
+        (chain, driven), bases = self._moving, self.bases(raw)
+        slots = {term.slot for term in self.terms} | set(driven)
+        p, by_slot = point_and_derivatives(chain, raw, self._amounts(bases, values), slots)
+        by_reading = np.stack([by_slot[slot] for slot in driven], axis=2)
+        if not self.terms:
+            return p, by_reading, np.zeros((len(raw), 3, 0))
+        by_value = np.stack([by_slot[term.slot] for term in self.terms], axis=2)
+        return p, by_reading, by_value * bases[:, None, :]
+
+    def readings(self, points: Floats, face: Ints, values: Floats) -> Floats:
+        """Raw readings (n, 3) of points (n, 3) [m] in the instrument frame; exact."""
+        raw = self._approached(points, face, values, CLOSED)
+        raw[:, 1] = wrap(raw[:, 1])
+        return raw
+
+    def _approached(self, points: Floats, face: Ints, values: Floats, closed: float) -> Floats:
+        """Raw readings (n, 3) of points, azimuths unwrapped, to a gap of `closed`.
+
+        Newton's method with the ideal tracker's derivative: each step closes the gap by a factor of the size
+        of the errors (1e-5), so that three steps reach rounding. The next step is as much smaller than the last
+        as that was than the one before; where it would be below `closed` it is not taken.
+        """
+        polar = to_polar(points)
+        raw = to_face(polar, face)
+        if not np.any(values):
+            return raw
+        by_point, before = polar_jacobian(polar, face), np.inf
+        for _ in range(NEWTON_STEPS):
+            step = np.einsum("nij,nj->ni", by_point, points - self.point(raw, values))
+            raw = raw + step
+            size = float(np.max(np.abs(step), initial=0.0))
+            if not (size > closed and (before == np.inf or size * size > closed * before)):
+                break
+            before = size
+        return raw
+
+    def readings_and_design(self, points: Floats, face: Ints, values: Floats) -> tuple[Floats, Floats, Floats]:
+        """`readings` of points and `reading_design` there, in one go."""
+        raw = self._approached(points, face, values, NEARLY)
+        reached, by_reading, by_value = self.linearised(raw, values)
+        by_point: Floats = np.asarray(np.linalg.inv(by_reading), dtype=np.float64)
+        raw = raw + np.einsum("nij,nj->ni", by_point, points - reached)
+        raw[:, 1] = wrap(raw[:, 1])
+        return raw, by_point, -by_point @ by_value
+
+    def reading_design(self, raw: Floats, values: Floats) -> tuple[Floats, Floats]:
+        """Derivative of the raw readings by the local point (n, 3, 3) and by the parameters (n, 3, p)."""
+        _, by_reading, by_value = self.linearised(raw, values)
+        by_point = np.asarray(np.linalg.inv(by_reading), dtype=np.float64)
+        return by_point, -by_point @ by_value
+
+
+def misalignment(effects: Iterable[SlotEffect] = BASELINE) -> Construction:
+    """The geometric-misalignment construction with the parameters of `effects` (default: all 16)."""
+    chosen = tuple(effects)
+    return Construction(
+        "misalignment",
+        MISALIGNMENT,
+        tuple(p for effect in chosen for p in effect.parameters),
+        tuple(t for effect in chosen for t in effect.terms),
+    )
+
+
+BOUNDS: dict[str, tuple[str, float]] = {
+    "offset": ("um", 20 * MICROMETRE),
+    "angle": ("urad", 3 * ARCSECOND),
+    "range_offset": ("um", 10 * MICROMETRE),
+    "range_scale": ("ppm", 2 * PPM),
+}
+"""Unit and prior sigma of a parameter by the guarantee that bounds it."""
+
+SUFFIX = ("c", "sin", "cos", "sin2", "cos2", "sin3", "cos3", "sin4", "cos4")
+"""Names of the coefficients of a rotary joint's error function."""
+MOTIONS = ("eX", "eY", "eZ", "dX", "dY", "dZ")
+HIGHEST_ORDER, HIGHEST_DEGREE = 4, 9
+
+DH_PHYSICAL: dict[str, PriorKind] = {
+    "J1.dX_c": "offset",
+    "T.dX_0": "offset",
+    "T.dY_0": "offset",
+    **dict.fromkeys(("J1.eX_c", "J2.eX_c", "J2.eY_c"), "angle"),
+    **dict.fromkeys(
+        (f"{joint}.eY_{wave}" for joint in ("J1", "J2") for wave in ("sin", "cos", "sin2", "cos2")), "angle"
+    ),
+    "T.dZ_0": "range_offset",
+    "T.dZ_1": "range_scale",
+}
+"""D-H coefficients that span the misalignments of a source in the head, with the guarantee that bounds each."""
+
+_SPAN = 5.0
+
+
+def dh(harmonics: int = 2, degree: int = 2, *, extra: float = 0.05) -> Construction:
+    """The paper's D-H construction with all coefficients of eq. 3, 4, 6, 7 (78 at order 2 and degree 2).
+
+    Parameters
+    ----------
+    harmonics : int
+        Order of the rotary joints' error functions, 0 to 4.
+    degree : int
+        Degree of the range axis' polynomials in d.
+    extra : float
+        Prior sigma of the coefficients beyond the physical set, as a share of 5 um or 1 arcsec: they are a
+        penalised remainder, not free parameters: most of them repeat others (`kinematics.dh`).
+
+    Notes
+    -----
+    Sine and cosine coefficients replace the paper's amplitude and phase, which is undefined at zero
+    amplitude. Units: um and urad; a polynomial's coefficient k is per metre^k.
+    """
+    joints = [(f"{joint}.{motion}", column) for joint, column in (("J1", 1), ("J2", 2)) for motion in MOTIONS]
+    waves = range(2 * harmonics + 1)
+    rows = [(slot, SUFFIX[k], _harmonic(column, k), 1.0) for slot, column in joints for k in waves]
+    rows += [(f"T.{motion}", str(k), Power(k), _SPAN**-k) for motion in MOTIONS for k in range(degree + 1)]
+    parameters, terms = [], []
+    for slot, end, basis, scale in rows:
+        name = f"{slot}_{end}"
+        kind = DH_PHYSICAL.get(name)
+        penalised = ("urad", ARCSECOND) if ".e" in slot else ("um", 5 * MICROMETRE)
+        unit, sigma = BOUNDS[kind] if kind else (penalised[0], extra * penalised[1] * scale)
+        parameters.append(Parameter(name, unit, f"coefficient {name} of eq. 8", sigma, kind))
+        terms.append(Term(slot, basis))
+    return Construction("dh", DH, tuple(parameters), tuple(terms))
+
+
+def _harmonic(column: int, k: int) -> Basis:
+    """Basis number k of a joint's error function: 1, sin x, cos x, sin 2x, cos 2x, ..."""
+    return Lobe("sin" if k % 2 else "cos", column, (k + 1) // 2) if k else one
+
+
+SHARED: tuple[SlotEffect, ...] = (
+    RangeOffset(),
+    RangeScale(),
+    TransitOffset(),
+    TransitTilt(),
+    VerticalIndex(),
+    AzimuthEccentricity(),
+    AzimuthSecondOrder(),
+)
+"""Causes that the design with the source in the head has too; they feed the same slots of another chain."""
+MIRROR: tuple[tuple[str, PriorKind, Lobe | None, str], ...] = (
+    ("mirror-offset", "offset", None, "mirror in front of the transit axis, along its normal"),
+    ("mirror-tilt", "angle", None, "mirror turned left, its plane not along the transit axis"),
+    ("cover-forward", "offset", None, "beam forward of the standing axis, turning with the head"),
+    ("cover-left", "offset", None, "beam left of the standing axis, turning with the head"),
+    ("beam-x", "offset", None, "beam beside the standing axis, along x of the base"),
+    ("beam-y", "offset", None, "beam beside the standing axis, along y of the base"),
+    ("beam-tilt-x", "angle", None, "beam leans about x of the base"),
+    ("beam-tilt-y", "angle", None, "beam leans about y of the base"),
+    (
+        "elevation-eccentricity-cos",
+        "angle",
+        Lobe("cos", 2, 0.5),
+        "cosine of the mirror's angle, half the raw elevation",
+    ),
+    ("elevation-eccentricity-sin", "angle", Lobe("sin", 2, 0.5), "sine of the mirror's angle"),
+    ("elevation-second-order-cos", "angle", Lobe("cos", 2, 1.0), "cosine of twice the mirror's angle"),
+    ("elevation-second-order-sin", "angle", Lobe("sin", 2, 1.0), "sine of twice the mirror's angle"),
+)
+"""Misalignments of mirror, axes, cover plate and beam, each for its slot of `kinematics.steering_mirror`; lobes are of
+the circle that turns with the mirror, at half the rate of the reading."""
+
+
+def steering_mirror() -> Construction:
+    """The construction with a beam-steering mirror and its 21 parameters."""
+    parameters = [p for effect in SHARED for p in effect.parameters]
+    terms = [t for effect in SHARED for t in effect.terms]
+    for name, kind, lobe, meaning in MIRROR:
+        parameters.append(Parameter(name, BOUNDS[kind][0], meaning, BOUNDS[kind][1], kind))
+        terms.append(Term("elevation", lobe) if lobe else Term(name))
+    return Construction("steering-mirror", STEERING_MIRROR, tuple(parameters), tuple(terms))
+
+
+def ideal() -> Construction:
+    """A tracker without instrument parameters."""
+    return Construction("ideal", MISALIGNMENT, (), ())
+
+
+CONSTRUCTIONS: dict[str, Callable[[], Construction]] = {
+    "misalignment": misalignment,
+    "dh": dh,
+    "steering-mirror": steering_mirror,
+    "ideal": ideal,
+}
+
+
+def construction(name: str, harmonics: int | None = None, degree: int | None = None) -> Construction:
+    """Give a construction by its name, a D-H chain with other orders than 2 where they are given.
+
+    ModelError when there is no such construction, it has no orders to choose, or an order is out of bounds.
+    """
+    if name not in CONSTRUCTIONS:
+        raise unknown_name("construction", name, CONSTRUCTIONS)
+    if harmonics is None and degree is None:
+        return CONSTRUCTIONS[name]()
+    if name != "dh":
+        raise ModelError(f"harmonics and degree belong to the construction dh, not to {name}")
+    for what, order, highest in (("harmonics", harmonics, HIGHEST_ORDER), ("degree", degree, HIGHEST_DEGREE)):
+        if order is not None and not 0 <= order <= highest:
+            raise ModelError(f"{what} is {order}, expected 0 to {highest}")
+    return dh(2 if harmonics is None else harmonics, 2 if degree is None else degree)
+
+
+def built_as(name: str, harmonics: int, degree: int) -> Construction:
+    """Give a construction by its name, with the orders where it is the D-H chain."""
+    return dh(harmonics, degree) if name == "dh" else construction(name)
+
+
+def with_parameters(name: str, parameters: Iterable[str]) -> Construction:
+    """Give a construction by its name, a D-H chain of the orders that the names of its `parameters` need."""
+    if name != "dh":
+        return construction(name)
+    ends = [p.rpartition("_") for p in parameters]
+    orders = [(SUFFIX.index(end) + 1) // 2 for front, _, end in ends if not front.startswith("T.") and end in SUFFIX]
+    powers = [int(end) for front, _, end in ends if front.startswith("T.") and end.isdecimal()]
+    return dh(max(orders, default=2), min(max(powers, default=2), HIGHEST_DEGREE))
+
+
+@cache
+def every_parameter_name() -> frozenset[str]:
+    """Names of the parameters of all constructions, of the D-H chain to its highest orders."""
+    built = misalignment(), steering_mirror(), dh(HIGHEST_ORDER, HIGHEST_DEGREE)
+    return frozenset(name for one_of in built for name in one_of.names)
+
+
+def of_design(design: str) -> Construction:
+    """The construction of an instrument whose set-up states where its beam comes from."""
+    return steering_mirror() if design == "steering-mirror" else misalignment()
+
+
+def stated_construction(recording: Recording) -> Construction:
+    """The construction that a recording's set-up states: where the beam comes from in its instruments.
+
+    NetworkError when instruments of both designs measured together: their parameters are not the same.
+    """
+    designs = {name: recording.setup.instrument_of(name).construction for name in recording.stations}
+    if len(set(designs.values())) > 1:
+        mirror = ", ".join(name for name, design in designs.items() if design == "steering-mirror")
+        message = f"stations {mirror} are of a tracker with a steering mirror, the others have the source in the head"
+        raise NetworkError(f"{message}; calibrate them apart, or choose a construction for all")
+    return of_design(next(iter(designs.values()), ""))

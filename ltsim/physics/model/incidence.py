@@ -1,0 +1,95 @@
+"""Incidence errors of reflectors in fixed nests: how large they may be is known, so each is estimated with the network.
+
+Without a bench test the prior of the effect `smr-incidence` holds: the paper's reflector is a typical one. A test
+conditions that prior. Parameters are independent standard deviations of what is left.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from ltsim.core.arrays import Floats
+from ltsim.core.units import DEGREE, MICROMETRE
+from ltsim.physics.effects.effect import on_readings
+from ltsim.physics.effects.signature import Parameter, Signature
+from ltsim.physics.effects.smr_incidence import SmrIncidence
+from ltsim.recordings.recording import Recording
+from ltsim.recordings.reflectors import smrs_of
+from ltsim.recordings.setup import BenchTest
+from ltsim.scene.sightings import Sightings
+
+LAW = SmrIncidence()
+EXACT = 1e-3 * MICROMETRE
+"""Smallest standard deviation of a bench test's error: a tenth of what interferometers resolve."""
+
+
+@dataclass(frozen=True)
+class IncidenceErrors(Signature):
+    """The incidence error of one reflector as a sum of k independent errors around what a bench test says of it."""
+
+    acts: Floats
+    """(n,): 1 for pointings to the reflector, else 0."""
+    mean: Floats
+    """(p,) [SI]: expected parameters of `smr-incidence`."""
+    root: Floats
+    """(p, k) [SI]: change of these by one standard deviation of each error."""
+
+    @property
+    def name(self) -> str:
+        """What it is called."""
+        return "incidence-errors"
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """One an error, of one standard deviation."""
+        return (Parameter("incidence-error", "", "error of a reflector against incidence", 1.0),) * self.root.shape[1]
+
+    def _by_law(self, sightings: Sightings) -> Floats:
+        """Range error (n, p) per unit of each parameter of the law."""
+        return LAW.terms(*LAW.incidence(sightings)) * self.acts[:, None]
+
+    def design(self, sightings: Sightings) -> Floats:
+        """Change (n, 3, k) of the raw readings by each error."""
+        return on_readings(sightings, distance=self._by_law(sightings) @ self.root)
+
+    def shift(self, sightings: Sightings, values: Floats) -> Floats:
+        """Change (n, 3) of the raw readings by errors (k,) around the mean."""
+        return on_readings(sightings, distance=self._by_law(sightings) @ (self.mean + self.root @ values))
+
+
+def incidence_errors(recording: Recording) -> tuple[IncidenceErrors, ...]:
+    """The incidence error of every reflector that stood in a fixed nest of known direction."""
+    return tuple(_incidence_errors(recording))
+
+
+def _incidence_errors(recording: Recording) -> Iterator[IncidenceErrors]:
+    setups = [recording.target_setup(name) for name in recording.targets]
+    nests = np.array([not one.reaimed and one.nest_normal is not None for one in setups], dtype=bool)
+    fixed = nests[recording.target]
+    if not fixed.any():
+        return
+    names = np.array(smrs_of(recording))
+    tests = {test.reflector: test for test in recording.setup.bench}
+    for name in dict.fromkeys(names[fixed].tolist()):
+        law = conditioned(tests.get(name, tests.get("")))
+        yield IncidenceErrors((fixed & (names == name)).astype(np.float64), *law)
+
+
+def conditioned(test: BenchTest | None) -> tuple[Floats, Floats]:
+    """Mean (p,) and root (p, p) of the covariance of the parameters of `smr-incidence`, given a bench test."""
+    mean, root = np.zeros(len(LAW.parameters)), np.diag(LAW.spread)
+    if test is None:
+        return mean, root
+    angle, error, sigma = (np.array(column) for column in (test.angle_deg, test.error_um, test.sigma_um))
+    middle = int(np.argmin(np.abs(angle)))
+    positive = np.where(angle < 0.0, np.pi, 0.0) + test.direction_deg * DEGREE
+    terms = -SmrIncidence.terms(np.abs(angle) * DEGREE, positive)
+    used = np.arange(len(angle)) != middle
+    spread = np.maximum(sigma[used, None] * MICROMETRE, EXACT)
+    seen = (terms - terms[middle])[used] @ root / spread
+    whitened = ((error - error[middle]) * MICROMETRE)[used] / spread[:, 0]
+    left = np.linalg.inv(np.linalg.cholesky(np.eye(len(mean)) + seen.T @ seen))
+    return root @ (left.T @ (left @ (seen.T @ whitened))), root @ left.T

@@ -1,0 +1,35 @@
+"""Recordings of tracker networks: in memory, in the native folder and in the formats that people have."""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from ltsim.recordings.conventions import NO_HINTS as NO_HINTS, Hints as Hints
+    from ltsim.recordings.exchange import (
+        FORMATS as FORMATS,
+        Format as Format,
+        read as read,
+        recognised as recognised,
+        write as write,
+    )
+    from ltsim.recordings.recording import Recording as Recording
+    from ltsim.recordings.setup import Setup as Setup
+
+# Loaded when first used: who needs a recording in memory need not wait for every format.
+_MODULES = {
+    "conventions": ("Hints", "NO_HINTS"),
+    "exchange": ("FORMATS", "Format", "read", "recognised", "write"),
+    "recording": ("Recording",),
+    "setup": ("Setup",),
+}
+_HOME = {name: module for module, names in _MODULES.items() for name in names}
+
+
+def _load(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module 'ltsim.recordings' has no attribute '{name}'")
+    return getattr(import_module(f"ltsim.recordings.{_HOME[name]}"), name)
+
+
+if not TYPE_CHECKING:
+    __getattr__ = _load

@@ -1,0 +1,325 @@
+"""Meaning of the numbers of a polar file: unit, zenith or elevation, clockwise or not, metres or millimetres.
+
+Decided from the data and said in a note, or asked for in one sentence; never guessed silently. Two faces
+tell unit and vertical angle at once, because they add up to a full or a half circle. Where there is one
+face, lengths between targets common to two stations decide: they agree in the right unit only. The sense of
+the azimuth is beyond both: the mirror image of a whole network is a network with the same lengths and
+faces. Coordinates or poses from elsewhere are needed for it.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from ltsim.core.arrays import Bools, Floats, Ints
+from ltsim.core.errors import NetworkError, RecordError
+from ltsim.core.units import DEGREE, FACTOR, MILLIMETRE
+from ltsim.geometry.alignment import align
+from ltsim.geometry.polar import from_polar
+from ltsim.geometry.rotations import about_z
+from ltsim.recordings.coordinates import read_points
+from ltsim.recordings.recording import Recording
+from ltsim.recordings.setup import Setup
+from ltsim.recordings.slips import SHORTEST_MM, chord_gap, clouds_of
+
+Angle = Literal["deg", "gon", "rad"]
+Vertical = Literal["zenith", "elevation"]
+Azimuth = Literal["clockwise", "counter-clockwise"]
+Length = Literal["mm", "m"]
+Pose = tuple[Floats, Floats]
+"""Rotation (3, 3) from the station's frame, and place (3,) [m]."""
+CIRCLE = {"deg": 360.0, "gon": 400.0, "rad": 2 * np.pi}
+ANGLES: tuple[Angle, ...] = ("deg", "gon", "rad")
+VERTICALS: tuple[Vertical, ...] = ("zenith", "elevation")
+CLEARLY = 10.0
+"""Factor by which one meaning must fit better than the next to be decided by the data."""
+ALIKE = 1e-3
+"""Part of a network's size by which a mirror image may miss it and still be one."""
+MOST_NOTES = 3
+QUICKEST_S, SLOWEST_S = 0.1, 7200.0
+"""[s] Median time from one target to the next that no instrument undercuts, and that no survey exceeds."""
+LEAST_STEPS = 8
+
+
+@dataclass(frozen=True)
+class Hints:
+    """Decisions of a caller on an ambiguous file; None leaves one to the data.
+
+    `points` is a list of coordinates (name, x, y, z) in a right-handed frame that decides the sense of the
+    azimuth; `station` names the set-up of a file that does not; `columns` says what the columns of a table hold
+    (``target=Name,azimuth=Hz[gon]``), `setup` where its noise and gauge stand, `date` the order of dates with
+    strokes. A file that is still `growing` may end inside a row and lack targets of known lengths.
+    """
+
+    angle: Angle | None = None
+    vertical: Vertical | None = None
+    azimuth: Azimuth | None = None
+    length: Length | None = None
+    points: Path | None = None
+    station: str | None = None
+    columns: str | None = None
+    setup: Path | None = None
+    date: Literal["dmy", "mdy"] | None = None
+    growing: bool = False
+
+
+NO_HINTS = Hints()
+
+
+@dataclass(frozen=True)
+class PolarTable:
+    """Numbers as printed: horizontal and vertical angle, distance (n,); who looked at whom (n,) int."""
+
+    station: Ints
+    target: Ints
+    horizontal: Floats
+    vertical: Floats
+    distance: Floats
+
+    def points(self, angle: Angle, vertical: Vertical) -> Floats:
+        """Places (n, 3) in each station's frame, azimuths taken counter-clockwise, in the unit of the distances."""
+        upward = self.vertical * FACTOR[angle]
+        elevation = np.pi / 2 - upward if vertical == "zenith" else upward
+        return from_polar(np.stack([self.distance, self.horizontal * FACTOR[angle], elevation], axis=1))
+
+
+def angle_meaning(table: PolarTable, hints: Hints, file: object) -> tuple[Angle, Vertical, list[str]]:
+    """Unit of the angles and meaning of the vertical one, with a note for what the data decided.
+
+    Raises RecordError, asking for a hint, where the data do not decide.
+    """
+    angles = ANGLES if hints.angle is None else (hints.angle,)
+    verticals = VERTICALS if hints.vertical is None else (hints.vertical,)
+    open_ = [(a, v) for a in angles for v in verticals if _possible(table, a, v, stated=hints.vertical is not None)]
+    if not open_:
+        raise RecordError("the angles fit no unit that is known here (deg, gon or rad)", file=file)
+    found, why = open_[0], "the only meaning that its values allow"
+    if len(open_) > 1:
+        found, why = _by_faces(table, open_) or _by_lengths(table, open_) or _ask(open_, file)
+    notes = []
+    if hints.angle is None or hints.vertical is None:
+        notes.append(f"angles taken as {found[0]} with the vertical one as {found[1]}: {why}")
+    return (*found, notes)
+
+
+def _possible(table: PolarTable, angle: Angle, vertical: Vertical, *, stated: bool) -> bool:
+    """Whether every value lies on the circle, and the vertical angles are what an instrument can read.
+
+    An elevation beyond the zenith is read on face 2 only; a file that has such, but no target on two faces, holds
+    zenith angles unless it is `stated` otherwise.
+    """
+    circle = CIRCLE[angle]
+    horizontal, upward = table.horizontal, table.vertical
+    if np.nanmax(np.abs(horizontal), initial=0) > circle * 1.001 or np.nanmax(np.abs(upward), initial=0) > circle:
+        return False
+    if vertical == "elevation":
+        highest = float(np.nanmax(upward, initial=0))
+        within = float(np.nanmin(upward, initial=0)) >= -circle / 4 and highest <= 0.75 * circle
+        return within and (stated or highest <= circle / 4 or _on_two_faces(table, angle, vertical) > 0)
+    return bool(np.nanmin(upward, initial=0) >= 0)
+
+
+def _same_target(table: PolarTable) -> tuple[Ints, Ints]:
+    """Pairs of rows, each with the next one of the same station and target."""
+    order = np.lexsort((np.arange(len(table.station)), table.target, table.station))
+    one, next_ = order[:-1], order[1:]
+    keep = (table.station[one] == table.station[next_]) & (table.target[one] == table.target[next_])
+    return one[keep], next_[keep]
+
+
+def _on_two_faces(table: PolarTable, angle: Angle, vertical: Vertical) -> int:
+    """How many pairs of rows are one target on both faces: half a circle apart, vertical angles adding up."""
+    one, other = _same_target(table)
+    circle = CIRCLE[angle]
+    total = circle if vertical == "zenith" else circle / 2
+    turn = np.abs(np.mod(table.horizontal[one] - table.horizontal[other], circle) - circle / 2)
+    rest = np.abs(table.vertical[one] + table.vertical[other] - total)
+    fits: Bools = (turn < 1e-3 * circle) & (rest < 1e-3 * circle)
+    return int(fits.sum())
+
+
+def _by_faces(table: PolarTable, open_: list[tuple[Angle, Vertical]]) -> tuple[tuple[Angle, Vertical], str] | None:
+    """The meaning under which most repeated targets were seen on two faces, if only one does so."""
+    counts = [_on_two_faces(table, angle, vertical) for angle, vertical in open_]
+    best = int(np.argmax(counts))
+    if counts[best] < 2 or sorted(counts)[-2] * CLEARLY > counts[best]:
+        return None
+    return open_[best], f"{counts[best]} targets were seen on two faces that add up accordingly"
+
+
+def _by_lengths(table: PolarTable, open_: list[tuple[Angle, Vertical]]) -> tuple[tuple[Angle, Vertical], str] | None:
+    """The meaning under which two stations see the same lengths between targets, if only one does so."""
+    gaps = [chord_gap(table.points(angle, vertical), table.station, table.target) for angle, vertical in open_]
+    if not np.all(np.isfinite(gaps)):
+        return None
+    first, second = np.argsort(gaps)[:2]
+    if gaps[first] > 1e-2 or gaps[first] * CLEARLY > gaps[second]:
+        return None
+    return open_[first], f"two stations then see the same lengths within a part in {1 / max(gaps[first], 1e-9):.0f}"
+
+
+def _ask(open_: list[tuple[Angle, Vertical]], file: object) -> tuple[tuple[Angle, Vertical], str]:
+    """Raise RecordError with what to type for the first of the choices, without what they have in common."""
+    choices = " or ".join(f"{v} angles in {a}" for a, v in open_)
+    said = [f"--hint angle={open_[0][0]}"] if len({a for a, _ in open_}) > 1 else []
+    said += [f"--hint vertical={open_[0][1]}"] if len({v for _, v in open_}) > 1 else []
+    message = f"the angles may be {choices} and nothing in the file decides; say which: {' '.join(said)}"
+    raise RecordError(message, file=file)
+
+
+def length_meaning(distance: Floats, hints: Hints) -> tuple[Length, list[str]]:
+    """Unit of the distances: metres where none exceeds what a tracker network measures in millimetres."""
+    if hints.length is not None:
+        return hints.length, []
+    longest = float(np.nanmax(distance, initial=0))
+    length: Length = "m" if longest < SHORTEST_MM else "mm"
+    return length, [f"distances taken as {length}: the longest is {longest:.6g}"]
+
+
+SENSE_UNKNOWN = (
+    "nothing in this file tells whether azimuths run clockwise (its mirror image fits as well); say which, "
+    "--hint azimuth=clockwise or --hint azimuth=counter-clockwise, or give coordinates of some targets, "
+    "--hint points=FILE"
+)
+
+
+def known_sense(local: Floats, table: PolarTable, targets: Sequence[str], file: Path) -> tuple[Azimuth, list[str]]:
+    """The sense by coordinates of targets in `file`, with notes; raises RecordError where they do not decide."""
+    points = read_points(file, strict=False)
+    place = {name: i for i, name in enumerate(targets)}
+    known = {place[n]: p for n, p in zip(points.names, points.points, strict=True) if n in place}
+    azimuth = _sense_by_points(local, table, known)
+    if azimuth is None:
+        message = f"{len(known)} of its targets have coordinates here, which does not decide whether azimuths run "
+        raise RecordError(message + "clockwise; say which: --hint azimuth=clockwise", file=file)
+    return azimuth, [f"azimuths taken as {azimuth}: so the targets fit the coordinates in {file.name}", *points.notes]
+
+
+def _sense_by_points(local: Floats, table: PolarTable, known: Mapping[int, Floats]) -> Azimuth | None:
+    """The sense of the azimuth under which a station's targets fit known points (by target index) rigidly.
+
+    `local` (n, 3) [m] are the targets with the azimuth taken counter-clockwise. None where neither sense
+    fits ten times better, as with points in one plane.
+    """
+    votes = []
+    for s in np.unique(table.station):
+        rows = np.flatnonzero((table.station == s) & np.isin(table.target, list(known)))
+        rows = rows[np.all(np.isfinite(local[rows]), axis=1)]
+        if len(np.unique(table.target[rows])) < 4:
+            continue
+        misfit = _misfits(local[rows], np.array([known[int(t)] for t in table.target[rows]]))
+        if max(misfit) > CLEARLY * min(misfit):
+            votes.append(int(np.argmin(misfit)))
+    return _vote(votes)
+
+
+def _misfits(source: Floats, goal: Floats) -> list[float]:
+    """[m] Median misfit of points (n, 3) and of their mirror image, moved rigidly to others; 1 where none fits."""
+    found = []
+    for side in (1.0, -1.0):
+        image = source * [1.0, side, 1.0]
+        try:
+            rotation, shift = align(image, goal)
+            found.append(float(np.median(np.linalg.norm(image @ rotation.T + shift - goal, axis=1))) + 1e-9)
+        except NetworkError:
+            found.append(1.0)
+    return found
+
+
+def sense_by_poses(local: Floats, table: PolarTable, poses: Mapping[int, Pose]) -> Azimuth | None:
+    """The sense of the azimuth under which stations of known pose (rotation, position) see the same points."""
+    misfit = []
+    for side in (1.0, -1.0):
+        world = np.full_like(local, np.nan)
+        for s, (rotation, position) in poses.items():
+            rows = table.station == s
+            world[rows] = (local[rows] * [1.0, side, 1.0]) @ rotation.T + position
+        misfit.append(_spread_between_stations(world, table))
+    if not np.all(np.isfinite(misfit)) or max(misfit) < CLEARLY * min(misfit):
+        return None
+    return _vote([int(np.argmin(misfit))])
+
+
+def _spread_between_stations(world: Floats, table: PolarTable) -> float:
+    """Median distance between sightings of a target from different stations; NaN where none has two."""
+    seen: dict[int, list[Floats]] = {}
+    for cloud in clouds_of(world, table.station, table.target).values():
+        for target, point in cloud.items():
+            seen.setdefault(target, []).append(point)
+    gaps = [np.linalg.norm(np.ptp(np.array(places), axis=0)) for places in seen.values() if len(places) > 1]
+    return float(np.median(gaps)) + 1e-9 if gaps else float("nan")
+
+
+def _vote(votes: list[int]) -> Azimuth | None:
+    if not votes or min(votes) != max(votes):
+        return None
+    return "clockwise" if votes[0] else "counter-clockwise"
+
+
+def pace(recording: Recording) -> tuple[str, ...]:
+    """The question that a recording's clock raises: turning from one target to the next takes seconds to minutes."""
+    turned = (np.diff(recording.target) != 0) & (np.diff(recording.station) == 0)
+    steps = np.abs(np.diff(recording.time))[turned]
+    steps = steps[np.isfinite(steps)]
+    if not recording.has_clock or len(steps) < LEAST_STEPS:
+        return ()
+    step = float(np.median(steps))
+    if QUICKEST_S <= step <= SLOWEST_S:
+        return ()
+    span = float(np.nanmax(recording.time) - np.nanmin(recording.time))
+    return (
+        f"the {len(recording)} pointings take {span:.4g} s, {step:.3g} s from one target to the next: check the unit "
+        "of the time column (--columns says it, such as time=HEADER[h]); drifts in time depend on it",
+    )
+
+
+def contradictions(recording: Recording) -> tuple[str, ...]:
+    """Contradictions of set-ups or their rough places to the sense of the azimuths: only a mirror image fits.
+
+    Coordinates in one plane, or a floor plan that fits neither, say nothing.
+    """
+    local = from_polar(recording.readings)
+    table = PolarTable(recording.station, recording.target, *recording.readings[:, [1, 2, 0]].T)
+    poses = poses_of(recording.setup, recording.stations)
+    notes = []
+    if len(poses) > 1 and sense_by_poses(local, table, poses) == "clockwise":
+        notes.append(
+            "the stated places of the stations fit the readings only as their mirror image: if the azimuths run "
+            "clockwise say --hint azimuth=clockwise, otherwise the floor plan is left-handed"
+        )
+    for one, other in _mirrored_pairs(local, recording):
+        notes.append(
+            f"the targets of {recording.stations[one]} and {recording.stations[other]} fit each other only as mirror "
+            "images: the azimuths of one of them run clockwise"
+        )
+    return tuple(notes[:MOST_NOTES])
+
+
+def _mirrored_pairs(local: Floats, recording: Recording) -> list[tuple[int, int]]:
+    """Each station that is the mirror image of the one before it with which it shares most targets."""
+    clouds = clouds_of(local, recording.station, recording.target)
+    found = []
+    for s, cloud in clouds.items():
+        before = [k for k in clouds if k < s]
+        other = max(before, key=lambda k: len(clouds[k].keys() & cloud.keys()), default=s)
+        common = sorted(clouds[other].keys() & cloud.keys())
+        if other == s or len(common) < 5:
+            continue
+        here, there = (np.array([of[t] for t in common]) for of in (cloud, clouds[other]))
+        right, mirrored = _misfits(here, there)
+        if right > CLEARLY * mirrored and mirrored < ALIKE * float(np.ptp(there, axis=0).max()):
+            found.append((other, s))
+    return found
+
+
+def poses_of(setup: Setup, names: Sequence[str]) -> dict[int, Pose]:
+    """Rough poses of stations by the floor plan: place and direction of zero."""
+    found = {}
+    for i, name in enumerate(names):
+        station = setup.stations.get(name)
+        if station is not None and station.position_mm is not None and station.yaw_deg is not None:
+            found[i] = about_z(station.yaw_deg * DEGREE), np.array(station.position_mm) * MILLIMETRE
+    return found

@@ -1,0 +1,376 @@
+"""Lists of coordinates: the one reader of names with x, y, z, wherever a file of them is asked for.
+
+`read_points` takes delimited text of any dialect, or a workbook. A header names the columns and perhaps their units:
+``target,x_mm,y_mm,z_mm``, ``Name;X [m];Y [m];Z [m]``, ``Punkt;Rechtswert;Hochwert;Höhe``; standard deviations stand in
+``sigma_x_mm`` and so on (``sX``), or in one column ``sigma`` for all axes. Without a header a line is a name and three
+numbers, which three or four standard deviations (x, y, z and their length) and the nine numbers of a covariance may
+follow, as SpatialAnalyzer writes them.
+
+`read_coordinates` reads one epoch with its full covariance: such a list with ``NAME.covariance.csv`` beside it (the
+matrix [mm^2], its header and first column the coordinates as ``TARGET.x``), or adjustment results of gama-local (XML).
+"""
+
+import csv
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from ltsim.core.arrays import Floats, Ints
+from ltsim.core.errors import RecordError
+from ltsim.core.units import FACTOR, MILLIMETRE
+from ltsim.recordings.files import FilePlace, decoded, shown
+from ltsim.recordings.tables import cells
+from ltsim.recordings.tables.header import (
+    PLACE,
+    READINGS,
+    SIGMA,
+    SIGMA_OF,
+    TableColumn,
+    columns_of,
+    count_of_roles,
+    words_of,
+)
+from ltsim.recordings.tables.sheets import Row, Sheet, rows_of_head, sheets_of
+from ltsim.recordings.xml import Node, banded, parse
+
+AXES = "xyz"
+SYMMETRIC = 1e-6
+"""Share by which entries across the diagonal may differ by rounding."""
+DEFINITE = -1e-9
+"""Smallest eigenvalue of correlations that rounding explains."""
+LARGEST_M = 500.0
+"""The largest coordinate of a list that states no unit and is taken for metres."""
+GRID = 1e6
+"""Numbers as large as these are coordinates of a national grid, in metres."""
+GEODETIC = ("rechtswert", "hochwert", "easting", "northing", "east", "north", "e", "n")
+"""Words of surveyors' lists, which are in metres where they state no unit."""
+WIDTHS = (4, 7, 8, 16, 17)
+EXPECTED = (
+    "expected a header that names the point and its coordinates, such as target,x_mm,y_mm,z_mm or "
+    "Name;X [m];Y [m];Z [m], or lines of a name, x, y and z"
+)
+
+
+@dataclass(frozen=True)
+class Points:
+    """A list of n named points, in the order of its file."""
+
+    names: tuple[str, ...]
+    points: Floats
+    """(n, 3) [m]; NaN where the list leaves a coordinate out."""
+    covariance: Floats
+    """(n, 3, 3) [m^2]; NaN where none is stated."""
+    notes: tuple[str, ...] = ()
+    further: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    """(n,) texts of each further column by its header."""
+    lines: tuple[int, ...] = ()
+    """(n,) line of the file that each stands in."""
+    contradictory: int = 0
+    """Rows that list a point of the same name with other coordinates, and are left out."""
+
+    @property
+    def sigma(self) -> Floats:
+        """Standard deviations (n, 3) [m]; NaN where none is stated."""
+        return np.sqrt(np.einsum("nii->ni", self.covariance))
+
+    @property
+    def by_name(self) -> dict[str, Floats]:
+        """Coordinates (3,) [m] of the points that have all three."""
+        whole = np.asarray(np.isfinite(self.points).all(axis=1))
+        return {name: p for name, p, is_whole in zip(self.names, self.points, whole.tolist(), strict=True) if is_whole}
+
+
+def read_points(path: str | Path, *, strict: bool = True) -> Points:
+    """Read a list of points: where the header states no unit, in metres if none reaches 500, as a note says.
+
+    Parameters
+    ----------
+    path : str or Path
+    strict : bool
+        Refuse a point that is listed twice with other coordinates; otherwise the first are taken, and a note says so.
+
+    Raises
+    ------
+    RecordError
+        One sentence: file, row, what was found and what is expected.
+    """
+    path = Path(path)
+    for sheet in sheets_of(path):
+        found = _header_of(sheet.rows) or _without_header(sheet)
+        if found is not None:
+            return _List(sheet, *found).points(strict=strict)
+    raise RecordError(f"is no list of coordinates, {EXPECTED}", file=path)
+
+
+def recognises(head: str) -> bool:
+    """Whether the first lines of a file are those of a list of points without a header, or its header."""
+    rows = rows_of_head(head)
+    found = _header_of(rows)
+    body = [row for row in rows[0 if found is None else found[0] :] if not row.comment]
+    if found is not None:
+        return not body or body[0].values > 1
+    whole = [_filled(row) for row in body[: max(1, min(6, len(body)) - 1)]]
+    return bool(whole) and all(len(r) in WIDTHS and all(map(cells.is_value, r[1:])) for r in whole)
+
+
+def _filled(row: Row) -> Sequence[str]:
+    """Fields without the empty one that a separator at the end of the line makes."""
+    return row.fields[:-1] if row.fields and not row.fields[-1] else row.fields
+
+
+def _without_header(sheet: Sheet) -> tuple[int, list[TableColumn]] | None:
+    """Columns of lines of a name and numbers; None where the first ones are something else."""
+    first = next((row for row in sheet.rows if not row.comment), None)
+    if first is None or not all(map(cells.is_value, _filled(first)[1:])):
+        return None
+    width = len(_filled(first))
+    if width not in WIDTHS:
+        raise FilePlace(sheet.file, first.line).wrong(f"{width} fields, {EXPECTED}")
+    names = ["target", *PLACE, *(SIGMA_OF[axis] for axis in PLACE if width > 6)]
+    covariance = [f"covariance {i}" for i in range(9 * (width > 15))]
+    names += [""] * (width - len(names) - len(covariance)) + covariance
+    return 0, [TableColumn(place, name, name) for place, name in enumerate(names)]
+
+
+def _header_of(rows: Sequence[Row]) -> tuple[int, list[TableColumn]] | None:
+    """The first row that names coordinates: the place of the one below it, and its columns."""
+    for place, row in enumerate(rows):
+        if not count_of_roles(row.fields) or row.values:
+            continue
+        columns = columns_of(row.fields)
+        roles = {c.role for c in columns}
+        if {"x", "y"} <= roles and "z" not in roles:
+            columns = [replace(c, role="z") if c.role == "elevation" else c for c in columns]
+        others = {*READINGS} - {*PLACE, "elevation"}
+        if not roles & {*PLACE} or roles & others or {"station", "target"} <= roles:
+            continue
+        if "target" in roles:
+            return place + 1, columns
+        other = "station" if "station" in roles else ""
+        first = next((c for c in columns if c.role == other and c.title), None)
+        if first is not None:
+            return place + 1, [replace(c, role="target") if c is first else c for c in columns]
+    return None
+
+
+class _List:
+    """The rows of a sheet from `start` on, by its columns."""
+
+    def __init__(self, sheet: Sheet, start: int, columns: list[TableColumn]) -> None:
+        self.sheet, self.rows, self.columns = sheet, sheet.rows[start:], columns
+        self.width = columns[-1].place + 1
+        sigmas = ("sigma", "covariance")
+        self.numbers = {c.role: c for c in self.columns if c.role in PLACE or c.role.startswith(sigmas)}
+        self.name = next(c for c in columns if c.role == "target")
+
+    def points(self, *, strict: bool) -> Points:
+        """The points that it holds."""
+        self.sheet.check_whole(self.width)
+        kept: dict[str, tuple[Row, list[float]]] = {}
+        notes = []
+        for row in self.rows:
+            if row.comment or not any(row.fields):
+                continue
+            name, values = self._values(row)
+            if name in kept and not np.array_equal(kept[name][1], values, equal_nan=True):
+                what = f"the point {shown(name)} was listed before with other coordinates"
+                if strict:
+                    raise FilePlace(self.sheet.file, row.line).wrong(what)
+                notes.append(f"{what} in {self.sheet.file.name}: the first are taken")
+            kept.setdefault(name, (row, values))
+        if not kept:
+            raise RecordError("holds no points", file=self.sheet.file)
+        table = np.array([values for _, values in kept.values()])
+        scale, said = self._scales(table)
+        numbers = dict(zip(self.numbers, (table * scale).T, strict=True))
+        nothing = np.full(len(kept), np.nan)
+        points = np.stack([numbers.get(axis, nothing) for axis in PLACE], axis=1)
+        further = [c for c in self.columns if c.is_further and c.role not in self.numbers]
+        texts = {c.title: tuple(row.cell(c.place) for row, _ in kept.values()) for c in further}
+        lines = tuple(row.line for row, _ in kept.values())
+        covariance = _covariance(numbers, len(kept))
+        return Points(tuple(kept), points, covariance, (*notes, *said), texts, lines, len(notes))
+
+    def _values(self, row: Row) -> tuple[str, list[float]]:
+        """Name and numbers of one row; NaN where a cell is empty."""
+        where = FilePlace(self.sheet.file, row.line)
+        if len(_filled(row)) != self.width:
+            row.check_width(self.width, self.sheet.file)
+        values = []
+        for role, column in self.numbers.items():
+            text = row.cell(column.place)
+            found = cells.value(text, self.sheet.grouping)
+            if text and (found is None or abs(found) >= 10**11):
+                raise where.wrong(f"found '{shown(text)}', expected a number", shown(column.title or role))
+            values.append(np.nan if found is None else float(found))
+        return where.name(row.cell(self.name.place), "point"), values
+
+    def _scales(self, table: Floats) -> tuple[Floats, list[str]]:
+        """What brings each number to metres, and what was decided."""
+        axes = [c for c in self.numbers.values() if c.role in PLACE]
+        largest = np.nanmax(np.abs(table[:, [role in PLACE for role in self.numbers]]), initial=0.0)
+        stated = next((c.unit for c in axes if c.unit in FACTOR and c.unit), "")
+        surveyed = largest >= GRID or any(words_of(c.title)[0] in GEODETIC for c in axes)
+        chosen = stated or ("m" if surveyed or largest < LARGEST_M else "mm")
+        notes = [] if stated else [f"coordinates taken as {chosen}: the largest is {largest:.6g}"]
+        scales = [FACTOR[c.unit if c.unit in FACTOR and c.unit else chosen] for c in self.numbers.values()]
+        return np.array(scales) ** [1 + role.startswith("covariance") for role in self.numbers], notes
+
+
+def _covariance(numbers: Mapping[str, Floats], count: int) -> Floats:
+    """The covariance (n, 3, 3) [m^2] that a list states: in full, by axis, or one for all."""
+    if "covariance 0" in numbers:
+        full = np.stack([numbers[f"covariance {i}"] for i in range(9)], axis=1).reshape(count, 3, 3)
+        return np.asarray((full + full.transpose(0, 2, 1)) / 2)
+    sigma = [numbers.get(SIGMA_OF[axis], numbers.get(SIGMA, np.full(count, np.nan))) for axis in PLACE]
+    found = np.zeros((count, 3, 3))
+    found[:, range(3), range(3)] = np.square(sigma).T
+    found[~np.isfinite(sigma).any(axis=0)] = np.nan
+    return found
+
+
+@dataclass(frozen=True)
+class Coordinates:
+    """Points of one epoch along the d axes that were measured."""
+
+    title: str
+    names: tuple[str, ...]
+    """(T,)."""
+    axes: str
+    """The measured ones of x, y, z."""
+    points: Floats
+    """(T, 3) [m]: 0 along the other axes."""
+    covariance: Floats
+    """(T d, T d) [m^2]: point by point, axis by axis."""
+    notes: tuple[str, ...] = ()
+
+    @property
+    def along(self) -> Ints:
+        """(d,) numbers of the measured axes."""
+        return np.array([AXES.index(axis) for axis in self.axes])
+
+
+def holds_coordinates(path: Path) -> bool:
+    """Whether a file is one of `read_coordinates`."""
+    if not path.is_file():
+        return False
+    with path.open("rb") as stream:
+        head = decoded(stream.read(4096)).lstrip()
+    return "<gama-local-adjustment" in head if head.startswith("<") else recognises(head)
+
+
+def read_coordinates(path: Path) -> Coordinates:
+    """The coordinates of one epoch with their covariance.
+
+    Raises
+    ------
+    RecordError
+        One sentence: what is wrong, and where.
+    """
+    if not path.exists():
+        raise RecordError("there is no such file", file=path)
+    with path.open("rb") as stream:
+        is_xml = decoded(stream.read(256)).lstrip().startswith("<")
+    found = _from_gama(path) if is_xml else _from_list(path)
+    if len(set(found.names)) < len(found.names):
+        twice = next(name for name in found.names if found.names.count(name) > 1)
+        raise RecordError(f"holds the point '{shown(twice)}' twice", file=path)
+    sigma = np.sqrt(np.maximum(np.diag(found.covariance), 0.0))
+    if not sigma.all():
+        at = divmod(int(np.argmin(sigma)), len(found.axes))
+        what = f"{shown(found.names[at[0]])}.{found.axes[at[1]]}"
+        raise RecordError(f"states no variance of {what}; leave out what is held fixed", file=path)
+    if np.linalg.eigvalsh(found.covariance / np.outer(sigma, sigma))[0] < DEFINITE * len(sigma):
+        raise RecordError(
+            "has a covariance that is negative in some direction: some of its entries are wrong", file=path
+        )
+    return found
+
+
+def _from_gama(path: Path) -> Coordinates:
+    """Adjusted points and the upper band of their covariance [mm^2]."""
+    parts = {node.tag: node for node in parse(path).inside("adjusted", "cov-mat", "description")}
+    if not {"adjusted", "cov-mat"} <= parts.keys():
+        raise RecordError("holds no <adjusted> points with their <cov-mat>", file=path)
+    rows = [{cell.tag.lower(): cell for cell in point} for point in parts["adjusted"]]
+    kinds = {"".join(axis for axis in AXES if axis in row) for row in rows}
+    if len(kinds) != 1 or not (axes := kinds.pop()):
+        raise RecordError("holds points with other coordinates than the first has; give those of one kind", file=path)
+    points = np.zeros((len(rows), 3))
+    points[:, [AXES.index(axis) for axis in axes]] = [[_number(row[axis]) for axis in axes] for row in rows]
+    band = {cell.tag: cell for cell in parts["cov-mat"]}
+    size, width = (_number(band[key]) if key in band else -1 for key in ("dim", "band"))
+    row, column, values = banded(
+        parts["cov-mat"], size, width, [_number(c) for c in parts["cov-mat"] if c.tag == "flt"]
+    )
+    used = len(rows) * len(axes)
+    if size < used:
+        raise RecordError(f"has a <cov-mat> of another size than its {used} coordinates ask for", file=path)
+    matrix = np.zeros((int(size), int(size)))
+    matrix[row, column] = matrix[column, row] = values
+    title = parts["description"].text if "description" in parts else ""
+    names = tuple(FilePlace(path).name(row["id"].text if "id" in row else "", "target") for row in rows)
+    return Coordinates(title or path.name, names, axes, points, matrix[:used, :used] * MILLIMETRE**2)
+
+
+def _number(cell: Node) -> float:
+    return cell.where.number(cell.text, f"<{cell.tag}>")
+
+
+def _from_list(path: Path) -> Coordinates:
+    """A list of points along the axes that it has, with the covariance beside it or its own."""
+    found = read_points(path)
+    measured = np.isfinite(found.points)
+    axes = "".join(axis for axis, any_ in zip(AXES, np.asarray(measured.any(axis=0)).tolist(), strict=True) if any_)
+    at = [AXES.index(axis) for axis in axes]
+    if not measured[:, at].all():
+        row, axis = np.argwhere(~measured[:, at])[0]
+        raise FilePlace(path, found.lines[row], axes[axis]).wrong("found '', expected a number")
+    points = np.where(measured, found.points, 0.0)
+    beside = path.with_suffix(".covariance.csv")
+    if beside.is_file():
+        covariance = _matrix(beside, [f"{name}.{axis}" for name in found.names for axis in axes]) * MILLIMETRE**2
+        return Coordinates(path.stem, found.names, axes, points, covariance, found.notes)
+    blocks = found.covariance[:, at][:, :, at]
+    if not np.isfinite(blocks).all():
+        what = f"states no precision: neither {beside.name} nor the column sigma_{axes[0]}_mm is there"
+        raise RecordError(what, file=path)
+    count, axes_ = blocks.shape[:2]
+    covariance = np.zeros((count, axes_, count, axes_))
+    covariance[range(count), :, range(count)] = blocks
+    covariance = covariance.reshape(count * axes_, -1)
+    common = f"{path.name} states no covariance between points ({beside.name})"
+    note = f"{common}: what all have in common counts as their own"
+    return Coordinates(path.stem, found.names, axes, points, covariance, (*found.notes, note))
+
+
+def covariance_text(coordinates: Sequence[str], covariance: Floats) -> str:
+    """The content of ``NAME.covariance.csv``: a covariance [m^2] of coordinates such as ``TARGET.x``, in mm^2."""
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(["", *coordinates])
+    for name, row in zip(coordinates, covariance / MILLIMETRE**2, strict=True):
+        writer.writerow([name, *(f"{entry:.12g}" for entry in row.tolist())])
+    return stream.getvalue()
+
+
+def _matrix(path: Path, wanted: Sequence[str]) -> Floats:
+    """The entries of a covariance, its coordinates by name in any order."""
+    sheet = sheets_of(path)[0]
+    (first, *body) = [row for row in sheet.rows if not row.comment]
+    names = first.fields[1:]
+    missing = [name for name in wanted if name not in names]
+    if missing or [row.fields[0] for row in body] != list(names):
+        what = f"the coordinate {shown(missing[0])}" if missing else "rows in the order of its columns"
+        raise RecordError(f"lacks {what}", file=path)
+    if any(len(row.fields) != len(first.fields) for row in body):
+        raise RecordError("holds rows of another length than its header", file=path)
+    matrix = np.array([[FilePlace(path, row.line).number(text) for text in row.fields[1:]] for row in body])
+    size = np.sqrt(np.abs(np.diag(matrix)))
+    if np.abs(matrix - matrix.T).max() > SYMMETRIC * float(np.outer(size, size).max()):
+        raise RecordError("is not symmetric", file=path)
+    at = [names.index(name) for name in wanted]
+    return 0.5 * (matrix + matrix.T)[np.ix_(at, at)]

@@ -1,0 +1,162 @@
+"""Reading a recording in whatever format it comes, writing it in those that others read."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+
+from pydantic import ValidationError
+
+from ltsim.core.errors import RecordError, unknown_name
+from ltsim.recordings import coordinates, native
+from ltsim.recordings.conventions import NO_HINTS, Hints, contradictions, pace
+from ltsim.recordings.files import decoded, universal
+from ltsim.recordings.formats import cern_lgc, gama, gama_writer, gsi, openindy, polar_text, sdr, spatialanalyzer
+from ltsim.recordings.recording import Recording
+from ltsim.recordings.settings import sentence
+from ltsim.recordings.setup import Setup
+from ltsim.recordings.tables import reader as tables
+
+RecordingSource = Recording | str | Path
+"""A recording, or a file or folder that holds one."""
+HEAD = 16_384
+LEAST_POSES = 2
+"""Contradictory rows of a list of points that make it one of positions of a moving target."""
+FOLDER = "folder with observations.csv and setup.toml"
+POLAR_TEXT = "plain text: station, target, azimuth, zenith or elevation, distance"
+POINT_LIST = "names and coordinates: no recording, said so"
+TABLE = "delimited text with a header, a folder with a file a station, or a workbook"
+
+
+Write = Callable[[Recording, Path], None]
+
+
+@dataclass(frozen=True)
+class Format:
+    """One format: who recognises it by its first characters, reads and perhaps writes it.
+
+    `suffixes` decide only between formats that both recognise a file.
+    """
+
+    name: str
+    about: str
+    suffixes: tuple[str, ...]
+    recognises: Callable[[Path, str], bool]
+    read: Callable[[Path, Hints], Recording]
+    write: Write | None = None
+
+
+def _of(module: ModuleType, name: str, about: str, *suffixes: str, write: Write | None = None) -> Format:
+    return Format(name, about, suffixes, module.recognises, module.read, write)
+
+
+def _are_points(path: Path, head: str) -> bool:
+    return path.is_file() and not head.startswith(("<", "PK")) and coordinates.recognises(head)
+
+
+def _refuse_points(path: Path, hints: Hints) -> Recording:
+    found = coordinates.read_points(path, strict=False)
+    count = len(found.names)
+    message = f"this is a list of {count} points without readings; it serves as nominal or known coordinates"
+    if found.contradictory >= max(count, LEAST_POSES):
+        names = "one name" if count == 1 else f"{count} names"
+        rows = f"{count + found.contradictory} positions under {names} ('{found.names[0]}')"
+        message = f"this is a table of {rows}: a target that moves (a robot, a T-MAC), and no list of points"
+    more = "if one set-up measured them in its own axes, name it: --format table --hint station=NAME"
+    raise RecordError(f"{message} ({more})", file=path)
+
+
+FORMATS: tuple[Format, ...] = (
+    Format("native", FOLDER, ("", ".csv"), native.recognises, native.read_recording, native.write_recording),
+    _of(spatialanalyzer, "spatialanalyzer", "SpatialAnalyzer instrument report (CompositeReport)", ".csv", ".txt"),
+    _of(cern_lgc, "cern-lgc", "input file of CERN's LGC", ".lgc", ".lgc2"),
+    _of(gama, "gama-local", "input file of GNU Gama", ".gkf", ".xml", write=gama_writer.write),
+    _of(openindy, "openindy", "OpenIndy project", ".xml"),
+    _of(gsi, "gsi", "Leica GSI-8 and GSI-16", ".gsi"),
+    _of(sdr, "sdr", "Sokkia SDR20 and SDR33", ".sdr"),
+    _of(polar_text, "polar-text", POLAR_TEXT, ".txt", ".dat", ".asc", write=polar_text.write),
+    Format("point-list", POINT_LIST, (".txt", ".xyz", ".csv"), _are_points, _refuse_points),
+    _of(tables, "table", TABLE, ".csv", ".tsv", ".txt", ".xlsx"),
+)
+
+
+def read(path: str | Path, *, format: str | None = None, hints: Hints | None = None) -> Recording:  # noqa: A002
+    """Read a recording in any format: a folder of ltsim, or a file of the instruments and programs in use.
+
+    Parameters
+    ----------
+    path : str or Path
+        A folder or a file.
+    format : str, optional
+        Name of the format; default by content, then by suffix.
+    hints : Hints, optional
+        What an ambiguous file means: `ltsim.recordings.Hints`.
+
+    Raises
+    ------
+    RecordError
+        One sentence: what is wrong and where, or which hint is wanted.
+    """
+    path = Path(path)
+    hints = hints or NO_HINTS
+    format = "table" if format is None and hints.columns is not None and path.exists() else format  # noqa: A001
+    chosen = recognised(path) if format is None else _named(format, FORMATS)
+    try:
+        found = chosen.read(path, hints)
+    except ValidationError as problem:
+        raise RecordError(sentence(problem.errors()[0], Setup), file=path) from None
+    return found.replace(notes=(*found.notes, *contradictions(found), *pace(found)))
+
+
+def is_recording(path: Path) -> bool:
+    """Whether a file or folder is in one of the formats known here."""
+    try:
+        recognised(path)
+    except RecordError:
+        return False
+    return True
+
+
+def recording_of(source: RecordingSource) -> Recording:
+    """The recording itself, read where a path was given; raises RecordError where it is neither."""
+    if not isinstance(source, Recording | str | Path):
+        raise RecordError(f"expected a recording or the path of one, found a {type(source).__name__}")
+    return source if isinstance(source, Recording) else read(source)
+
+
+def recognised(path: Path) -> Format:
+    """The format of a file or folder; raises RecordError when nothing is there, or no format fits."""
+    if not path.exists():
+        raise RecordError("there is no such file or folder", file=path)
+    if not (path / native.OBSERVATIONS).is_file() and (inside := sorted(path.glob(f"*/{native.OBSERVATIONS}"))):
+        raise RecordError(f"is no recording, but holds {len(inside)}; give {inside[0].parent}", file=path)
+    head = ""
+    if path.is_file():
+        try:
+            with path.open("rb") as stream:
+                head = universal(decoded(stream.read(HEAD)))
+        except OSError as problem:
+            raise RecordError(f"cannot be read ({problem.strerror})", file=path) from None
+    fitting = [f for f in FORMATS if f.recognises(path, head)]
+    if not fitting:
+        known = "; ".join(f"{f.name} ({f.about})" for f in FORMATS)
+        raise RecordError(f"is in no format known here: {known}", file=path)
+    return next((f for f in fitting if path.suffix.lower() in f.suffixes), fitting[0])
+
+
+def write(recording: Recording, path: Path | str, format: str = "native") -> None:  # noqa: A002
+    """Write a recording in one of the formats that can be written.
+
+    Raises RecordError when the format cannot hold it or the place cannot be written; nothing half-written stays behind.
+    """
+    able = tuple(f for f in FORMATS if f.write is not None)
+    writer = _named(format, able).write
+    if writer is not None:
+        writer(recording, Path(path))
+
+
+def _named(name: str, formats: tuple[Format, ...]) -> Format:
+    by_name = {f.name: f for f in formats}
+    if name not in by_name:
+        raise RecordError(str(unknown_name("format", name, by_name)))
+    return by_name[name]

@@ -1,0 +1,192 @@
+"""Bounded reading of files, the numbers and names in them, and writing without leaving half a file."""
+
+import codecs
+import re
+import textwrap
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from ltsim.core.errors import RecordError
+from ltsim.core.limits import FILE_BYTES, LINE_CHARACTERS, LINES, MIB
+from ltsim.core.storage import write_files
+
+MAX_NAME = 100
+LONGEST_NUMBER = 40
+MAX_TEXT, TITLE = 500, 120
+UTF8, UTF16 = b"\xef\xbb\xbf", (b"\xff\xfe", b"\xfe\xff")
+_OPEN = frozenset(b"\x81\x8d\x8f\x90\x9d")  # bytes without a meaning in Windows-1252
+NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?", re.ASCII)
+_NOT_FINITE = re.compile(r"[+-]?(?:nan|inf|infinity)", re.IGNORECASE)
+_FORBIDDEN = re.compile(r"[<>/\\]")
+
+
+def read_bytes(path: Path, most: int = FILE_BYTES) -> bytes:
+    """The content of a file of at most `most` bytes.
+
+    Raises RecordError when it is missing, a folder, unreadable, empty or too large.
+    """
+    try:
+        with path.open("rb") as stream:
+            content = stream.read(most + 1)
+    except FileNotFoundError:
+        raise RecordError("there is no such file", file=path) from None
+    except IsADirectoryError:
+        raise RecordError("this is a folder, expected a file", file=path) from None
+    except (OSError, ValueError) as problem:
+        reason = getattr(problem, "strerror", None) or "not a usable path"
+        raise RecordError(f"cannot be read ({reason})", file=path) from None
+    if len(content) > most:
+        raise RecordError(f"is larger than {most // MIB} MiB, the most that is read", file=path)
+    if not content.strip():
+        raise RecordError("is empty", file=path)
+    return content
+
+
+def decoded(content: bytes) -> str:
+    """The text of the first bytes of a file: UTF-16 by its byte-order mark, UTF-8, or Latin-1; a cut character goes."""
+    if content.startswith(UTF16):
+        return content.decode("utf-16", errors="replace")
+    try:
+        return codecs.getincrementaldecoder("utf-8-sig")().decode(content)
+    except UnicodeDecodeError:
+        return content.removeprefix(UTF8).decode("latin-1")
+
+
+def read_text(path: Path, *, liberal: bool = False, most: int = FILE_BYTES) -> str:
+    """Text of a file of at most `most` bytes in UTF-8 or UTF-16; `liberal` takes what is neither for Windows-1252."""
+    content = read_bytes(path, most)
+    if content.startswith(UTF16):
+        content = decoded(content).encode()
+    elif b"\x00" in content[1:2] and liberal:
+        content = content.decode("utf-16-le", errors="replace").encode()
+    if b"\x00" in content:
+        raise RecordError("holds binary data, or UTF-16 without a byte-order mark; expected UTF-8 text", file=path)
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError as problem:
+        if liberal:
+            return content.decode("latin-1" if _OPEN & {*content} else "cp1252")
+        line = content[: problem.start].count(b"\n") + 1
+        raise RecordError(f"is not UTF-8 text (first in line {line}); save it as UTF-8", file=path) from None
+
+
+def read_lines(path: Path, *, liberal: bool = False) -> list[str]:
+    """Lines of a text file without line breaks, which are those of Unix, Windows or the old Macintosh.
+
+    Raises RecordError for more than `LINES` of them, or one of more than `LINE_CHARACTERS`.
+    """
+    text = universal(read_text(path, liberal=liberal))
+    if text.count("\n") > LINES:
+        raise RecordError(f"has more than {LINES} lines, the most that is read", file=path)
+    lines = text.split("\n")
+    for i, line in enumerate(lines):
+        if len(line) > LINE_CHARACTERS:
+            raise RecordError(f"line {i + 1} is longer than {LINE_CHARACTERS} characters", file=path)
+    return lines
+
+
+def universal(text: str) -> str:
+    """Text whose lines all end as those of Unix do."""
+    return re.sub("\r+\n|\r", "\n", text) if "\r" in text else text
+
+
+def is_number(text: str) -> bool:
+    """Whether `text` is a decimal number in plain ASCII."""
+    return len(text) <= LONGEST_NUMBER and NUMBER.fullmatch(text) is not None
+
+
+def is_not_finite(text: str) -> bool:
+    """Whether `text` spells NaN or infinity."""
+    return len(text) <= 10 and _NOT_FINITE.fullmatch(text) is not None
+
+
+def shown(text: str, length: int = 40) -> str:
+    """`text` as it can stand in a one-line message: printable and short."""
+    clean = "".join(c if c.isprintable() else "?" for c in text[: length + 1])
+    return clean if len(clean) <= length else clean[:length] + "..."
+
+
+@dataclass(frozen=True, slots=True)
+class FilePlace:
+    """A place in a file. What it holds is checked here, and whatever is wrong there is told with it."""
+
+    file: object = None
+    row: int | None = None
+    column: str | None = None
+
+    def wrong(self, message: str, column: str | None = None) -> RecordError:
+        """The error to raise for what is wrong here."""
+        return RecordError(message, file=self.file, row=self.row, column=self.column if column is None else column)
+
+    def number(self, text: str, column: str | None = None, *, limit: float = 1e12, comma: bool = False) -> float:
+        """A finite decimal number of at most `limit` in size, perhaps with a decimal `comma`.
+
+        Raises RecordError for anything else; NaN, infinities and digits of other scripts included.
+        """
+        text = text.strip().replace(",", ".", 1) if comma else text.strip()
+        if not is_number(text):
+            wanted = "expected a finite number" if is_not_finite(text) else "expected a number"
+            hint = ", with a point instead of a comma" if is_number(text.replace(",", ".", 1)) else ""
+            raise self.wrong(f"found '{shown(text)}', {wanted}{hint}", column)
+        value = float(text)
+        if not abs(value) <= limit:
+            raise self.wrong(f"found {shown(text)}, expected a number of at most {limit:g} in size", column)
+        return value
+
+    def name(self, name: str, kind: str, column: str | None = None) -> str:
+        """`name` itself when it can serve as the name of a station, target or instrument; raises RecordError.
+
+        Names end up in tables, pages and paths, so control characters, markup and path separators are refused.
+        """
+        if not name or name != name.strip():
+            what = "is empty" if not name.strip() else f"'{shown(name)}' begins or ends with a blank"
+            raise self.wrong(f"the name of a {kind} {what}", column)
+        reason = ""
+        if len(name) > MAX_NAME:
+            reason = f"is longer than {MAX_NAME} characters"
+        elif not name.isprintable():
+            reason = "holds a control character"
+        elif found := _FORBIDDEN.search(name):
+            reason = f"holds '{found.group()}'; a name may not hold < > / or \\"
+        elif name in (".", ".."):
+            reason = "is the name of a folder"
+        if reason:
+            raise self.wrong(f"the name of a {kind}, '{shown(name)}', {reason}", column)
+        return name
+
+    def text(self, text: str, column: str | None = None) -> str:
+        """`text` itself when it is a short line without control characters or markup; raises RecordError."""
+        markup = "<" in text or ">" in text or not text.isprintable()
+        if len(text) > MAX_TEXT or markup:
+            reason = "holds control characters or markup" if markup else f"is longer than {MAX_TEXT} characters"
+            raise self.wrong(f"the text '{shown(text)}' {reason}", column)
+        return text
+
+
+def comma_number(text: str, *, file: object, row: int | None = None, column: str | None = None) -> float:
+    """`FilePlace.number` with a decimal point or comma."""
+    return FilePlace(file, row, column).number(text, comma=True)
+
+
+def as_title(text: str) -> str:
+    """A foreign title in one line that heads a page: of a whole description as many words as go on it."""
+    line = textwrap.shorten(text, TITLE, placeholder=" ...")
+    return "".join(c for c in line.replace("<", "(").replace(">", ")") if c.isprintable())
+
+
+def write_texts(folder: Path, texts: Mapping[str, str | bytes]) -> None:
+    """Write files into `folder` (a name may lead through a folder), all or none, as `ltsim.core.storage.write_files`.
+
+    Raises RecordError when the folder cannot be made or written to, or a link leads out of it.
+    """
+    try:
+        write_files(folder, {name: t.encode() if isinstance(t, str) else t for name, t in texts.items()})
+    except (OSError, UnicodeEncodeError) as problem:
+        reason = getattr(problem, "strerror", None) or "text that UTF-8 cannot hold"
+        raise RecordError(f"cannot be written ({reason})", file=folder) from None
+
+
+def write_text(path: Path, text: str | bytes) -> None:
+    """Write one file at once: to a temporary sibling that then takes its place."""
+    write_texts(path.parent, {path.name: text})

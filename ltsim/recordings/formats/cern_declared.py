@@ -1,0 +1,230 @@
+"""Declarations in files of CERN's LGC: points, with what is known of their coordinates, and polar instruments.
+
+``*POIN`` lines may end with ``SX``, ``SY``, ``SZ`` (standard deviations in mm, 0 for fixed; an axis without one is
+free) or ``APRICOV DIAG(...)`` or ``MAT(...)`` (covariance in square metres). ``*OBSXYZ`` lines observe a point: its
+coordinates and their standard deviations in mm. Independent observations of one point are one: their weighted mean.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ltsim.core.arrays import Bools, Floats
+from ltsim.core.units import ARCSECOND, FACTOR, MILLIMETRE, PPM
+from ltsim.recordings.files import FilePlace, shown
+from ltsim.recordings.setup import Axes, Instrument, Noise
+
+CC = FACTOR["cc"]
+FIXED = 1e-7
+"""[m] Standard deviation of a coordinate that is fixed."""
+POINTS: dict[str, str] = {"CALA": "xyz", "VXY": "z", "VXZ": "y", "VYZ": "x", "VZ": "xy", "POIN": ""}
+"""Kinds of points and the coordinates that they fix."""
+SIGMAS = ("SX", "SY", "SZ")
+TURNED = ("BEAR", "SLOPE", "ROLL", "HDEFL")
+WITH_VALUE = ("OBSE", "PPM", "TH", "THSE", "TCSE", "TRGT", "ID", "ASE", "ZSE", "DSE", "ACST", "IH", "IHSE", "ICSE")
+
+
+@dataclass(frozen=True)
+class Words:
+    """Words of a line, and where it stands."""
+
+    tokens: Sequence[str]
+    where: FilePlace
+
+    def first(self, count: int, message: str) -> Sequence[str]:
+        """The first words; raises RecordError where there are fewer."""
+        if len(self.tokens) < count:
+            raise self.where.wrong(message)
+        return self.tokens[:count]
+
+    def numbers(self, start: int, *columns: str, limit: float = 1e12) -> list[float]:
+        """Numbers from place `start` on; raises RecordError."""
+        words = zip(self.tokens[start : start + len(columns)], columns, strict=True)
+        return [self.where.number(word, column, limit=limit) for word, column in words]
+
+    def options(self, start: int) -> Options:
+        """From place `start` on: flags, and names with one value each."""
+        found: dict[str, str] = {}
+        rest = iter(self.tokens[start:])
+        for word in map(str.upper, rest):
+            value = next(rest, None) if word in WITH_VALUE else ""
+            if value is None:
+                raise self.where.wrong(f"{word} without a value")
+            found[word] = value
+        return Options(found, self.where)
+
+
+@dataclass(frozen=True)
+class Options:
+    """What stands behind the values of a line."""
+
+    said: dict[str, str]
+    where: FilePlace
+
+    def number(self, name: str, default: float) -> float:
+        """A number among the options, or its default; raises RecordError."""
+        return self.where.number(self.said[name], name) if name in self.said else default
+
+
+@dataclass
+class DeclaredPoint:
+    """A declared point."""
+
+    place: Floats
+    """(3,) [m]: as declared: where it is known, or roughly."""
+    information: Floats = field(default_factory=lambda: np.zeros((3, 3)))
+    """(3, 3) [1 / m^2]: inverse covariance of what is known of its coordinates; 0 along free ones."""
+    told: Floats = field(default_factory=lambda: np.zeros(3))
+    """(3,) [1 / m]: `information` times the coordinates that it belongs to."""
+
+    def add(self, place: Floats, covariance: Floats, axes: Bools | None = None) -> None:
+        """Learn coordinates (3,) with their covariance (3, 3) along some axes, by default all."""
+        at = np.ix_(*[np.ones(3, dtype=bool) if axes is None else axes] * 2)
+        information = np.zeros((3, 3))
+        information[at] = np.linalg.inv(covariance[at])
+        self.information = self.information + information
+        self.told = self.told + information @ place
+
+    @property
+    def axes(self) -> Axes | None:
+        """The coordinates that are known; None for none."""
+        known = "".join(axis for axis, weight in zip("xyz", np.diag(self.information), strict=True) if weight > 0)
+        return known or None  # type: ignore[return-value]
+
+    @property
+    def is_fixed(self) -> bool:
+        """Whether an observation can tell nothing more."""
+        return bool(np.all(np.diag(self.information) >= 0.5 * FIXED**-2))
+
+    @property
+    def is_placeholder(self) -> bool:
+        """Whether nobody gave it a place."""
+        return not np.any(self.place[:2])
+
+    @property
+    def known(self) -> tuple[Floats, Floats]:
+        """Coordinates (3,) [m], free ones as declared, and covariance (3, 3) [m^2], theirs 1 mm^2."""
+        axes = np.diag(self.information) > 0
+        at, covariance, place = np.ix_(axes, axes), np.eye(3) * MILLIMETRE**2, self.place.copy()
+        covariance[at] = np.linalg.inv(self.information[at])
+        place[axes] += covariance[at] @ (self.told - self.information @ self.place)[axes]
+        return place, covariance
+
+
+def point_of(keyword: str, words: Words) -> tuple[str, DeclaredPoint]:
+    """A line of a block of points; raises RecordError."""
+    name, place = _named_place(words, "a point needs a name and three coordinates")
+    point = DeclaredPoint(place)
+    axes = np.array([axis in POINTS[keyword] for axis in "xyz"])
+    if axes.any():
+        point.add(place, np.eye(3) * FIXED**2, axes)
+    else:
+        _know(point, [token.upper() for token in words.tokens[4:]], words.where)
+    return name, point
+
+
+def observed_point(words: Words) -> tuple[str, Floats, Floats]:
+    """A line of OBSXYZ: point, coordinates (3,) [m], covariance (3, 3) [m^2]; raises RecordError."""
+    message = "*OBSXYZ needs a point, three coordinates and three standard deviations"
+    name, place = _named_place(words, message)
+    words.first(7, message)
+    sigma = np.array(words.numbers(4, *SIGMAS))
+    if not np.all(sigma > 0):
+        raise words.where.wrong("a standard deviation of 0")
+    return name, place, np.diag(sigma * MILLIMETRE) ** 2
+
+
+def _named_place(words: Words, message: str) -> tuple[str, Floats]:
+    name = words.where.name(words.tokens[0], "point")
+    words.first(4, message)
+    return name, np.array(words.numbers(1, "X", "Y", "Z", limit=1e8))
+
+
+def _know(point: DeclaredPoint, words: list[str], where: FilePlace) -> None:
+    turned = next((word for word in words if word in TURNED), None)
+    if turned is not None:
+        raise where.wrong(f"{turned}: standard deviations in turned axes are not read; give APRICOV")
+    if "APRICOV" in words:
+        point.add(point.place, _matrix("".join(words[words.index("APRICOV") + 1 :][:1]), where))
+        return
+    stated = {word: words[i + 1] for i, word in enumerate(words[:-1]) if word in SIGMAS}
+    sigma = np.array([where.number(stated[s], s) * MILLIMETRE if s in stated else np.nan for s in SIGMAS])
+    if stated:
+        point.add(point.place, np.diag(np.fmax(sigma, FIXED) ** 2), np.isfinite(sigma))
+
+
+def _matrix(word: str, where: FilePlace) -> Floats:
+    """The covariance (3, 3) [m^2] that `DIAG(xx,yy,zz)` or `MAT(xx,xy,...,zz)` states."""
+    found = re.fullmatch(r"(DIAG|MAT)\(([^()]*)\)", word)
+    values = [where.number(v, "APRICOV") for v in found[2].split(",")] if found else []
+    if found and len(values) == (3 if found[1] == "DIAG" else 9):
+        matrix = np.diag(values) if found[1] == "DIAG" else np.array(values).reshape(3, 3)
+        if np.allclose(matrix, matrix.T, rtol=1e-9, atol=0.0) and np.linalg.eigvalsh(matrix)[0] > 0:
+            return matrix
+    raise where.wrong("expected DIAG(xx,yy,zz) or MAT(xx,xy,...,zz), a covariance in square metres", "APRICOV")
+
+
+@dataclass(frozen=True)
+class Sigmas:
+    """By the target used: standard deviations of azimuth and zenith angle [cc], distance [mm, ppm], its height [m]."""
+
+    azimuth: float
+    elevation: float
+    distance: float
+    ppm: float
+    height: float
+
+    def of(self, kind: str, options: Options, value: float) -> float:
+        """Standard deviation [m, rad] of one value: as declared with the target, or as the line says."""
+        option = {"azimuth": "ASE", "elevation": "ZSE", "distance": "DSE"}[kind]
+        stated = options.number(option, options.number("OBSE", getattr(self, kind)))
+        sigma = stated * CC
+        if kind == "distance":
+            sigma = stated * MILLIMETRE + options.number("PPM", self.ppm) * PPM * value
+        if not sigma > 0:
+            raise options.where.wrong("a standard deviation of 0", kind)
+        return sigma
+
+
+@dataclass
+class Polar:
+    """A polar instrument: its default target, its height [m], and its targets."""
+
+    default: str
+    height: float
+    targets: dict[str, Sigmas] = field(default_factory=dict)
+
+    def declare(self, words: Words) -> str:
+        """A line of a kind of target with its sigmas; gives what is to be noted. Raises RecordError."""
+        name = words.first(5, "a target needs its name and four sigmas")[0]
+        height = words.numbers(9, "height")[0] if len(words.tokens) > 9 else 0.0
+        correction = words.numbers(6, "correction")[0] if len(words.tokens) > 6 else 0.0
+        azimuth, elevation, distance, ppm = words.numbers(1, "sigma", "sigma", "sigma", "sigma")
+        self.targets[name] = Sigmas(azimuth, elevation, distance, ppm, height)
+        return (
+            f"target {shown(name)}: its correction of distances of {correction:g} m is not applied"
+            if correction
+            else ""
+        )
+
+    def instrument(self, name: str) -> Instrument:
+        """As a set-up has it; a name such as AT402.392506 holds its model and serial number."""
+        parts = re.fullmatch(r"([A-Z]+\d+)[._](\d{4,})", name)
+        model, serial = parts.groups() if parts else (None, None)
+        return Instrument(noise=self._noise(), corrected=True, model=model, serial=serial)
+
+    def _noise(self) -> Noise:
+        """The sigmas of the default target; those of single observations stand in columns."""
+        sigmas = self.targets.get(self.default) or next(iter(self.targets.values()), None)
+        if sigmas is None:
+            return Noise()
+        return Noise(
+            distance_mm=max(sigmas.distance, 1e-6),
+            distance_ppm=sigmas.ppm,
+            azimuth_arcsec=max(sigmas.azimuth * CC / ARCSECOND, 1e-6),
+            elevation_arcsec=max(sigmas.elevation * CC / ARCSECOND, 1e-6),
+        )

@@ -1,0 +1,328 @@
+"""Input files of CERN's LGC (``.lgc``, ``.lgc2``).
+
+Understood are points (``*CALA``, ``*POIN``, ``*VXY`` and its kin, ``*PDOR``) and what observes them (``*OBSXYZ``),
+polar instruments with the sigmas of their targets, set-ups (``*TSTN``, ``*V0``), observations (``*PLR3D``, ``*ANGL``,
+``*ZEND``, ``*DIST``, ``*DHOR``), free rotation (``ROT3D``) and lines switched off with ``%``. Other observations are
+named in a note and skipped, and so are those in frames of their own (``*FRAME``).
+Angles count clockwise, in gon; coordinates and distances are in metres.
+
+In a curved reference (``*RS2K`` and others) the third coordinate is a height. It is turned into the z of a plane that
+touches the network in its middle, and every levelled set-up gets the direction of plumb that belongs to its place.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ltsim.core.arrays import Floats
+from ltsim.core.errors import RecordError
+from ltsim.core.units import EARTH, GON, MILLIMETRE
+from ltsim.recordings.conventions import NO_HINTS, Hints
+from ltsim.recordings.files import FilePlace, as_title, read_lines, shown
+from ltsim.recordings.formats.cern_declared import FIXED, POINTS, DeclaredPoint, Polar, Words, observed_point, point_of
+from ltsim.recordings.pointings import NAN, Kind, Observed, merged, numbered, recording_of, settled_heights
+from ltsim.recordings.recording import Recording
+from ltsim.recordings.setup import EXACT_LEVEL_ARCSEC, Setup, Station, Target, Vector
+
+OBSERVATIONS: dict[str, tuple[Kind, ...]] = {
+    "PLR3D": ("azimuth", "elevation", "distance"),
+    "ANGL": ("azimuth",),
+    "ZEND": ("elevation",),
+    "DIST": ("distance",),
+    "DHOR": ("distance",),
+}
+CURVED = ("RS2K", "LEP", "SPHE")
+OPTIONS = (
+    *("TITR", "OLOC", "HIST", "PREC", "PUNC", "FAUT", "JSON", "APRI", "DEFA", "FMTP", "NODUP", "SOBS", "EREL"),
+    *("COVAR", "CONSI", "LM", "TOL", "NOSPC", "PRES", "CHABA", "INSTR", "POLAR", "PDOR", "TSTN", "V0", "END"),
+)
+
+
+@dataclass(frozen=True)
+class _SetUp:
+    point: str
+    instrument: str
+    height: float
+    levelled: bool
+    default: str
+    constant: float = 0.0
+
+
+@dataclass
+class _File:
+    path: Path
+    title: list[str] = field(default_factory=list)
+    curved: str = ""
+    points: dict[str, DeclaredPoint] = field(default_factory=dict)
+    frames: list[str] = field(default_factory=list)
+    framed: list[str] = field(default_factory=list)
+    placed: list[tuple[str, Floats, Floats]] = field(default_factory=list)
+    orientation: list[str] = field(default_factory=list)
+    polar: dict[str, Polar] = field(default_factory=dict)
+    setups: dict[str, _SetUp] = field(default_factory=dict)
+    observed: list[Observed] = field(default_factory=list)
+    skipped: dict[str, int] = field(default_factory=dict)
+    switched_off: int = 0
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def station(self) -> str:
+        """The set-up that was declared last."""
+        return next(reversed(self.setups), "")
+
+    def stand(self, setup: _SetUp) -> None:
+        """A further set-up; one on a point that had one gets a number."""
+        count = sum(s.point == setup.point for s in self.setups.values())
+        self.setups[numbered(setup.point, count)] = setup
+
+
+def recognises(path: Path, head: str) -> bool:
+    """Whether it begins like an LGC file."""
+    return re.search(r"^\s*\*(TITR|RS2K|OLOC|INSTR|CALA|POIN)\b", head, re.MULTILINE) is not None
+
+
+def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
+    """Read an LGC input file.
+
+    Raises RecordError for a malformed line, an instrument or target that is not declared, or a file without ``*END``.
+    """
+    file = _File(path)
+    keyword, in_frame = "", False
+    for words in _lines(file):
+        first = words.tokens[0]
+        if first.startswith("*"):
+            keyword = first[1:].upper()
+            in_frame = (in_frame or keyword == "FRAME") and keyword != "ENDFRAME"
+            if keyword == "FRAME":
+                file.frames.append(" ".join(words.tokens[1:2]))
+            if not in_frame:
+                _begin(keyword, Words(words.tokens[1:], words.where), file)
+        elif in_frame and keyword == "OBSXYZ":
+            file.framed.append(first)
+        elif in_frame or not _line(keyword, words, file):
+            file.skipped[keyword] = file.skipped.get(keyword, 0) + 1
+        if keyword == "END":
+            break
+    if keyword != "END" or in_frame:
+        missing = "*ENDFRAME" if in_frame else "*END"
+        raise RecordError(f"the file ends without {missing}: it was cut", file=path)
+    return _finished(file)
+
+
+def _lines(file: _File) -> Iterator[Words]:
+    """Words of every line that says something; comments after % and $ are dropped."""
+    for i, line in enumerate(read_lines(file.path, liberal=True)):
+        text = line.partition("%")[0].partition("$")[0]
+        if line.lstrip().startswith("%"):
+            file.switched_off += len(line.split()) > 2 and re.search(r"\d\.\d{3}", line[:150]) is not None
+        elif text.strip():
+            yield Words(text.split(), FilePlace(file.path, i + 1))
+
+
+def _begin(keyword: str, rest: Words, file: _File) -> None:
+    if keyword in CURVED:
+        file.curved = keyword
+    elif keyword == "POLAR":
+        name, default, _ = rest.first(3, "*POLAR needs an instrument, its default target and a height")
+        file.polar[rest.where.name(name, "instrument")] = Polar(default, rest.numbers(2, "height")[0])
+    elif keyword == "TSTN":
+        _begin_setup(rest, file)
+    elif keyword == "V0":
+        _begin_set(rest, file)
+    elif keyword not in (*OPTIONS, *POINTS, *OBSERVATIONS, "OBSXYZ", "FRAME", "ENDFRAME"):
+        file.skipped.setdefault(keyword, 0)
+
+
+def _begin_setup(rest: Words, file: _File) -> None:
+    instrument = "".join(rest.tokens[1:2])
+    if instrument not in file.polar:
+        found = shown(instrument) or "nothing"
+        raise rest.where.wrong(f"*TSTN names {found}, expected an instrument declared as *POLAR")
+    point = rest.where.name(rest.tokens[0], "station")
+    if point not in file.points:
+        raise rest.where.wrong(f"the set-up stands on {point}, which no block of points declares")
+    options, polar = rest.options(2), file.polar[instrument]
+    height = options.number("IH", polar.height if "IHFIX" in options.said else 0.0)
+    default = options.said.get("TRGT", polar.default)
+    file.stand(_SetUp(point, instrument, height, "ROT3D" not in options.said, default))
+
+
+def _begin_set(rest: Words, file: _File) -> None:
+    """An orientation: the first of a set-up is its own, a further one makes a further set-up on the same point."""
+    if not file.setups:
+        raise rest.where.wrong("*V0 without a set-up (*TSTN) before it")
+    options, name = rest.options(0), file.station
+    setup = file.setups[name]
+    default = options.said.get("TRGT", setup.default)
+    setup = replace(setup, constant=options.number("ACST", 0.0) * GON, default=default)
+    if any(o.station == name for o in file.observed):
+        file.stand(setup)
+    else:
+        file.setups[name] = setup
+
+
+def _line(keyword: str, words: Words, file: _File) -> bool:
+    """A line of the current block; False where the block is of no use here."""
+    if keyword in ("TITR", ""):
+        file.title += words.tokens
+    elif keyword in POINTS:
+        name, point = point_of(keyword, words)
+        if name in file.points:
+            raise words.where.wrong(f"the point {name} is declared twice")
+        file.points[name] = point
+    elif keyword == "OBSXYZ" and not file.curved:
+        file.placed.append(observed_point(words))
+    elif keyword == "PDOR":
+        file.orientation.append(words.tokens[0])
+    elif keyword == "POLAR":
+        file.notes += filter(None, [file.polar[next(reversed(file.polar))].declare(words)])
+    elif keyword in OBSERVATIONS:
+        _observation(keyword, words, file)
+    else:
+        return keyword in OPTIONS
+    return True
+
+
+def _observation(keyword: str, words: Words, file: _File) -> None:
+    kinds, where = OBSERVATIONS[keyword], words.where
+    if not file.setups:
+        raise where.wrong(f"*{keyword} without a set-up (*TSTN) before it")
+    words.first(1 + len(kinds), f"*{keyword} needs a point and {len(kinds)} values")
+    setup = file.setups[file.station]
+    target = where.name(words.tokens[0], "target")
+    if target not in file.points:
+        raise where.wrong(f"the point {target} is in no block of points")
+    options = words.options(1 + len(kinds))
+    used, declared = options.said.get("TRGT", setup.default), file.polar[setup.instrument].targets
+    if used not in declared:
+        raise where.wrong(f"the target {shown(used)} is not declared with instrument {setup.instrument}")
+    height = options.number("TH", declared[used].height)
+    for kind, value in zip(kinds, words.numbers(1, *kinds, limit=1e6), strict=True):
+        si, sigma = _si(kind, value, setup, where), declared[used].of(kind, options, value)
+        heights = setup.height, NAN if kind == "azimuth" else height, keyword == "DHOR"
+        file.observed.append(Observed(kind, file.station, target, si, sigma, *heights, where.row or 0))
+
+
+def _si(kind: Kind, value: float, setup: _SetUp, where: FilePlace) -> float:
+    """Reading [m, rad]: azimuth counter-clockwise, elevation instead of the zenith angle."""
+    if kind == "azimuth":
+        return float(np.mod(-value * GON - setup.constant, 2 * np.pi))
+    if kind == "elevation":
+        if not 0 <= value <= 200:
+            raise where.wrong(f"found a zenith angle of {value:g}, expected 0 to 200 gon (both faces reduced to one)")
+        return float(np.pi / 2 - value * GON)
+    if value <= 0:
+        raise where.wrong(f"found a distance of {value:g}, expected one above 0")
+    return value
+
+
+def _finished(file: _File) -> Recording:
+    pointings, instrument_heights, target_heights = settled_heights(merged(file.observed, file.path.name))
+    if not pointings:
+        raise RecordError("holds no polar observations", file=file.path)
+    targets = dict.fromkeys(p.target for p in pointings)
+    _learn(file)
+    marks = [s.point for s in file.setups.values() if file.points[s.point].axes or s.point in targets]
+    plane = _Plane.of([file.points[name] for name in {*targets, *(s.point for s in file.setups.values())}], file.curved)
+    setup = Setup(
+        title=as_title(" ".join(file.title)),
+        instruments={name: polar.instrument(name) for name, polar in file.polar.items()},
+        stations={
+            name: Station(
+                **plane.upright(file.points[s.point], levelled=s.levelled),
+                instrument=s.instrument,
+                instrument_height_mm=instrument_heights.get(name, 0.0),
+                over=s.point if s.point in marks else None,
+            )
+            for name, s in file.setups.items()
+        },
+        targets={
+            name: Target(
+                **plane.known(file.points[name]),
+                datum=name in file.orientation,
+                height_mm=target_heights.get(name, 0.0),
+            )
+            for name in dict.fromkeys([*targets, *marks])
+        },
+    )
+    return recording_of(pointings, setup, notes=list(dict.fromkeys([*file.notes, *_said(file)])), file=file.path)
+
+
+def _learn(file: _File) -> None:
+    """Observed coordinates of the points that are not fixed already."""
+    for name, place, covariance in file.placed:
+        if name not in file.points:
+            raise RecordError(f"*OBSXYZ observes {name}, which is in no block of points", file=file.path)
+        if file.points[name].is_fixed:
+            file.notes.append(f"*OBSXYZ of {name}: the point is fixed, its observed coordinates tell nothing")
+        else:
+            file.points[name].add(place, covariance)
+
+
+@dataclass(frozen=True)
+class _Plane:
+    """The plane that touches the reference in the middle of the network: `middle` (2,) [m] in plan."""
+
+    middle: Floats
+    curved: bool
+
+    @classmethod
+    def of(cls, points: list[DeclaredPoint], curved: str) -> _Plane:
+        """Of points in use; those at 0, 0 are place-holders."""
+        placed = [point.place[:2] for point in points if not point.is_placeholder]
+        return cls(np.median(placed, axis=0) if placed else np.zeros(2), bool(curved))
+
+    def place(self, place: Floats) -> Vector:
+        """Coordinates [mm] in the plane."""
+        x, y, height = place.tolist()
+        drop = float(np.sum((place[:2] - self.middle) ** 2)) / (2 * EARTH) if self.curved else 0.0
+        return round(x * 1e3, 6), round(y * 1e3, 6), round((height - drop) * 1e3, 6)
+
+    def upright(self, point: DeclaredPoint, *, levelled: bool) -> dict[str, Any]:
+        """What a set-up over a point says of its place and plumb line."""
+        found: dict[str, Any] = {} if point.is_placeholder else {"position_mm": self.place(point.place)}
+        if levelled:
+            found |= {"levelled": True, "levelling_sigma_arcsec": EXACT_LEVEL_ARCSEC}
+        if levelled and self.curved and found.get("position_mm"):
+            x, y = ((point.place[:2] - self.middle) / EARTH).round(12).tolist()
+            found["vertical"] = (x, y, 1.0)
+        return found
+
+    def known(self, point: DeclaredPoint) -> dict[str, Any]:
+        """What a target says of its coordinates: known along some axes, approximate along the others."""
+        axes = point.axes
+        if axes is None:
+            return {} if point.is_placeholder else {"approximate_mm": self.place(point.place)}
+        place, covariance = point.known
+        found: dict[str, Any] = {"known_mm": self.place(place), "known_axes": axes}
+        found["known_sigma_mm"] = FIXED / MILLIMETRE
+        if not all(abs(covariance[k, k] / FIXED**2 - 1.0) < 1e-6 for k in range(3) if "xyz"[k] in axes):
+            found["known_covariance_mm2"] = tuple((covariance[np.triu_indices(3)] / MILLIMETRE**2).tolist())
+        return found if axes == "xyz" else found | {"approximate_mm": self.place(point.place)}
+
+
+def _said(file: _File) -> Iterator[str]:
+    if file.switched_off:
+        yield f"{file.switched_off} lines are switched off with % and left out"
+    for keyword, count in file.skipped.items():
+        curved = f"observes coordinates in the axes of *{file.curved}, not in those of its heights,"
+        why = curved if keyword == "OBSXYZ" else "is not understood here"
+        yield f"*{shown(keyword)} {why} and skipped ({count} lines)"
+    if file.framed:
+        frames = ", ".join(map(shown, file.frames))
+        said = f"*OBSXYZ observes {len(file.framed)} points in a frame of its own ({frames})"
+        if all(name in file.points and file.points[name].is_fixed for name in file.framed):
+            yield f"{said}; all of them are fixed, so this tells where that frame lies and nothing of the network"
+        else:
+            yield f"{said}, whose place is not adjusted here; they are skipped"
+    if file.curved:
+        sphere = "heights refer to a curved surface: a sphere is taken for it, plumb lines differ by place"
+        yield f"*{file.curved}: {sphere}"
+    for name in file.orientation:
+        yield f"*PDOR: the frame is oriented by the approximate coordinates of {shown(name)}"

@@ -1,0 +1,100 @@
+"""The field book of a total station: set-ups over points with heights, pointings from them, to a recording."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from ltsim.core.errors import RecordError
+from ltsim.core.units import MILLIMETRE
+from ltsim.recordings.curvature import on_round_earth
+from ltsim.recordings.files import FilePlace
+from ltsim.recordings.kinds import LIKE_TOTAL_STATION, TOTAL_STATION
+from ltsim.recordings.pointings import NAN, Pointing, numbered, recording_of, settled_heights
+from ltsim.recordings.recording import HEIGHT_COLUMNS, KIND_COLUMN, Recording
+from ltsim.recordings.setup import Setup, Station, Target, Vector
+
+
+@dataclass
+class FieldBook:
+    """Content of a file of a total station, as far as it is read."""
+
+    path: Path
+    station: str = ""
+    setups: dict[str, tuple[str, float, Vector | None]] = field(default_factory=dict)
+    """Point, height of the instrument [m] and place [mm] of each set-up."""
+    pointings: list[Pointing] = field(default_factory=list)
+    skipped: int = 0
+
+    def stand(self, name: str, height: float, place: Vector | None, where: FilePlace) -> None:
+        """A new set-up; a station that is occupied again gets a number."""
+        count = sum(point == where.name(name, "station") for point, _, _ in self.setups.values())
+        self.station = numbered(name, count)
+        self.setups[self.station] = (name, height, place)
+
+    def point(
+        self,
+        target: str,
+        where: FilePlace,
+        *,
+        distance: float,
+        horizontal: float,
+        zenith: float,
+        height: float = NAN,
+        flat: bool = False,
+    ) -> None:
+        """A pointing: distance [m], clockwise circle and zenith angle [rad], NaN where not measured; height [m].
+
+        Raises RecordError before any station is named, or for numbers that no instrument reads.
+        """
+        if not self.station:
+            raise where.wrong("a measurement before any station is named; say which it is (station=)")
+        distance = distance or NAN
+        if not (np.isnan(distance) or 0 < distance < 1e6):
+            raise where.wrong(f"a distance of {distance:g} m")
+        if not (np.isnan(zenith) or 0 <= zenith <= 2 * np.pi):
+            raise where.wrong("a zenith angle off the circle")
+        elevation = np.pi / 2 - zenith + (2 * np.pi if zenith > np.pi else 0.0)
+        if np.all(np.isnan([distance, horizontal, zenith])):
+            self.skipped += 1
+            return
+        self.pointings.append(
+            Pointing(
+                self.station,
+                where.name(target, "target"),
+                2 if elevation > np.pi / 2 + 1e-9 else 1,
+                distance,
+                float(np.mod(-horizontal, 2 * np.pi)),
+                elevation,
+                covariates={HEIGHT_COLUMNS[1]: height / MILLIMETRE} if np.isfinite(height) else {},
+                labels={KIND_COLUMN: "horizontal"} if flat and np.isfinite(distance) else {},
+                source=f"{self.path.name}, line {where.row}",
+            )
+        )
+
+    def recording(self, kind: str, *notes: str) -> Recording:
+        """The recording: levelled set-ups over points, a total station's noise; `kind` is of the file, for its notes.
+
+        Raises RecordError where nothing was measured.
+        """
+        if not self.pointings:
+            raise RecordError("holds no measurements", file=self.path)
+        pointings, _, heights = settled_heights(self.pointings)
+        targets = {p.target for p in pointings}
+        stations = {}
+        for name in dict.fromkeys(p.station for p in pointings):
+            point, height, place = self.setups[name]
+            stations[name] = Station(
+                levelled=True,
+                over=point if point in targets else None,
+                instrument_height_mm=round(height / MILLIMETRE, 6),
+                position_mm=place,
+            )
+        setup = Setup(
+            title=self.path.stem,
+            instrument=TOTAL_STATION,
+            stations=stations,
+            targets={name: Target(height_mm=height) for name, height in heights.items()},
+        )
+        said = [LIKE_TOTAL_STATION.format(reason=f"it is {kind}"), *notes]
+        return on_round_earth(recording_of(pointings, setup, notes=said, file=self.path))

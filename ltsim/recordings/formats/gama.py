@@ -1,0 +1,330 @@
+"""Input files of GNU Gama (``gama-local``).
+
+Understood are directions, azimuths, zenith angles, slope and horizontal distances, angles, heights of instrument and
+target, points that are fixed, constrained, adjusted or observed with a covariance. Each set of directions becomes a
+set-up of its own over the same point, azimuths an oriented one; distances alone between two targets are known lengths,
+height differences and vectors known differences of their marks. Without any pointing they are no recording.
+
+Gama's instruments are levelled exactly and its angles count clockwise unless said otherwise; a left-handed system of
+axes is made right-handed by turning y over, which a note says.
+"""
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from ltsim.core.errors import RecordError
+from ltsim.core.notation import listing
+from ltsim.core.units import ARCSECOND, DEGREE, FACTOR, GON, MILLIMETRE
+from ltsim.recordings.conventions import NO_HINTS, Hints
+from ltsim.recordings.differences import check_differences
+from ltsim.recordings.files import FilePlace, as_title, shown
+from ltsim.recordings.formats.gama_covariance import covariances, differences_of, shared_errors
+from ltsim.recordings.formats.gama_network import GamaNetwork, GamaPoint, lengths_of, named, take_plan
+from ltsim.recordings.pointings import NAN, Observed, merged, recording_of, settled_heights
+from ltsim.recordings.recording import Recording
+from ltsim.recordings.setup import (
+    EXACT_LEVEL_ARCSEC,
+    Gauge,
+    Instrument,
+    Noise,
+    Setup,
+    Station,
+    Target,
+)
+from ltsim.recordings.xml import Node, parse
+
+LEFT_HANDED, RIGHT_HANDED = ("ne", "sw", "es", "wn"), ("en", "nw", "se", "ws")
+CC = FACTOR["cc"]
+STATED = {"z-angle": "zenith-angle", "s-distance": "distance"} | {k: k for k in ("direction", "azimuth", "distance")}
+"""Under which name the file states the standard deviation of an observation."""
+NAMES = ("id", "from", "to", "bs", "fs")
+"""Attributes that name a point."""
+Spread = tuple[float, dict[str, float]]
+"""Standard deviation of an observation by itself (NaN: by default), and its share of errors by their name [mm, cc]."""
+CORRELATIONS = "correlations between observed coordinates of different points are left out"
+BETWEEN = "correlations between height differences, or between vectors, are left out"
+_DMS = re.compile(r"([+-]?)(\d{1,3})-(\d{1,2})-(\d{1,2}(?:\.\d+)?)", re.ASCII)
+
+
+def recognises(path: Path, head: str) -> bool:
+    """Whether the root element is that of gama-local."""
+    return re.search(r"<gama-(local|xml)\b", head) is not None and "<gama-local-adjustment" not in head
+
+
+def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
+    """Read an input file of gama-local; raises RecordError for XML that is malformed, hostile or not of this kind."""
+    root = parse(path)
+    if root.tag not in ("gama-local", "gama-xml"):
+        raise RecordError(f"the root is <{shown(root.tag)}>, expected <gama-local>", file=path)
+    network = GamaNetwork(path)
+    _without_slashes(root, network)
+    for node in root.inside("network", "description", "parameters"):
+        if node.tag == "network":
+            _read_axes(node, network)
+        elif node.tag == "description":
+            network.title = as_title(node.text)
+        else:
+            _read_parameters(node, network)
+    for section in root.inside("points-observations"):
+        network.stdev |= {k.removesuffix("-stdev"): v for k, v in section.element.attrib.items() if k[-6:] == "-stdev"}
+        for node in section:
+            _read_part(node, network)
+    return _finished(network)
+
+
+def _without_slashes(root: Node, network: GamaNetwork) -> None:
+    """Write names of points with `_` in place of `/`, which the name of a target may not hold; no `..` is a name."""
+    named = [(element, key) for element in root.element.iter() for key in NAMES if key in element.attrib]
+    given = dict.fromkeys(element.attrib[key] for element, key in named)
+    names: dict[str, str] = {}
+    for name in (name for name in given if "/" in name and ".." not in name):
+        names[name] = name.replace("/", "_")
+        while names[name] in given or list(names.values()).count(names[name]) > 1:
+            names[name] += "_"
+    for element, key in named:
+        element.attrib[key] = names.get(element.attrib[key], element.attrib[key])
+    if names:
+        network.notes.append(f"'/' in names of points is written '_': {listing([*names.values()], 3)}")
+
+
+def _read_axes(node: Node, network: GamaNetwork) -> None:
+    axes, angles = node.get("axes-xy", "ne"), node.get("angles", "left-handed")
+    if axes not in (*LEFT_HANDED, *RIGHT_HANDED) or angles not in ("left-handed", "right-handed"):
+        message = f"axes-xy='{shown(axes)}', angles='{shown(angles)}' is no system that gama-local knows"
+        raise node.where.wrong(message)
+    network.y_sign = -1.0 if axes in LEFT_HANDED else 1.0
+    network.angle_sign = -1.0 if angles == "left-handed" else 1.0
+    network.north = {"n": 0.0, "e": 90.0, "s": 180.0, "w": -90.0}[axes[0]]
+    if network.y_sign < 0:
+        network.notes.append(f"axes-xy='{axes}' is a left-handed system: y is turned over to make it right-handed")
+
+
+def _read_parameters(node: Node, network: GamaNetwork) -> None:
+    network.apriori = node.number("sigma-apr", network.apriori)
+    if "sigma-apr" in node:
+        apriori = shown(node.get("sigma-apr"))
+        network.notes.append(f"sigma-apr is {apriori}: Gama's sigma0 is the one found here times that")
+    if "latitude" in node or "ellipsoid" in node:
+        network.notes.append("latitude and ellipsoid are not used: no reduction of observations to an ellipsoid")
+
+
+def _read_part(node: Node, network: GamaNetwork) -> None:
+    if node.tag == "point":
+        _read_point(node, network)
+    elif node.tag == "obs":
+        _read_obs(node, network)
+    elif node.tag == "coordinates":
+        _read_coordinates(node, network)
+    elif node.tag in ("height-differences", "vectors"):
+        found, correlated = differences_of(node, network.y_sign, network.apriori)
+        network.differences += found
+        network.notes += [BETWEEN] * correlated
+    else:
+        network.left_out[node.tag] += 1
+
+
+def _read_point(node: Node, network: GamaNetwork) -> GamaPoint:
+    """Coordinates as known (fixed) along some axes and approximate along the others; capitals define the datum."""
+    name = node.name("id", "point")
+    point = network.points.setdefault(name, GamaPoint())
+    sign = {"x": 1.0, "y": network.y_sign, "z": 1.0}
+    point.values.update({axis: sign[axis] * node.number(axis) for axis in "xyz" if axis in node})
+    fixed, adjusted = node.get("fix"), node.get("adj")
+    for word in (fixed, adjusted):
+        if word.lower() not in ("", "xyz", "xy", "z"):
+            raise node.where.wrong(f"point {name}: '{shown(word)}' is not one of xyz, xy, z")
+    if any(axis not in point.values for axis in fixed.lower()):
+        raise node.where.wrong(f"point {name} is fixed without all its coordinates")
+    point.fixed = "".join(sorted({*point.fixed, *fixed.lower()}))
+    point.datum = _axes(point.datum + "".join(filter(str.isupper, adjusted)))
+    point.active = _axes(point.active + fixed + adjusted)
+    return point
+
+
+def _axes(letters: str) -> str:
+    return "".join(axis for axis in "xyz" if axis in letters.lower())
+
+
+def _read_coordinates(node: Node, network: GamaNetwork) -> None:
+    """Observed coordinates: known with their covariance; what correlates different points is left out."""
+    row, column, numbers = covariances(node)
+    sign, at = np.array([1.0, network.y_sign, 1.0]), 0
+    for inner in [inner for inner in node if inner.tag == "point"]:
+        point, axes = _read_point(inner, network), [i for i, axis in enumerate("xyz") if axis in inner]
+        first, at = at, at + len(axes)
+        mine = (row >= first) & (row < at)
+        inside = mine & (column < at)
+        own, (i, j) = np.eye(3), np.array(axes, dtype=np.int64)[np.stack([row[inside], column[inside]]) - first]
+        own[i, j] = own[j, i] = numbers[inside]
+        variances = np.diag(own)[axes]
+        if np.count_nonzero(i == j) < len(axes) or not np.all(variances > 0):
+            raise inner.where.wrong("observed coordinates need a variance each")
+        if np.any(numbers[mine & ~inside]):
+            network.notes.append(CORRELATIONS)
+        point.fixed = "".join("xyz"[axis] for axis in axes)
+        point.sigma = float(np.sqrt(np.mean(variances)))
+        if np.any(np.triu(own, 1)) or max(variances) > 1.0001 * min(variances):
+            point.covariance = tuple((own * np.outer(sign, sign))[np.triu_indices(3)].tolist())
+
+
+def _read_obs(block: Node, network: GamaNetwork) -> None:
+    """One block of observations from a point, or with ``from`` at every observation."""
+    inner = [child for child in block if child.tag != "cov-mat"]
+    row, column, numbers = covariances(block)
+    if len(numbers) and row[-1] + 1 != len(inner):
+        raise block.where.wrong("a <cov-mat> that does not match its observations")
+    sigmas, reach = [NAN] * len(inner), np.zeros((len(inner), 0))
+    if len(numbers):
+        own, reach = shared_errors(block, (row, column, numbers), network.shared)
+        sigmas = own.tolist()
+    shared = [{f"{network.shared + k}": errors[k] for k in np.flatnonzero(errors)} for errors in reach]
+    network.shared += reach.shape[1]
+    circles = {(_from(child, block), child.tag) for child in inner if child.tag in ("direction", "azimuth")}
+    names = {circle: network.station(circle[0], with_directions=True) for circle in sorted(circles, reverse=True)}
+    network.oriented |= {name for (_, kind), name in names.items() if kind == "azimuth"}
+    for child, sigma, errors in zip(inner, sigmas, shared, strict=True):
+        if child.tag in STATED:
+            point = _from(child, block)
+            station = names.get((point, child.tag)) or names.get((point, "direction")) or network.station(point)
+            network.observed.append(_observation(child, block, station, (sigma, errors), network))
+        elif child.tag == "angle":
+            _read_angle(child, block, (sigma, errors), network)
+        else:
+            network.left_out[child.tag] += 1
+
+
+def _from(child: Node, block: Node) -> str:
+    return (child if "from" in child else block).name("from", "point")
+
+
+def _observation(child: Node, block: Node, station: str, spread: Spread, network: GamaNetwork) -> Observed:
+    target = child.name("to", "point")
+    heights = child.number("from_dh", block.number("from_dh", 0.0)), child.number("to_dh", 0.0)
+    if child.tag in ("s-distance", "distance"):
+        value = child.number("val")
+        if not 0 < value < 1e6:
+            raise child.where.wrong(f"found {value:g}, expected a distance above 0", f"<{child.tag}> val")
+        sigma, shared = _in_unit(spread, MILLIMETRE, child, network, value)
+        flat = child.tag == "distance"
+        return Observed("distance", station, target, value, sigma, *heights, flat, child.line, shared)
+    value, second = _angle(child)
+    sense = network.angle_sign if child.tag in ("direction", "azimuth") else -1.0
+    sigma, shared = _in_unit(spread, sense * second, child, network)
+    if child.tag in ("direction", "azimuth"):
+        return Observed("azimuth", station, target, sense * value, sigma, line=child.line, shared=shared)
+    if value > np.pi:
+        raise child.where.wrong("a zenith angle beyond half a circle", "<z-angle> val")
+    return Observed("elevation", station, target, np.pi / 2 - value, sigma, *heights, line=child.line, shared=shared)
+
+
+def _read_angle(child: Node, block: Node, spread: Spread, network: GamaNetwork) -> None:
+    """An angle is two directions with an orientation of their own, each with its sigma over the square root of 2."""
+    station = network.station(_from(child, block), with_directions=True)
+    value, second = _angle(child)
+    sigma, shared = _in_unit(spread, network.angle_sign * second, child, network)
+    for name, turned, errors in (("bs", 0.0, {}), ("fs", network.angle_sign * value, shared)):
+        target = child.name(name, "point")
+        one = Observed("azimuth", station, target, turned, sigma / np.sqrt(2), line=child.line, shared=errors)
+        network.observed.append(one)
+
+
+def _in_unit(
+    spread: Spread, unit: float, child: Node, network: GamaNetwork, distance: float = 0.0
+) -> tuple[float, dict[str, float]]:
+    """The standard deviation and what shared errors change, times a unit with the sign of the reading's sense."""
+    sigma, shared = spread
+    stated = sigma if np.isfinite(sigma) else _stdev(child, network, distance)
+    return stated * abs(unit), {name: error * unit for name, error in shared.items()}
+
+
+def _angle(child: Node) -> tuple[float, float]:
+    """Angle [rad] in gon or degrees-minutes-seconds, and the second [rad] its standard deviation is stated in."""
+    parts = _DMS.fullmatch(child.attribute("val"))
+    if parts is None:
+        return child.number("val", limit=1e4) * GON, CC
+    degrees = float(parts[2]) + float(parts[3]) / 60 + float(parts[4]) / 3600
+    return (-degrees if parts[1] == "-" else degrees) * DEGREE, ARCSECOND
+
+
+def _stdev(child: Node, network: GamaNetwork, distance: float = 0.0) -> float:
+    """Standard deviation as stated for the observation, or by default: ``a``, or ``a b c`` = a + b D^c, D in km."""
+    kind = STATED.get(child.tag, child.tag)
+    words = child.get("stdev", network.stdev.get(kind, "")).split()
+    if not 0 < len(words) < 4:
+        message = f"no standard deviation is stated for <{shown(child.tag)}>, expected one (stdev, or {kind}-stdev)"
+        raise child.where.wrong(message)
+    stated = [child.where.number(word, "stdev", limit=1e9) for word in words]
+    a, b, c = [*stated, 0.0, 1.0][:3] if len(stated) == 1 else [*stated, 1.0][:3]
+    sigma = a + (b * (distance / 1000) ** c if b else 0.0)
+    if not 0 < sigma < 1e9:
+        raise child.where.wrong(f"a standard deviation of {sigma:g}", f"<{shown(child.tag)}>")
+    return sigma
+
+
+def _finished(network: GamaNetwork) -> Recording:
+    take_plan(network)
+    gauge, observed = lengths_of(network)
+    pointings, instrument_heights, target_heights = settled_heights(merged(observed, network.file.name))
+    no_place = "left out: a recording has no place for it"
+    left = [f"{count} <{shown(what)}> {no_place}" for what, count in network.left_out.items()]
+    if not pointings and network.differences:
+        message = "holds height differences or vectors and no pointing, expected readings of instruments beside them"
+        raise RecordError(f"{message}; gama-local adjusts such a network", file=network.file)
+    if not pointings and left:
+        raise RecordError(f"holds no pointings, and {'; '.join(left)}", file=network.file)
+    network.notes += left
+    stations = {
+        name: Station(
+            levelled=True,
+            levelling_sigma_arcsec=EXACT_LEVEL_ARCSEC,
+            over=network.over[name],
+            position_mm=network.points.get(network.over[name], GamaPoint()).place,
+            yaw_deg=network.north if name in network.oriented else None,
+            yaw_sigma_arcsec=EXACT_LEVEL_ARCSEC if name in network.oriented else None,
+            instrument_height_mm=instrument_heights.get(name, 0.0),
+        )
+        for name in dict.fromkeys(p.station for p in pointings)
+    }
+    names = dict.fromkeys([*network.points, *target_heights])
+    setup = Setup(
+        title=network.title,
+        instrument=Instrument(noise=_noise(network), corrected=True),
+        gauge=Gauge(distance=tuple(gauge)) if gauge else None,
+        stations=stations,
+        targets={n: _target(network.points.get(n, GamaPoint()), target_heights.get(n, 0.0)) for n in names},
+        differences=tuple(named(network.differences)),
+    )
+    recording = recording_of(pointings, setup, notes=list(dict.fromkeys(network.notes)), file=network.file)
+    check_differences(recording, network.file)
+    return recording
+
+
+def _target(point: GamaPoint, height: float) -> Target:
+    known = {"known_axes": point.fixed, "known_sigma_mm": point.sigma, "known_covariance_mm2": point.covariance}
+    return Target(
+        known_mm=point.known if point.fixed else None,
+        **known if point.fixed else {},  # type: ignore[arg-type]
+        in_plan=point.active == "xy",
+        approximate_mm=None if point.fixed == "xyz" else point.place,
+        datum=bool(point.datum),
+        datum_axes=point.datum or "xyz",  # type: ignore[arg-type]
+        height_mm=height,
+    )
+
+
+def _noise(network: GamaNetwork) -> Noise:
+    """The file's default standard deviations; those of single observations stand in columns."""
+
+    def default(kind: str, otherwise: float) -> float:
+        words = network.stdev.get(kind, "").split()
+        stated = FilePlace(network.file).number(words[0], f"{kind}-stdev") if words else otherwise
+        return max(stated, 1e-6)
+
+    return Noise(
+        distance_mm=default("distance", 1.0),
+        distance_ppm=0.0,
+        azimuth_arcsec=default("direction", 3.0) * CC / ARCSECOND,
+        elevation_arcsec=default("zenith-angle", 3.0) * CC / ARCSECOND,
+    )

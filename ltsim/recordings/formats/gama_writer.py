@@ -1,0 +1,165 @@
+"""Export of levelled networks to GNU Gama (``gama-local``), so that it can check an adjustment."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from xml.sax.saxutils import escape, quoteattr
+
+import numpy as np
+
+from ltsim.core.errors import RecordError
+from ltsim.core.units import GON, MILLIMETRE
+from ltsim.geometry.polar import from_polar, to_face
+from ltsim.recordings.files import write_text
+from ltsim.recordings.formats.gama import CC
+from ltsim.recordings.formats.gama_network import FIXED_MM
+from ltsim.recordings.lengths import KnownLengths
+from ltsim.recordings.recording import SHARED_COLUMN, Recording
+from ltsim.recordings.reflectors import excess_radii
+from ltsim.recordings.setup import Target, Vector, symmetric
+
+SPACE = "http://www.gnu.org/software/gama/gama-local"
+
+
+def write(recording: Recording, path: Path) -> None:
+    """Write an input file of gama-local: levelled set-ups, face 2 reduced to face 1, gauge lengths as distances.
+
+    Where no coordinates are known, the targets of the first set-up get those it saw and define the datum.
+
+    Raises RecordError for a set-up that is not levelled: gama-local knows levelled instruments only. For SMRs of
+    several radii: it knows heights of a target, no normals.
+    """
+    if excess_radii(recording) is not None:
+        message = "SMRs of several radii stood off along normals of nests, which gama-local does not know"
+        raise RecordError(f"{message}; write the recording as native", file=path)
+    if any(SHARED_COLUMN.fullmatch(name) for name in recording.covariates):
+        raise RecordError("holds errors that readings share, which is written as native only", file=path)
+    for name in recording.stations:
+        if not recording.station_setup(name).levelled:
+            message = f"station {name} is not levelled, and gama-local knows levelled instruments only"
+            raise RecordError(f"{message}; say levelled = true in the set-up where it holds", file=path)
+    lines = [
+        '<?xml version="1.0" encoding="UTF-8"?>',
+        f'<gama-local xmlns="{SPACE}">',
+        '<network axes-xy="en" angles="right-handed">',
+        f"<description>{escape(recording.setup.title)}</description>",
+        '<parameters sigma-apr="1" conf-pr="0.95" tol-abs="1000" sigma-act="apriori" />',
+        "<points-observations>",
+        *_point_lines(recording),
+        *_observation_lines(recording),
+        *_length_lines(recording),
+        *_difference_lines(recording, path),
+        "</points-observations>",
+        "</network>",
+        "</gama-local>",
+    ]
+    write_text(path, "\n".join(lines) + "\n")
+
+
+def _point_of(recording: Recording, station: str) -> str:
+    """Name of the point a station stands on: a target's mark, or one of its own."""
+    over = recording.station_setup(station).over
+    if over is not None:
+        return over
+    return station if station not in recording.targets else f"{station}.station"
+
+
+def _point_lines(recording: Recording) -> Iterator[str]:
+    """Points: fixed, observed with a variance, or adjusted; the datum in capitals."""
+    names = dict.fromkeys([*recording.targets, *recording.setup.targets])
+    anchored = any(t.known_mm is not None or t.datum for t in recording.setup.targets.values())
+    first = {} if anchored else _first_cloud(recording)
+    observed = []
+    for name in names:
+        target = recording.target_setup(name)
+        place = target.known_mm or target.approximate_mm or first.get(name)
+        words = "" if place is None else _words(place)
+        datum = target.datum or name in first
+        if target.known_mm is None:
+            yield f'<point id={quoteattr(name)}{words} adj="{"XYZ" if datum else "xyz"}" />'
+        elif target.known_covariance_mm2 is None and target.known_sigma_mm <= 10 * FIXED_MM:
+            rest = "".join(a for a in "xyz" if a not in target.known_axes)
+            adjusted = f' adj="{rest}"' if rest else ""
+            yield f'<point id={quoteattr(name)}{words} fix="{target.known_axes}"{adjusted} />'
+        else:
+            yield f'<point id={quoteattr(name)}{words} adj="xyz" />'
+            observed.append((name, target))
+    for name in dict.fromkeys(_point_of(recording, s) for s in recording.stations):
+        if name not in names:
+            yield f'<point id={quoteattr(name)} adj="xyz" />'
+    for name, target in observed:
+        yield from _coordinate_lines(name, target)
+
+
+def _words(place: Vector, axes: str = "xyz") -> str:
+    """Coordinates [mm] as attributes in metres."""
+    values = zip("xyz", place, strict=True)
+    return "".join(f' {axis}="{round(value * MILLIMETRE, 12)!r}"' for axis, value in values if axis in axes)
+
+
+def _coordinate_lines(name: str, target: Target) -> Iterator[str]:
+    words = _words(target.known_mm, target.known_axes) if target.known_mm is not None else ""
+    yield f"<coordinates><point id={quoteattr(name)}{words} />"
+    at, band = ["xyz".index(axis) for axis in target.known_axes], 0
+    matrix = np.eye(3) * target.known_sigma_mm**2
+    if target.known_covariance_mm2 is not None:
+        matrix, band = symmetric(target.known_covariance_mm2), len(at) - 1
+    own = matrix[np.ix_(at, at)].tolist()
+    numbers = " ".join(repr(own[i][j]) for i in range(len(at)) for j in range(i, min(i + band + 1, len(at))))
+    yield f'<cov-mat dim="{len(at)}" band="{band}">{numbers}</cov-mat></coordinates>'
+
+
+def _first_cloud(recording: Recording) -> dict[str, Vector]:
+    """Coordinates [mm] of what the first set-up saw completely, in its own frame."""
+    points = (from_polar(to_face(recording.readings, recording.face)) / MILLIMETRE).round(3).tolist()
+    rows = np.flatnonzero((recording.station == 0) & np.all(recording.measured, axis=1))
+    return {recording.targets[recording.target[i]]: points[i] for i in rows}
+
+
+def _observation_lines(recording: Recording) -> Iterator[str]:
+    front, sigma = to_face(recording.readings, recording.face), recording.sigma()
+    instrument, target_height = (h.tolist() for h in recording.heights())
+    flat = recording.is_horizontal
+    for s, station in enumerate(recording.stations):
+        yield f"<obs from={quoteattr(_point_of(recording, station))}>"
+        for i in np.flatnonzero(recording.station == s).tolist():
+            (distance, azimuth, elevation), (sd, sa, se) = front[i].tolist(), sigma[i].tolist()
+            start = f' from_dh="{instrument[i]!r}"' if instrument[i] else ""
+            end = f' to_dh="{target_height[i]!r}"' if target_height[i] else ""
+            to = f"to={quoteattr(recording.targets[recording.target[i]])}{start}{end}"
+            if np.isfinite(azimuth):
+                yield f'<direction {to} val="{azimuth % (2 * np.pi) / GON!r}" stdev="{sa / CC!r}" />'
+            if np.isfinite(elevation):
+                yield f'<z-angle {to} val="{(np.pi / 2 - elevation) / GON!r}" stdev="{se / CC!r}" />'
+            if np.isfinite(distance):
+                kind = "distance" if flat[i] else "s-distance"
+                yield f'<{kind} {to} val="{distance!r}" stdev="{sd / MILLIMETRE!r}" />'
+        yield "</obs>"
+
+
+def _length_lines(recording: Recording) -> Iterator[str]:
+    """Lengths of the gauge at the temperature of the measurement."""
+    known = KnownLengths.of(recording)
+    ends = [[quoteattr(recording.targets[i]) for i in end] for end in (known.first, known.second)]
+    for first, second, length, sigma in zip(*ends, known.length.tolist(), known.sigma.tolist(), strict=True):
+        yield f"<obs from={first}>"
+        yield f'<s-distance to={second} val="{length!r}" stdev="{sigma / MILLIMETRE!r}" />'
+        yield "</obs>"
+
+
+def _difference_lines(recording: Recording, path: Path) -> Iterator[str]:
+    """Known differences: height differences, and vectors with their covariance."""
+    for one in recording.setup.differences:
+        ends = f"from={quoteattr(one.from_)} to={quoteattr(one.to)}"
+        matrix = np.eye(3) * one.known_sigma_mm**2
+        if one.known_covariance_mm2 is not None:
+            matrix = symmetric(one.known_covariance_mm2)
+        if one.known_axes == "z":
+            value, stdev = round(one.known_mm[2] * MILLIMETRE, 12), float(np.sqrt(matrix[2, 2]))
+            yield f'<height-differences><dh {ends} val="{value!r}" stdev="{stdev!r}" /></height-differences>'
+        elif one.known_axes == "xyz":
+            words = "".join(f" d{word}" for word in _words(one.known_mm).split())
+            numbers = " ".join(map(repr, matrix[np.triu_indices(3)].tolist()))
+            yield f'<vectors><vec {ends}{words} /><cov-mat dim="3" band="2">{numbers}</cov-mat></vectors>'
+        else:
+            message = f"the difference {one.called} is known along {one.known_axes}, which gama-local does not know"
+            raise RecordError(f"{message}; expected z or xyz", file=path)

@@ -1,0 +1,139 @@
+"""Leica GSI-8 and GSI-16: measurement blocks of theodolites, total stations and older trackers.
+
+A block is a line of words: two digits of index, four of information, sign, 8 or 16 characters of data. Understood
+are point (11), code (41 with the station's name in 42 and the instrument's height in 43), angles (21, 22), slope and
+horizontal distance (31, 32), heights of target (87) and instrument (88), station coordinates (84 to 86). The format
+fixes the meaning: directions count clockwise, 22 is a zenith angle, the unit stands in every word.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ltsim.core.units import DEGREE, GON, MILLIMETRE
+from ltsim.recordings.conventions import NO_HINTS, Hints
+from ltsim.recordings.files import FilePlace, read_lines, shown
+from ltsim.recordings.formats.field_book import FieldBook
+from ltsim.recordings.pointings import NAN
+from ltsim.recordings.recording import Recording
+
+_WORD = re.compile(r"(\d\d)(.{4})([+-])(.{16}|.{8})", re.ASCII)
+_PPM = re.compile(r"51.{4}[+-]\d{4,8}[+-]\d{3,7}", re.ASCII)
+LENGTH = {"0": 1e-3, "1": 0.3048e-3, "6": 1e-4, "7": 0.3048e-4, "8": 1e-5, ".": 1e-3}
+ANGLE = {"2": 1e-5 * GON, "3": 1e-5 * DEGREE, "5": 1e-4 * 2 * np.pi / 6400}
+"""Units of the data by the last character of the information; an angle of unit 4 is in degrees, minutes, seconds."""
+
+
+@dataclass(frozen=True)
+class _GsiLine:
+    """A line: information and signed data of each word by its index."""
+
+    words: dict[str, tuple[str, str]]
+    where: FilePlace
+
+    @classmethod
+    def of(cls, line: str, where: FilePlace) -> _GsiLine:
+        wide = line.startswith("*")
+        words = {}
+        for text in line.lstrip("*").split():
+            found = _WORD.fullmatch(text)
+            if _PPM.fullmatch(text):
+                continue
+            if found is None or (len(found[4]) == 16) != wide:
+                raise where.wrong(f"'{shown(text)}' is no word of GSI-{16 if wide else 8}")
+            words[found[1]] = (found[2], found[3] + found[4])
+        return cls(words, where)
+
+    def holds(self, *keys: str) -> bool:
+        return all(key in self.words for key in keys)
+
+    def name(self, key: str) -> str:
+        """The data of a name word without the zeros that fill it."""
+        return self.words[key][1][1:].strip().lstrip("0") or "0"
+
+    def _number(self, key: str) -> float:
+        digits = self.words[key][1].replace(" ", "")
+        if re.fullmatch(r"[+-]-+", digits):
+            return NAN
+        if re.fullmatch(r"[+-]\d+", digits, re.ASCII) is None:
+            raise self.where.wrong(f"found '{shown(self.words[key][1])}', expected digits")
+        return float(digits)
+
+    def length(self, key: str, default: float = 0.0) -> float:
+        """Length [m] in the unit that the word names."""
+        if key not in self.words:
+            return default
+        unit = self.words[key][0][-1]
+        if unit not in LENGTH:
+            raise self.where.wrong(f"unit '{shown(unit)}' of a length, expected 0, 1, 6, 7 or 8")
+        return self._number(key) * LENGTH[unit]
+
+    def angle(self, key: str) -> float:
+        """Angle [rad]: gon, decimal degrees, degrees-minutes-seconds or mils of 6400."""
+        if key not in self.words:
+            return NAN
+        unit, value = self.words[key][0][-1], self._number(key)
+        if unit == "4":
+            degrees, rest = divmod(abs(value), 1e5)
+            minutes, seconds = divmod(rest, 1e3)
+            return float(np.sign(value) * (degrees + minutes / 60 + seconds / 36_000) * DEGREE)
+        if unit not in ANGLE and not np.isnan(value):
+            raise self.where.wrong(f"unit '{shown(unit)}' of an angle, expected 2, 3, 4 or 5")
+        return value * ANGLE.get(unit, NAN)
+
+
+def recognises(path: Path, head: str) -> bool:
+    """Whether the first line is made of GSI words."""
+    first = next((line for line in head.splitlines() if line.strip()), "")
+    return re.match(r"\*?(11|41)\d{4}[+-]", first) is not None
+
+
+def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
+    """Read a GSI file.
+
+    Raises RecordError for a word that is malformed, or measurements before a station is named (``hints.station`` names
+    one).
+    """
+    file = FieldBook(path)
+    if hints.station is not None:
+        file.stand(hints.station, 0.0, None, FilePlace(path))
+    lines = read_lines(path)
+    before = _GsiLine({}, FilePlace(path))
+    for i, line in enumerate(lines):
+        if line.strip():
+            block = _GsiLine.of(line.strip(), FilePlace(path, i + 1))
+            if i == len(lines) - 1 and block.words.keys() != before.words.keys():
+                raise block.where.wrong("the last line has no line break: it was cut")
+            _take(block, file)
+            before = block
+    left = [f"{file.skipped} blocks are no station or measurement and left out"] if file.skipped else []
+    return file.recording("a GSI file", *left)
+
+
+def _take(block: _GsiLine, file: FieldBook) -> None:
+    if block.holds("41", "42"):
+        file.stand(block.name("42"), block.length("43"), None, block.where)
+    elif block.holds("84", "85", "11") and not block.holds("21"):
+        x, y, z = (block.length(key) / MILLIMETRE for key in ("84", "85", "86"))
+        file.stand(block.name("11"), block.length("88"), (x, y, z), block.where)
+    elif block.holds("11") and any(block.holds(key) for key in ("21", "22", "31", "32")):
+        _pointing(block, file)
+    else:
+        file.skipped += 1
+
+
+def _pointing(block: _GsiLine, file: FieldBook) -> None:
+    flat = not block.holds("31")
+    file.point(
+        block.name("11"),
+        block.where,
+        distance=block.length("32" if flat else "31", NAN),
+        horizontal=block.angle("21"),
+        zenith=block.angle("22"),
+        height=block.length("87"),
+        flat=flat,
+    )

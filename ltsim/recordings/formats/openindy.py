@@ -1,0 +1,136 @@
+"""OpenIndy projects (``oiProjectData`` XML): readings of trackers with radians and metres inside.
+
+Polar, direction, distance and cartesian readings are taken. Observations of a point geometry belong to one target;
+those of planes, spheres and the like touch another place each and become targets of their own. OpenIndy's azimuth
+runs counter-clockwise. Its readings are reduced to the front face: the face is taken from the zenith angle.
+"""
+
+from collections import Counter
+from dataclasses import replace
+from datetime import datetime
+from pathlib import Path
+
+import numpy as np
+
+from ltsim.core.errors import RecordError
+from ltsim.core.units import ARCSECOND, MILLIMETRE
+from ltsim.geometry.polar import to_polar
+from ltsim.recordings.conventions import NO_HINTS, Hints
+from ltsim.recordings.files import as_title, shown
+from ltsim.recordings.kinds import NO_NOISE
+from ltsim.recordings.pointings import NAN, Pointing, recording_of, states_noise
+from ltsim.recordings.recording import SIGMA_COLUMNS, Recording
+from ltsim.recordings.setup import Setup
+from ltsim.recordings.xml import Node, parse
+
+ROOT = "oiProjectData"
+WANTED = {
+    "polar": ("distance", "azimuth", "zenith"),
+    "direction": ("azimuth", "zenith"),
+    "distance": ("distance",),
+    "cartesian": ("x", "y", "z"),
+}
+SIGMAS = dict(zip(("distance", "azimuth", "zenith"), SIGMA_COLUMNS, strict=True))
+
+
+def recognises(path: Path, head: str) -> bool:
+    """Whether the root element is a project of OpenIndy."""
+    return f"<{ROOT}" in head
+
+
+def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
+    """Read an OpenIndy project.
+
+    Raises RecordError for XML that is malformed or hostile, or a reading that lacks a measurement.
+    """
+    root = parse(path)
+    if root.tag != ROOT:
+        raise RecordError(f"the root is <{shown(root.tag)}>, expected <{ROOT}>", file=path)
+    named = [node for node in root.inside("station", "geometry", "nominalGeometry") if node.get("name")]
+    stations = {node.attribute("id"): node for node in named if node.tag == "station"}
+    geometries = {node.attribute("id"): node for node in named if node.tag != "station"}
+    notes: Counter[str] = Counter()
+    found = [_pointing(node, stations, geometries, notes) for node in root.inside("observation")]
+    pointings = [p for p in found if p is not None]
+    if not pointings:
+        raise RecordError("holds no readings", file=path)
+    start = np.min([p.time for p in pointings])
+    pointings = [replace(p, time=p.time - start) for p in pointings]
+    said = [f"{count} {what}" for what, count in notes.items()]
+    setup = Setup(title=as_title(root.get("name", path.stem)))
+    recording = recording_of(pointings, setup, notes=said, file=path)
+    return recording if states_noise(recording) else recording.replace(notes=(NO_NOISE, *recording.notes))
+
+
+def _pointing(
+    node: Node, stations: dict[str, Node], geometries: dict[str, Node], notes: Counter[str]
+) -> Pointing | None:
+    inner = {child.tag: child for child in node}
+    if "reading" not in inner:
+        return None
+    if "station" not in inner:
+        raise node.where.wrong("an observation without its station")
+    reading, reference = inner["reading"], inner["station"].attribute("ref")
+    kind = reading.get("type")
+    if node.get("isValid") == "0" or kind not in WANTED:
+        notes[
+            f"readings of the type {shown(kind)} left out" if kind not in WANTED else "invalid readings left out"
+        ] += 1
+        return None
+    if reference not in stations:
+        raise node.where.wrong(f"a reading refers to station {shown(reference)}, which is not there")
+    measured = {m.attribute("type"): m for m in reading.inside("measurement")}
+    missing = [name for name in WANTED[kind] if name not in measured]
+    if missing:
+        raise node.where.wrong(f"a {kind} reading lacks its {missing[0]}")
+    distance, azimuth, elevation = _polar({name: measured[name].number("value", limit=1e6) for name in WANTED[kind]})
+    if distance <= 0:
+        raise node.where.wrong(f"found a distance of {distance:g}, expected one above 0")
+    face = 2 if elevation > np.pi / 2 + 1e-9 else 1
+    if (reading.get("face") == "2") != (face == 2):
+        notes["readings state another face than their zenith angle shows: the angle is trusted"] += 1
+    return Pointing(
+        stations[reference].name("name", "station"),
+        _target(node, geometries),
+        face,
+        distance,
+        azimuth,
+        elevation,
+        _seconds(reading.get("time")),
+        _sigmas(measured),
+        source=f"{node.file.name}, line {node.line}",
+    )
+
+
+def _polar(values: dict[str, float]) -> tuple[float, float, float]:
+    """Range, azimuth and raw elevation; NaN for what was not measured."""
+    if "x" in values:
+        d, a, e = to_polar(np.array([[values["x"], values["y"], values["z"]]]))[0].tolist()
+        return d, a, e
+    elevation = np.pi / 2 - values.get("zenith", NAN) % (2 * np.pi)
+    if elevation < -np.pi / 2 - 1e-9:
+        elevation += 2 * np.pi
+    return values.get("distance", NAN), values.get("azimuth", NAN) % (2 * np.pi), elevation
+
+
+def _sigmas(measured: dict[str, Node]) -> dict[str, float]:
+    stated = {name: measured[name].number("sigma", 0.0, limit=1e6) for name in SIGMAS if name in measured}
+    unit = {"distance": MILLIMETRE, "azimuth": ARCSECOND, "zenith": ARCSECOND}
+    return {SIGMAS[name]: sigma / unit[name] for name, sigma in stated.items() if sigma > 0}
+
+
+def _target(node: Node, geometries: dict[str, Node]) -> str:
+    """Name of the point geometry, or one of its own for a touch of anything else."""
+    touched = [geometries[e.get("ref")] for e in node.inside("measuredTargetGeometry") if e.get("ref") in geometries]
+    point = next((geometry for geometry in touched if geometry.get("type") == "point"), None)
+    if point is not None:
+        return point.name("name", "target")
+    number = node.attribute("id")
+    return node.where.name(f"{touched[0].get('name')}.{number}" if touched else f"observation {number}", "target")
+
+
+def _seconds(stamp: str) -> float:
+    try:
+        return datetime.fromisoformat(stamp).replace(tzinfo=None).timestamp()
+    except (ValueError, OverflowError, OSError):
+        return NAN

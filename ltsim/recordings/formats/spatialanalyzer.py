@@ -1,0 +1,253 @@
+"""SpatialAnalyzer's instrument report (``Instruments - CompositeReport``) exported as text.
+
+Blocks of a set-up: its pose (``Transform``), then its observations, which are a table like any other with columns that
+are known. Semicolons and decimal commas, or commas and points; units stand in the headings. The column called elevation
+may hold a zenith angle: its values tell. Poses tell the sense of the azimuth, and which points of one name in different
+groups are one point.
+"""
+
+import csv
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from ltsim.core.arrays import Floats
+from ltsim.core.errors import RecordError
+from ltsim.core.units import ANGLES, FACTOR, LENGTHS, NAMED
+from ltsim.geometry.polar import from_polar
+from ltsim.recordings.conventions import NO_HINTS, Hints, Pose
+from ltsim.recordings.files import FilePlace, read_lines, shown
+from ltsim.recordings.kinds import NO_NOISE
+from ltsim.recordings.recording import Recording
+from ltsim.recordings.setup import Instrument, Setup, Station
+from ltsim.recordings.tables.header import words_of
+from ltsim.recordings.tables.meaning import readings_of
+from ltsim.recordings.tables.printed import PointingTable
+from ltsim.recordings.tables.reader import assembled
+from ltsim.recordings.tables.rows import table_of
+from ltsim.recordings.tables.sheets import Row, Sheet
+
+TITLE = "CompositeReport"
+SAME_POINT = 2e-3
+COLUMNS = "target=Target,horizontal=Azimuth,vertical=Elevation,distance=Distance"
+UNITS = {"target": None, "azimuth": ANGLES, "elevation": ANGLES, "distance": LENGTHS}
+"""Columns that a block needs, with the units that they may have."""
+KEPT = (*UNITS, "datetime", "offset1", "offset2")
+_HEADING = re.compile(r"^\"?Collection\"?[;,\t]\"?Group\"?[;,\t]\"?Target", re.MULTILINE)
+
+
+@dataclass
+class _Block:
+    """One set-up: its heading, pose in the units printed, announced count and rows with the heading first."""
+
+    collection: str
+    number: str
+    model: str
+    count: int | None = None
+    position: Floats | None = None
+    rotation: Floats | None = None
+    rows: list[Row] = field(default_factory=list)
+
+    def cell(self, row: Row, title: str) -> str:
+        """A cell of a row by the title of its column; empty without such a column."""
+        titles = self.rows[0].fields
+        return row.cell(titles.index(title)) if title in titles else ""
+
+    @property
+    def pose(self) -> Pose | None:
+        """Rotation about the fixed axes x, y, z in this order, and position."""
+        if self.position is None or self.rotation is None:
+            return None
+        from scipy.spatial.transform import Rotation
+
+        return Rotation.from_euler("xyz", self.rotation).as_matrix(), self.position
+
+
+def recognises(path: Path, head: str) -> bool:
+    """Whether the report's title or the heading of its observations stands at its beginning."""
+    return TITLE in head or _HEADING.search(head) is not None
+
+
+def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
+    """Read an instrument report.
+
+    Raises RecordError for a malformed or cut report, or asking for what the data do not decide.
+    """
+    blocks = [block for block in _blocks(path) if block.rows]
+    if not blocks:
+        raise RecordError("holds no block of observations", file=path)
+    names = _station_names(blocks)
+    used = [[row for row in b.rows[1:] if b.cell(row, "Active").lower() != "no"] for b in blocks]
+    said, off = [NO_NOISE], sum(len(b.rows) - 1 - len(rows) for b, rows in zip(blocks, used, strict=True))
+    if off:
+        said.append(f"{off} observations are switched off in the report and left out")
+    hints = replace(hints, columns=COLUMNS, date=hints.date or "dmy")
+    table = table_of([_sheet(*one, path) for one in zip(blocks, names, used, strict=True) if one[2]], hints, path)
+    groups = {row.line: b.cell(row, "Group") for b, rows in zip(blocks, used, strict=True) for row in rows}
+    group = [groups[line] for line in table.pointings.line]
+    for i, name in enumerate(group):
+        table.pointings.place(i).text(name, "Group")
+    poses = {name: block.pose for name, block in zip(names, blocks, strict=True)}
+    order = dict.fromkeys(table.pointings.station)
+    placed = {i: pose for i, name in enumerate(order) if (pose := poses[name]) is not None}
+    meaning, readings = readings_of(table, placed, hints, path)
+    table.notes += _tell_apart(table, group, readings, poses)
+    found = assembled(table, meaning, readings, _setup(blocks, names, path), hints, path)
+    return found.replace(labels={**found.labels, "group": tuple(group)}, notes=(*found.notes, *said))
+
+
+def _cells(path: Path) -> Iterator[Row]:
+    """Every row that holds something, with the line that it ends in."""
+    lines = read_lines(path)
+    heading = next((line for line in lines if _HEADING.match(line)), None)
+    if heading is None:
+        raise RecordError("holds no heading 'Collection, Group, Target, ...': it was cut, or is no report", file=path)
+    separator = heading.replace('"', "")[len("Collection")]
+    reader = csv.reader((line + "\n" for line in lines), delimiter=separator, strict=True)
+    try:
+        for fields in reader:
+            if any(f.strip() for f in fields):
+                yield Row(reader.line_num, tuple(f.strip() for f in fields))
+    except csv.Error as problem:
+        raise FilePlace(path, reader.line_num).wrong(f"is not a table here ({problem})") from None
+
+
+def _blocks(path: Path) -> list[_Block]:
+    """The set-ups of a report in their order; a pose repeated on a further page changes nothing."""
+    blocks: dict[tuple[str, str], _Block] = {}
+    current: _Block | None = None
+    what = ""
+    for row in _cells(path):
+        where, first = FilePlace(path, row.line), row.fields[0].split("\n")[0]
+        if first in ("Transform", "Observations"):
+            what, heading = first, _heading(row.fields[0], where)
+            current = blocks.setdefault(heading[:2], _Block(*heading))
+        elif current is not None and what == "Transform":
+            _read_pose(current, row.fields, where)
+        elif current is not None and first == "Collection":
+            _check_heading(row.fields, where)
+            current.rows = current.rows or [row]
+        elif current is not None and current.rows and len(row.fields) > 1:
+            row.check_width(len(current.rows[0].fields), path)
+            current.rows.append(row)
+    for block in blocks.values():
+        if block.rows and block.count not in (None, len(block.rows) - 1):
+            held = f"{block.count} observations and holds {len(block.rows) - 1}"
+            message = f"set-up {shown(block.number)} announces {held}: the report was cut or edited"
+            raise RecordError(message, file=path)
+    return list(blocks.values())
+
+
+def _heading(cell: str, where: FilePlace) -> tuple[str, str, str]:
+    """Collection, number and model from ``A::0 - Leica AT960``."""
+    parts = re.fullmatch(r"(?:(.*)::)?(.+?)(?: - (.*))?", cell.partition("\n")[2].strip())
+    if parts is None:
+        raise where.wrong("a block without the name of its set-up")
+    return parts[1] or "", parts[2], (parts[3] or "").replace("/", "-").strip()
+
+
+def _read_pose(block: _Block, fields: Sequence[str], where: FilePlace) -> None:
+    if fields[0] == "# Meas." and len(fields) > 1:
+        block.count = int(where.number(fields[1], "# Meas.", comma=True))
+    if fields[0].startswith("(") and len(fields) > 3:
+        values = np.array([where.number(text, comma=True) for text in fields[1:4]])
+        unit = NAMED.get(fields[0].strip("()").lower(), "")
+        if unit in LENGTHS:
+            block.position = values * FACTOR[unit]
+        elif unit in ANGLES:
+            block.rotation = values * FACTOR[unit]
+        else:
+            raise where.wrong(f"unit '{shown(fields[0].strip('()'))}' of a pose is not known")
+
+
+def _check_heading(fields: Sequence[str], where: FilePlace) -> None:
+    """Raise RecordError where a column that is needed is missing, doubled, or in no unit that is known."""
+    named = [words_of(field) for field in fields]
+    for wanted, known in UNITS.items():
+        units = [unit for word, unit in named if word == wanted]
+        if len(units) != 1:
+            message = f"the heading holds {len(units)} columns called {wanted.capitalize()}, expected one"
+            raise where.wrong(message)
+        if known is not None and units[0] not in known:
+            message = f"unit '{shown(units[0])}' in this heading, expected one of {', '.join(known)}"
+            raise where.wrong(message, wanted.capitalize())
+
+
+def _sheet(block: _Block, name: str, rows: list[Row], file: Path) -> Sheet:
+    """The columns of a set-up's table that a recording keeps; offsets carry their unit in their name."""
+    titles = {}
+    for place, title in enumerate(block.rows[0].fields):
+        word, unit = words_of(title)
+        if word in KEPT:
+            titles[place] = f"{word}_{unit}" if word.startswith("offset") else title
+    kept = [Row(row.line, tuple(row.cell(place) for place in titles)) for row in rows]
+    return Sheet(file, (Row(block.rows[0].line, tuple(titles.values())), *kept), name)
+
+
+def _station_names(blocks: Sequence[_Block]) -> list[str]:
+    """``Instrument_0`` where numbers are unique, otherwise with the collection."""
+    numbers = [block.number for block in blocks]
+    if len(set(numbers)) == len(numbers):
+        return [f"Instrument_{number}" for number in numbers]
+    return [f"{block.collection}::{block.number}" for block in blocks]
+
+
+def _tell_apart(
+    table: PointingTable, group: Sequence[str], readings: Floats, poses: dict[str, Pose | None]
+) -> list[str]:
+    """Put the group in front of the names of points that have several places, in place; what is said of it."""
+    sightings: dict[str, dict[str, list[tuple[str, Floats]]]] = {}
+    printed = table.pointings
+    for station, target, own, point in zip(printed.station, printed.target, group, from_polar(readings), strict=True):
+        pose = poses[station]
+        place = point if pose is None else pose[0] @ point + pose[1]
+        sightings.setdefault(target, {}).setdefault(own, []).append((station, place))
+    names = {name: _names_by_place(name, groups) for name, groups in sightings.items()}
+    several = sorted(name for name, of in names.items() if any(new != name for new in of.values()))
+    printed.target = [names[target][own] for target, own in zip(printed.target, group, strict=True)]
+    if not several:
+        return []
+    few = ", ".join(several[:4])
+    return [f"{len(several)} names stand for points in different places ({few}, ...): the group is added there"]
+
+
+def _names_by_place(name: str, groups: dict[str, list[tuple[str, Floats]]]) -> dict[str, str]:
+    """Name for each group: the place seen from most stations, then most often, keeps the name as it is."""
+    clusters: list[tuple[Floats, list[str]]] = []
+    for group, members in groups.items():
+        centre = np.median([place for _, place in members], axis=0)
+        near = next((c for c in clusters if np.linalg.norm(c[0] - centre) < SAME_POINT), None)
+        if near is None:
+            clusters.append((centre, [group]))
+        else:
+            near[1].append(group)
+
+    def weight(cluster: tuple[Floats, list[str]]) -> tuple[int, int]:
+        stations = [station for group in cluster[1] for station, _ in groups[group]]
+        return len({*stations}), len(stations)
+
+    clusters.sort(key=weight, reverse=True)
+    plain = len(clusters) == 1 or weight(clusters[0]) > weight(clusters[1])
+    return {
+        group: name if plain and i == 0 else f"{together[0]}:{name}"
+        for i, (_, together) in enumerate(clusters)
+        for group in together
+    }
+
+
+def _setup(blocks: Sequence[_Block], names: Sequence[str], file: Path) -> Setup:
+    """Rough poses and, where the report names several, one instrument a model."""
+    stations = {}
+    for name, block in zip(names, blocks, strict=True):
+        position = yaw = None
+        if (pose := block.pose) is not None:
+            position = tuple((pose[1] * 1e3).round(6).tolist())
+            if pose[0][2, 2] > 0.9:
+                yaw = float(np.degrees(np.arctan2(pose[0][1, 0], pose[0][0, 0])))
+        stations[name] = Station(position_mm=position, yaw_deg=yaw, instrument=block.model or None)
+    models = sorted({block.model for block in blocks if block.model})
+    instruments = {FilePlace(file).name(model, "instrument"): Instrument() for model in models}
+    return Setup(title=file.stem, instruments=instruments, stations=stations)

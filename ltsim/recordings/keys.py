@@ -1,0 +1,77 @@
+"""Types of the keys of a file that a person writes, and the base of its tables."""
+
+from __future__ import annotations
+
+import datetime
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+
+if TYPE_CHECKING:
+    from ltsim.core.arrays import Floats
+
+
+def _some_length(vector: tuple[float, float, float]) -> tuple[float, float, float]:
+    if not max(abs(component) for component in vector) > SHORT:
+        raise ValueError("a direction should not have length zero")
+    return vector
+
+
+def _one_line(text: str) -> str:
+    if not text.isprintable():
+        raise ValueError("it should be one line of printable text")
+    return text
+
+
+def _calendar_date(text: str) -> str:
+    try:
+        return datetime.date.fromisoformat(text).isoformat()
+    except ValueError:
+        raise ValueError("it should be a date such as 2026-05-31") from None
+
+
+def _definite(entries: tuple[float, ...]) -> tuple[float, ...]:
+    import numpy as np  # help of a verb need not wait for it
+
+    matrix = symmetric(entries)
+    sigma = np.sqrt(np.maximum(np.diag(matrix), 0.0))
+    if sigma.min() < LEAST_SIGMA or np.linalg.eigvalsh(matrix / np.outer(sigma, sigma))[0] < DEFINITE:
+        raise ValueError("it should be the xx, xy, xz, yy, yz, zz of a covariance matrix, positive in every direction")
+    return entries
+
+
+def symmetric(entries: tuple[float, ...]) -> Floats:
+    """The matrix (3, 3) whose upper triangle is xx, xy, xz, yy, yz, zz."""
+    import numpy as np
+
+    matrix = np.zeros((3, 3))
+    matrix[np.triu_indices(3)] = entries
+    return matrix + np.triu(matrix, 1).T
+
+
+DEFINITE = 1e-9
+"""Smallest eigenvalue of correlations that is told from none."""
+SHORT = 1e-6
+"""Length below which a vector has no direction."""
+Finite = Annotated[float, Field(ge=-1e11, le=1e11, allow_inf_nan=False)]
+NonNegative = Annotated[float, Field(ge=0, le=1e9, allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0, le=1e9, allow_inf_nan=False)]
+Elevation = Annotated[float, Field(ge=-90, le=90, allow_inf_nan=False)]
+Height = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)]
+Axes = Literal["xyz", "xy", "xz", "yz", "x", "y", "z"]
+Line = Annotated[str, Field(max_length=200), AfterValidator(_one_line)]
+Date = Annotated[str, AfterValidator(_calendar_date)]
+LEAST_SIGMA = 1e-6
+"""[mm, arcsec, ppm] Nobody knows anything better, and numbers lose their digits."""
+Sigma = Annotated[float, Field(ge=LEAST_SIGMA, le=1e9, allow_inf_nan=False)]
+Vector = tuple[Finite, Finite, Finite]
+Covariance = Annotated[tuple[Finite, Finite, Finite, Finite, Finite, Finite], AfterValidator(_definite)]
+Direction = Annotated[Vector, AfterValidator(_some_length)]
+EXACT_LEVEL_ARCSEC = 1e-3
+"""Levelling sigma of formats whose instruments stand upright without a doubt (gama-local, LGC without ROT3D)."""
+
+
+class TomlSection(BaseModel):
+    """A table of the file: unknown keys are refused, values cannot change."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True, use_attribute_docstrings=True)

@@ -1,0 +1,109 @@
+"""Known lengths of a recording at the temperature of their use, and what is not known of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+
+from ltsim.core.arrays import Floats, Ints
+from ltsim.core.errors import RecordError
+from ltsim.core.units import MILLIMETRE, PPM
+from ltsim.geometry.expansion import Expansion
+from ltsim.recordings.files import shown
+from ltsim.recordings.recording import Recording
+from ltsim.recordings.setup import GaugeDistance
+
+COEFFICIENT = "expansion of "
+"""Begins the name of an error that lengths of one material share."""
+SCALE = "scale of all lengths"
+UNKNOWN_PPM = 1000.0
+"""Standard deviation of the common scale from which lengths tell ratios alone: 40 K of aluminium."""
+
+
+@dataclass(frozen=True)
+class KnownLengths:
+    """The g lengths between targets of a recording: independent certificates, and errors that several share."""
+
+    first: Ints
+    second: Ints
+    """(g,): index of the target at either end."""
+    factor: Floats
+    """(g,): growth between the calibration and the use."""
+    length: Floats
+    """(g,) [m]: at the use."""
+    certificate: Floats
+    """(g,) [m]: standard deviation of what each length has alone."""
+    shared: dict[str, Floats]
+    """(g,) [m]: what one standard deviation of each coefficient and each thermometer changes the lengths by."""
+
+    @classmethod
+    def of(cls, recording: Recording, file: object = "setup.toml") -> Self:
+        """The lengths whose targets the recording holds; `file` is named in errors.
+
+        Raises RecordError when a material is not stated, or a column has no temperature of a length.
+        """
+        index = {name: i for i, name in enumerate(recording.targets)}
+        rows = [(i, d) for i, d in enumerate(recording.gauge.distance) if d.from_ in index and d.to in index]
+        grown = [_grown(recording, d, {"file": file, "column": f"gauge.distance {i + 1}"}) for i, d in rows]
+        certified = np.array([d.length_mm * MILLIMETRE for _, d in rows])
+        factor = np.array([own for own, _ in grown])
+        common = {SCALE: recording.gauge.sigma_scale_ppm * PPM} if recording.gauge.sigma_scale_ppm else {}
+        changes = [change | common for _, change in grown]
+        shared = {
+            name: certified * np.array([change.get(name, 0.0) for change in changes])
+            for name in dict.fromkeys(name for change in changes for name in change)
+        }
+        return cls(
+            np.array([index[d.from_] for _, d in rows], dtype=np.int64),
+            np.array([index[d.to] for _, d in rows], dtype=np.int64),
+            factor,
+            certified * factor,
+            np.array([d.sigma_mm * MILLIMETRE for _, d in rows]),
+            shared,
+        )
+
+    @property
+    def tell_scale(self) -> bool:
+        """Whether something is known of their common scale."""
+        return SCALE not in self.shared or bool(np.any(self.shared[SCALE] < 0.99 * UNKNOWN_PPM * PPM * self.length))
+
+    @property
+    def sigma(self) -> Floats:
+        """(g,) [m]: standard deviation of each length by itself."""
+        return np.sqrt(self.certificate**2 + sum(change**2 for change in self.shared.values()))
+
+
+def _grown(recording: Recording, line: GaugeDistance, where: dict[str, Any]) -> tuple[float, dict[str, float]]:
+    """Growth of one length, and what one standard deviation of its coefficient and its thermometer changes it by."""
+    if line.measured_in_place:
+        return 1.0, {}
+    gauge = recording.gauge
+    materials = gauge.materials or {}
+    if line.material is not None and line.material not in materials:
+        known = f"one of {', '.join(materials)}" if materials else f"a table [gauge.materials.{line.material}]"
+        raise RecordError(f"the material '{shown(line.material)}' is not stated, expected {known}", **where)
+    stated = gauge if line.material is None else materials[line.material]
+    given = gauge.measured_at_c if line.measured_at_c is None else line.measured_at_c
+    measured = _mean_of(recording, given, line, where) if isinstance(given, str) else given
+    sigma = gauge.sigma_temperature_k if line.sigma_temperature_k is None else line.sigma_temperature_k
+    own = "" if line.measured_at_c is None else f"{line.from_}-{line.to}"
+    thermometer = f"temperature of {given if isinstance(given, str) else own or 'the gauge'}"
+    grown = Expansion.of(stated.expansion_per_k, measured - gauge.calibrated_at_c, stated.sigma_expansion_per_k, sigma)
+    both = {f"{COEFFICIENT}{line.material or 'the gauge'}": grown.by_coefficient, thermometer: grown.by_temperature}
+    return grown.factor, {name: change for name, change in both.items() if change}
+
+
+def _mean_of(recording: Recording, name: str, line: GaugeDistance, where: dict[str, Any]) -> float:
+    """Mean of a column over the pointings at both ends of a length."""
+    if name not in recording.covariates:
+        known = ", ".join(recording.covariates) or "none"
+        message = f"measured_at_c names '{shown(name)}', which is no column of numbers; there are {known}"
+        raise RecordError(message, **where)
+    ends = [recording.targets.index(target) for target in (line.from_, line.to)]
+    values = recording.covariates[name][np.isin(recording.target, ends)]
+    if not np.isfinite(values).any():
+        message = f"the column {name} is empty where {line.from_} and {line.to} were measured, expected temperatures"
+        raise RecordError(message, **where)
+    return float(np.nanmean(values))

@@ -1,0 +1,339 @@
+"""The native recording, a folder with `observations.csv` and `setup.toml` (format ltsim-recording/1)."""
+
+import csv
+import difflib
+import io
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from ltsim.core.arrays import Floats, Ints
+from ltsim.core.errors import RecordError
+from ltsim.core.limits import FIELDS
+from ltsim.core.results import guarded, plain
+from ltsim.core.units import DEGREE, FACTOR, MILLIMETRE, NAMED
+from ltsim.recordings.conventions import NO_HINTS, Hints
+from ltsim.recordings.differences import check_differences
+from ltsim.recordings.files import (
+    LONGEST_NUMBER,
+    NUMBER,
+    FilePlace,
+    is_not_finite,
+    is_number,
+    read_lines,
+    shown,
+    write_texts,
+)
+from ltsim.recordings.lengths import KnownLengths
+from ltsim.recordings.pointings import indices
+from ltsim.recordings.recording import (
+    KIND_COLUMN,
+    MODE_COLUMN,
+    OCCUPATION_COLUMNS,
+    REFLECTOR_COLUMN,
+    SIGMA_COLUMNS,
+    Recording,
+)
+from ltsim.recordings.reflectors import excess_radii, smrs_of
+from ltsim.recordings.settings import read_setup, setup_from, setup_to_toml
+from ltsim.recordings.setup import Setup
+from ltsim.recordings.slips import check_degrees
+from ltsim.recordings.specification import overruled
+from ltsim.recordings.tables.sheets import Row, is_folder
+
+OBSERVATIONS, SETUP = "observations.csv", "setup.toml"
+REQUIRED = ("station", "target", "face", "azimuth_deg", "elevation_deg", "distance_mm")
+MEASURED = ("distance_mm", "azimuth_deg", "elevation_deg")
+KNOWN = (*REQUIRED, "repeat", "time_s")
+WORDS = {MODE_COLUMN: ("adm", "ifm", ""), KIND_COLUMN: ("slope", "horizontal", "")}
+TEXTS = (*WORDS, REFLECTOR_COLUMN, *OCCUPATION_COLUMNS)
+BOUNDS = {
+    "distance_mm": (0.001, 1e9),
+    "azimuth_deg": (-720.0, 720.0),
+    "elevation_deg": (-90.0, 270.0),
+    "time_s": (-1e10, 1e10),
+    "air_temperature_c": (-60.0, 80.0),
+    "air_pressure_hpa": (300.0, 1200.0),
+    "relative_humidity_pct": (0.0, 100.0),
+    **dict.fromkeys(SIGMA_COLUMNS, (1e-9, 1e9)),
+}
+OTHERS = ("k", "f", "pa", "bar", "inch")
+
+
+def recognises(path: Path, head: str) -> bool:
+    """Whether this is a folder, or its table of observations."""
+    return (path.is_dir() and not is_folder(path)) or path.name == OBSERVATIONS
+
+
+def read_recording(path: Path, hints: Hints = NO_HINTS) -> Recording:
+    """Read a recording folder (or the `observations.csv` in it); raises RecordError.
+
+    Of a recording that is still `hints.growing` a last row without an end is left out, and known lengths may wait for
+    their targets. Azimuths that `hints` says to be clockwise are turned over.
+    """
+    folder = path.parent if path.name == OBSERVATIONS else path
+    if not folder.is_dir():
+        message = f"there is no such folder; a recording is a folder with {OBSERVATIONS} and {SETUP}"
+        raise RecordError(message, file=path)
+    rows = _table(folder / OBSERVATIONS, growing=hints.growing)
+    found = parse(rows, read_setup(folder / SETUP), folder, growing=hints.growing)
+    sense = [1.0, -1.0 if hints.azimuth == "clockwise" else 1.0, 1.0]
+    return found.with_readings(found.readings * sense)
+
+
+def _table(path: Path, *, growing: bool) -> list[list[str]]:
+    """Header and rows, all of one length."""
+    lines = read_lines(path)
+    if lines[-1] and growing:
+        lines = lines[:-1]
+    elif lines[-1]:
+        raise FilePlace(path, len(lines) - 1).wrong("the file ends inside this row, without a line break: it was cut")
+    rows: list[list[str]] = []
+    try:
+        for fields in csv.reader(lines, strict=True):
+            cells = [field.strip() for field in fields]
+            if any(cells):
+                if len(cells) > FIELDS:
+                    raise FilePlace(path, len(rows)).wrong(f"{len(cells)} columns, expected at most {FIELDS}")
+                rows.append(cells)
+                if len(cells) != len(rows[0]):
+                    Row(len(rows) - 1, tuple(cells)).check_width(len(rows[0]), path)
+    except csv.Error as problem:
+        raise FilePlace(path, len(rows)).wrong(f"is not CSV here ({problem})") from None
+    if len(rows) < 2:
+        raise RecordError("holds a header only, expected one row a pointing", file=path)
+    return rows
+
+
+def parse(rows: list[list[str]], setup: Setup, folder: Path, *, growing: bool = False) -> Recording:
+    """A recording of the header and rows of its table; `folder` is named in errors."""
+    file = folder / OBSERVATIONS
+    header = rows[0]
+    _check_header(header, file)
+    columns = {name: list(map(plain, column)) for name, column in zip(header, zip(*rows[1:], strict=True), strict=True)}
+    stations, station = indices(columns["station"], "station", file)
+    targets, target = indices(columns["target"], "target", file)
+    count = len(rows) - 1
+    face = _whole(columns["face"], FilePlace(file, column="face"), (1, 2))
+    repeat = columns.get("repeat", ["1"] * count)
+    time = columns.get("time_s", list(map(str, range(count))))
+    measured = np.stack([_floats(columns[name], FilePlace(file, column=name)) for name in MEASURED], axis=1)
+    nothing = np.flatnonzero(np.all(np.isnan(measured), axis=1))
+    if len(nothing):
+        message = "nothing was measured here, expected an azimuth, an elevation or a distance"
+        raise FilePlace(file, int(nothing[0]) + 1).wrong(message)
+    check_degrees(measured, station, target, face, file)
+    covariates, labels = _further(columns, file)
+    recording = Recording(
+        setup=setup,
+        stations=stations,
+        targets=targets,
+        station=station,
+        target=target,
+        face=face,
+        repeat=_whole(repeat, FilePlace(file, column="repeat"), (1, 1_000_000)),
+        time=_floats(time, FilePlace(file, column="time_s"), optional=False),
+        readings=measured * [MILLIMETRE, DEGREE, DEGREE],
+        covariates=covariates,
+        labels=labels,
+        has_clock="time_s" in columns,
+    )
+    if not growing:
+        _check_gauge(recording, folder / SETUP)
+        check_differences(recording, folder / SETUP)
+    _check_smrs(recording, folder)
+    return recording.replace(notes=_idle_settings(recording))
+
+
+def _check_header(header: Sequence[str], file: Path) -> None:
+    """Every required column once, none in another unit."""
+    where = FilePlace(file, 0)
+    if any(";" in name or "\t" in name for name in header):
+        raise where.wrong("the header holds ';' or tabs, expected commas between columns")
+    for i, name in enumerate(header):
+        where.text(name)
+        if not name:
+            raise where.wrong(f"column {i + 1} has no name")
+        if name in header[:i]:
+            raise where.wrong("this column appears twice in the header", name)
+        stem, _, unit = name.rpartition("_")
+        right = next((k for k in BOUNDS if k.rpartition("_")[0] == stem and k != name), None)
+        if right is not None and unit.lower() in (*NAMED, *FACTOR, *OTHERS) and name not in BOUNDS:
+            raise where.wrong(f"the unit '{unit}' is not one of this format, expected {right}", name)
+    for name in REQUIRED:
+        if name not in header:
+            near = difflib.get_close_matches(name, header, n=1, cutoff=0.6)
+            hint = f" ('{shown(near[0])}' looks like it)" if near else ""
+            raise where.wrong(f"the required column {name} is missing{hint}")
+
+
+def _whole(column: list[str], where: FilePlace, bounds: tuple[int, int]) -> Ints:
+    low, high = bounds
+    numbers: dict[str, int] = {}
+    for text in dict.fromkeys(column):
+        if not (text.isascii() and text.isdigit() and len(text) < 8 and low <= int(text) <= high):
+            wanted = f"{low} or {high}" if high == low + 1 else f"a whole number from {low}"
+            raise replace(where, row=column.index(text) + 1).wrong(f"found '{shown(text)}', expected {wanted}")
+        numbers[text] = int(text)
+    return np.array([numbers[text] for text in column], dtype=np.int64)
+
+
+def _floats(column: list[str], where: FilePlace, *, optional: bool = True) -> Floats:
+    """A column of numbers within the bounds of its name; empty cells are NaN where that is allowed."""
+    low, high = BOUNDS.get(where.column or "", (-1e15, 1e15))
+    values = np.full(len(column), np.nan)
+    filled = [i for i, text in enumerate(column) if text or not optional]
+    texts = [column[i] for i in filled]
+    if max(map(len, texts), default=0) <= LONGEST_NUMBER and all(map(NUMBER.fullmatch, texts)):
+        values[filled] = list(map(float, texts))
+        if np.all((values[filled] >= low) & (values[filled] <= high)):
+            return values
+    for i in filled:  # to name the first that is wrong
+        here = replace(where, row=i + 1)
+        values[i] = here.number(column[i], limit=1e15)
+        if not low <= values[i] <= high:
+            hint = " (it looks like gon)" if where.column == "elevation_deg" and 270 < values[i] < 400 else ""
+            raise here.wrong(f"found {shown(column[i])}, expected a value from {low:g} to {high:g}{hint}")
+    return values
+
+
+def _further(columns: dict[str, list[str]], file: Path) -> tuple[dict[str, Floats], dict[str, tuple[str, ...]]]:
+    """Numeric columns as covariates, the others as labels."""
+    covariates: dict[str, Floats] = {}
+    labels: dict[str, tuple[str, ...]] = {}
+    for name, column in columns.items():
+        if name in KNOWN:
+            continue
+        filled = [text for text in column if text]
+        numeric = bool(filled) and all(is_number(t) or is_not_finite(t) for t in filled)
+        if (numeric or name in BOUNDS) and name not in TEXTS:
+            covariates[name] = _floats(column, FilePlace(file, column=name))
+            continue
+        for i, text in enumerate(column):
+            where = FilePlace(file, i + 1, name)
+            where.text(text)
+            if name in WORDS and text not in WORDS[name]:
+                raise where.wrong(f"found '{shown(text)}', expected {' or '.join(filter(None, WORDS[name]))}")
+        labels[name] = tuple(column)
+    return covariates, labels
+
+
+def _check_gauge(recording: Recording, file: Path) -> None:
+    for i, line in enumerate(recording.gauge.distance):
+        for name in (line.from_, line.to):
+            if name not in recording.targets:
+                near = difflib.get_close_matches(name, recording.targets, n=3, cutoff=0.3)
+                hint = f"; measured were e.g. {', '.join(near)}" if near else ""
+                where = FilePlace(file, column=f"gauge.distance {i + 1}")
+                raise where.wrong(f"the target '{shown(name)}' was never measured{hint}")
+    KnownLengths.of(recording, file)
+
+
+def _check_smrs(recording: Recording, folder: Path) -> None:
+    """Check of SMRs with radii: every pointing names one of them, and its nest has a normal if it needs one."""
+    excess_radii(recording, folder / SETUP)
+    names = smrs_of(recording)
+    if recording.setup.reflectors and "" in names:
+        row = names.index("")
+        target = recording.targets[recording.target[row]]
+        message = f"no SMR is named here or by targets.{target}.reflector, expected one of tables [reflectors.NAME]"
+        raise FilePlace(folder / OBSERVATIONS, row + 1, REFLECTOR_COLUMN).wrong(message)
+
+
+def _idle_settings(recording: Recording) -> tuple[str, ...]:
+    """Notes on settings without effect: stations, marks and points that nothing reaches, an idle radius or sheet."""
+    setup, notes = recording.setup, []
+    marks = Counter(s.over for name, s in setup.stations.items() if s.over and name in recording.stations)
+    for name in recording.stations:
+        over = recording.station_setup(name).over
+        if over and over not in recording.targets and over not in setup.targets and marks[over] == 1:
+            notes.append(
+                f"stations.{name}.over names '{shown(over)}', which no pointing and no other set-up names: "
+                f"it holds nothing{_near(over, recording.targets)}"
+            )
+    notes += [
+        f"stations.{name} was never measured: it changes nothing{_near(name, recording.stations)}"
+        for name in setup.stations
+        if name not in recording.stations
+    ]
+    joined = {name for one in setup.differences for name in (one.from_, one.to)}
+    for name, target in setup.targets.items():
+        if target.known_mm and name not in recording.targets and name not in marks and name not in joined:
+            notes.append(f"targets.{name} is known but was never measured{_near(name, recording.targets)}")
+        elif target.datum and name not in recording.targets and name not in marks:
+            notes.append(
+                f"targets.{name} is of the datum but was never measured: left out{_near(name, recording.targets)}"
+            )
+    for place, one in {"instrument": setup.instrument, **setup.instruments}.items():
+        if kept := overruled(one):
+            notes.append(
+                f"{place}: {', '.join(kept)} stand above those of the data sheet {one.sheet}, which is not used there"
+            )
+    if setup.heads_sigma_mm is not None and not recording.labels.keys() & {*OCCUPATION_COLUMNS}:
+        notes.append(f"heads_sigma_mm changes nothing: the table has no column {' or '.join(OCCUPATION_COLUMNS)}")
+    if setup.reference_radius_mm is not None and not setup.reflectors:
+        notes.append("reference_radius_mm changes nothing: no table [reflectors.NAME] gives an SMR its radius")
+    return tuple(notes)
+
+
+def _near(name: str, known: Iterable[str]) -> str:
+    near = difflib.get_close_matches(name, list(known), n=3, cutoff=0.5)
+    return f"; did you mean {', '.join(near)}?" if near else ""
+
+
+def write_recording(recording: Recording, path: Path) -> None:
+    """Write a recording as a folder; both files appear whole or not at all.
+
+    Raises RecordError when it holds what could not be read back, or the folder cannot be written.
+    """
+    if path.exists() and not path.is_dir():
+        raise RecordError("this is a file, expected a folder to write the recording to", file=path)
+    write_texts(path, recording_texts(recording, path))
+
+
+def recording_texts(recording: Recording, path: Path) -> dict[str, str]:
+    """The files of a recording's folder, by name; `path` is named in errors.
+
+    Raises RecordError when it holds names or values that could not be read back.
+    """
+    rows, toml = table_of(recording), setup_to_toml(recording.setup)
+    setup_from(recording.setup.model_dump(by_alias=True, mode="json", exclude_none=True), path / SETUP)
+    parse(rows, recording.setup, path)
+    stream = io.StringIO()
+    csv.writer(stream, lineterminator="\n").writerows(rows)
+    return {OBSERVATIONS: stream.getvalue(), SETUP: toml}
+
+
+def table_of(recording: Recording) -> list[list[str]]:
+    """Header and rows of `observations.csv`."""
+    polar = recording.readings
+    columns: dict[str, Sequence[str]] = {
+        "station": [guarded(recording.stations[i]) for i in recording.station],
+        "target": [guarded(recording.targets[i]) for i in recording.target],
+        "face": [str(f) for f in recording.face],
+        "repeat": [str(r) for r in recording.repeat],
+    }
+    if recording.has_clock:
+        columns["time_s"] = _texts(recording.time)
+    columns["azimuth_deg"] = _texts(polar[:, 1], DEGREE, 9)
+    columns["elevation_deg"] = _texts(polar[:, 2], DEGREE, 9)
+    columns["distance_mm"] = _texts(polar[:, 0], MILLIMETRE, 6)
+    columns |= {name: _texts(values) for name, values in recording.covariates.items()}
+    columns |= {name: [guarded(text) for text in labels] for name, labels in recording.labels.items()}
+    return [list(columns), *(list(row) for row in zip(*columns.values(), strict=True))]
+
+
+def _texts(values: Floats, unit: float = 1.0, digits: int | None = None) -> list[str]:
+    """Values in `unit`: `digits` decimals where they say it exactly, otherwise all digits; empty for NaN."""
+    there = np.isfinite(values)
+    numbers = (values[there] / unit).tolist()
+    texts = list(map(repr, numbers))
+    if digits is not None:
+        short = [f"{number:.{digits}f}" for number in numbers]
+        exact = np.array(list(map(float, short))) * unit == values[there]
+        texts = [few if same else all_ for few, all_, same in zip(short, texts, exact.tolist(), strict=True)]
+    filled = iter(texts)
+    return [next(filled) if finite else "" for finite in there.tolist()]

@@ -1,0 +1,238 @@
+"""From pointings, or single observations, as a foreign file lists them to a recording."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+
+from ltsim.core.arrays import Floats, Ints
+from ltsim.core.errors import RecordError
+from ltsim.core.units import MILLIMETRE
+from ltsim.recordings.files import FilePlace
+from ltsim.recordings.recording import (
+    ENDINGS,
+    HEIGHT_COLUMNS,
+    KIND_COLUMN,
+    OBSERVABLES,
+    SIGMA_COLUMNS,
+    SIGMA_UNITS,
+    Recording,
+)
+from ltsim.recordings.setup import Setup
+
+NAN = float("nan")
+Kind = Literal["distance", "azimuth", "elevation"]
+_UNIT = dict(zip(OBSERVABLES, SIGMA_UNITS, strict=True))
+
+
+@dataclass(frozen=True, slots=True)
+class Pointing:
+    """One row: names, face, range [m], azimuth and elevation [rad] (NaN: not measured), time [s]."""
+
+    station: str
+    target: str
+    face: int
+    distance: float = NAN
+    azimuth: float = NAN
+    elevation: float = NAN
+    time: float = NAN
+    covariates: dict[str, float] = field(default_factory=dict)
+    labels: dict[str, str] = field(default_factory=dict)
+    source: str = ""
+
+
+@dataclass(frozen=True)
+class PointingColumns:
+    """Pointings by column: names, faces (n,), readings (n, 3) [m, rad, rad], times (n,) [s], further columns, sources.
+
+    NaN stands for what is not measured or not stated.
+    """
+
+    station: Sequence[str]
+    target: Sequence[str]
+    face: Ints
+    readings: Floats
+    time: Floats
+    covariates: Mapping[str, Floats]
+    labels: Mapping[str, Sequence[str]]
+    sources: Sequence[str]
+
+
+def numbered(point: str, before: int) -> str:
+    """The name of a set-up on a point that had some before: the point's, from the second on with a number."""
+    return f"{point}#{before + 1}" if before else point
+
+
+def indices(names: Iterable[str], kind: str, file: object) -> tuple[tuple[str, ...], Ints]:
+    """Distinct names in order of appearance, and each one's index; raises RecordError for one that cannot be used."""
+    place: dict[str, int] = {}
+    index = []
+    for row, name in enumerate(names):
+        if name not in place:
+            place[FilePlace(file, row + 1).name(name, kind, kind)] = len(place)
+        index.append(place[name])
+    return tuple(place), np.array(index, dtype=np.int64)
+
+
+def states_noise(recording: Recording) -> bool:
+    """Whether the rows themselves state the noise of every reading."""
+    sigmas = np.full((len(recording), len(SIGMA_COLUMNS)), NAN)
+    for k, name in enumerate(SIGMA_COLUMNS):
+        sigmas[:, k] = recording.covariates.get(name, NAN)
+    return bool(np.isfinite(sigmas[recording.measured]).all())
+
+
+def recording_of(
+    pointings: Sequence[Pointing], setup: Setup, *, notes: Sequence[str] = (), file: object = None
+) -> Recording:
+    """A recording of pointings in the order of the file; repeats are counted.
+
+    Raises RecordError when there is nothing, a row measures nothing, or a name cannot be used.
+    """
+    if not pointings:
+        raise RecordError("holds no pointings", file=file)
+    numbers = dict.fromkeys(name for p in pointings for name in p.covariates)
+    words = dict.fromkeys(name for p in pointings for name in p.labels)
+    columns = PointingColumns(
+        [p.station for p in pointings],
+        [p.target for p in pointings],
+        np.array([p.face for p in pointings], dtype=np.int64),
+        np.array([[p.distance, p.azimuth, p.elevation] for p in pointings]),
+        np.array([p.time for p in pointings]),
+        {name: np.array([p.covariates.get(name, NAN) for p in pointings]) for name in numbers},
+        {word: [p.labels.get(word, "") for p in pointings] for word in words},
+        [p.source for p in pointings],
+    )
+    return recording_of_columns(columns, setup, notes=notes, file=file)
+
+
+def recording_of_columns(
+    columns: PointingColumns, setup: Setup, *, notes: Sequence[str] = (), file: object = None
+) -> Recording:
+    """A recording of columns of pointings; repeats are counted. Raises RecordError as `recording_of` does."""
+    stations, station = indices(columns.station, "station", file)
+    targets, target = indices(columns.target, "target", file)
+    empty = np.flatnonzero(np.all(np.isnan(columns.readings), axis=1))
+    if len(empty):
+        raise RecordError("nothing was measured here", file=file, row=int(empty[0]) + 1)
+    for texts in columns.labels.values():
+        for text in dict.fromkeys(texts):
+            FilePlace(file).text(text)
+    has_clock = bool(np.all(np.isfinite(columns.time)))
+    return Recording(
+        setup=setup,
+        stations=stations,
+        targets=targets,
+        station=station,
+        target=target,
+        face=columns.face,
+        repeat=_repeats(station, target, columns.face),
+        time=columns.time if has_clock else np.arange(len(station), dtype=np.float64),
+        readings=columns.readings,
+        covariates=dict(columns.covariates),
+        labels={name: tuple(texts) for name, texts in columns.labels.items()},
+        has_clock=has_clock,
+        notes=tuple(notes),
+        sources=tuple(columns.sources) if all(columns.sources) else (),
+    )
+
+
+def _repeats(station: Ints, target: Ints, face: Ints) -> Ints:
+    """1, 2, ... for every further pointing of one station to one target on one face."""
+    order = np.lexsort((face, target, station))
+    keys = np.stack([station, target, face], axis=1)[order]
+    begins = np.flatnonzero(np.any(np.diff(keys, axis=0, prepend=-1), axis=1))
+    counts = np.diff(begins, append=len(order))
+    repeat = np.empty(len(order), dtype=np.int64)
+    repeat[order] = np.arange(len(order)) - np.repeat(begins, counts) + 1
+    return repeat
+
+
+@dataclass(frozen=True)
+class Observed:
+    """One observation [m, rad], its standard deviation and heights [m] (NaN: not stated), its line (0: not known)."""
+
+    kind: Kind
+    station: str
+    target: str
+    value: float
+    sigma: float = NAN
+    instrument_height: float = NAN
+    target_height: float = NAN
+    horizontal: bool = False
+    line: int = 0
+    shared: dict[str, float] = field(default_factory=dict)
+    """By how much errors that it shares with others change it, by their name."""
+
+    @property
+    def heights(self) -> tuple[float, float]:
+        """Of instrument and target."""
+        return self.instrument_height, self.target_height
+
+
+def merged(observed: Iterable[Observed], file: str) -> list[Pointing]:
+    """Pointings: the k-th direction, zenith angle and distance of a station to a target, at the same heights, are one.
+
+    Standard deviations and heights stand in columns.
+    """
+    rows: list[dict[str, Observed]] = []
+    open_rows: dict[tuple[str, str], list[dict[str, Observed]]] = {}
+    for one in observed:
+        candidates = open_rows.setdefault((one.station, one.target), [])
+        row = next((r for r in candidates if one.kind not in r and _at_one_height([*r.values(), one])), None)
+        if row is None:
+            row = {}
+            candidates.append(row)
+            rows.append(row)
+        row[one.kind] = one
+        if len(row) == len(OBSERVABLES):
+            candidates.remove(row)
+    return [_pointing(row, file) for row in rows]
+
+
+def _at_one_height(observed: Sequence[Observed]) -> bool:
+    return all(len({h for h in heights if h == h}) < 2 for heights in zip(*(o.heights for o in observed), strict=True))
+
+
+def _pointing(row: dict[str, Observed], file: str) -> Pointing:
+    sigmas = {SIGMA_COLUMNS[OBSERVABLES.index(kind)]: row[kind].sigma / _UNIT[kind] for kind in row}
+    heights = zip(HEIGHT_COLUMNS, zip(*(o.heights for o in row.values()), strict=True), strict=True)
+    shared = {
+        f"shared_{name}_{ENDINGS[OBSERVABLES.index(kind)]}": change / _UNIT[kind]
+        for kind, one in row.items()
+        for name, change in one.shared.items()
+    }
+    stated = {name: next((h / MILLIMETRE for h in of if h == h), NAN) for name, of in heights}
+    flat = "distance" in row and row["distance"].horizontal
+    lines = sorted({one.line for one in row.values() if one.line})
+    first = next(iter(row.values()))
+    return Pointing(
+        first.station,
+        first.target,
+        1,
+        **{kind: one.value for kind, one in row.items()},
+        covariates={name: value for name, value in (sigmas | stated | shared).items() if value == value},
+        labels={KIND_COLUMN: "horizontal"} if flat else {},
+        source=f"{file}, line{'s' * (len(lines) > 1)} {', '.join(map(str, lines))}" if lines else "",
+    )
+
+
+def settled_heights(pointings: Sequence[Pointing]) -> tuple[list[Pointing], dict[str, float], dict[str, float]]:
+    """Heights [mm] of stations and of targets that all pointings agree on, taken out of the columns.
+
+    Where those of one name differ, all such heights stay in their column.
+    """
+    found: list[dict[str, float]] = []
+    for column, kind in zip(HEIGHT_COLUMNS, ("station", "target"), strict=True):
+        stated = [(getattr(p, kind), p.covariates[column]) for p in pointings if column in p.covariates]
+        one = dict(stated)
+        settled = all(one[name] == height for name, height in stated)
+        found.append({name: height for name, height in one.items() if height} if settled else {})
+        pointings = [replace(p, covariates=_without(p.covariates, column, settled=settled)) for p in pointings]
+    return list(pointings), found[0], found[1]
+
+
+def _without(covariates: dict[str, float], column: str, *, settled: bool) -> dict[str, float]:
+    rest = {name: value for name, value in covariates.items() if name != column}
+    return rest if settled else {**rest, column: covariates.get(column, 0.0)}

@@ -1,0 +1,249 @@
+"""A recording in memory: one row a pointing, as structure of arrays."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from ltsim.core.arrays import Bools, Floats, Ints
+from ltsim.core.errors import ModelError
+from ltsim.core.results import Columns, Result
+from ltsim.core.units import ARCSECOND, DEGREE, MILLIMETRE, PPM
+from ltsim.recordings.setup import Gauge, Instrument, Noise, Setup, Station, Target
+
+OBSERVABLES = ("distance", "azimuth", "elevation")
+SIGMA_COLUMNS = ("sigma_distance_mm", "sigma_azimuth_arcsec", "sigma_elevation_arcsec")
+"""Covariates: the standard deviation of single readings, empty where the instrument's noise holds."""
+SIGMA_UNITS = (MILLIMETRE, ARCSECOND, ARCSECOND)
+ENDINGS = tuple(name.removeprefix("sigma_") for name in SIGMA_COLUMNS)
+"""Endings of the columns of each observable, in these units."""
+HEIGHT_COLUMNS = ("instrument_height_mm", "target_height_mm")
+"""Covariates that state heights of single pointings; an empty cell leaves the set-up's height."""
+SHARED_COLUMN = re.compile(f"shared_(.+)_({'|'.join(ENDINGS)})")
+"""Covariates: by how much an error that readings share changes single readings, for one standard deviation of it."""
+BOOKKEEPING = (*SIGMA_COLUMNS, *HEIGHT_COLUMNS)
+"""Covariates that are no circumstances of a pointing: nothing a diagnosis should try."""
+KIND_COLUMN = "distance_kind"
+"""Label ``slope`` (or empty) or ``horizontal`` of each distance."""
+MODE_COLUMN = "distance_mode"
+"""Label ``adm``, ``ifm`` or empty: by which meter a distance was measured."""
+REFLECTOR_COLUMN = "reflector"
+"""Label: name of the SMR of each pointing; an empty cell leaves the target's."""
+_PLAIN_STATION, _PLAIN_TARGET = Station(), Target()
+LEAST_COSINE = 1e-6
+OCCUPATION_COLUMNS = ("instrument_setup", "target_setup")
+"""Labels: at which occupation of a mark the instrument, and the reflector, of each pointing stood."""
+
+
+def noise_sigma(noise: Sequence[Noise], instrument: Ints, range_: Floats, elevation: Floats) -> Floats:
+    """Standard deviation (n, 3) [m, rad, rad] of readings by the stated noise of each one's instrument (n,).
+
+    That of a range is constant + ppm * range [m]; the azimuth's is that across the beam, divided by cos(elevation).
+    """
+    rows = [[m.distance_mm, m.distance_ppm, m.azimuth_arcsec, m.elevation_arcsec] for m in noise]
+    units = np.array([MILLIMETRE, PPM, ARCSECOND, ARCSECOND])
+    constant, per_metre, azimuth, level = (np.array(rows) * units)[instrument].T
+    across = np.maximum(np.abs(np.cos(elevation)), LEAST_COSINE)
+    return np.stack([constant + per_metre * range_, azimuth / across, level], axis=1)
+
+
+@dataclass(frozen=True, repr=False)
+class Recording(Result):
+    """Readings of a tracker network and what is known about the set-up."""
+
+    setup: Setup
+    stations: tuple[str, ...]
+    targets: tuple[str, ...]
+    """Names; the index arrays below point into them."""
+    station: Ints
+    target: Ints
+    """(n,) each."""
+    face: Ints
+    """(n,): 1 or 2."""
+    repeat: Ints
+    """(n,)."""
+    time: Floats
+    """(n,) [s]: since the start; the row number where the recording has no clock."""
+    readings: Floats
+    """(n, 3) [m, rad, rad]: raw range, azimuth, elevation; NaN where not measured."""
+    covariates: Mapping[str, Floats] = field(default_factory=dict)
+    """(n,): every further numeric column, the instrument's air readings among them."""
+    labels: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    """Every further column of text."""
+    has_clock: bool = True
+    """False where `time` is only the row order."""
+    notes: tuple[str, ...] = ()
+    """What a reader decided about an ambiguous file, skipped or left out: one sentence each."""
+    sources: tuple[str, ...] = ()
+    """File and line that each row was read from; empty for a native recording, whose rows are those of its table."""
+
+    def __post_init__(self) -> None:
+        """Raise ModelError for times that are not finite: every order and every drift rests on them."""
+        wrong = np.flatnonzero(~np.isfinite(np.asarray(self.time, dtype=np.float64)))
+        if len(wrong):
+            row, value = int(wrong[0]) + 1, self.time[wrong[0]]
+            raise ModelError(
+                f"the time of row {row} is {value}, expected finite seconds; of a recording without a clock give "
+                "time=np.arange(n) and has_clock=False"
+            )
+
+    def __len__(self) -> int:
+        return len(self.station)
+
+    @property
+    def headline(self) -> str:
+        """How much was measured, in one line."""
+        faces = np.unique(self.face)
+        in_faces = "two faces" if len(faces) == 2 else f"face {faces[0]} only" if len(faces) else "no face"
+        title = f"{self.setup.title}: " if self.setup.title else ""
+        apart = f", {len(self.setup.differences)} known differences" if self.setup.differences else ""
+        return (
+            f"{title}{len(self)} pointings, {len(self.stations)} stations, {len(self.targets)} targets, "
+            f"{in_faces}, {len(self.gauge.distance)} known lengths{apart}"
+        )
+
+    def _lines(self) -> list[str]:
+        return [f"Recording: {self.headline}", *self.notes]
+
+    def _tables(self) -> Mapping[str, Callable[[], Columns]]:
+        return {"pointings": self._pointings}
+
+    def _pointings(self) -> Columns:
+        distance, azimuth, elevation = (self.readings / [MILLIMETRE, DEGREE, DEGREE]).T
+        return {
+            "station": [self.stations[i] for i in self.station],
+            "target": [self.targets[i] for i in self.target],
+            "face": self.face.tolist(),
+            "repeat": self.repeat.tolist(),
+            "time_s": self.time.tolist(),
+            "distance_mm": distance.tolist(),
+            "azimuth_deg": azimuth.tolist(),
+            "elevation_deg": elevation.tolist(),
+            **{name: column.tolist() for name, column in self.covariates.items()},
+            **self.labels,
+        }
+
+    def where(self, row: int) -> str:
+        """Row number `row` (from 1) in words, with the file and line that it was read from."""
+        return f"row {row} ({self.sources[row - 1]})" if self.sources else f"row {row}"
+
+    @property
+    def measured(self) -> Bools:
+        """(n, 3) bool: which readings exist."""
+        return np.isfinite(self.readings)
+
+    @cached_property
+    def instruments(self) -> tuple[str, ...]:
+        """Names of the instruments in use; a single unnamed one is called ''."""
+        names = {self._instrument_name(s) for s in self.stations}
+        return tuple(sorted(names))
+
+    @cached_property
+    def instrument(self) -> Ints:
+        """(n,) int: index into `instruments` of each row."""
+        index = {name: i for i, name in enumerate(self.instruments)}
+        of_station = [index[self._instrument_name(s)] for s in self.stations]
+        return np.array(of_station, dtype=np.int64)[self.station]
+
+    def _instrument_name(self, station: str) -> str:
+        name = self.setup.stations.get(station, _PLAIN_STATION).instrument
+        return name if name is not None and name in self.setup.instruments else ""
+
+    def instrument_of(self, station: str) -> Instrument:
+        """Give the instrument that stood at `station`."""
+        return self.setup.instrument_of(station)
+
+    def station_setup(self, station: str) -> Station:
+        """What the set-up says of a station (defaults where it says nothing)."""
+        return self.setup.stations.get(station, _PLAIN_STATION)
+
+    def target_setup(self, target: str) -> Target:
+        """What the set-up says of a target (defaults where it says nothing)."""
+        return self.setup.targets.get(target, _PLAIN_TARGET)
+
+    @property
+    def gauge(self) -> Gauge:
+        """The gauge, an empty one where there is none."""
+        return self.setup.gauge or Gauge()
+
+    def sigma(self) -> Floats:
+        """Standard deviation (n, 3) [m, rad, rad] of each reading by the stated noise.
+
+        The columns `SIGMA_COLUMNS`, where present, state that of single readings instead, the azimuth's being that of
+        the reading itself.
+        """
+        noise = [self.instrument_of(name).noise for name in self.stations]
+        range_, _, level = np.nan_to_num(self.readings).T
+        sigma = noise_sigma(noise, self.station, range_, level)
+        for column, (name, unit) in enumerate(zip(SIGMA_COLUMNS, SIGMA_UNITS, strict=True)):
+            if name in self.covariates:
+                stated = self.covariates[name] * unit
+                sigma[:, column] = np.where(np.isfinite(stated), stated, sigma[:, column])
+        return sigma
+
+    def heights(self) -> tuple[Floats, Floats]:
+        """Heights (n,) [m] of the instrument and of the reflector over their marks, along the vertical."""
+        instrument = [self.station_setup(s).instrument_height_mm for s in self.stations]
+        target = [self.target_setup(t).height_mm for t in self.targets]
+        constant = np.array(instrument)[self.station], np.array(target)[self.target]
+        stated = [self.covariates.get(name, np.full(len(self), np.nan)) for name in HEIGHT_COLUMNS]
+        first, second = (
+            np.where(np.isfinite(one), one, other) * MILLIMETRE for one, other in zip(stated, constant, strict=True)
+        )
+        return first, second
+
+    @property
+    def circumstances(self) -> Mapping[str, Floats]:
+        """Columns (n,) of circumstances that readings may depend on; where both meters were used, 1 for `ifm`."""
+        some = {name: column for name, column in self.covariates.items() if name not in BOOKKEEPING}
+        known = {name: column for name, column in some.items() if not SHARED_COLUMN.fullmatch(name)}
+        modes = self.labels.get(MODE_COLUMN, ())
+        if {"adm", "ifm"} <= set(modes):
+            known[MODE_COLUMN] = np.array([mode == "ifm" for mode in modes], dtype=np.float64)
+        return known
+
+    @property
+    def is_horizontal(self) -> Bools:
+        """(n,) bool: distances reduced to the horizontal plane of the instrument."""
+        kinds = self.labels.get(KIND_COLUMN, ("",) * len(self))
+        return np.array([kind == "horizontal" for kind in kinds], dtype=bool)
+
+    def select(self, rows: Bools | Ints) -> Recording:
+        """The recording with only some rows; stations and targets without rows are dropped."""
+        keep = np.arange(len(self))[rows]
+        station_ids, station = np.unique(self.station[keep], return_inverse=True)
+        target_ids, target = np.unique(self.target[keep], return_inverse=True)
+        names = tuple(self.targets[k] for k in target_ids)
+        gauge = self.setup.gauge
+        if gauge is not None:
+            present = [g for g in gauge.distance if g.from_ in names and g.to in names]
+            gauge = gauge.model_copy(update={"distance": tuple(present)})
+        return dataclasses.replace(
+            self,
+            setup=self.setup.model_copy(update={"gauge": gauge}),
+            stations=tuple(self.stations[s] for s in station_ids),
+            targets=names,
+            station=station.astype(np.int64),
+            target=target.astype(np.int64),
+            face=self.face[keep],
+            repeat=self.repeat[keep],
+            time=self.time[keep],
+            readings=self.readings[keep],
+            covariates={name: column[keep] for name, column in self.covariates.items()},
+            labels={name: tuple(column[i] for i in keep) for name, column in self.labels.items()},
+            sources=tuple(self.sources[i] for i in keep) if self.sources else (),
+        )
+
+    def with_readings(self, readings: Floats) -> Recording:
+        """The same recording with other readings (n, 3)."""
+        return self.replace(readings=readings)
+
+    def replace(self, **changes: Any) -> Recording:
+        """A copy with some fields changed."""
+        return dataclasses.replace(self, **changes)

@@ -1,0 +1,85 @@
+"""SMRs of several radii: how much farther from the seat of its nest each pointing's SMR stood than the reference."""
+
+from collections.abc import Collection, Mapping, Sequence
+
+import numpy as np
+
+from ltsim.core.arrays import Floats
+from ltsim.core.errors import NetworkError, RecordError
+from ltsim.core.units import MILLIMETRE
+from ltsim.recordings.files import shown
+from ltsim.recordings.recording import REFLECTOR_COLUMN, Recording
+from ltsim.recordings.setup import Reflector
+
+
+def smrs_of(recording: Recording) -> tuple[str, ...]:
+    """Name of the SMR of each pointing, '' where none is stated: that of its row, else that of its target."""
+    usual = [recording.target_setup(name).reflector or "" for name in recording.targets]
+    own = recording.labels.get(REFLECTOR_COLUMN, ("",) * len(recording))
+    return tuple(name or usual[target] for name, target in zip(own, recording.target, strict=True))
+
+
+def excess_of(
+    names: Sequence[str],
+    targets: Sequence[str],
+    bare: Collection[str],
+    reflectors: Mapping[str, Reflector],
+    stated: float | None,
+    file: object = None,
+) -> Floats:
+    """How much farther (n,) [m] than the reference each pointing's SMR's centre stands from the seat of its nest.
+
+    A pointing that names no SMR ('' in `names`), such as one that is only thought of, has the reference: what is
+    `stated` as `reference_radius_mm`, else the radius of all, where they have one. Nests of `bare` targets have no
+    normal. `file` is named in errors.
+
+    Raises RecordError when an SMR has no table, they differ and nothing is stated, or one of another radius sat in a
+    nest without a normal.
+    """
+    used = [name for name in dict.fromkeys(names) if name]
+    for name in used:
+        if name not in reflectors:
+            known = ", ".join(reflectors)
+            raise RecordError(f"there is no table [reflectors.{shown(name)}]; reflectors: {known}", file=file)
+    radii = {reflectors[name].radius_mm: name for name in reversed(used)}
+    if stated is None and len(radii) > 1:
+        found = " and ".join(f"{shown(name)} of {radius:g}" for radius, name in sorted(radii.items()))
+        raise RecordError(
+            f"the SMRs have different radii ({found} mm): state reference_radius_mm at the head of the file, the "
+            "radius of the SMR whose centre a target's coordinates mean, or 0 for the seat of its nest",
+            file=file,
+        )
+    reference = next(iter(radii), 0.0) if stated is None else stated
+    off = {name: reflectors[name].radius_mm - reference for name in used} | {"": 0.0}
+    for name, target in zip(names, targets, strict=True):
+        if off[name] and target in bare:
+            raise RecordError(
+                f"targets.{target}.nest_normal is missing: its SMR {shown(name)} has a radius of "
+                f"{reflectors[name].radius_mm:g} mm, the reference {reference:g} mm, and the difference lies along the "
+                "nest's normal",
+                file=file,
+            )
+    return np.array([off[name] for name in names]) * MILLIMETRE
+
+
+def excess_radii(recording: Recording, file: object = "setup.toml") -> Floats | None:
+    """How much farther (n,) [m] than the reference each SMR's centre stood from its seat; None where none did.
+
+    Raises RecordError as `excess_of`.
+    """
+    setup = recording.setup
+    if not setup.reflectors:
+        return None
+    targets = [recording.targets[t] for t in recording.target]
+    bare = [name for name in recording.targets if recording.target_setup(name).nest_normal is None]
+    excess = excess_of(smrs_of(recording), targets, bare, setup.reflectors, setup.reference_radius_mm, file)
+    return excess if np.any(excess) else None
+
+
+def require_one_radius(recording: Recording, what: str) -> None:
+    """NetworkError where SMRs stand off the targets' places and `what` knows of none."""
+    if excess_radii(recording) is not None:
+        raise NetworkError(
+            f"{what} takes every target for one place, and SMRs of several radii stood at different ones; adjust or "
+            "calibrate by the network, which puts each SMR along its nest's normal"
+        )

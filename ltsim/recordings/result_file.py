@@ -1,0 +1,233 @@
+"""Result files: JSON with one pydantic model a file, which its writer fills and every reader checks against.
+
+The JSON file holds a digest of each file that was written beside it, and of the recording behind it: tables of one
+run never stand under the title of another.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Callable, Mapping
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, TypeVar
+
+import numpy as np
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    FiniteFloat,
+    GetCoreSchemaHandler,
+    ValidationError,
+)
+from pydantic_core import CoreSchema
+
+from ltsim.core.errors import RecordError
+from ltsim.core.limits import JSON_VALUES
+from ltsim.core.results import LARGEST
+from ltsim.recordings.coordinates import Coordinates
+from ltsim.recordings.files import read_bytes, read_text, shown, write_texts
+from ltsim.recordings.recording import Recording
+
+STEP = 1e-6
+"""[m, rad] to which readings are rounded in a digest: writing and reading a recording keeps it."""
+OFFSET = 1.0 / np.pi
+"""Tolerance of the rounding, in steps: decimal readings lie off its limits."""
+
+
+def known(value: Any) -> Any:
+    """A value itself, None for a number that is not finite."""
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+Finite = FiniteFloat
+Known = Annotated[FiniteFloat | None, BeforeValidator(known)]
+"""A number, or null where there is none: JSON has neither NaN nor infinities."""
+NotNegative = Annotated[Finite, Field(ge=0)]
+Sigma = Annotated[NotNegative | None, BeforeValidator(known)]
+Positive = Annotated[Finite, Field(gt=0)]
+Vector = tuple[Finite, Finite, Finite]
+
+
+def _fail_fast(schema: Any) -> None:
+    """Let every list below a schema end at its first wrong entry, in place."""
+    if isinstance(schema, list | tuple):
+        for part in schema:
+            _fail_fast(part)
+    elif isinstance(schema, dict):
+        if schema.get("type") in ("list", "tuple"):
+            schema["fail_fast"] = True
+        for key, part in schema.items():
+            if key not in ("metadata", "serialization"):
+                _fail_fast(part)
+
+
+class Entry(BaseModel):
+    """A table of a result file: values cannot change, and keys that a later version adds are ignored."""
+
+    model_config = ConfigDict(extra="ignore", frozen=True, populate_by_name=True, use_attribute_docstrings=True)
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """The usual schema, which ends at the first wrong entry of a list: each error of a million takes 500 bytes."""
+        schema = handler(source)
+        _fail_fast(schema)
+        return schema
+
+
+class SourceEntry(Entry):
+    """The recording behind a result.
+
+    `digest` is that of `digest_of`; the title is for the reader.
+    """
+
+    title: str = ""
+    """Free text of its set-up."""
+    pointings: int
+    """How many."""
+    digest: str
+    """Digest of the sightings and of the readings."""
+    measured: str | None = None
+    """Day, or day and time, of the measurement in ISO form, where the set-up says it."""
+
+    @classmethod
+    def of(cls, recording: Recording) -> SourceEntry:
+        """What a result says of its recording."""
+        when = {"measured": recording.setup.measured} if recording.setup.measured else {}
+        return cls(title=recording.setup.title, pointings=len(recording), digest=digest_of(recording), **when)
+
+    @classmethod
+    def listed(cls, found: Coordinates) -> SourceEntry:
+        """What a result says of a list of coordinates, behind which no pointing is known."""
+        content = "\t".join((*found.names, found.axes)).encode() + found.points.tobytes() + found.covariance.tobytes()
+        return cls(title=found.title, pointings=0, digest=hashlib.sha256(content).hexdigest())
+
+
+class ResultFile(Entry):
+    """A whole file; a model of it says its `FILE` and its `format`."""
+
+    FILE: ClassVar[str]
+    format: str
+    """Which format and version this file is in."""
+    recording: SourceEntry | None = None
+    """The recording behind the result."""
+    files: dict[str, str] = Field(default_factory=dict)
+    """Digest (SHA-256) of each file written beside."""
+
+    def content(self) -> dict[str, Any]:
+        """What the file says: its format and the fields that were filled in, as JSON has them."""
+        said = self.model_dump(mode="json", by_alias=True, exclude_unset=True)
+        last = {name: value for name in ("recording", "files") if (value := said.pop(name, None))}
+        return {"format": self.format} | said | last
+
+    def text(self) -> str:
+        """The text of the file."""
+        return json.dumps(self.content(), indent=1, allow_nan=False) + "\n"
+
+    def owns(self, folder: Path, name: str) -> bool:
+        """Whether a file in the result's folder is the one that was written with it; raises RecordError."""
+        return self.files.get(name) == _digest(read_bytes(folder / name))
+
+
+def _digest(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()
+
+
+def digest_of(recording: Recording) -> str:
+    """A number of who sighted what in which face, and of the readings to a micrometre and a microradian."""
+    readings = recording.readings
+    steps = np.floor(np.nan_to_num(readings) / STEP + OFFSET).astype("<i8")
+    whole = np.where(np.isfinite(readings), steps, np.iinfo(np.int64).min).astype("<i8")
+    names = [
+        f"{recording.stations[s]}\t{recording.targets[t]}\t{face}"
+        for s, t, face in zip(recording.station, recording.target, recording.face, strict=True)
+    ]
+    return _digest("\n".join(names).encode() + whole.tobytes())
+
+
+File = TypeVar("File", bound=ResultFile)
+
+
+def write_result(folder: Path, result: File, beside: Mapping[str, str | bytes]) -> File:
+    """Write a result and the files beside it; give the result with their digests, as it was written.
+
+    Raises RecordError when the folder cannot be written to; nothing half-written stays behind.
+    """
+    digests = {name: _digest(t.encode() if isinstance(t, str) else t) for name, t in beside.items()}
+    written = result.model_copy(update={"files": digests})
+    write_texts(folder, {**beside, result.FILE: written.text()})
+    return written
+
+
+def read_result(path: Path, model: type[File]) -> File:
+    """A result file (or that of a folder), checked against its model; raises RecordError."""
+    file = path / model.FILE if path.is_dir() else path
+    content = read_json(file, model.FILE)
+    found = content.get("format")
+    expected = model.model_fields["format"].default
+    if found != expected:
+        raise RecordError(f"format is '{shown(str(found))}', expected '{expected}'", file=file)
+    try:
+        return model.model_validate(content)
+    except ValidationError as problem:
+        error = problem.errors()[0]
+        key = "".join(f"{part}." for part in error["loc"])[:-1]
+        wrong = shown(error["msg"].removeprefix("Value error, "), 120)
+        raise RecordError(f"{shown(key, 100)}: {wrong}" if key else wrong, file=file) from None
+
+
+def read_json(file: Path, kind: str) -> dict[str, Any]:
+    """The object in a JSON file; `kind` is what the file should be.
+
+    Raises RecordError when it holds something else, more values than are read, or a number beyond `LARGEST`.
+    """
+
+    def checked_number(text: str, kind: Callable[[str], float]) -> float:
+        value = kind(text) if len(text) <= 400 else math.inf
+        if not abs(value) <= LARGEST:
+            raise RecordError(f"holds the number {shown(text)}, expected at most {LARGEST:g} in size", file=file)
+        return value
+
+    decimal, whole = (partial(checked_number, kind=kind) for kind in (float, int))
+    text = read_text(file)
+    if text.count(",") + text.count("[") + text.count("{") > JSON_VALUES:
+        raise RecordError(f"holds more than {JSON_VALUES} values, the most that is read", file=file)
+    try:
+        content = json.loads(text, parse_float=decimal, parse_constant=decimal, parse_int=whole)
+    except (json.JSONDecodeError, RecursionError):
+        raise RecordError(f"is not JSON; expected a {kind}", file=file) from None
+    if not isinstance(content, dict):
+        raise RecordError(f"holds no JSON object; expected a {kind}", file=file)
+    return content
+
+
+def companion(folder: Path, name: str, result: ResultFile) -> Path | None:
+    """The file `name` beside a result; None where there is none.
+
+    Raises RecordError when it was not written together with the result.
+    """
+    file = folder / name
+    if not file.is_file():
+        return None
+    if result.files and not result.owns(folder, name):
+        raise RecordError(
+            f"does not belong to the {result.FILE} beside it, or was changed since; run the command again", file=file
+        )
+    return file
+
+
+def check_source(result: ResultFile, recording: Recording | None, folder: Path) -> None:
+    """Raise RecordError where a recording is not the one behind a result."""
+    said = result.recording
+    if recording is None or said is None or said.digest == digest_of(recording):
+        return
+    title = f"'{shown(said.title)}', " if said.title else ""
+    raise RecordError(
+        f"is the result of another recording ({title}{said.pointings} pointings) than the one given "
+        f"({len(recording)} pointings)",
+        file=folder / result.FILE,
+    )

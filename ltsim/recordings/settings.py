@@ -1,0 +1,268 @@
+"""setup.toml: reading with one sentence for whatever is wrong, and writing."""
+
+import difflib
+import json
+import re
+import tomllib
+from collections.abc import Callable, Iterable, Mapping
+from functools import lru_cache, partial
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ValidationError
+from pydantic_core import ErrorDetails
+
+from ltsim.core.errors import ModelError, RecordError, as_setup_error
+from ltsim.core.limits import TOML_BYTES, TOML_DEPTH, TOML_KEYS, TOML_VALUES
+from ltsim.recordings.files import FilePlace, read_text, shown, universal
+from ltsim.recordings.setup import Instrument, Setup
+
+Settings = TypeVar("Settings", bound=BaseModel)
+_TOML = re.compile(
+    r'"""(?:[^"\\]++|\\.|"{1,2}(?!"))*+"{3,5}|"(?:[^"\\\n]++|\\.)*+"|#[^\n]*+|[][{}=,.\n]'
+    r"|'''(?:[^']++|'{1,2}(?!'))*+'{3,5}|'[^'\n]*+'",
+    re.DOTALL,
+)
+"""Strings and comments of TOML as wholes, and the characters that make its structure."""
+_COMPLETE = ("\n", '"', "'", "]", "}", "true", "false")
+
+
+def read_setup(path: Path) -> Setup:
+    """The contents of a `setup.toml`; raises RecordError."""
+    return setup_from(read_toml(path, "set-up"), path)
+
+
+def read_toml(path: Path, kind: str) -> dict[str, Any]:
+    """The tables of a TOML file; `kind` is what the file should be (raises RecordError)."""
+    text = universal(read_text(path, most=TOML_BYTES))
+    if not text.endswith(_COMPLETE) and not text.splitlines()[-1].lstrip().startswith("#"):
+        message = "has no line break after its last value and may be cut there; end the line if it is whole"
+        raise RecordError(message, file=path)
+    check_toml(text, path)
+    try:
+        return tomllib.loads(text)
+    except (tomllib.TOMLDecodeError, ValueError) as problem:
+        raise RecordError(f"is not TOML: {_one_line(problem)}", file=path) from None
+    except RecursionError:
+        raise RecordError(f"is nested too deeply to be a {kind}", file=path) from None
+
+
+def check_toml(text: str, file: object) -> None:
+    """Raise RecordError for a text of more keys or deeper tables than the limits, before it is parsed.
+
+    Strings and comments are passed over as the parser passes over them; a key's parts and the brackets around it count
+    as its depth.
+    """
+    keys = values = brackets = parts = line = 0
+    for token in _TOML.finditer(text):
+        mark = token[0]
+        values += mark in "=[{,"
+        keys += mark in "={" or (mark == "[" and token.start() == line)
+        if mark in "[{":
+            brackets, parts = brackets + 1, 0
+        elif mark in "]}":
+            brackets = max(brackets - 1, 0)
+        elif mark == ".":
+            parts += 1
+        elif mark in "\n=,":
+            line, parts = token.end() if mark == "\n" else line, 0
+        if brackets + parts > TOML_DEPTH:
+            row = text.count("\n", 0, token.start()) + 1
+            raise FilePlace(file, row).wrong(
+                f"tables or keys are nested deeper than {TOML_DEPTH}, the most that is read"
+            )
+        if keys > TOML_KEYS or values > TOML_VALUES:
+            most = f"{TOML_KEYS} keys and tables or {TOML_VALUES} values"
+            raise RecordError(f"holds more than {most}, the most that is read", file=file)
+
+
+def setup_from(data: Mapping[str, Any], file: object) -> Setup:
+    """Check a table of settings; `file` is named in the error."""
+    whole = with_instruments(data, lambda table, place: _with_sheet(table, place, file))
+    setup = checked(whole, Setup, "set-up", file)
+    _check_names(setup, file)
+    return setup
+
+
+def with_instruments(data: Mapping[str, Any], filled: Callable[[Any, str], Any]) -> dict[str, Any]:
+    """The tables of a file, each instrument's as `filled` makes it of table and place."""
+    made, named = dict(data), data.get("instruments")
+    if isinstance(named, dict):
+        made["instruments"] = {name: filled(table, f"instruments.{name}") for name, table in named.items()}
+    if "instrument" in data:
+        made["instrument"] = filled(data["instrument"], "instrument")
+    return made
+
+
+def _with_sheet(table: Any, place: str, file: object) -> Any:
+    if not isinstance(table, dict) or not isinstance(table.get("sheet"), str):
+        return table
+    from ltsim.recordings.specification import figures, stated_by  # most files name no sheet and need not wait
+
+    try:
+        below = stated_by(table["sheet"], table)
+    except ModelError as problem:
+        raise RecordError(str(problem), file=file, column=f"{place}.sheet") from None
+    return above({"model": figures(table["sheet"])["name"], **table}, below)
+
+
+def above(table: Mapping[str, Any], below: Mapping[str, Any]) -> dict[str, Any]:
+    """A table with what another says besides; tables in both are laid over each other in the same way."""
+    both = [key for key, value in below.items() if isinstance(value, dict) and isinstance(table.get(key), dict)]
+    return {**below, **table, **{key: above(table[key], below[key]) for key in both}}
+
+
+def checked(data: Mapping[str, Any], model: type[Settings], kind: str, file: object) -> Settings:
+    """The tables of a file against their model; `kind` is what the file should be, `file` is named in errors.
+
+    Raises
+    ------
+    RecordError
+        One sentence: which key, what was found, what would be right. A misspelt key is told first.
+    """
+    expected = model.model_fields["format"].default
+    if "format" not in data:
+        raise RecordError(f'the key format is missing, expected format = "{expected}"', file=file)
+    try:
+        return model.model_validate_json(json.dumps(data, default=str), strict=True)
+    except ValidationError as problem:
+        found = problem.errors()
+        misspelt = [error for error in found if error["type"] == "extra_forbidden"]
+        raise RecordError(sentence((misspelt or found)[0], model), file=file) from None
+    except (ValueError, RecursionError):
+        raise RecordError(f"holds a value that no {kind} can hold", file=file) from None
+
+
+def load_settings(path: Path, model: type[Settings], kind: str) -> Settings:
+    """A file that a person wrote, checked against its model; raises SetupError."""
+    with as_setup_error():
+        return checked(read_toml(path, kind), model, kind, path)
+
+
+def _one_line(problem: Exception) -> str:
+    return shown(" ".join(str(problem).split()), 160)
+
+
+def _check_names(setup: Setup, file: object) -> None:
+    """Names that can stand in tables and paths, instruments that exist, gauge lengths between two targets."""
+    for kind, names in (
+        ("station", setup.stations),
+        ("target", setup.targets),
+        ("instrument", setup.instruments),
+        ("reflector", setup.reflectors),
+    ):
+        for name in names:
+            FilePlace(file).name(name, kind)
+    for name, station in setup.stations.items():
+        wanted = station.instrument
+        if wanted is not None and wanted not in setup.instruments:
+            known = ", ".join(_close(wanted, setup.instruments)) or "none is declared"
+            where = FilePlace(file, column=f"stations.{name}.instrument")
+            raise where.wrong(f"there is no table [instruments.{shown(wanted)}]; instruments: {known}")
+    for i, line in enumerate(setup.gauge.distance if setup.gauge else ()):
+        if line.from_ == line.to:
+            where = FilePlace(file, column=f"gauge.distance {i + 1}")
+            raise where.wrong(f"a length from '{shown(line.to)}' to itself, expected two different targets")
+    called = [one.called for one in setup.differences]
+    for i, one in enumerate(setup.differences):
+        where = FilePlace(file, column=f"differences {i + 1}")
+        if one.from_ == one.to:
+            raise where.wrong(f"a difference from '{shown(one.to)}' to itself, expected two different marks")
+        if one.called in called[:i]:
+            raise where.wrong(f"'{shown(one.called)}' is there already, expected a name of its own (name)")
+
+
+def _close(name: str, known: Any) -> list[str]:
+    choices = sorted(str(k) for k in known)
+    return difflib.get_close_matches(name, choices, n=3, cutoff=0.5) or choices[:12]
+
+
+def sentence(error: ErrorDetails, root: type[BaseModel]) -> str:
+    """One validation error of a file with the tables of `root` as a sentence: key, found, expected."""
+    # pydantic's own parts hold brackets: "[key]", a member of a union; the last of an unknown key is a person's
+    stays = len(error["loc"]) - 1 if error["type"] == "extra_forbidden" else -1
+    place = [part for i, part in enumerate(error["loc"]) if i == stays or "[" not in str(part)]
+    key = ".".join(str(p + 1) if isinstance(p, int) else p for p in place)
+    found = shown(json.dumps(error["input"], default=str), 60)
+    if error["type"] == "extra_forbidden":
+        known = _keys_at(root, place[:-1])
+        inside = {name: f"{table}.{name}" for table in known for name in _keys_at(root, [*place[:-1], table])}
+        alike = partial(difflib.get_close_matches, str(place[-1]), cutoff=0.7)
+        near = alike(known) or [inside[name] for name in alike(inside)] or _close(str(place[-1]), known)
+        return f"unknown key {shown(key, 100)}; did you mean {', '.join(near)}?"
+    if error["type"] == "missing":
+        return f"the key {shown(key, 100)} is missing"
+    wanted = error["msg"][0].lower() + error["msg"][1:]
+    said = shown(_expected(wanted), 120)
+    return f"{shown(key, 100)} is {found}, but {said}" if key else said
+
+
+def _keys_at(root: type[BaseModel], path: Iterable[object]) -> list[str]:
+    return [key for _, nodes in schemas_at(root, path) for node in nodes for key in node.get("properties", {})]
+
+
+_COUNT = re.compile(r"^(?:tuple|list) should have (at most|at least) (\d+) items? after validation, not \d+")
+
+
+def _expected(message: str) -> str:
+    return _COUNT.sub(
+        r"it should hold \1 \2", message.replace("input should", "it should").removeprefix("value error, ")
+    )
+
+
+Schema = dict[str, Any]
+
+
+@lru_cache
+def _schema(root: type[BaseModel]) -> Schema:
+    return root.model_json_schema(by_alias=True)
+
+
+def schemas_at(root: type[BaseModel], path: Iterable[object]) -> list[tuple[Schema, list[Schema]]]:
+    """The JSON schemas of what may stand at a path of keys below a model, each with its alternatives."""
+
+    def choices(node: Schema) -> list[Schema]:
+        if "$ref" in node:
+            return choices(_schema(root)["$defs"][node["$ref"].rpartition("/")[2]])
+        return [choice for entry in node["anyOf"] for choice in choices(entry)] if "anyOf" in node else [node]
+
+    found = [_schema(root)]
+    for part in map(str, path):
+        found = [below for node in found for choice in choices(node) if (below := _below(choice, part)) is not None]
+    return [(node, choices(node)) for node in found]
+
+
+def _below(node: Schema, part: str) -> Schema | None:
+    """The schema below one part of a path: a named entry, any entry, or that of a list."""
+    below = node.get("properties", {}).get(part) or node.get("additionalProperties")
+    below = below or (node.get("items") if part.isdecimal() else None)
+    return below if isinstance(below, dict) else None
+
+
+def setup_to_toml(setup: Setup) -> str:
+    """The text of a `setup.toml` that `read_setup` turns into the same set-up.
+
+    Instruments and the gauge are written in full, stations and targets where they differ from the defaults; so is the
+    instrument without a name where others have one.
+    """
+    tables = {"instrument", "instruments", "gauge", "stations", "targets", "reflectors"}
+    table: dict[str, Any] = {"format": setup.format, "title": setup.title}
+    table |= setup.model_dump(by_alias=True, exclude_defaults=True, exclude=tables)
+    if not setup.instruments or setup.instrument != Instrument():
+        table["instrument"] = setup.instrument.model_dump(by_alias=True, exclude_none=True)
+    named = {n: i.model_dump(by_alias=True, exclude_none=True) for n, i in setup.instruments.items()}
+    table["instruments"] = named
+    if setup.gauge is not None:
+        lengths = [d.model_dump(by_alias=True, exclude_defaults=True) for d in setup.gauge.distance]
+        table["gauge"] = setup.gauge.model_dump(exclude_none=True) | {"distance": lengths}
+    for kind in ("stations", "targets", "reflectors"):
+        entries: dict[str, BaseModel] = getattr(setup, kind)
+        table[kind] = {n: e.model_dump(by_alias=True, exclude_defaults=True) for n, e in entries.items()}
+    return to_toml(table)
+
+
+def to_toml(table: Mapping[str, Any]) -> str:
+    """Nested tables as the text of a TOML file, arrays in one line."""
+    import tomlkit  # a fiftieth of a second that reading need not wait for
+
+    return tomlkit.dumps(table).strip() + "\n"

@@ -1,0 +1,197 @@
+"""Maximum permissible errors (MPE) of data sheets, as limits of tests and as standard deviations and priors."""
+
+import csv
+import functools
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import Field
+
+from ltsim.core.arrays import Floats
+from ltsim.core.errors import ModelError, unknown_name
+from ltsim.core.units import ARCSECOND, MICROMETRE, MILLIMETRE
+from ltsim.geometry.polar import to_polar
+from ltsim.recordings.setup import Instrument, Noise, NonNegative, Prior, TomlSection
+
+COVERAGE = 2.0
+"""Standard deviations in a maximum permissible error: makers state typical errors as half of it."""
+TWO_FACES = 2.0
+"""Limit of a two-face difference over that of a point across the beam (ISO 10360-10:2021, 6.3 and annex D)."""
+LIMITS = ("transverse_um", "transverse_um_per_m", "range_um", "range_um_per_m")
+"""Keys of a specification without which no test has a limit."""
+RANGES = ("distance_", "range_")
+"""How keys of noise and prior begin that the limit of a range decides."""
+
+
+class Specification(TomlSection):
+    """Maximum permissible errors of the subsystems, as ISO 10360-10:2021, annex D, and data sheets state them."""
+
+    name: str = ""
+    """The instrument."""
+    source: str = ""
+    """Where the figures stand."""
+    transverse_um: NonNegative
+    """Across the beam, the part that does not grow with the range (e_T)."""
+    transverse_um_per_m: NonNegative
+    """Across the beam, the part that does."""
+    range_um: NonNegative
+    """Of a range, the part that does not grow with it (e_ADM or e_IFM)."""
+    range_um_per_m: NonNegative
+    """Of a range, the part that does."""
+    range_offset_um: NonNegative = 0.0
+    """Of the zero of the ranges (e_R0)."""
+    noise_share: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.5
+    """Share of the variance that is noise; the rest is of the instrument's constants."""
+
+    def across(self, range_: Floats) -> Floats:
+        """Limit [m] of a point's error across the beam at ranges [m]."""
+        return (self.transverse_um + self.transverse_um_per_m * range_) * MICROMETRE
+
+    def along(self, range_: Floats) -> Floats:
+        """Limit [m] of a point's error along the beam at ranges [m], the zero of the ranges apart."""
+        return (self.range_um + self.range_um_per_m * range_) * MICROMETRE
+
+    def of_lengths(self, first: Floats, second: Floats) -> Floats:
+        """Limit (k,) [m] of the errors of lengths between points (k, 3) [m] in the instrument's frame.
+
+        The root sum of squares of what both ends permit in the direction of the length; the zero of the ranges is
+        one for both ends, and cancels along one line of sight.
+        """
+        way = second - first
+        direction = way / np.linalg.norm(way, axis=1, keepdims=True)
+        squares, offset = np.zeros(len(way)), np.zeros(len(way))
+        for points, sign in ((first, -1.0), (second, 1.0)):
+            range_ = to_polar(points)[:, 0]
+            cosine = np.einsum("ki,ki->k", direction, points) / range_
+            squares += (cosine * self.along(range_)) ** 2 + (1 - cosine**2) * self.across(range_) ** 2
+            offset += sign * cosine
+        return np.sqrt(squares + (offset * self.range_offset_um * MICROMETRE) ** 2)
+
+    def of_two_faces(self, points: Floats) -> Floats:
+        """Limit (k,) [m] of the distance across the beam between both faces of points (k, 3) [m]."""
+        return TWO_FACES * self.across(to_polar(points)[:, 0])
+
+    def instrument(self, construction: str = "source-in-head") -> Instrument:
+        """Standard deviations and priors that make these limits `COVERAGE` sigma.
+
+        The part of each limit that grows with the range is an angle or a scale, the constant part an offset. Of each
+        variance `noise_share` is noise of the readings and the rest belongs to the instrument's constants; two angular
+        constants act on each direction across the beam. Offsets are no noise: all of the constant transverse part is
+        theirs, and all of the constant part of the range is noise where the zero has a limit of its own.
+        """
+        sigma = 1.0 / COVERAGE
+        noise, rest = np.sqrt(self.noise_share), np.sqrt(1 - self.noise_share)
+        angle = sigma * self.transverse_um_per_m * MICROMETRE / ARCSECOND
+        apart = self.range_offset_um > 0
+        offset = self.range_offset_um if apart else rest * self.range_um
+        return Instrument(
+            construction=construction,  # type: ignore[arg-type]
+            noise=Noise(
+                distance_mm=sigma * self.range_um * (1.0 if apart else noise) * MICROMETRE / MILLIMETRE,
+                distance_ppm=sigma * self.range_um_per_m * noise,
+                azimuth_arcsec=_least(angle * noise),
+                elevation_arcsec=_least(angle * noise),
+            ),
+            prior=Prior(
+                range_scale_ppm=_least(sigma * self.range_um_per_m * rest),
+                range_offset_mm=_least(sigma * offset * MICROMETRE / MILLIMETRE),
+                angle_arcsec=_least(angle * rest / np.sqrt(2.0)),
+                offset_mm=_least(sigma * self.transverse_um * MICROMETRE / MILLIMETRE),
+            ),
+        )
+
+    @property
+    def assumption(self) -> str:
+        """What `instrument` takes for granted, in a sentence."""
+        return (
+            f"limits are taken as {COVERAGE:g} standard deviations, {100 * self.noise_share:g} % of the variance as "
+            "noise and the rest as constants of the instrument"
+        )
+
+
+def _least(sigma: float) -> float:
+    return max(float(sigma), 1e-6)
+
+
+def sheet_names() -> tuple[str, ...]:
+    """Of the built-in data sheets."""
+    return tuple(_sheets())
+
+
+def figures(name: str) -> dict[str, Any]:
+    """What a built-in data sheet states, as keys of a `Specification`; those that its text leaves open are missing.
+
+    Raises ModelError when there is no such sheet.
+    """
+    if name not in _sheets():
+        raise unknown_name("data sheet", name, _sheets())
+    return dict(_sheets()[name])
+
+
+def completed(name: str, stated: Mapping[str, Any]) -> dict[str, Any]:
+    """A specification as keys: a built-in data sheet with what a person states of the instrument above it.
+
+    Raises ModelError when there is no such sheet, or both leave a limit open.
+    """
+    known = figures(name)
+    left = [key for key in LIMITS if key not in known and key not in stated]
+    if left:
+        raise ModelError(
+            f"the data sheet {name} leaves {' and '.join(left)} open; state it in the table [specification]"
+        )
+    if stated:
+        known["source"] += f"; not from there: {', '.join(stated)}"
+    return {**known, **stated}
+
+
+def sheet(name: str) -> Specification:
+    """The limits of a built-in data sheet that leaves none open; raises ModelError."""
+    return Specification.model_validate(completed(name, {}))
+
+
+def stated_by(name: str, given: Mapping[str, Any], limits: Iterable[str] = ()) -> dict[str, dict[str, float]]:
+    """Tables ``noise`` and ``prior`` that a built-in data sheet makes of an instrument whose tables are `given`.
+
+    No sheet that could be read states how far and how steeply an instrument can point: `limits` are the keys of that
+    table that `given` has to hold.
+
+    Raises ModelError when there is no such sheet, or it leaves something open that `given` does not state.
+    """
+    stated = figures(name)
+    whole = Specification.model_validate({**dict.fromkeys(LIMITS, 1.0), **stated}).instrument()
+    exact = {"noise": whole.noise.model_dump(), "prior": whole.prior.model_dump(exclude={"parameters"})}
+    tables = {table: {key: float(f"{x:.6g}") for key, x in values.items()} for table, values in exact.items()}
+    if any(key not in stated for key in LIMITS):
+        own = {f"{table}.{key}" for table in tables if isinstance(given.get(table), Mapping) for key in given[table]}
+        ranges = [f"{table}.{key}" for table, values in tables.items() for key in values if key.startswith(RANGES)]
+        left = [key for key in ranges if key not in own]
+        if left:
+            raise ModelError(f"the data sheet {name} leaves the ranges open; state {', '.join(left)}")
+    travel = given.get("limits")
+    open_ = [f"limits.{key}" for key in limits if not isinstance(travel, Mapping) or key not in travel]
+    if open_:
+        raise ModelError(f"the data sheet {name} does not say what can be pointed at; state {', '.join(open_)}")
+    return tables
+
+
+def overruled(instrument: Instrument) -> list[str]:
+    """Keys of noise and prior in which an instrument differs from what its data sheet says of them."""
+    if instrument.sheet is None:
+        return []
+    own: dict[str, dict[str, float]] = instrument.model_dump(include={"noise", "prior"})
+    left = () if all(key in figures(instrument.sheet) for key in LIMITS) else RANGES
+    pairs = [(t, k, x) for t, values in stated_by(instrument.sheet, own).items() for k, x in values.items()]
+    return [f"{t}.{k}" for t, k, x in pairs if not np.isclose(own[t][k], x, rtol=1e-5) and not k.startswith(left)]
+
+
+@functools.cache
+def _sheets() -> dict[str, dict[str, Any]]:
+    text = Path(__file__).with_name("sheets.csv").read_text(encoding="utf-8")
+    return {row["name"]: _figures_of(row) for row in csv.DictReader(text.splitlines())}
+
+
+def _figures_of(row: dict[str, str]) -> dict[str, Any]:
+    numbers = {key: float(text) for key, text in row.items() if text and key not in ("name", "instrument", "source")}
+    return {"name": row["instrument"], "source": row["source"], **numbers}

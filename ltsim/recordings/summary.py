@@ -1,0 +1,125 @@
+"""A recording at a glance: what a surveyor checks against the field book before anything is computed."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ltsim.core.arrays import Floats
+from ltsim.core.notation import listing
+from ltsim.core.units import DEGREE
+from ltsim.recordings.recording import HEIGHT_COLUMNS, SIGMA_COLUMNS, Recording
+from ltsim.recordings.setup import Noise
+
+MOST_NAMED = 6
+
+
+def summary(recording: Recording) -> dict[str, str]:
+    """Set-ups, rounds, faces, readings, heights, time, noise and known values of a recording, in words by topic."""
+    topics = {
+        "set-ups": _set_ups(recording),
+        "pointings": _pointings(recording),
+        "faces": _faces(recording),
+        "readings": _readings(recording),
+        "heights": _heights(recording),
+        "time": _time(recording),
+        "noise": _noise(recording),
+        "known": _known(recording),
+    }
+    return {topic: words for topic, words in topics.items() if words}
+
+
+def _set_ups(recording: Recording) -> str:
+    setups = {name: recording.station_setup(name) for name in recording.stations}
+    marks = {s.over for s in setups.values() if s.over is not None}
+    over = f" over {len(marks)} marks" if marks else ""
+    level = sum(s.levelled for s in setups.values())
+    levelled = f"; {'all' if level == len(setups) else level or 'none'} levelled"
+    return f"{len(setups)}{over} ({listing(list(setups), MOST_NAMED)}){levelled}"
+
+
+def _pointings(recording: Recording) -> str:
+    per_station = np.bincount(recording.station, minlength=len(recording.stations))
+    each = _span(per_station.astype(np.float64), "d")
+    rounds = int(recording.repeat.max(initial=1))
+    repeated = f", up to {rounds} of a target in one face" if rounds > 1 else ""
+    return f"{len(recording)} to {len(recording.targets)} targets, {each} a set-up{repeated}"
+
+
+def _faces(recording: Recording) -> str:
+    seen = {face: {*_sighted(recording, face)} for face in (1, 2)}
+    every, both = len(seen[1] | seen[2]), len(seen[1] & seen[2])
+    if not both:
+        return f"face {1 if seen[1] else 2} only"
+    return "every target in both" if both == every else f"{both} of {every} sights in both"
+
+
+def _sighted(recording: Recording, face: int) -> list[tuple[int, int]]:
+    rows = recording.face == face
+    return list(zip(recording.station[rows].tolist(), recording.target[rows].tolist(), strict=True))
+
+
+def _readings(recording: Recording) -> str:
+    counts = recording.measured.sum(axis=0)
+    flat = " (horizontal ones)" if recording.is_horizontal.any() else ""
+    distances = (
+        f"{counts[0]} distances{flat} of {_span(recording.readings[:, 0], '.4g')} m" if counts[0] else "no distances"
+    )
+    elevations = np.where(recording.face == 2, np.pi - recording.readings[:, 2], recording.readings[:, 2]) / DEGREE
+    angles = f"{counts[2]} elevations of {_span(elevations, '.3g')} deg" if counts[2] else "no elevations"
+    return f"{distances}, {counts[1]} azimuths, {angles}"
+
+
+def _heights(recording: Recording) -> str:
+    instrument, target = recording.heights()
+    if not instrument.any() and not target.any():
+        given = recording.setup.heads_sigma_mm
+        return "none" if given is None else f"between heads, each known to {given:g} mm"
+    stated = " (by row)" if any(name in recording.covariates for name in HEIGHT_COLUMNS) else ""
+    return f"instruments {_span(instrument, '.4g')} m, targets {_span(target, '.4g')} m over their marks{stated}"
+
+
+def _time(recording: Recording) -> str:
+    if not recording.has_clock or not np.isfinite(recording.time).any():
+        return "no clock: the order of the rows counts"
+    seconds = float(np.nanmax(recording.time) - np.nanmin(recording.time))
+    hours, rest = divmod(round(seconds), 3600)
+    began = f"from {recording.setup.started} on, " if recording.setup.started else ""
+    return f"{began}{hours} h {rest // 60:02d} min {rest % 60:02d} s"
+
+
+def _noise(recording: Recording) -> str:
+    by_name = {recording.instrument_of(name).noise: name for name in reversed(recording.stations)}
+    words = [noise_words(noise) for noise in by_name]
+    if len(words) > 1:
+        words = [f"{text} ({by_name[noise]})" for noise, text in zip(by_name, words, strict=True)]
+    own = [np.isfinite(recording.covariates[name]).mean() for name in SIGMA_COLUMNS if name in recording.covariates]
+    by_row = ["stated by row"] if own else []
+    return "; ".join([*by_row, *words][:MOST_NAMED])
+
+
+def noise_words(noise: Noise) -> str:
+    """The noise of an instrument as a data sheet writes it."""
+    constant = f"{1e3 * noise.distance_mm:.3g} um" if noise.distance_mm < 0.1 else f"{noise.distance_mm:.3g} mm"
+    return (
+        f"{constant} + {noise.distance_ppm:.3g} ppm, {noise.azimuth_arcsec:.3g} arcsec across, "
+        f"{noise.elevation_arcsec:.3g} arcsec in elevation"
+    )
+
+
+def _known(recording: Recording) -> str:
+    setup = recording.setup
+    counts = {
+        "control points": sum(t.known_mm is not None for t in setup.targets.values()),
+        "lengths": len(recording.gauge.distance),
+        "differences": len(setup.differences),
+        "rough places of set-ups": sum(s.position_mm is not None for s in setup.stations.values()),
+    }
+    return ", ".join(f"{count} {what}" for what, count in counts.items() if count) or "nothing"
+
+
+def _span(values: Floats | Sequence[float], form: str) -> str:
+    """The smallest and the largest of numbers."""
+    finite = np.asarray(values, dtype=np.float64)
+    finite = finite[np.isfinite(finite)]
+    low, high = (format(int(v) if form == "d" else v, form) for v in (finite.min(), finite.max()))
+    return low if low == high else f"{low} to {high}"

@@ -1,0 +1,157 @@
+"""Advice for a table whose header does not say what its columns hold, by the content of the columns."""
+
+from collections.abc import Callable, Sequence
+from decimal import Decimal
+from functools import lru_cache
+from itertools import accumulate, pairwise, takewhile
+
+from ltsim.recordings.conventions import CIRCLE, Angle
+from ltsim.recordings.files import shown
+from ltsim.recordings.slips import FULL_RADIANS, SHORTEST_MM
+from ltsim.recordings.tables import cells
+from ltsim.recordings.tables.header import MARKS, PLACE
+from ltsim.recordings.tables.sheets import Row, Sheet
+
+SAMPLE = 400
+MOST_TRIED = 20
+"""Assignments of columns that are tried on the whole sheet, the likelier first."""
+SAMPLE_CELLS = 100_000
+"""Cells of the first rows of a table by whose content it is advised."""
+LONG_M = SHORTEST_MM
+"""A distance or coordinate of a table without units is advised in metres below this number, in millimetres above."""
+Columns = Sequence[tuple[str, ...]]
+ASK = '--columns "station=HEADER,target=HEADER,azimuth=HEADER[deg],elevation=HEADER[deg],distance=HEADER[mm]"'
+
+
+def unnamed(sheet: Sheet, serves: Callable[[str], bool]) -> str:
+    """The sentence for a header that says nothing; `serves` tells whether ``--columns`` can read the sheet."""
+    sample = sample_of(sheet)
+    head = next((row for row in sample if len(row.fields) > 2 and not row.values), None)
+    body = [row.fields for row in sample if row.values > 1]
+    if not body:
+        return "holds no row with two numbers or more: nothing that could be a pointing"
+    width = max(map(len, body))
+    named = head is not None and len(head.fields) == width
+    titles = head.fields if head is not None and named else tuple(str(i + 1) for i in range(width))
+    header = f"the header {shown(', '.join(titles), 80)}" if named else "a table without a header"
+    advised = _advised(titles, [row for row in body if len(row) == width][:SAMPLE])
+    advice = next(filter(serves, advised[:MOST_TRIED]), None)
+    if advice is not None:
+        return f'{header} does not say what its columns hold; say it, for instance --columns "{advice}"'
+    reason = "no three of them can be two angles and a distance, or coordinates"
+    return f"{header} does not say what its columns hold, and {reason}; if they can, say which: {ASK}"
+
+
+def sample_of(sheet: Sheet) -> list[Row]:
+    """The first rows of a sheet, `SAMPLE_CELLS` cells of it."""
+    cells_before = accumulate((len(row.fields) for row in sheet.rows), initial=0)
+    pairs = zip(sheet.rows, cells_before, strict=False)
+    return [row for row, _ in takewhile(lambda pair: pair[1] < SAMPLE_CELLS, pairs)]
+
+
+def _advised(titles: Sequence[str], body: Sequence[Sequence[str]]) -> list[str]:
+    """Assignments of columns that the values allow, the likelier first: names, a face, then readings or coordinates."""
+    columns: list[tuple[str, ...]] = list(zip(*body, strict=True))
+    times = [i for i, column in enumerate(columns) if any(column) and all(cells.has_clock(t) for t in column if t)]
+    rest = [i for i in range(len(columns)) if i not in times and any(columns[i])]
+    texts = [i for i in rest if not all(map(cells.is_value, columns[i]))]
+    faces = [i for i in rest if i not in texts and len({*columns[i]}) == 2 and all(map(cells.face, columns[i]))]
+    numbers = [i for i in rest if i not in (*texts, *faces) and all(map(cells.is_value, columns[i]))]
+    if not texts:  # points that have numbers for names come first
+        texts = [i for i in numbers[:2] if all(cell.isdigit() for cell in columns[i])][: max(len(numbers) - 3, 0)]
+    texts.sort(key=lambda i: len({*columns[i]}))
+    names = texts[-2:] if len(texts) > 1 else texts
+    said = [f"{role}={titles[i]}" for role, i in zip(("station", "target")[-len(names) :], names, strict=False)]
+    said += [f"face={titles[i]}" for i in faces[:1]]
+    angles = _angles(numbers, columns)
+    polar = [
+        [f"azimuth={_joined(one, titles)}[{unit}]", f"{kind}={_joined(other, titles)}[{unit}]", *length]
+        for one, other in pairwise(angles)
+        if len(one) == len(other)
+        for unit, kind in _meanings(one, other, columns)
+        for length in _length("distance", [i for i in numbers if i > other[-1]], titles, columns, one)
+    ]
+    polar += [
+        [f"horizontal={_joined(one, titles)}[deg]", *length]
+        for one in angles[:1]
+        if _is_sexagesimal(one, columns)
+        for length in _length("flat", [i for i in numbers if i > one[-1]], titles, columns, one)
+    ]
+    places = [i for i in numbers if _fraction(columns[i]) and list(columns[i]) != sorted(columns[i])]
+    places = places[:3] if len(places) >= len(PLACE) else numbers[:3]
+    unit = "m" if max((_largest(columns[i]) for i in places), default=0) < LONG_M else "mm"
+    as_places = [f"{axis}={titles[i]}[{unit}]" for axis, i in zip(PLACE, places, strict=False)]
+    whole = [*polar, *([as_places] if len(as_places) == len(PLACE) else [])]
+    return [",".join([*said, *readings]) for readings in whole]
+
+
+def _angles(numbers: Sequence[int], columns: Columns) -> list[tuple[int, ...]]:
+    """Columns that may hold an angle, each alone or with the minutes and seconds behind it."""
+    found: list[tuple[int, ...]] = []
+    taken: set[int] = set()
+    for i in numbers:
+        parts = [i]
+        while len(parts) < len(MARKS) and parts[-1] + 1 in numbers and _is_part(columns[parts[-1] + 1]):
+            if _fraction(columns[parts[-1]]):
+                break
+            parts.append(parts[-1] + 1)
+        alone = _fraction(columns[i]) or any(map(cells.is_marked, columns[i]))
+        if i not in taken and _largest(columns[i]) <= CIRCLE["gon"] and (alone or len(parts) > 1):
+            found.append(tuple(parts))
+            taken.update(parts)
+    return found
+
+
+def _is_part(column: tuple[str, ...]) -> bool:
+    """Whether all are minutes or seconds: from 0 to 60."""
+    return all(0 <= number < 60 for number in _numbers(column))
+
+
+def _meanings(one: Sequence[int], other: Sequence[int], columns: Columns) -> list[tuple[str, str]]:
+    """Unit and kind of the vertical angle that the numbers allow, the likelier first."""
+    vertical = _numbers(columns[other[0]])
+    largest = max(_largest(columns[one[0]]), _largest(columns[other[0]]))
+    if _is_sexagesimal(one, columns):
+        units: tuple[Angle, ...] = ("deg",)
+    elif largest < FULL_RADIANS:
+        units = ("rad",)
+    else:
+        units = ("deg", "gon") if largest <= CIRCLE["deg"] else ("gon",)
+    lowest = min(vertical, default=Decimal(0))
+    kind = "elevation" if lowest < 0 else "vertical"
+    return [(unit, kind) for unit in units if lowest >= -CIRCLE[unit] / 4]
+
+
+def _length(
+    role: str, after: Sequence[int], titles: Sequence[str], columns: Columns, angle: Sequence[int]
+) -> list[list[str]]:
+    """The first column behind the angles that can hold distances, as a list of one; empty where there is none.
+
+    Whoever writes angles in degrees, minutes and seconds writes distances in metres.
+    """
+    found = [i for i in after if _fraction(columns[i]) and min(_numbers(columns[i]), default=Decimal(0)) > 0]
+    metres = _is_sexagesimal(angle, columns) or (found and _largest(columns[found[0]]) < LONG_M)
+    return [[f"{role}={titles[i]}[{'m' if metres else 'mm'}]"] for i in found[:1]]
+
+
+def _is_sexagesimal(angle: Sequence[int], columns: Columns) -> bool:
+    return len(angle) > 1 or any(map(cells.is_marked, columns[angle[0]]))
+
+
+def _joined(places: Sequence[int], titles: Sequence[str]) -> str:
+    return "+".join(titles[i] for i in places)
+
+
+@lru_cache(maxsize=1024)
+def _numbers(column: tuple[str, ...]) -> list[Decimal]:
+    return [number for cell in column if (number := cells.value(cell)) is not None]
+
+
+def _largest(column: tuple[str, ...]) -> Decimal:
+    return max(map(abs, _numbers(column)), default=Decimal(0))
+
+
+@lru_cache(maxsize=1024)
+def _fraction(column: tuple[str, ...]) -> bool:
+    """Whether some of the numbers are not whole."""
+    return any(number != int(number) for number in _numbers(column))

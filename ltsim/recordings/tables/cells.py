@@ -1,0 +1,225 @@
+"""Content of one cell: a number with point or comma, degrees with minutes and seconds, a face, a moment."""
+
+import re
+from collections.abc import Callable, Iterable, Sequence
+from datetime import datetime, timedelta
+from decimal import Decimal
+from functools import partial
+from typing import TypeVar
+
+from ltsim.core.errors import RecordError
+from ltsim.recordings.files import LONGEST_NUMBER, NUMBER, is_number
+
+FACES = {
+    **dict.fromkeys(("1", "1.0", "i", "f1", "face1", "f", "front", "direct", "d", "l", "left", "links", "cl", "a"), 1),
+    **dict.fromkeys(("2", "2.0", "ii", "f2", "face2", "b", "back", "reverse", "r", "right", "rechts", "cr"), 2),
+}
+T = TypeVar("T")
+DAY = timedelta(days=1)
+LONGEST = 60
+"""Characters of a cell that can be a number or an angle."""
+_DEGREES, _MINUTES = r"°|º|˚|\^|\*|deg|d", r"'|′|’|‘|´|`|ʹ|min|m"
+_SECONDS = rf"\"|″|”|“|ʺ|(?:{_MINUTES})(?:{_MINUTES})|sec|s"
+_GAP, _PART = r":|-|\s", r"\d{1,2}(?:[.,]\d+)?"
+_SEXAGESIMAL = re.compile(
+    rf"([+-]?)\s*(\d{{1,3}})\s*(?:{_DEGREES}|{_GAP})\s*(\d{{1,2}})\s*(?:{_MINUTES}|{_GAP})\s*({_PART})\s*(?:{_SECONDS})?"
+)
+_TO_MINUTES = re.compile(rf"([+-]?)\s*(\d{{1,3}})\s*(?:{_DEGREES})\s*({_PART})\s*(?:{_MINUTES})()")
+"""Degrees with whole minutes and seconds, by marks, colons, hyphens or blanks; with minutes alone, by marks."""
+_PACKED = re.compile(r"([+-]?)(\d{1,3})(?:[.,](\d*))?")
+_CLOCK = re.compile(r"(\d{1,2}):(\d{2})(?::(\d{2})(?:[.,](\d{1,9}))?)?(?:\s*([AaPp])\.?[Mm]\.?)?")
+_ORDERS = ("ymd", "dmy", "mdy")
+_DATE = re.compile(r"(\d{1,4})([-/.])(\d{1,2})\2(\d{1,4})")
+
+
+def plain(text: str) -> str:
+    """A number as Python writes it: comma or point as decimal sign, blanks and a degree sign gone."""
+    text = text.strip().removesuffix("°").replace("\u2212", "-").replace("\u00a0", "").strip()
+    comma, point = text.rfind(","), text.rfind(".")
+    if comma < 0:
+        return text
+    grouping = "." if comma > point else ","
+    return text.replace(grouping, "").replace(",", ".") if point >= 0 else text.replace(",", ".", 1)
+
+
+_GROUPED = {mark: re.compile(rf"[+-]?\d{{1,3}}(?:\{mark}\d{{3}})+", re.ASCII) for mark in ".,"}
+_BOTH = {mark: re.compile(_GROUPED[mark].pattern + rf"[{other}]\d+", re.ASCII) for mark, other in (".,", ",.")}
+
+
+def grouping_of(rows: Iterable[Sequence[str]], file: object) -> str:
+    """The mark that groups thousands in a sheet, as ``7.000,5`` shows it for the ``7.000`` beside; '' for none.
+
+    Raises RecordError where one cell groups by points and another by commas.
+    """
+    mixed = (cell for row in rows for cell in row if "," in cell and "." in cell)
+    shown = {mark: cell for cell in mixed for mark, form in _BOTH.items() if form.fullmatch(cell)}
+    if len(shown) > 1:
+        raise RecordError(f"writes numbers both as {shown['.']} and as {shown[',']}: make them alike", file=file)
+    return next(iter(shown), "")
+
+
+def is_value(text: str) -> bool:
+    """Whether a cell is a number or an angle in degrees, minutes and seconds."""
+    return len(text) <= LONGEST and (is_number(text) or is_number(plain(text)) or _sexagesimal(text) is not None)
+
+
+def is_marked(text: str) -> bool:
+    """Whether a cell is an angle in degrees, minutes and seconds, and no plain number."""
+    return not is_number(plain(text)) and _sexagesimal(text) is not None
+
+
+def number(text: str, grouping: str = "") -> Decimal | None:
+    """The plain number of a cell to its last digit; None where it is none. `grouping` is that of its sheet."""
+    text = text.strip()
+    if len(text) > LONGEST:
+        return None
+    bare = plain(text.replace(grouping, "") if grouping and _GROUPED[grouping].fullmatch(text) else text)
+    return Decimal(bare) if is_number(bare) else None
+
+
+def are_numbers(texts: Sequence[str]) -> bool:
+    """Whether all cells of a column are empty or decimal numbers in plain ASCII."""
+    return max(map(len, texts), default=0) <= LONGEST_NUMBER and all(map(NUMBER.fullmatch, filter(None, texts)))
+
+
+def value(text: str, grouping: str = "") -> Decimal | None:
+    """The number of a cell to its last digit (degrees for minutes and seconds); None where it is none.
+
+    `grouping` is that of its sheet, by `grouping_of`.
+    """
+    plain_number = number(text, grouping)
+    return _sexagesimal(text) if plain_number is None else plain_number
+
+
+def quantity(text: str, grouping: str = "") -> Decimal | None:
+    """The value of a cell that may as well be a moment: None for a clock or a date."""
+    return None if not is_number(text) and is_moment(text) else value(text, grouping)
+
+
+def packed(text: str) -> Decimal | None:
+    """Degrees of a cell that writes minutes and seconds as decimals (``33.120747``); None where it does not."""
+    parts = _PACKED.fullmatch(text.strip()) if len(text) <= LONGEST else None
+    if parts is None:
+        return _sexagesimal(text)
+    sign, degrees, rest = parts.groups(default="")
+    digits = rest.ljust(4, "0")
+    return _degrees(sign, degrees, digits[:2], f"{digits[2:4]}.{digits[4:] or 0}")
+
+
+def _sexagesimal(text: str) -> Decimal | None:
+    """Degrees of an angle in degrees, minutes and seconds, or degrees and minutes; None for anything else."""
+    if len(text) > LONGEST:
+        return None
+    text = text.strip().replace("\u2212", "-").replace("\u00a0", " ")
+    parts = _SEXAGESIMAL.fullmatch(text) or _TO_MINUTES.fullmatch(text)
+    return None if parts is None else _degrees(*(part.replace(",", ".") for part in parts.groups()))
+
+
+def _degrees(sign: str, degrees: str, minutes: str, seconds: str) -> Decimal | None:
+    """The angle; None where minutes or seconds reach 60 (seconds may by rounding)."""
+    parts = Decimal(minutes), Decimal(seconds or 0)
+    if parts[0] >= 60 or parts[1] > 60:
+        return None
+    size = Decimal(degrees) + (parts[0] * 60 + parts[1]) / 3600
+    return -size if sign == "-" else size
+
+
+def face(text: str) -> int | None:
+    """1 or 2; None where the cell names no face."""
+    return FACES.get(re.sub(r"[\s._-]", "", text.casefold()) if text not in ("1.0", "2.0") else text)
+
+
+def moments(texts: Sequence[str], order: str | None = None) -> tuple[list[float] | None, str]:
+    """Seconds since the earliest of clocks, dates or dates with clocks, and that moment in ISO form.
+
+    `order` is ``dmy`` or ``mdy`` for dates with strokes. None where a text is in no known form, or where
+    strokes leave the order open (the text is "?" then).
+    """
+    texts = [_bare(text) for text in texts]
+    clocks = _all(_clock, texts)
+    if clocks is not None:
+        return _since([datetime.min + clock for clock in _unwrapped(clocks)], dated=False)
+    read = (_all(partial(_stamp, letters=letters, order=order), texts) for letters in _ORDERS)
+    found = [_since(stamps, dated=True) for stamps in read if stamps is not None]
+    if any(seconds != found[0][0] for seconds, _ in found):
+        return None, "?"
+    return found[0] if found else (None, "")
+
+
+def _all(convert: Callable[[str], T | None], texts: Sequence[str]) -> list[T] | None:
+    """Every text converted; None at the first that cannot be."""
+    found = []
+    for text in texts:
+        converted = convert(text)
+        if converted is None:
+            return None
+        found.append(converted)
+    return found
+
+
+def is_moment(text: str) -> bool:
+    """Whether a cell is a clock, a date or both."""
+    return has_clock(text) or any(_stamp(_bare(text), letters, None) is not None for letters in _ORDERS)
+
+
+def has_clock(text: str) -> bool:
+    """Whether a cell is a clock, with or without a date."""
+    bare = _bare(text)
+    return ":" in bare and (
+        _clock(bare) is not None or any(_stamp(bare, letters, None) is not None for letters in _ORDERS)
+    )
+
+
+def _bare(text: str) -> str:
+    """A moment without the apostrophe that makes a spreadsheet take it for text."""
+    return text.strip().removeprefix("'").strip()
+
+
+def _since(stamps: list[datetime], *, dated: bool) -> tuple[list[float], str]:
+    first = min(stamps)
+    said = first.isoformat() if dated else first.time().isoformat()
+    return [(stamp - first).total_seconds() for stamp in stamps], said
+
+
+def _unwrapped(clocks: list[timedelta]) -> list[timedelta]:
+    """Clocks without a date: one that falls back by more than half a day has passed midnight."""
+    days, last, found = timedelta(0), clocks[0], []
+    for clock in clocks:
+        if last - clock > DAY / 2:
+            days += DAY
+        last = clock
+        found.append(clock + days)
+    return found
+
+
+def _clock(text: str) -> timedelta | None:
+    found = _CLOCK.fullmatch(text.strip())
+    if found is None:
+        return None
+    hours, minutes, seconds = (int(part or 0) for part in found.groups()[:3])
+    half = (found.group(5) or "").lower()
+    if hours > 23 or minutes > 59 or seconds > 60 or (half and not 1 <= hours <= 12):
+        return None
+    if half:
+        hours = hours % 12 + (12 if half == "p" else 0)
+    return timedelta(
+        hours=hours, minutes=minutes, seconds=seconds, microseconds=float("0." + (found.group(4) or "0")) * 1e6
+    )
+
+
+def _stamp(text: str, letters: str, order: str | None) -> datetime | None:
+    """A date with or without a clock; the zone of an ISO stamp is left aside (all are taken as of one zone)."""
+    day, _, rest = re.sub(r"(?<=\d)T(?=\d)", " ", text.strip()).partition(" ")
+    rest = re.sub(r"(Z|[+-]\d{2}:?\d{2})$", "", rest.strip())
+    found, clock = _DATE.fullmatch(day), _clock(rest) if rest else timedelta(0)
+    if found is None or clock is None or (len(found[1]) == 4) != (letters == "ymd"):
+        return None
+    excluded = letters == "mdy" if found[2] == "." else letters != "ymd" and order not in (None, letters)
+    parts = {letter: int(part) for letter, part in zip(letters, found.group(1, 3, 4), strict=True)}
+    year = parts["y"] + (2000 if parts["y"] < 100 else 0)
+    if excluded or year < 1000:
+        return None
+    try:
+        return datetime(year, parts["m"], parts["d"]) + clock
+    except ValueError:
+        return None

@@ -1,0 +1,335 @@
+"""Meaning of a header: roles of columns by English and German words, units in brackets, faces by number."""
+
+import re
+import unicodedata
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+from ltsim.core.errors import RecordError
+from ltsim.core.units import ANGLES, LENGTHS, NAMED, SMALL_ANGLES
+from ltsim.recordings.files import shown
+from ltsim.recordings.tables.sheets import Row
+
+HORIZONTAL = ("horizontal", "azimuth")
+VERTICAL = ("vertical", "zenith", "elevation")
+DISTANCE = ("distance", "flat")
+PLACE = ("x", "y", "z")
+READINGS = (*HORIZONTAL, *VERTICAL, *DISTANCE, *PLACE)
+HEIGHTS = ("instrument_height_mm", "target_height_mm")
+SIGMA_OF = {
+    **dict.fromkeys(DISTANCE, "sigma_distance_mm"),
+    **dict.fromkeys(HORIZONTAL, "sigma_azimuth_arcsec"),
+    **dict.fromkeys(VERTICAL, "sigma_elevation_arcsec"),
+    **{axis: f"sigma_{axis}_mm" for axis in PLACE},
+}
+"""The role of a column with the standard deviation of another."""
+SIGMA = "sigma_mm"
+"""Role of a column with the standard deviation of all three coordinates."""
+WORDS = {
+    "station": "station stn st setup standpunkt stp stand standort stationname stationid from fromstn fromstation von "
+    "instrument tracker stationsname setupname",
+    "target": "target point pt name punkt pkt punktnummer punktname pnr pointname pointid pointnumber targetname "
+    "targetid feature featurename id to tostn tostation nach reflector smr zielpunkt ziel nest nr nummer no",
+    "face": "face f lage kreislage circlelage visierlage",
+    "repeat": "repeat repetition rep wiederholung",
+    "round": "round obsset satz setnumber satznummer",
+    "horizontal": "hz ha hor horizontal horizontalangle hzangle horizontalrichtung hzrichtung richtung direction "
+    "horizontalwinkel hzwinkel hcircle hzcircle horizontalcircle",
+    "azimuth": "azimuth az azimut azi azimuthangle azimutwinkel",
+    "vertical": "v va vertical verticalangle vertikalwinkel vwinkel vangle vcircle verticalcircle",
+    "zenith": "zenith za zd zen zenithangle zenit zenitwinkel zenitdistanz zenithdistance",
+    "elevation": "elevation el elev elevationangle hohenwinkel hoehenwinkel altitudeangle",
+    "distance": "distance dist d sd slopedist slopedistance slope range r schragdistanz schraegdistanz schragstrecke "
+    "schraegstrecke strecke distanz raumstrecke distance3d sdist",
+    "flat": "hd horizontaldistance horizontaldist horizontalstrecke horizontaldistanz hdist",
+    "x": "x xactual actualx xmeas measx xist istx e east easting rechtswert rw ost ostwert xcoordinate xkoordinate",
+    "y": "y yactual actualy ymeas measy yist isty n north northing hochwert hw nord nordwert ycoordinate ykoordinate",
+    "z": "z zactual actualz zmeas measz zist istz h height hohe hoehe zcoordinate zkoordinate",
+    SIGMA: "sigma stddev std sigmaxyz",
+    "time": "time zeit timestamp zeitstempel zeitpunkt datetime utc uhrzeit clock clocktime times measuredat",
+    "date": "date datum day",
+    "instrument_height_mm": "instrumentheight insthgt insthgtm ih hi fromhgt stationheight instrumentenhohe "
+    "instrumentenhoehe instrumenthohe geratehohe geraetehoehe kippachshohe standpunkthohe",
+    "target_height_mm": "targetheight tohgt th ht hr reflectorheight prismheight rodheight zielhohe zielhoehe "
+    "zielpunkthohe reflektorhohe prismenhohe tafelhohe",
+    "instrument_setup": "isetupid instrumentsetup instrumentsetupid",
+    "target_setup": "tsetupid targetsetup targetsetupid",
+    "air_temperature_c": "airtemperature airtemp lufttemperatur",
+    "air_pressure_hpa": "airpressure pressure luftdruck",
+    "relative_humidity_pct": "relativehumidity humidity luftfeuchte luftfeuchtigkeit",
+}
+ROLE_OF = {word: role for role, words in WORDS.items() for word in words.split()}
+ALLOWED = {
+    **dict.fromkeys((*HORIZONTAL, *VERTICAL), ANGLES),
+    **dict.fromkeys((*DISTANCE, *PLACE, *HEIGHTS, SIGMA, "sigma_distance_mm"), LENGTHS),
+    **dict.fromkeys((f"sigma_{axis}_mm" for axis in PLACE), LENGTHS),
+    **dict.fromkeys(("sigma_azimuth_arcsec", "sigma_elevation_arcsec"), SMALL_ANGLES),
+    "time": ("s", "ms", "min", "h"),
+    "air_temperature_c": ("c", "deg"),
+    "air_pressure_hpa": ("hpa",),
+    "relative_humidity_pct": ("%",),
+}
+"""Units of a role; a column in another unit has not that role."""
+WEAK = ("nr", "nummer", "no", "id")
+"""Words that name the target where no other word does."""
+MAPPED = tuple(dict.fromkeys((*WORDS, *SIGMA_OF.values())))
+LONGEST_TITLE = 80
+"""Characters of a cell that can name a column."""
+_BRACKET = re.compile(r"(.*?)\s*[\[({]\s*([^\])}]*?)\s*[\])}]?\s*")
+_FACED = re.compile(r"(.*?)[\s._-]*(?:(?:face|lage|f|l)[\s._-]*)?(1|2|ii|i)", re.IGNORECASE)
+_SIGMAS = (re.compile(r"(?:sigma|stddev|std|sd|s)([a-z]+)"), re.compile(r"([a-z]+?)(?:error|err|sigma|stddev|std|sd)"))
+MARKS = ("°", "'", '"')
+PART = "part"
+"""The role of a column with minutes or seconds of an angle whose degrees stand before it."""
+_PARTS = tuple(
+    re.compile(rf"(.*?)[\s_.-]*[\[({{]?\s*(?:{words})\s*[\])}}]?", re.IGNORECASE)
+    for words in (
+        "d|deg|degrees?|grad|°|º",
+        "m|min|minutes?|minuten|'|′|’",
+        "s|sec|seconds?|sek|sekunden|\"|″|”|''",
+    )
+)
+_VALUE = re.compile(r"([a-z0-9]+?)(?:value|reading|obs|raw)")
+
+
+@dataclass(frozen=True)
+class TableColumn:
+    """One column: its place, header, role ('' for none), unit ('' where it states none) and face (0: any)."""
+
+    place: int
+    title: str
+    role: str = ""
+    unit: str = ""
+    face: int = 0
+    parts: tuple[int, ...] = ()
+    """Places of the columns with minutes and seconds of an angle whose degrees stand here."""
+
+    def text(self, row: Row) -> str:
+        """What the column holds in a row: its cell, or degrees, minutes and seconds of several as one angle."""
+        if not self.parts:
+            return row.cell(self.place)
+        marked = [
+            row.cell(place) + mark
+            for place, mark in zip((self.place, *self.parts), MARKS, strict=False)
+            if row.cell(place)
+        ]
+        return " ".join(marked)
+
+    @property
+    def is_further(self) -> bool:
+        """Whether it is kept beside the pointing: what has a name and is no part of it."""
+        return bool(self.title) and (not self.role or "_" in self.role or self.role == "round")
+
+
+def columns_of(fields: Sequence[str]) -> list[TableColumn]:
+    """Columns of a header, each with the role and unit that its words have; see `_columns_of`."""
+    return list(_columns_of(tuple(fields)))
+
+
+@lru_cache(maxsize=64)
+def _columns_of(fields: tuple[str, ...]) -> list[TableColumn]:
+    """Columns of a header, each with the role and unit that its words have.
+
+    Of two columns for one role the first has it. Faces are told apart where every reading stands there twice.
+    Coordinates beside polar readings are further columns.
+    """
+    found = _with_parts([_column(place, title) for place, title in enumerate(fields)])
+    both = {c.role for c in found if c.face == 1} & {c.role for c in found if c.face == 2}
+    polar = _kinds_in(found) > 1
+    named = {words_of(c.title)[0] for c in found if c.role == "target"}
+    kept: list[TableColumn] = []
+    taken: set[tuple[str, int]] = set()
+    for column in found:
+        one = column
+        if one.face and one.role not in both:
+            one = _column(one.place, one.title, faced=False)
+        if one.role == "target" and words_of(one.title)[0] in WEAK and not named <= {*WEAK}:
+            one = replace(one, role="")
+        if one.role and ((one.role, one.face) in taken or (polar and one.role in (*PLACE, SIGMA))):
+            one = replace(one, role="", face=0)
+        if one.role != PART:
+            taken.add((one.role, one.face))
+        kept.append(one)
+    return distinct_titles(kept)
+
+
+def distinct_titles(columns: Sequence[TableColumn]) -> list[TableColumn]:
+    """Columns with a number behind each title that an earlier column has: titles are the keys of further columns."""
+    before: Counter[str] = Counter()
+    found = []
+    for column in columns:
+        before[column.title] += 1
+        again = column.title and before[column.title] > 1
+        found.append(replace(column, title=f"{column.title} ({before[column.title]})") if again else column)
+    return found
+
+
+def _part(form: re.Pattern[str], title: str) -> re.Match[str] | None:
+    """The match of a title that ends with a unit; None for one that is too long to be a title."""
+    return form.fullmatch(title) if len(title) <= LONGEST_TITLE else None
+
+
+def _with_parts(columns: list[TableColumn]) -> list[TableColumn]:
+    """The columns, with degrees, minutes and perhaps seconds of one angle in adjacent ones as one angle."""
+    found = list(columns)
+    for place, column in enumerate(columns):
+        stem = _part(_PARTS[0], column.title)
+        names = [stem[1] if stem is not None else column.title]
+        for form, after in zip(_PARTS[1:], columns[place + 1 : place + 3], strict=False):
+            part = _part(form, after.title)
+            whole_word = part is not None and not part[1] and not (len(after.title) == 1 and after.title.isalpha())
+            if part is None or not (whole_word or _folded(part[1]) == _folded(names[0])):
+                break
+            names.append(part[1])
+        role = role_of(names[0])
+        if len(names) > 1 and role in (*HORIZONTAL, *VERTICAL):
+            places = tuple(range(place + 1, place + len(names)))
+            found[place] = TableColumn(place, column.title, role, "deg", parts=places)
+            for other in places:
+                found[other] = TableColumn(other, columns[other].title, PART)
+    return found
+
+
+def _kinds_in(columns: Sequence[TableColumn]) -> int:
+    roles = {column.role for column in columns}
+    return sum(bool(roles.intersection(kind)) for kind in (HORIZONTAL, VERTICAL, DISTANCE))
+
+
+def count_of_roles(fields: Sequence[str]) -> int:
+    """Titles among some fields that have a role by themselves: quick to tell, and a header has two at least."""
+    return sum(map(_has_role, fields))
+
+
+@lru_cache(maxsize=65_536)
+def _has_role(title: str) -> bool:
+    degrees = _part(_PARTS[0], title)
+    return bool(_column(0, title).role) or (degrees is not None and bool(role_of(degrees[1])))
+
+
+def is_header(columns: Sequence[TableColumn]) -> bool:
+    """Whether two of direction, vertical angle and distance are among the columns, or all three coordinates."""
+    return _kinds_in(columns) > 1 or names_places(columns)
+
+
+def names_places(columns: Sequence[TableColumn]) -> bool:
+    """Whether the columns hold x, y, z of named targets."""
+    return {"target", *PLACE} <= {column.role for column in columns}
+
+
+@lru_cache(maxsize=8192)
+def words_of(title: str) -> tuple[str, str]:
+    """The words of a header without marks and accents, and its unit ('' where it states none)."""
+    if len(title) > LONGEST_TITLE:
+        return "", ""
+    name, unit = _titled(title)
+    if not unit:
+        parts = re.split(r"[\s_]+", title.strip())
+        if len(parts) > 1 and parts[-1].lower() in NAMED and role_of("".join(parts[:-1])):
+            name, unit = " ".join(parts[:-1]), NAMED[parts[-1].lower()]
+    return _folded(name), unit
+
+
+def role_of(name: str) -> str:
+    """The role of a header by its words, such as `haerror` for the sigma of a direction; '' for none."""
+    name = _folded(name)
+    if name in ROLE_OF:
+        return ROLE_OF[name]
+    value = _VALUE.fullmatch(name)
+    if value is not None and value[1] in ROLE_OF:
+        return ROLE_OF[value[1]]
+    stems = [found[1] for form in _SIGMAS if (found := form.fullmatch(name))]
+    return next((SIGMA_OF[ROLE_OF[stem]] for stem in stems if ROLE_OF.get(stem) in SIGMA_OF), "")
+
+
+def _folded(text: str) -> str:
+    bare = "".join(c for c in unicodedata.normalize("NFKD", text.casefold()) if not unicodedata.combining(c))
+    return re.sub(r"[^a-z0-9]", "", bare)
+
+
+def _column(place: int, title: str, *, faced: bool = True) -> TableColumn:
+    name, unit = words_of(title)
+    role, face = role_of(name), 0
+    numbered = _FACED.fullmatch(name) if faced and not role else None
+    if numbered is not None:
+        role = role_of(numbered.group(1))
+        face = {"1": 1, "i": 1, "2": 2, "ii": 2}[numbered.group(2).lower()] if role else 0
+    if role in ALLOWED and unit and unit not in ALLOWED[role]:
+        # surveyors' lists have heights in a column called elevation
+        role, face = ("z" if role == "elevation" and unit in LENGTHS else ""), 0
+    return TableColumn(place, title, role, unit, face)
+
+
+def mapped(fields: Sequence[str], wanted: str, file: object) -> list[TableColumn] | None:
+    """Columns of a header by ``role=Header[unit],...``; None where the header lacks one that is named.
+
+    A header that is a number counts columns from 1; ``role=Degrees+Minutes+Seconds`` joins columns. Roles that are not
+    named go by the words of the header.
+
+    Raises RecordError for a role or a unit that is not known.
+    """
+    columns = columns_of(fields)
+    assigned: dict[int, TableColumn] = {}
+    for role, face, title, unit in assignments(wanted, file):
+        place, *parts = _places(fields, title) or (None,)
+        if place is None:
+            return None
+        assigned[place] = TableColumn(place, fields[place], role, unit or columns[place].unit, face, tuple(parts))
+        assigned |= {part: TableColumn(part, fields[part], PART) for part in parts}
+    kinds = {_kind(column.role) for column in assigned.values()}
+    rest = [c if _kind(c.role) not in kinds else replace(c, role="", face=0) for c in columns]
+    return [assigned.get(c.place, c) for c in rest]
+
+
+def assignments(wanted: str, file: object = None) -> list[tuple[str, int, str, str]]:
+    """Role, face (0: any), header and unit ('': not said) of every ``role=Header[unit]``."""
+    found = []
+    for part in filter(None, (p.strip() for p in wanted.split(","))):
+        role, equals, title = part.partition("=")
+        stem, face = role.strip().lower(), 0
+        if stem[-1:] in ("1", "2"):
+            stem, face = stem[:-1], int(stem[-1])
+        if not equals or stem not in MAPPED or not title.strip():
+            message = f"--columns {shown(part, 60)}: expected ROLE=HEADER[UNIT] with a role among {', '.join(MAPPED)}"
+            raise RecordError(message, file=file)
+        name, unit = _titled(title.strip())
+        if unit and unit not in ALLOWED.get(stem, ()):
+            known = ", ".join(ALLOWED.get(stem, ("none",)))
+            raise RecordError(f"--columns {shown(part, 60)}: a unit of {stem} can be {known}", file=file)
+        found.append((stem, face, name, unit))
+    return found
+
+
+def _titled(text: str) -> tuple[str, str]:
+    """A header without the unit in brackets behind it, and that unit."""
+    bracket = _BRACKET.fullmatch(text)
+    if bracket is None or not bracket[1]:
+        return text, ""
+    return bracket[1], NAMED.get(bracket[2].lower(), bracket[2])
+
+
+def _places(fields: Sequence[str], title: str) -> tuple[int, ...] | None:
+    """Place of a header, or those of degrees, minutes and seconds that `title` joins by plus signs."""
+    place = _place(fields, title)
+    if place is not None or "+" not in title:
+        return None if place is None else (place,)
+    places = [_place(fields, part) for part in title.split("+")[: len(MARKS)]]
+    return None if None in places else tuple(p for p in places if p is not None)
+
+
+def _place(fields: Sequence[str], title: str) -> int | None:
+    """Place of a header by its text with or without a unit, or by its number."""
+    for fold in (str.strip, lambda text: _titled(text)[0].casefold()):
+        wanted = fold(title)
+        for place, field in enumerate(fields):
+            if fold(field) == wanted:
+                return place
+    return int(title) - 1 if title.isdigit() and 0 < int(title) <= len(fields) else None
+
+
+def _kind(role: str) -> str:
+    for kind in (HORIZONTAL, VERTICAL, DISTANCE):
+        if role in kind:
+            return kind[0]
+    return role

@@ -1,0 +1,247 @@
+"""Meaning of the numbers of a table: units, zenith or elevation, the sense of the circle; coordinates for readings.
+
+What the header states is taken; the rest is decided by the data (`ltsim.recordings.conventions`) or asked for. The
+mirror image of a network is a network: no data decide the sense of the circle, unless places are known. The words of
+a header do: `Hz`, `HA` are the horizontal circle of a theodolite, clockwise; azimuth and elevation are the spherical
+coordinates of a tracker, counter-clockwise. An azimuth beside a zenith angle can be either and is asked for.
+"""
+
+import operator
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from decimal import Decimal
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from ltsim.core.arrays import Floats
+from ltsim.core.errors import RecordError
+from ltsim.core.units import ARCSECOND, DEGREE, FACTOR, MILLIMETRE, ratio
+from ltsim.geometry.polar import from_polar, to_polar, unit_vectors
+from ltsim.recordings.conventions import (
+    SENSE_UNKNOWN,
+    Azimuth,
+    Hints,
+    PolarTable,
+    Pose,
+    Vertical,
+    angle_meaning,
+    known_sense,
+    length_meaning,
+    sense_by_poses,
+)
+from ltsim.recordings.files import shown
+from ltsim.recordings.pointings import indices
+from ltsim.recordings.recording import SIGMA_COLUMNS
+from ltsim.recordings.slips import SHORTEST_MM
+from ltsim.recordings.tables import cells
+from ltsim.recordings.tables.header import DISTANCE, HEIGHTS, HORIZONTAL, PLACE, SIGMA, SIGMA_OF, VERTICAL, TableColumn
+from ltsim.recordings.tables.printed import PointingTable, Printed, as_floats, exactly
+
+FULL, QUARTER = Decimal(360), Decimal(90)
+TALL_M = (0.2, 3.0)
+"""[m] Heights of instruments and targets over their marks lie here: they tell metres from millimetres."""
+AMBIGUOUS_MM = 1000.0
+"""Longest distance that may as well be in metres."""
+ONE_FRAME = 2e-3
+"""[m] Common targets of two set-ups that agree so well are in one frame already."""
+TOLD = (
+    "coordinates in each set-up's own axes are turned into distance, azimuth and elevation; what is stated as noise "
+    "is that of the readings, and of both faces together"
+)
+
+
+@dataclass(frozen=True)
+class Meaning:
+    """How the printed numbers become raw readings; `notes` says what was decided."""
+
+    horizontal_unit: str
+    vertical_unit: str
+    length_unit: str
+    vertical: Vertical
+    azimuth: Azimuth
+    notes: tuple[str, ...] = ()
+
+    def readings(self, printed: Printed) -> Floats:
+        """Raw ranges [m], azimuths, elevations [rad] (n, 3), in the numbers that a native file would hold."""
+        turns, upward = (
+            partial(operator.mul, ratio(unit, "deg")) for unit in (self.horizontal_unit, self.vertical_unit)
+        )
+        azimuth = (lambda turn: _counter_clockwise(turns(turn))) if self.azimuth == "clockwise" else turns
+        zenith = self.vertical == "zenith"
+
+        def elevation(number: Decimal) -> Decimal:
+            up = QUARTER - upward(number) if zenith else upward(number)
+            return up + FULL if up < -QUARTER else up
+
+        scale, lengths = ratio(self.length_unit, "mm"), printed.of(DISTANCE)
+        found = [
+            as_floats(lengths) if scale == 1 else exactly(lengths, partial(operator.mul, scale)),
+            exactly(printed.of(HORIZONTAL), azimuth),
+            exactly(printed.of(VERTICAL), elevation),
+        ]
+        return np.stack(found, axis=1) * [MILLIMETRE, DEGREE, DEGREE]
+
+    def unit_of(self, role: str) -> str:
+        """The unit of the readings that a column of sigmas or heights stands beside, where it states none."""
+        return {"sigma_azimuth_arcsec": self.horizontal_unit, "sigma_elevation_arcsec": self.vertical_unit}.get(
+            role, self.length_unit
+        )
+
+
+def _counter_clockwise(turn: Decimal) -> Decimal:
+    """[deg] The azimuth of a clockwise circle, from 0 to 360."""
+    back = -turn % FULL
+    return back + FULL if back < 0 else back
+
+
+def readings_of(table: PointingTable, poses: Mapping[int, Pose], hints: Hints, file: Path) -> tuple[Meaning, Floats]:
+    """Meaning of the table's numbers, and the raw readings (n, 3) [m, rad] that they are.
+
+    Rough `poses` of stations, by the order in which the table names them, tell the sense of the circle.
+
+    Raises RecordError, asking for what neither header nor data decide, with the option to type.
+    """
+    if table.holds_places:
+        return _readings_of_places(table, hints, file)
+    columns = {kind[0]: table.column(kind) for kind in (HORIZONTAL, VERTICAL, DISTANCE)}
+    stated = {kind: c.unit if c is not None else "" for kind, c in columns.items()}
+    printed = table.pointings
+    _, station = indices(printed.station, "station", file)
+    _, target = indices(printed.target, "target", file)
+    polar = PolarTable(station, target, *(as_floats(printed.of(kind)) for kind in (HORIZONTAL, VERTICAL, DISTANCE)))
+    units, vertical, notes = _angles(columns, stated, polar, hints, file)
+    length, more = _length(stated["distance"], polar, table, hints, file)
+    found = Meaning(*units, length, vertical, "counter-clockwise")
+    azimuth, why = _sense(table, found, polar, poses, hints, file)
+    found = replace(found, azimuth=azimuth, notes=(*notes, *more, *why))
+    return found, found.readings(printed)
+
+
+def _angles(
+    columns: Mapping[str, TableColumn | None], stated: Mapping[str, str], polar: PolarTable, hints: Hints, file: Path
+) -> tuple[tuple[str, str], Vertical, list[str]]:
+    column = columns["vertical"]
+    role = column.role if column is not None else ""
+    said: Vertical | None = "zenith" if role == "zenith" else "elevation" if role == "elevation" else None
+    if column is None:
+        said = "elevation"
+    one, other = stated["horizontal"], stated["vertical"]
+    unit = one or other or hints.angle or ""
+    # The data are asked in one unit: angles in different ones are brought to degrees first.
+    asked, known = polar, None
+    if unit:
+        turns = [float(ratio(u or unit, "deg")) for u in (one, other)]
+        asked = replace(polar, horizontal=polar.horizontal * turns[0], vertical=polar.vertical * turns[1])
+        known = "deg"
+    if known and (said or hints.vertical):
+        return (one or unit, other or unit), hints.vertical or said or "elevation", []
+    answer = replace(hints, angle=known or hints.angle, vertical=hints.vertical or said)  # type: ignore[arg-type]
+    angle, vertical, notes = angle_meaning(asked, answer, file)
+    if known and column is not None:
+        notes = [f"'{column.title}' taken as {vertical} angles: {note.partition(': ')[2]}" for note in notes]
+    return (one or unit or angle, other or unit or angle), vertical, notes
+
+
+def _length(stated: str, polar: PolarTable, table: PointingTable, hints: Hints, file: Path) -> tuple[str, list[str]]:
+    """Unit of the distances: as stated, by heights beside them, by their size, or asked for."""
+    if stated or not np.isfinite(polar.distance).any():
+        return stated or hints.length or "mm", []
+    longest = float(np.nanmax(polar.distance))
+    if hints.length is not None or not SHORTEST_MM <= longest < AMBIGUOUS_MM:
+        return length_meaning(polar.distance, hints)
+    if table.column(("flat",)) is not None:
+        return "m", ["distances taken as m: they are horizontal ones, as surveyors write them"]
+    column = next((c for c in table.columns if c.role in HEIGHTS and not c.unit), None)
+    texts = table.pointings.further.get(column.title, []) if column is not None else []
+    tall = [abs(float(height)) for height in map(cells.value, texts) if height]
+    if column is not None and tall and TALL_M[0] < float(np.median(tall)) < TALL_M[1]:
+        return "m", [f"distances taken as m: '{shown(column.title)}' beside them holds heights of metres"]
+    message = f"distances of up to {longest:.6g} may be metres or millimetres; say which: --hint length=m or"
+    raise RecordError(f"{message} --hint length=mm", file=file)
+
+
+def _sense(
+    table: PointingTable, meaning: Meaning, polar: PolarTable, poses: Mapping[int, Pose], hints: Hints, file: Path
+) -> tuple[Azimuth, list[str]]:
+    """The sense of the circle: said, by known places, or by the words of the header."""
+    if hints.azimuth is not None or not np.isfinite(polar.horizontal).any():
+        return hints.azimuth or "counter-clockwise", []
+    if hints.points is not None or len(poses) > 1:
+        local = from_polar(meaning.readings(table.pointings))
+        if hints.points is not None:
+            return known_sense(local, polar, list(dict.fromkeys(table.pointings.target)), hints.points)
+        azimuth = sense_by_poses(local, polar, poses)
+        if azimuth is not None:
+            return azimuth, [f"azimuths taken as {azimuth}: so the set-ups see the same points from their rough places"]
+    column = table.column(HORIZONTAL)
+    if table.positional or column is None:
+        raise RecordError(SENSE_UNKNOWN, file=file)
+    if column.role == "horizontal":
+        circle = f"'{column.title}' taken as a horizontal circle, clockwise"
+        return "clockwise", [
+            f"{circle} (--hint azimuth=counter-clockwise says otherwise); this file alone cannot show it"
+        ]
+    if meaning.vertical == "elevation":
+        spherical = "azimuth beside elevation taken as counter-clockwise (--hint azimuth=clockwise says otherwise)"
+        return "counter-clockwise", [spherical]
+    raise RecordError(SENSE_UNKNOWN, file=file)
+
+
+def _readings_of_places(table: PointingTable, hints: Hints, file: Path) -> tuple[Meaning, Floats]:
+    """Coordinates as readings of face 1.
+
+    Raises RecordError where a coordinate is missing, or all set-ups see their common targets in one frame.
+    """
+    printed = np.stack([as_floats(table.pointings.of((axis,))) for axis in PLACE], axis=1)
+    rows, axes = np.nonzero(np.isnan(printed))
+    if len(rows):
+        raise table.pointings.place(int(rows[0])).wrong(f"the coordinate {PLACE[axes[0]]} is missing")
+    length = next((c.unit for c in table.columns if c.role in PLACE and c.unit), "")
+    notes: list[str] = []
+    if not length:
+        length, notes = length_meaning(np.linalg.norm(printed, axis=1), hints)
+    readings = to_polar(printed * FACTOR[length])
+    near = np.flatnonzero(readings[:, 0] < MILLIMETRE)
+    if len(near):
+        raise table.pointings.place(int(near[0])).wrong("lies in the instrument itself, expected coordinates from it")
+    _check_frames(table, printed * FACTOR[length], file)
+    return Meaning("rad", "rad", length, "elevation", "counter-clockwise", (*notes, TOLD)), readings
+
+
+def _check_frames(table: PointingTable, points: Floats, file: Path) -> None:
+    """Refuse coordinates that were brought into one frame: as readings they would hold no network."""
+    first: dict[str, tuple[str, Floats]] = {}
+    gaps = []
+    for own, target, point in zip(table.pointings.station, table.pointings.target, points, strict=True):
+        station, place = first.setdefault(target, (own, point))
+        if station != own:
+            gaps.append(float(np.linalg.norm(point - place)))
+    if len(gaps) > 2 and float(np.median(gaps)) < ONE_FRAME:
+        message = (
+            f"{len(gaps)} targets have the same coordinates from several set-ups: they are in one frame already; "
+            "export them in the axes of each instrument"
+        )
+        raise RecordError(message, file=file)
+
+
+def sigmas_of_places(table: PointingTable, readings: Floats, length: str) -> dict[str, Floats]:
+    """Standard deviations (n,) of the readings (n, 3) by those of x, y, z, where the table states them: by column."""
+    columns = [table.column((SIGMA_OF[axis],)) or table.column((SIGMA,)) for axis in PLACE]
+    titles = [(c.title, FACTOR[c.unit or length]) for c in columns if c is not None]
+    if not table.holds_places or len(titles) < len(PLACE):
+        return {}
+    printed, nothing = table.pointings, [""] * len(table.pointings)
+    texts = [printed.further.get(title, nothing) for title, _ in titles]
+    given = [list(map(cells.value, column, printed.grouping)) for column in texts]
+    printed.further = {title: column for title, column in printed.further.items() if title not in dict(titles)}
+    stated = np.stack([[float(s) if s is not None and s > 0 else np.nan for s in column] for column in given], axis=1)
+    variance = (stated * [factor for _, factor in titles]) ** 2
+    range_, azimuth, elevation = readings.T
+    ways = np.stack(unit_vectors(azimuth, elevation), axis=1) ** 2
+    level = np.maximum(range_ * np.cos(elevation), 1e-9)
+    units = np.stack([np.full(len(range_), MILLIMETRE), level * ARCSECOND, range_ * ARCSECOND], axis=1)
+    sigma = np.sqrt(np.einsum("nki,ni->nk", ways, variance)) / units
+    sigma[np.isnan(sigma[:, 0])] = np.nan
+    return {} if np.isnan(sigma).all() else dict(zip(SIGMA_COLUMNS, sigma.T, strict=True))

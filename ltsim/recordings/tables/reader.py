@@ -1,0 +1,209 @@
+"""Reading a recording from delimited text, a folder of such files, or a workbook."""
+
+from pathlib import Path
+
+import numpy as np
+
+from ltsim.core.arrays import Floats
+from ltsim.core.units import ARCSECOND, MILLIMETRE, ratio
+from ltsim.geometry.polar import to_face
+from ltsim.recordings.conventions import NO_HINTS, Hints, poses_of
+from ltsim.recordings.curvature import on_round_earth
+from ltsim.recordings.files import MAX_TEXT, shown
+from ltsim.recordings.pointings import NAN, PointingColumns, recording_of_columns, states_noise
+from ltsim.recordings.recording import HEIGHT_COLUMNS, KIND_COLUMN, OCCUPATION_COLUMNS, SIGMA_COLUMNS, Recording
+from ltsim.recordings.settings import read_setup
+from ltsim.recordings.setup import Setup
+from ltsim.recordings.tables import cells
+from ltsim.recordings.tables.header import ALLOWED, TableColumn, names_places
+from ltsim.recordings.tables.instruments import instrument_of, is_total_station
+from ltsim.recordings.tables.meaning import Meaning, readings_of, sigmas_of_places
+from ltsim.recordings.tables.poses import named_by_place
+from ltsim.recordings.tables.printed import PointingTable, Printed, as_digits, as_floats, codes
+from ltsim.recordings.tables.rows import header_of, table_of
+from ltsim.recordings.tables.setups import common_names, heights_not_applied, occupied, over_marks, split_occupations
+from ltsim.recordings.tables.sheets import SUFFIXES, WORKBOOK, is_folder, rows_of_head, sheets_of
+from ltsim.recordings.tables.times import times_of, with_clock
+
+SETUP = "setup.toml"
+MOST_SHOWN = 3
+HEADS_SIGMA_MM = 1.0
+"""[mm] Standard deviation of the height of a head on one tripod or pillar each time it is set up."""
+
+
+def recognises(path: Path, head: str) -> bool:
+    """Whether this is a folder of tables, a workbook, or text of three columns and more with numbers in them."""
+    if path.is_dir():
+        return is_folder(path)
+    if head.startswith(WORKBOOK.decode("latin-1")):
+        return path.suffix.lower() == ".xlsx"
+    if "\x00" in head[2:] or head.lstrip()[:1] in ("<", "{"):
+        return False
+    rows = rows_of_head("\n".join(head.splitlines()[:-1]))  # the last line may be cut
+    headers = [columns for row in rows if (columns := header_of(row, NO_HINTS))]
+    if headers and names_places(headers[0]) and not any(c.role == "station" for c in headers[0]):
+        return False  # a list of coordinates, unless its station is named
+    measured = sum(row.values > 1 and len(row.fields) > 2 for row in rows)
+    return measured > 0 and (bool(headers) or (path.suffix.lower() in SUFFIXES and 2 * measured > len(rows)))
+
+
+def read(path: Path, hints: Hints = NO_HINTS, *, positional: bool = False) -> Recording:
+    """Read a table; `positional` takes lines of names and three numbers without a header. Raises RecordError."""
+    table = named_by_place(with_clock(table_of(sheets_of(path), hints, path, positional=positional)), path)
+    table.pointings.target, renamed = common_names(table.pointings)
+    table.notes += renamed
+    setup = _setup(path, hints)
+    poses = poses_of(setup or Setup(), tuple(dict.fromkeys(table.pointings.station)))
+    meaning, readings = readings_of(table, poses, hints, path)
+    if setup is not None:
+        recording = assembled(table, meaning, readings, setup, hints, path)
+        return recording.replace(
+            notes=(f"noise and what else is known are read from {_setup_file(path, hints)}", *recording.notes)
+        )
+    instrument, noise = instrument_of(is_total_station(table, meaning, readings))
+    setup = Setup(title=path.stem[:MAX_TEXT], instrument=instrument)
+    recording = assembled(table, meaning, readings, setup, hints, path)
+    return recording if states_noise(recording) else recording.replace(notes=(noise, *recording.notes))
+
+
+def assembled(
+    table: PointingTable, meaning: Meaning, readings: Floats, setup: Setup, hints: Hints, file: Path
+) -> Recording:
+    """The recording of a table whose readings (n, 3) are understood, in the order of its pointings."""
+    printed, nothing = table.pointings, np.full(len(table.pointings), NAN)
+    sigmas = sigmas_of_places(table, readings, meaning.length_unit)
+    covariates, labels, kept = _further(table, meaning)
+    turns = covariates.get(SIGMA_COLUMNS[1], nothing) * ARCSECOND
+    same_place, rounds = split_occupations(table, readings, turns)
+    upright = bool(is_total_station(table, meaning, readings)) and table.column(("elevation",)) is None
+    setup, over = over_marks(table, setup, readings, rounds=same_place, levelled=upright)
+    faces, reduced = _faces(table, readings)
+    times, started, timed = times_of(table, hints)
+    if started and not setup.started:
+        setup = setup.model_copy(update={"started": started})
+    height = np.stack([covariates.get(name, nothing) for name in HEIGHT_COLUMNS], axis=1) * MILLIMETRE
+    unused = heights_not_applied(table, readings, height)
+    if unused:
+        covariates = {name: column for name, column in covariates.items() if name not in HEIGHT_COLUMNS}
+        known = setup.heads_sigma_mm or HEADS_SIGMA_MM
+        setup = setup.model_copy(update={"heads_sigma_mm": known, "curved": True})
+        labels = _over(occupied(table), labels)
+    if timed and table.column(("date",)) is not None:  # a text where it is no clock
+        labels["date"] = printed.moment
+    if "flat" in printed.numbers:
+        labels[KIND_COLUMN] = ["horizontal" if digits else "" for digits in printed.numbers["flat"].tolist()]
+    said = [table.notes, meaning.notes, rounds, over, reduced, timed, kept, unused, _left_out(table)]
+    targets, target = codes(printed.target)
+    _, first = np.unique(target, return_index=True)
+    for name, row in zip(targets, first.tolist(), strict=True):
+        printed.place(row).name(name, "target")
+    columns = PointingColumns(
+        printed.station,
+        printed.target,
+        np.array(faces, dtype=np.int64),
+        readings,
+        np.array(times),
+        covariates | sigmas,
+        labels,
+        printed.source,
+    )
+    return on_round_earth(recording_of_columns(columns, setup, notes=[n for notes in said for n in notes], file=file))
+
+
+def _over(below: dict[str, list[str]], above: dict[str, list[str]]) -> dict[str, list[str]]:
+    """Labels of both, row by row those of `above` where they hold something."""
+    both = {
+        name: [one or other for one, other in zip(above[name], column, strict=True)] if name in above else column
+        for name, column in below.items()
+    }
+    return {**above, **both}
+
+
+def _setup_file(path: Path, hints: Hints) -> Path:
+    """The file named for noise and gauge, or a `setup.toml` in the same folder."""
+    file = hints.setup or (path if path.is_dir() else path.parent) / SETUP
+    return file / SETUP if file.is_dir() else file
+
+
+def _setup(path: Path, hints: Hints) -> Setup | None:
+    """Noise and set-ups that a file states in addition to the table; None where there is none."""
+    file = _setup_file(path, hints)
+    return read_setup(file) if hints.setup is not None or file.is_file() else None
+
+
+def _faces(table: PointingTable, readings: Floats) -> tuple[list[int], list[str]]:
+    """Face of each pointing; readings of face 2 that were reduced to face 1 are turned back in place."""
+    beyond = np.abs(readings[:, 2]) > np.pi / 2 + 1e-9
+    stated = table.pointings.face
+    faces = [face or int(b) + 1 for face, b in zip(stated, beyond.tolist(), strict=True)]
+    second = np.array(faces) == 2
+    if not second.any() or beyond[second].any() or not np.isfinite(readings[second, 2]).any():
+        return faces, []
+    readings[:] = to_face(readings, np.array(faces))
+    readings[second, 1] %= 2 * np.pi
+    return faces, ["readings of face 2 were reduced to face 1 and are turned back to what the circles showed"]
+
+
+def _further(table: PointingTable, meaning: Meaning) -> tuple[dict[str, Floats], dict[str, list[str]], list[str]]:
+    """Further columns of each pointing: numbers as covariates, texts as labels, and what is said of them.
+
+    Sigmas and heights have names and units of their own, those of the readings where their header states none.
+    """
+    columns = [c for c in table.columns if c.is_further]
+    words = {c.title for c in columns if c.role in OCCUPATION_COLUMNS}
+    values = [c for c in columns if c.title not in words]
+    numeric = {c.title: found for c in values if (found := _covariate(c, table.pointings, meaning)) is not None}
+    named = words | {c.title for c in values if "_" in c.role and c.title in numeric}
+    names = {c.title: c.role if c.title in named else c.title for c in columns}
+    covariates = {names[title]: column for title, column in numeric.items()}
+    labels = {names[title]: column for title, column in table.pointings.further.items() if title not in numeric}
+    own = {c.title for c in columns if c.role in HEIGHT_COLUMNS or c.role.startswith("sigma_")}
+    said = [
+        f"'{shown(c.title)}' taken as {c.role}" + ("" if c.unit else f", in {_unit(c, meaning)} as its reading")
+        for c in columns
+        if c.title in own and c.title in numeric
+    ]
+    kept = ", ".join(f"'{shown(names[c.title])}'" for c in columns if c.title not in own)
+    return covariates, labels, [*said, *([f"kept as further columns: {kept}"] if kept else [])]
+
+
+def _unit(column: TableColumn, meaning: Meaning) -> str:
+    return column.unit or meaning.unit_of(column.role)
+
+
+def _covariate(column: TableColumn, printed: Printed, meaning: Meaning) -> Floats | None:
+    """Numbers of a column in the unit of its role, NaN where a cell is empty; None for a column of text."""
+    texts = printed.further.get(column.title, [])
+    if not any(texts):
+        return None
+    if cells.are_numbers(texts) and not any(printed.grouping):
+        return as_floats(as_digits(texts)) * _factor(column, meaning)
+    numbers = np.full(len(texts), NAN)
+    for i, (text, grouping) in enumerate(zip(texts, printed.grouping, strict=True)):
+        if text:
+            number = cells.quantity(text, grouping)
+            if number is None:
+                return None
+            numbers[i] = number
+    return numbers * _factor(column, meaning)
+
+
+def _factor(column: TableColumn, meaning: Meaning) -> float:
+    """Unit of a column of standard deviations or heights in that of its role."""
+    wanted = column.role.rpartition("_")[2]
+    if wanted not in ("mm", "arcsec"):
+        return 1.0
+    unit = _unit(column, meaning)
+    return float(ratio(unit, wanted)) if unit in (*ALLOWED[column.role], "dms") else 1.0
+
+
+def _left_out(table: PointingTable) -> list[str]:
+    notes = []
+    if table.nameless:
+        alone = "the table names no station: all such pointings are taken from one, called S1"
+        notes.append(f"{alone} (--hint station=NAME)")
+    if table.left_out:
+        some = "; ".join(table.left_out[:MOST_SHOWN])
+        more = len(table.left_out) - MOST_SHOWN
+        notes.append(f"left out as free text: {some}" + (f" and {more} more lines" if more > 0 else ""))
+    return notes

@@ -1,0 +1,207 @@
+"""From rows of text to pointings as printed: headers, blocks of a station, free text between them."""
+
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+
+from ltsim.core.errors import RecordError
+from ltsim.core.limits import HEADERS
+from ltsim.recordings.conventions import Hints
+from ltsim.recordings.files import MAX_TEXT, FilePlace, is_number, shown
+from ltsim.recordings.tables import cells
+from ltsim.recordings.tables.advice import unnamed
+from ltsim.recordings.tables.header import (
+    READINGS,
+    TableColumn,
+    assignments,
+    columns_of,
+    count_of_roles,
+    is_header,
+    mapped,
+    role_of,
+    words_of,
+)
+from ltsim.recordings.tables.printed import BLOCK, PointingTable, Printed, joined
+from ltsim.recordings.tables.run import RunReader
+from ltsim.recordings.tables.sheets import Row, Sheet
+
+POSITIONS = ("station", "target", "azimuth", "vertical", "distance")
+"""Roles of a table without a header whose lines are names and three numbers."""
+LEAST_TITLES = 2
+"""Columns of a header that names readings: two angles, or an angle and a distance."""
+_STATION = re.compile(r"#?\s*([^\W\d_]+)\s*[:=;,\t ]\s*(\S.*?)[\s;,]*")
+
+
+def table_of(sheets: Sequence[Sheet], hints: Hints, file: object, *, positional: bool = False) -> PointingTable:
+    """The pointings of all sheets; `positional` takes lines of names and three numbers without a header.
+
+    Raises RecordError where a header does not say what its columns hold, headers differ in what they hold, or a cell is
+    wrong.
+    """
+    whole, parts = PointingTable([]), []
+    for sheet in sheets:
+        start = header_at(sheet, hints)
+        reader = _SheetReader(sheet, hints)
+        if start is not None or positional:
+            table = reader.read_positional() if start is None else reader.read(start)
+            whole.add(table, sheet.file)
+            parts.append(table.pointings)
+        elif len(sheets) == 1 or any(row.values > 2 for row in sheet.rows[:50]):
+            raise RecordError(unnamed(sheet, partial(_serves, sheet, hints)), file=sheet.file)
+    if not any(map(len, parts)):
+        raise RecordError("holds no pointings", file=file)
+    whole.pointings = joined(parts)
+    whole.columns = [replace(c, unit="deg") if c.title in whole.marked else c for c in whole.columns]
+    return whole
+
+
+def header_of(row: Row, hints: Hints, file: object = None) -> list[TableColumn] | None:
+    """The columns that a row names as a header; None where it is none."""
+    if hints.columns is not None:
+        return mapped(row.fields, hints.columns, file) if any(row.fields) else None
+    if count_of_roles(row.fields) < LEAST_TITLES or any(map(cells.is_value, row.fields)):
+        return None
+    columns = columns_of(row.fields)
+    return columns if is_header(columns) else None
+
+
+def header_at(sheet: Sheet, hints: Hints) -> int | None:
+    """Place of the first header; -1 where `hints.columns` counts the columns of a table without one."""
+    if hints.columns is not None and sheet.rows:
+        asked = assignments(hints.columns, sheet.file)
+        if all(title.isdigit() for *_, title, _ in asked):
+            first = next((i for i, row in enumerate(sheet.rows) if not row.comment), 0)
+            return first if not sheet.rows[first].values else first - 1
+    return next((i for i, row in enumerate(sheet.rows) if header_of(row, hints, sheet.file) is not None), None)
+
+
+class _SheetReader:
+    """Reads one sheet: the header that holds, the station that the last block named, and the rows since the header."""
+
+    def __init__(self, sheet: Sheet, hints: Hints) -> None:
+        self.sheet, self.hints = sheet, hints
+        self.station = sheet.station or hints.station or ""
+        self.table = PointingTable([])
+        self.parts: list[Printed] = []
+        self.columns: list[TableColumn] = []
+        self.wanted: list[int] = []
+        self.headers = 0
+        self.run: list[tuple[Row, str]] = []
+        """Rows of pointings that are not converted yet, each with the station of its block."""
+
+    def read(self, start: int) -> PointingTable:
+        """The rows below the header in row `start`; -1 counts columns."""
+        rows = self.sheet.rows
+        for row in rows[: max(start, 0)]:
+            self._other(row)
+        if start < 0:
+            numbered = Row(0, tuple(str(i + 1) for i in range(len(rows[start + 1].fields))))
+            self._head(header_of(numbered, self.hints, self.sheet.file) or [], None)
+        return self._read(rows[max(start, 0) :])
+
+    def read_positional(self) -> PointingTable:
+        """Lines of station, target and three numbers; of the target alone where they are shorter by one."""
+        first = next((row for row in self.sheet.rows if not row.comment), None)
+        roles = POSITIONS[1:] if first is not None and len(first.fields) == 4 else POSITIONS
+        for row in self.sheet.rows:
+            if not row.comment and len(row.fields) != len(roles):
+                message = f"{len(row.fields)} fields, expected station, target, two angles and a distance"
+                raise FilePlace(self.sheet.file, row.line).wrong(message)
+        self.table.positional = True
+        self._head([TableColumn(i, role, role) for i, role in enumerate(roles)], None)
+        return self._read(self.sheet.rows, every=True)
+
+    def _head(self, columns: list[TableColumn], row: int | None) -> None:
+        self.headers += 1
+        if self.headers > HEADERS:
+            raise FilePlace(self.sheet.file, row).wrong(f"holds more than {HEADERS} headers, the most that is read")
+        if columns != self.columns:
+            self._convert()
+        self.table.take(columns, self.sheet.file, row)
+        self.columns = columns
+        self.wanted = [c.place for c in columns if c.role in READINGS]
+
+    def _read(self, rows: Sequence[Row], *, every: bool = False) -> PointingTable:
+        last = len(rows) - 1
+        for i, row in enumerate(rows):
+            measured = (every and not row.comment) or self._is_measured(row)
+            again = header_of(row, self.hints, self.sheet.file) if not measured else None
+            if again is not None:
+                self._head(again, row.line)
+            elif row.comment or not measured:
+                self._other(row)
+            elif i < last or not self.sheet.open_end:
+                self._pointing(row)
+            elif not self.hints.growing:  # otherwise it may not be whole yet
+                self._convert()
+                self.sheet.check_whole(len(self.columns), strict=self.table.positional)
+                self._pointing(row)
+        self._convert()
+        self.table.notes += _doubled(self.columns)
+        self.table.pointings = joined(self.parts) if self.parts else Printed()
+        return self.table
+
+    def _is_measured(self, row: Row) -> bool:
+        """Whether a cell of a reading holds a value: in a pointing the first one does as a rule."""
+        for place in self.wanted:
+            cell = row.cell(place)
+            if is_number(cell) or cells.is_value(cell):
+                return True
+        return False
+
+    def _other(self, row: Row) -> None:
+        """A line that is no pointing: it names the station of a block, or is left out."""
+        line = " ".join(field for field in row.fields if field).rstrip(" \t;,")
+        found = _STATION.fullmatch(line) if len(line) <= MAX_TEXT else None
+        if found is not None and role_of(found.group(1)) == "station":
+            self.station = found.group(2)
+        elif not row.comment:
+            self.table.left_out.append(f"line {row.line} of {self.sheet.file.name} ('{row}')")
+
+    def _pointing(self, row: Row) -> None:
+        if len(self.run) == BLOCK:
+            self._convert()
+        width = len(self.columns)
+        if len(row.fields) > width and any(row.fields[width:]):
+            self._convert()
+            message = f"{len(row.fields)} fields, expected {width} as in the header"
+            raise FilePlace(self.sheet.file, row.line).wrong(message)
+        self.run.append((row, self.station))
+
+    def _convert(self) -> None:
+        """Turn the rows since the last header into columns at once; where that fails, one by one to name the first."""
+        run, self.run = self.run, []
+        if not run:
+            return
+        reader = RunReader(self.sheet, self.columns)
+        try:
+            converted = [reader.read(run)]
+        except RecordError:
+            converted = [reader.read([one]) for one in run]
+        self.table.nameless |= reader.nameless
+        self.table.marked |= reader.marked
+        self.parts.append(joined(converted))
+        while len(self.parts) > 1 and 2 * len(self.parts[-1]) > len(self.parts[-2]) and len(self.parts[-2]) < BLOCK:
+            self.parts[-2:] = [joined(self.parts[-2:])]
+
+
+def _doubled(columns: Sequence[TableColumn]) -> list[str]:
+    """A word on columns whose header could have been a role that another column has."""
+    taken = {c.role: c.title for c in columns if c.role}
+    lost = [(c.title, role_of(words_of(c.title)[0])) for c in columns if not c.role]
+    return [
+        f"column '{shown(title)}' is kept as a further one; the {role} is read from '{shown(taken[role])}'"
+        for title, role in lost
+        if role in taken
+    ]
+
+
+def _serves(sheet: Sheet, hints: Hints, columns: str) -> bool:
+    """Whether a sheet can be read by an assignment of columns."""
+    hints = replace(hints, columns=columns)
+    try:
+        start = header_at(sheet, hints)
+        return start is not None and len(_SheetReader(sheet, hints).read(start).pointings) > 0
+    except RecordError:
+        return False

@@ -1,0 +1,260 @@
+"""Set-ups and targets as surveyors' tables hold them.
+
+One target has names that differ by set-up (`P 01` and `p1`, `S1_P01` and `S2_P01`); set-ups stand over marks that are
+targets too, with a circle that each round turns anew.
+"""
+
+import re
+from collections import Counter
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from ltsim.core.arrays import Floats, Ints
+from ltsim.core.notation import listing
+from ltsim.core.units import EARTH
+from ltsim.recordings.files import MAX_NAME, shown
+from ltsim.recordings.pointings import numbered
+from ltsim.recordings.recording import OCCUPATION_COLUMNS
+from ltsim.recordings.setup import EXACT_LEVEL_ARCSEC, Setup, Station
+from ltsim.recordings.tables import cells
+from ltsim.recordings.tables.header import HEIGHTS
+from ltsim.recordings.tables.printed import PointingTable, Printed, codes
+
+MOST_SHOWN = 4
+LEAST_LINES = 4
+CLEARLY = 0.5
+"""Lines seen to and fro close without the heights within this share of their misses with them."""
+TURNED = 1e-3
+"""[rad] By which a round's directions differ from another's where the circle was turned between them."""
+BEYOND_NOISE = 6.0
+"""Standard deviations that say the same where the noise of the directions is stated."""
+CLOSES_M = 0.02
+"""[m] Lines seen to and fro between heads on forced centring close so well; over marks they miss by decimetres."""
+Key = tuple[str, ...]
+
+
+def common_names(printed: Printed) -> tuple[list[str], list[str]]:
+    """Target of each pointing by one name for all set-ups, and what was changed.
+
+    A set-up's own name before or after those of all its targets is taken away where set-ups then share targets that
+    they did not share before. Names that differ in case, blanks or leading zeros are one where no set-up has both.
+    """
+    sightings, row = codes(zip(printed.station, printed.target, strict=True))
+    stations, targets = (list(names) for names in zip(*sightings, strict=True))
+    notes = []
+    bare = [_without(station, target) for station, target in sightings]
+    if all(bare) and len({*stations}) > 1 and not _shared(stations, targets) and _shared(stations, bare):
+        notes.append(f"the set-up's name is taken from its targets' names: '{targets[0]}' is '{bare[0]}'")
+        targets = bare
+    places: dict[str, set[str]] = {}
+    for station, target in zip(stations, targets, strict=True):
+        places.setdefault(target, set()).add(station)
+    alike: dict[str, list[str]] = {}
+    for target in places:
+        alike.setdefault(_folded(target), []).append(target)
+    one = {
+        name: spellings[0]
+        for spellings in alike.values()
+        if len(spellings) > 1
+        and sum(len(places[s]) for s in spellings) == len(set().union(*(places[s] for s in spellings)))
+        for name in spellings[1:]
+    }
+    if one:
+        some = listing([f"'{name}' and '{first}'" for name, first in one.items()], MOST_SHOWN)
+        notes.append(f"names that differ in case, blanks or leading zeros are taken as one target: {some}")
+    names = [one.get(target, target) for target in targets]
+    return [names[i] for i in row.tolist()], notes
+
+
+def _without(station: str, target: str) -> str:
+    """The name of a target without that of its set-up; empty where it does not hold it."""
+    if len(target) > MAX_NAME:  # which is refused later
+        return ""
+    found = re.fullmatch(rf"{re.escape(station)}[\s._:/-]+(.+)|(.+?)[\s._:/-]+{re.escape(station)}", target)
+    return (found[1] or found[2]) if found else ""
+
+
+def _shared(stations: Sequence[str], targets: Sequence[str]) -> bool:
+    return len({*zip(stations, targets, strict=True)}) > len({*targets})
+
+
+def _folded(name: str) -> str:
+    bare = re.sub(r"(?<=[^\W\d_])[\s_-]+(?=\d)", "", name.casefold())
+    return re.sub(r"(?<!\d)0+(?=\d)", "", re.sub(r"[\s_-]+", "_", bare))
+
+
+def split_occupations(table: PointingTable, readings: Floats, sigma: Floats) -> tuple[set[str], list[str]]:
+    """Occupations of one mark, and rounds whose circle was turned, become set-ups of their own, in place.
+
+    An occupation is what has one identifier in a column of set-ups or, where there is none, one day in a column of
+    dates without a clock. `sigma` (n,) [rad] are standard deviations of the azimuths, NaN where none is stated.
+
+    Returns the names of set-ups that stand where others stand (rounds of one occupation), and what was done.
+    """
+    printed = table.pointings
+    occupations: Sequence[Key]
+    occupations, of_occupation = codes(zip(printed.station, _occupations(table), strict=True))
+    distinct, code = occupations, of_occupation
+    turned = False
+    if table.column(("round",)) is not None:
+        by_round, of_round = codes(zip(of_occupation.tolist(), printed.round, strict=True))
+        turned = _is_turned(table, of_occupation, of_round, readings[:, 1], sigma)
+        if turned:
+            distinct, code = [(*occupations[i], name) for i, name in by_round], of_round
+    marks = {station for station, *_ in distinct}
+    if len(distinct) == len(marks):
+        return set(), []
+    before: Counter[str] = Counter()
+    names: list[str] = []
+    for station, *_ in distinct:
+        names.append(numbered(station, before[station]))
+        before[station] += 1
+    table.marks = {name: key[0] for key, name in zip(distinct, names, strict=True)}
+    printed.station = [names[i] for i in code.tolist()]
+    notes = []
+    if len(occupations) > len(marks):
+        by = "set-up" if table.column(("instrument_setup",)) is not None else "day"
+        notes.append(f"{len(occupations)} occupations of {len(marks)} marks, by {by}, are set-ups of their own")
+    if turned:
+        of = f" of {len(occupations)} occupations" if len(occupations) > len(marks) else ""
+        notes.append(
+            f"the circle was turned between rounds: {len(names)} rounds{of} are set-ups of their own over their marks"
+        )
+    rounds = Counter(key[:2] for key in distinct)
+    return {n for key, n in zip(distinct, names, strict=True) if rounds[key[:2]] > 1} if turned else set(), notes
+
+
+def _occupations(table: PointingTable) -> list[str]:
+    """Occupation of its mark that each pointing belongs to."""
+    printed, column = table.pointings, table.column(("instrument_setup",))
+    if column is not None:
+        return printed.further.get(column.title) or [""] * len(printed)
+    if table.column(("date",)) is None:
+        return [""] * len(printed)
+    days = {moment: "" if cells.has_clock(moment) else moment for moment in {*printed.moment}}
+    return [days[moment] for moment in printed.moment]
+
+
+def _is_turned(table: PointingTable, of_occupation: Ints, of_round: Ints, azimuth: Floats, sigma: Floats) -> bool:
+    """Whether the directions of a round differ from the first ones to the same targets in its occupation.
+
+    By their median, so that no single wrong reading turns a circle; by more than `TURNED`, or than the noise that the
+    table states makes likely.
+    """
+    printed = table.pointings
+    first: dict[tuple[object, ...], tuple[int, float, float]] = {}
+    gaps: dict[int, list[tuple[float, float]]] = {}
+    numbers = (of_occupation.tolist(), of_round.tolist(), azimuth.tolist(), sigma.tolist())
+    for target, face, stay, key, turn, noise in zip(printed.target, printed.face, *numbers, strict=True):
+        other, before, before_noise = first.setdefault((stay, target, face), (key, turn, noise))
+        if other != key and np.isfinite(turn - before):
+            gap = float(np.remainder(turn - before + np.pi, 2 * np.pi) - np.pi)
+            gaps.setdefault(key, []).append((gap, np.hypot(noise, before_noise)))
+    for pairs in gaps.values():
+        gap, noise = np.median(np.array(pairs), axis=0).tolist()
+        if abs(gap) > min(TURNED, TURNED if np.isnan(noise) else BEYOND_NOISE * noise):
+            return True
+    return False
+
+
+def over_marks(
+    table: PointingTable, setup: Setup, readings: Floats, *, rounds: set[str], levelled: bool
+) -> tuple[Setup, list[str]]:
+    """Set-ups over the targets of their names, and levelled ones.
+
+    Set-ups with heights over their marks are levelled. Without heights, set-ups stand over the targets of their names
+    where lines seen to and fro close, or are seen in plan alone; those that are `rounds` of one occupation stand in one
+    place.
+    """
+    heights = table.column(("instrument_height_mm",)) is not None
+    targets = {*table.pointings.target}
+    names = dict.fromkeys(table.pointings.station)
+    marks = {name: table.marks.get(name, name) for name in names}
+    over_mark = Counter(marks.values())
+    if heights or (levelled and _closes(table, readings)):
+        shared = {mark for mark in marks.values() if mark in targets or over_mark[mark] > 1}
+    else:
+        shared = {marks[name] for name in rounds}
+    level = EXACT_LEVEL_ARCSEC if heights else Station().levelling_sigma_arcsec
+    stations = {
+        name: Station(
+            levelled=heights or levelled,
+            over=mark if mark in shared else None,
+            levelling_sigma_arcsec=level,
+        )
+        for name, mark in marks.items()
+        if name not in setup.stations and (heights or levelled or mark in shared)
+    }
+    if not stations:
+        return setup, []
+    over = f", {len(shared)} marks are targets too" if shared & targets else ""
+    kind = "set-ups with heights over their marks" if heights else "set-ups of a total station"
+    said = f"{kind} are taken as levelled{over} (setup.toml can say otherwise)"
+    setup = setup.model_copy(update={"stations": {**setup.stations, **stations}})
+    return setup, [said] if heights or levelled else []
+
+
+def _closes(table: PointingTable, readings: Floats) -> bool:
+    """Whether lines seen to and fro between marks close in length, and in height where heights were measured.
+
+    By their median, without any heights of instruments and targets, on a round earth.
+    """
+    level = readings[:, 0] * np.cos(np.nan_to_num(readings[:, 2]))
+    rises = readings[:, 0] * np.sin(readings[:, 2]) + level**2 / (2.0 * EARTH)
+    lines: dict[tuple[str, str], list[tuple[float, float]]] = {}
+    for line, length, rise in zip(_lines(table), level.tolist(), rises.tolist(), strict=True):
+        lines.setdefault(line, []).append((length, rise))
+    mean = {line: np.mean(both, axis=0) for line, both in lines.items()}
+    misses = [mean[a, b] - mean[b, a] * [1.0, -1.0] for a, b in lines if a < b and (b, a) in lines]
+    if not misses:
+        return False
+    length, rise = np.abs(np.array(misses)).T
+    heights = rise[np.isfinite(rise)]
+    return float(np.median(length)) < CLOSES_M and (not len(heights) or float(np.median(heights)) < CLOSES_M)
+
+
+def _lines(table: PointingTable) -> Iterator[tuple[str, str]]:
+    """Mark and target of each pointing."""
+    return zip(table.mark, table.pointings.target, strict=True)
+
+
+def occupied(table: PointingTable) -> dict[str, list[str]]:
+    """Occupations of marks that each pointing joins, where no column says so: those of one day, in one role."""
+    printed = table.pointings
+    days = printed.moment if table.column(("time",)) is None else [""] * len(printed)
+    setups = [f"{mark} {day}".strip() for mark, day in zip(table.mark, days, strict=True)]
+    targets = [f"to {target} {day}".strip() for target, day in zip(printed.target, days, strict=True)]
+    return dict(zip(OCCUPATION_COLUMNS, (setups, targets), strict=True))
+
+
+def heights_not_applied(table: PointingTable, readings: Floats, height: Floats) -> list[str]:
+    """Note for readings that are those between the heads themselves, whatever heights stand beside them.
+
+    Lines measured to and fro decide: their height differences cancel with the stated heights (n, 2) [m] of instrument
+    and target, or without them.
+    """
+    stated = np.nan_to_num(height)
+    if not stated.any():
+        return []
+    lines: dict[tuple[str, str], list[tuple[float, float]]] = {}
+    rise = readings[:, 0] * np.sin(readings[:, 2])
+    with_heights = rise + stated[:, 0] - stated[:, 1]
+    for line, up, other in zip(_lines(table), rise.tolist(), with_heights.tolist(), strict=True):
+        if up == up:
+            lines.setdefault(line, []).append((up, other))
+    mean = {line: np.mean(found, axis=0) for line, found in lines.items()}
+    misses = np.abs([mean[a, b] + mean[b, a] for a, b in mean if a < b and (b, a) in mean]).reshape(-1, 2)
+    if len(misses) < LEAST_LINES:
+        return []
+    for kind in (np.median, np.max):
+        without, applied = kind(misses, axis=0)
+        if not without < CLEARLY * applied:
+            return []
+    names = " and ".join(f"'{shown(c.title)}'" for c in table.columns if c.role in HEIGHTS)
+    return [
+        f"heights in {names} are not applied: {len(misses)} lines seen to and fro close within "
+        f"{1e3 * misses[:, 0].max():.3g} mm without them, {1e3 * misses[:, 1].max():.4g} mm with them; "
+        "coordinates are those of heads and reflectors, not of marks below; each head's height is an observation "
+        "(heads_sigma_mm), plumb lines differ by place (curved)"
+    ]

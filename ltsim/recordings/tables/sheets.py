@@ -1,0 +1,243 @@
+"""From a file to rows of text: encoding, separator, quotes, comments, sheets of a workbook."""
+
+from __future__ import annotations
+
+import csv
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import accumulate, chain, starmap
+from pathlib import Path
+from typing import NamedTuple, overload
+
+from ltsim.core.errors import RecordError
+from ltsim.core.limits import FIELDS
+from ltsim.recordings.files import FilePlace, is_number, read_lines, shown
+from ltsim.recordings.tables.cells import grouping_of, is_value
+from ltsim.recordings.tables.workbook import workbook_cells
+
+SUFFIXES = (".csv", ".tsv", ".txt", ".dat", ".asc", ".xlsx")
+WORKBOOK = b"PK\x03\x04"
+SEPARATORS = ("\t", ";", ",", " ")
+SAMPLE, SAMPLE_CHARACTERS = 400, 100_000
+"""Lines, and characters of them, that decide on the separator."""
+
+
+class Row(NamedTuple):
+    """Fields of one line; a line that begins with # is a comment."""
+
+    line: int
+    fields: tuple[str, ...]
+    comment: bool = False
+
+    @property
+    def values(self) -> int:
+        """How many fields hold a number or an angle."""
+        return sum(map(is_value, self.fields))
+
+    def cell(self, place: int) -> str:
+        """A field; empty where the row is too short for it."""
+        return self.fields[place] if place < len(self.fields) else ""
+
+    def check_width(self, width: int, file: object) -> None:
+        """Raise RecordError where the row has another number of cells than the header."""
+        if len(self.fields) != width:
+            raise FilePlace(file, self.line).wrong(f"{len(self.fields)} fields, expected {width} as in the header")
+
+    def __str__(self) -> str:
+        return shown(" ".join(field for field in self.fields if field), 30)
+
+
+class TextRows(Sequence[Row]):
+    """Rows of a text file, split into fields whenever one is asked for: as text they take a fifth of the memory."""
+
+    def __init__(self, lines: Sequence[tuple[int, str]], separator: str) -> None:
+        self._lines, self._separator = lines, separator
+
+    def __len__(self) -> int:
+        return len(self._lines)
+
+    @overload
+    def __getitem__(self, place: int) -> Row: ...
+
+    @overload
+    def __getitem__(self, place: slice) -> TextRows: ...
+
+    def __getitem__(self, place: int | slice) -> Row | TextRows:
+        if isinstance(place, slice):
+            return TextRows(self._lines[place], self._separator)
+        return self._row(*self._lines[place])
+
+    def __iter__(self) -> Iterator[Row]:
+        return starmap(self._row, self._lines)
+
+    def _row(self, number: int, line: str) -> Row:
+        if line.lstrip().startswith("#"):
+            return Row(number, _split(line.lstrip().lstrip("#"), self._separator), comment=True)
+        return Row(number, _split(line, self._separator))
+
+    @property
+    def mixed(self) -> TextRows:
+        """Those that may hold a field with both a comma and a point."""
+        whole = self._separator == ","  # fields then hold commas in quotes alone
+        mixed = [one for one in self._lines if "," in one[1] and "." in one[1] and ('"' in one[1] or not whole)]
+        return TextRows(mixed, self._separator)
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """Rows of a text file or of one sheet of a workbook; blank lines are left out.
+
+    `open_end` says that the last line had no line break, `station` which set-up all rows belong to where that is known.
+    """
+
+    file: Path
+    rows: Sequence[Row]
+    station: str = ""
+    open_end: bool = False
+
+    @cached_property
+    def grouping(self) -> str:
+        """The mark that groups the thousands of its numbers; raises RecordError where there are two."""
+        rows = self.rows.mixed if isinstance(self.rows, TextRows) else self.rows
+        return grouping_of((row.fields for row in rows), self.file)
+
+    def check_whole(self, width: int, *, strict: bool = False) -> None:
+        """Raise RecordError where the last line has no line break and does not end as the one before it does.
+
+        `strict` is for what programs write, who end every line.
+        """
+        if not self.open_end:
+            return
+        row = self.rows[-1]
+        earlier = map(self.rows.__getitem__, range(len(self.rows) - 2, -1, -1))
+        before = next((one for one in earlier if len(one.fields) == width), None)
+        ends = [len(r.fields[-1].replace(",", ".").partition(".")[2]) for r in (row, before) if r is not None]
+        if strict or len(row.fields) != width or (len(ends) == 2 and ends[0] < ends[1]):
+            raise FilePlace(self.file, row.line).wrong("the file ends inside this row: it was cut")
+
+
+def is_folder(path: Path) -> bool:
+    """Whether this is a folder of tables and no recording of ltsim."""
+    try:
+        return path.is_dir() and not (path / "observations.csv").exists() and bool(files_of(path))
+    except OSError:
+        return False
+
+
+def files_of(path: Path) -> list[Path]:
+    """The file itself, or the tables of a folder by name."""
+    if not path.is_dir():
+        return [path]
+    return sorted(f for f in path.iterdir() if f.is_file() and f.suffix.lower() in SUFFIXES and f.name[0] != ".")
+
+
+def sheets_of(path: Path) -> list[Sheet]:
+    """Every sheet of a file or of a folder's files; of several each is named as its set-up.
+
+    Raises RecordError for a file that is no text and no workbook, or lacks the library that reads workbooks.
+    """
+    found = []
+    for file in files_of(path):
+        found += _workbook(file) if file.suffix.lower() == ".xlsx" else [text_sheet(file)]
+    return found if len(found) > 1 else [replace(sheet, station="") for sheet in found]
+
+
+def text_sheet(file: Path) -> Sheet:
+    """A text file as a sheet; raises RecordError."""
+    lines = read_lines(file, liberal=True)
+    return Sheet(file, _rows(lines, file), file.stem, open_end=bool(lines[-1]))
+
+
+def _rows(lines: Sequence[str], file: Path) -> TextRows:
+    """The lines that hold something; raises RecordError for one of too many fields."""
+    separator = _separator_of(lines)
+    held = []
+    for i, line in enumerate(lines):
+        says_separator = len(line) == 5 and line.lower().startswith("sep=")  # exports of some spreadsheets
+        if line.strip().lstrip("#").strip() and not says_separator:
+            if len(line) >= FIELDS:
+                _check_fields(_split(line, separator), i + 1, file)
+            held.append((i + 1, line))
+    return TextRows(held, separator)
+
+
+def _check_fields(fields: Sequence[str], line: int, file: Path) -> None:
+    """Raise RecordError for a row of more columns than a table has."""
+    if len(fields) > FIELDS:
+        raise FilePlace(file, line).wrong(f"{len(fields)} fields, expected at most {FIELDS}")
+
+
+def rows_of_head(head: str) -> list[Row]:
+    """The first lines of a file as rows, comments among them, for whoever asks whether the file is his."""
+    lines = [line for line in head.splitlines() if line.strip()]
+    separator = _separator_of(lines)
+    return [Row(i + 1, _split(line.lstrip("# "), separator), line.startswith("#")) for i, line in enumerate(lines[:60])]
+
+
+def _separator_of(lines: Sequence[str]) -> str:
+    """The separator that makes most values of most lines of one width; of equals the first of `SEPARATORS`.
+
+    Lines of three columns count before those of two, and those before the mere number of columns.
+    """
+    first = zip(lines[:SAMPLE], accumulate(map(len, lines[:SAMPLE]), initial=0), strict=False)
+    sample = [line for line, before in first if before < SAMPLE_CHARACTERS and line.strip() and line.lstrip()[0] != "#"]
+    if sample and all(line.count("\t") == sample[0].count("\t") > 2 for line in sample):
+        return "\t"
+    width = {s: max((len(_split(line, s)) for line in sample[:1]), default=0) for s in SEPARATORS[:3]}
+    return max(SEPARATORS, key=lambda s: (_values(sample, s, 3), _values(sample, s, 2), width.get(s, 0)))
+
+
+def _values(lines: Sequence[str], separator: str, least: int) -> int:
+    """Cells that hold values in the lines of one width, of `least` columns at least, that hold most."""
+    rows = [fields for fields in (_split(line, separator) for line in lines) if len(fields) >= least]
+    test = is_number if separator == "," else is_value
+    counts: Counter[int] = Counter()
+    for fields in rows:
+        counts[len(fields)] += sum(map(test, fields))
+    return max(counts.values(), default=0)
+
+
+def _split(line: str, separator: str) -> tuple[str, ...]:
+    """The fields of one line; quotes count where they are quotes of CSV."""
+    if separator == " ":
+        return tuple(line.split())
+    if '"' in line:
+        try:
+            fields = next(csv.reader([line], delimiter=separator, strict=True), [])
+            return tuple(field.strip() for field in fields)
+        except csv.Error:
+            pass  # an inch or second sign, no quotes
+    return tuple(map(str.strip, line.split(separator)))
+
+
+def table_rows(path: Path) -> tuple[list[str], list[tuple[int, dict[str, str]]]]:
+    """The header of a small table that a person wrote, and its rows by column, each with its line.
+
+    Raises RecordError when a column is there twice, or a row has more or fewer cells than the header.
+    """
+    lines = [row for row in text_sheet(path).rows if not row.comment]
+    if not lines:
+        raise RecordError("holds comments only, expected a header and rows", file=path)
+    header, *rows = lines
+    twice = next((name for name in header.fields if header.fields.count(name) > 1), None)
+    if twice is not None:
+        raise FilePlace(path, header.line).wrong("this column appears twice in the header", shown(twice))
+    for row in rows:
+        row.check_width(len(header.fields), path)
+    return list(header.fields), [(r.line, dict(zip(header.fields, r.fields, strict=True))) for r in rows]
+
+
+def _workbook(file: Path) -> list[Sheet]:
+    """Sheets of a workbook (xlsx) that hold something, each named; raises RecordError."""
+    sheets = [Sheet(file, tuple(_row(*line) for line in cells), name) for name, cells in workbook_cells(file)]
+    for row in chain.from_iterable(sheet.rows for sheet in sheets):
+        _check_fields(row.fields, row.line, file)
+    return [sheet for sheet in sheets if sheet.rows]
+
+
+def _row(line: int, fields: Sequence[str]) -> Row:
+    """Row of a workbook; an error value of a spreadsheet is no comment."""
+    comment = fields[0].startswith("#") and not fields[0].startswith(("#REF!", "#N/A", "#VALUE!", "#DIV/0!"))
+    return Row(line, (fields[0].lstrip("# ") if comment else fields[0], *fields[1:]), comment)

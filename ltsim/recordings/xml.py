@@ -1,0 +1,181 @@
+"""XML from strangers: no entities, no external references, bounded in size and depth."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from xml.etree.ElementTree import Element, ParseError, TreeBuilder
+
+import numpy as np
+from defusedxml import DefusedXmlException
+from defusedxml.ElementTree import DefusedXMLParser
+
+from ltsim.core.arrays import Floats, Ints
+from ltsim.core.errors import RecordError
+from ltsim.core.limits import TAG_ATTRIBUTES, XML_ATTRIBUTES, XML_DEPTH, XML_TAGS
+from ltsim.recordings.files import FilePlace, read_bytes, shown
+
+_LONG_TAG = re.compile(rb"<[^<]{4096,}+")
+"""From one tag to the next, where there is room for too many attributes."""
+LINE = "{ltsim}line"
+"""An attribute that no file can set: its namespace is none, and what a file says is overwritten."""
+
+
+class _Numbered(TreeBuilder):
+    """Elements that know the line they begin in, inside each other no deeper than the limit."""
+
+    def __init__(self, file: Path) -> None:
+        super().__init__()
+        self.parser: Any = None
+        self._depth = _Depth(file)
+
+    def start(self, tag: Any, attrs: Any, /) -> Element:
+        self._depth.start(tag, attrs)
+        return super().start(tag, {**attrs, LINE: str(self.parser.parser.CurrentLineNumber)})
+
+    def end(self, tag: Any, /) -> Element:
+        self._depth.end(tag)
+        return super().end(tag)
+
+
+class _Depth:
+    """Target of a parser that builds nothing: it raises RecordError where elements are too deep inside each other."""
+
+    def __init__(self, file: Path) -> None:
+        self._file, self._depth = file, 0
+
+    def start(self, _tag: Any, _attributes: Any) -> None:
+        self._depth += 1
+        if self._depth > XML_DEPTH:
+            raise RecordError(f"nests elements deeper than {XML_DEPTH}, the most that is read", file=self._file)
+
+    def end(self, _tag: Any) -> None:
+        self._depth -= 1
+
+    def close(self) -> None:
+        """Nothing was built."""
+
+
+def check_tags(content: bytes, file: Path) -> None:
+    """Raise RecordError where one tag of a text in XML may hold more attributes than the limit.
+
+    No attribute holds a `<`, so all attributes of a tag stand before the next one.
+    """
+    if any(match[0].count(b"=") > TAG_ATTRIBUTES for match in _LONG_TAG.finditer(content)):
+        raise RecordError(f"holds a tag with more than {TAG_ATTRIBUTES} attributes, the most that is read", file=file)
+
+
+def check_part(content: bytes, file: Path) -> None:
+    """Raise RecordError for XML that a library is to read: entities, depth, attributes of a tag, or another encoding.
+
+    Raises ParseError where it is not well formed.
+    """
+    if b"\x00" in content:
+        raise RecordError("holds a part that is not UTF-8", file=file)
+    check_tags(content, file)
+    parser = DefusedXMLParser(target=_Depth(file))
+    parser.feed(content)
+    parser.close()
+
+
+def parse(path: Path) -> Node:
+    """The root of an XML file.
+
+    Raises RecordError when it is not well formed (cut, badly encoded), or declares entities.
+    """
+    content = read_bytes(path)
+    if content.count(b"<") > XML_TAGS or content.count(b"=") > XML_ATTRIBUTES:
+        most = f"{XML_TAGS} tags or {XML_ATTRIBUTES} attributes"
+        raise RecordError(f"holds more than {most}, the most that is read", file=path)
+    check_tags(content, path)
+    try:
+        builder = _Numbered(path)
+        builder.parser = parser = DefusedXMLParser(target=builder)  # without entities and external references
+        parser.feed(content)
+        root = parser.close()
+    except DefusedXmlException:
+        raise RecordError("declares entities, which are not read", file=path) from None
+    except ParseError as problem:
+        line = getattr(problem, "position", (0, 0))[0]
+        raise RecordError(f"is not well-formed XML ({shown(str(problem), 80)})", file=path, row=line) from None
+    except (ValueError, LookupError, RecursionError):
+        raise RecordError("is not XML in an encoding that is known here", file=path) from None
+    if not isinstance(root, Element):
+        raise RecordError("holds no XML element", file=path)
+    return Node(root, path)
+
+
+@dataclass(frozen=True)
+class Node:
+    """An element of a file: what it lacks or holds wrongly is told with its line."""
+
+    element: Element
+    file: Path
+
+    def __iter__(self) -> Iterator[Node]:
+        return (Node(inner, self.file) for inner in self.element)
+
+    def inside(self, *tags: str) -> Iterator[Node]:
+        """The elements with one of these names, itself and all below it, in the order of the file."""
+        nodes = (Node(inner, self.file) for inner in self.element.iter())
+        return (node for node in nodes if node.tag in tags)
+
+    @property
+    def tag(self) -> str:
+        """Its name without its namespace."""
+        return str(self.element.tag).rpartition("}")[2]
+
+    @property
+    def line(self) -> int:
+        """The line of the file that it begins in."""
+        return int(self.element.get(LINE, "0"))
+
+    @property
+    def where(self) -> FilePlace:
+        """Its place."""
+        return FilePlace(self.file, self.line)
+
+    @property
+    def text(self) -> str:
+        """Its text in one line."""
+        return " ".join((self.element.text or "").split())
+
+    def get(self, name: str, default: str = "") -> str:
+        """An attribute without blanks around it."""
+        return self.element.get(name, default).strip()
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.element.attrib
+
+    def attribute(self, name: str) -> str:
+        """An attribute that has to be there; raises RecordError."""
+        if name not in self:
+            raise self.where.wrong(f"<{shown(self.tag)}> lacks the attribute {name}")
+        return self.get(name)
+
+    def number(self, name: str, default: float | None = None, limit: float = 1e12) -> float:
+        """An attribute that is a number; `default` where it is absent, or RecordError without one."""
+        if default is not None and name not in self:
+            return default
+        return self.where.number(self.attribute(name), f"<{shown(self.tag)}> {name}", limit=limit)
+
+    def name(self, name: str, kind: str) -> str:
+        """An attribute that names a station or a target; raises RecordError."""
+        return self.where.name(self.attribute(name), kind)
+
+
+def banded(node: Node, size: float, band: float, values: Sequence[float]) -> tuple[Ints, Ints, Floats]:
+    """Row, column and value (k,) of the upper triangle of a matrix in Gama's band form; raises RecordError.
+
+    `node` is named where its numbers are not those of so many rows and diagonals.
+    """
+    rows = np.arange(min(int(size), len(values)))
+    last = np.minimum(rows + max(int(band), 0), int(size) - 1)
+    counts = last - rows + 1
+    if not 0 <= band < size or len(rows) < size or len(values) != counts.sum():
+        raise node.where.wrong("a <cov-mat> whose numbers do not match dim and band")
+    column = np.concatenate([np.arange(i, j + 1) for i, j in zip(rows, last, strict=True)])
+    return np.repeat(rows, counts), column, np.array(values)

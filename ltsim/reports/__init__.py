@@ -1,0 +1,1 @@
+"""Pictures and pages: the only package that draws."""

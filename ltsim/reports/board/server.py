@@ -1,0 +1,256 @@
+"""HTTP interface of the board: for this machine, and for the page whose address holds a secret token.
+
+Pages of the web that are open in the same browser reach this machine too. They do not know the token; and a request is
+refused whose Host is another name of this machine (DNS rebinding) or whose Origin is another page.
+
+Requests come in threads of their own, as browsers keep connections open; the work is done by the thread that serves,
+since the 3D view must not change threads. No request ends the server.
+"""
+
+from __future__ import annotations
+
+import json
+import secrets
+import socket
+import threading
+import time
+from collections.abc import Callable
+from concurrent.futures import Future
+from http import HTTPStatus
+from http.client import HTTP_PORT
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from importlib.resources import files
+from pathlib import Path
+from queue import Empty, SimpleQueue
+from typing import Annotated, Any, NamedTuple
+
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
+
+from ltsim.core.errors import LtsimError, SetupError
+from ltsim.reports.board.board import Board
+from ltsim.reports.document import POLICY
+
+HERE = "127.0.0.1"
+MOST_BYTES = 1 << 20
+"""Of a request's body."""
+MOST_CONNECTIONS = 32
+"""At once; a browser opens six."""
+PATIENCE = 10.0
+"""[s] for which a connection may be silent, and a body may take."""
+WAIT = 0.2
+"""[s] between two looks whether somebody wants to stop."""
+HEADERS = {
+    "Cache-Control": "no-store",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+}
+"""Of every answer: it is for the page alone, and the address is not passed on."""
+Triple = Annotated[list[FiniteFloat], Field(min_length=3, max_length=3)]
+
+
+class StationPlace(BaseModel):
+    """A station as the page has moved it."""
+
+    model_config = ConfigDict(strict=True)
+
+    name: str
+    mm: Triple
+    yaw: FiniteFloat
+
+
+class Question(BaseModel):
+    """Body of a request."""
+
+    model_config = ConfigDict(strict=True)
+
+    stations: list[StationPlace] = Field(max_length=1000)
+    camera: Annotated[list[Triple], Field(min_length=3, max_length=3)] | None = None
+
+
+class Answer(NamedTuple):
+    """Response to a request."""
+
+    status: HTTPStatus
+    kind: str = "text/plain"
+    """Of the content."""
+    content: bytes = b""
+
+
+NOT_FOUND = Answer(HTTPStatus.NOT_FOUND)
+
+
+class BoardAccess:
+    """The questions that the page may ask of a board; every path begins with the token."""
+
+    def __init__(self, board: Board, folder: Path) -> None:
+        self.board, self.folder = board, folder
+        self.token = secrets.token_urlsafe(18)
+        self._asked: dict[str, Callable[[list[dict[str, Any]], Question], Any]] = {
+            "judged": lambda stations, _: board.judged(stations),
+            "verdict": lambda stations, _: board.verdict(stations),
+            "scene": lambda stations, question: board.scene(stations, question.camera),
+            "save": lambda stations, _: [str(file) for file in board.save(stations, folder)],
+        }
+
+    def page(self) -> str:
+        """The page, with the hall in it."""
+        hall = json.dumps(self.board.hall() | {"folder": str(self.folder)}).replace("<", "\\u003c")
+        text = (files("ltsim.reports.board") / "page.html").read_text(encoding="utf-8")
+        policy = POLICY.replace("connect-src", "connect-src 'self'")
+        palette = (files("ltsim.reports") / "templates" / "palette.css").read_text(encoding="utf-8")
+        return text.replace("POLICY", policy, 1).replace("PALETTE", palette, 1).replace("HALL", hall, 1)
+
+    def knows(self, path: str) -> bool:
+        """True for a path that begins with the token."""
+        return secrets.compare_digest(path.removeprefix("/").partition("/")[0].encode(), self.token.encode())
+
+    def answer(self, method: str, path: str, body: bytes) -> Answer:
+        """Answer to a request; not found where the token is missing, whatever else it asks."""
+        name = path.removeprefix("/").partition("/")[2]
+        if not self.knows(path) or (name and name not in self._asked):
+            return NOT_FOUND
+        if method != ("POST" if name else "GET"):
+            return Answer(HTTPStatus.METHOD_NOT_ALLOWED)
+        if not name:
+            return Answer(HTTPStatus.OK, "text/html", self.page().encode())
+        status = HTTPStatus.OK
+        try:
+            question = Question.model_validate_json(body)
+            found = self._asked[name]([station.model_dump() for station in question.stations], question)
+        except ValidationError as problem:
+            first = problem.errors(include_url=False, include_input=False)[0]
+            status = HTTPStatus.BAD_REQUEST
+            found = {"problem": f"{'.'.join(map(str, first['loc'])) or 'the request'}: {first['msg']}"}
+        except (LtsimError, OSError) as problem:
+            found = {"problem": str(problem)}
+        return Answer(status, "application/json", json.dumps(found).encode())
+
+
+class _Handler(BaseHTTPRequestHandler):
+    """Checks a request, hands it to the thread that works, and sends its answer."""
+
+    work: SimpleQueue[tuple[Future[Answer], str, str, bytes]]
+    access: BoardAccess
+    hosts: frozenset[str]
+    """Names of the board in Host; Origin has the same behind http://."""
+    timeout = PATIENCE
+    server_version, sys_version = "ltsim", ""
+
+    def do_GET(self) -> None:
+        """The page."""
+        self._send(self._refused() or self._worked(b""))
+
+    def do_POST(self) -> None:
+        """A question of the page."""
+        refused = self._refused()
+        body = b"" if refused else self._body()
+        self._send(refused or (body if isinstance(body, Answer) else self._worked(body)))
+
+    def _refused(self) -> Answer | None:
+        """The answer to a request that is not of the board's page; None for one that is."""
+        hosts, origins = (self.headers.get_all(name, []) for name in ("Host", "Origin"))
+        if len(hosts) != 1 or hosts[0].lower() not in self.hosts:
+            return Answer(HTTPStatus.MISDIRECTED_REQUEST)
+        if any(origin.lower().removeprefix("http://") not in self.hosts for origin in origins):
+            return Answer(HTTPStatus.FORBIDDEN)
+        return None if self.access.knows(self.path) else NOT_FOUND
+
+    def _body(self) -> bytes | Answer:
+        """The body of a request, or the answer to one that says its length wrongly or takes too long."""
+        lengths = self.headers.get_all("Content-Length", [])
+        if "Transfer-Encoding" in self.headers or len(lengths) != 1:
+            return Answer(HTTPStatus.LENGTH_REQUIRED)
+        if not (lengths[0].isascii() and lengths[0].isdigit()):
+            return Answer(HTTPStatus.BAD_REQUEST)
+        if len(lengths[0]) > len(str(MOST_BYTES)) or int(lengths[0]) > MOST_BYTES:
+            return Answer(HTTPStatus.REQUEST_ENTITY_TOO_LARGE)
+        left, parts, end = int(lengths[0]), [], time.monotonic() + PATIENCE
+        while left:
+            part = self.rfile.read1(left)
+            if not part or time.monotonic() > end:
+                return Answer(HTTPStatus.REQUEST_TIMEOUT)
+            parts.append(part)
+            left -= len(part)
+        return b"".join(parts)
+
+    def _worked(self, body: bytes) -> Answer:
+        future: Future[Answer] = Future()
+        self.work.put((future, self.command, self.path, body))
+        return future.result()
+
+    def _send(self, answer: Answer) -> None:
+        self.send_response(answer.status)
+        self.send_header("Content-Type", f"{answer.kind}; charset=utf-8")
+        self.send_header("Content-Length", str(len(answer.content)))
+        for name, value in HEADERS.items():
+            self.send_header(name, value)
+        self.end_headers()
+        self.wfile.write(answer.content)
+
+    def log_message(self, *_: Any) -> None:
+        """Say nothing of each request."""
+
+
+class _Server(ThreadingHTTPServer):
+    """Serves so many connections at once, closes those beyond, and says nothing of those that break."""
+
+    daemon_threads = True
+    request_queue_size = 2 * MOST_CONNECTIONS
+    """Connections that wait to be accepted; those that find the queue full would try again after seconds."""
+
+    def __init__(self, address: tuple[str, int], handler: type[_Handler]) -> None:
+        self._free = threading.BoundedSemaphore(MOST_CONNECTIONS)
+        super().__init__(address, handler)
+
+    def process_request(self, request: socket.socket | tuple[bytes, socket.socket], client_address: Any) -> None:
+        """Begin a thread for a connection."""
+        if self._free.acquire(blocking=False):
+            super().process_request(request, client_address)
+        else:
+            self.shutdown_request(request)
+
+    def process_request_thread(self, request: socket.socket | tuple[bytes, socket.socket], client_address: Any) -> None:
+        """Serve a connection."""
+        try:
+            super().process_request_thread(request, client_address)
+        finally:
+            self._free.release()
+
+    def handle_error(self, request: object, client_address: object) -> None:
+        """Nothing: the other side went away, or was silent for too long."""
+
+
+def serve(access: BoardAccess, tell: Callable[[str], None], port: int = 0) -> None:
+    """Answer the page until Ctrl-C; `tell` is given the address; raises SetupError for a port that is taken."""
+    work: SimpleQueue[tuple[Future[Answer], str, str, bytes]] = SimpleQueue()
+    handler: type[_Handler] = type("Handler", (_Handler,), {"work": work, "access": access})
+    try:
+        server = _Server((HERE, port), handler)
+    except OSError as problem:
+        raise SetupError(f"--port {port}: {problem.strerror}; leave it out for any that is free") from None
+    ports = (f":{server.server_port}", *([""] if server.server_port == HTTP_PORT else []))
+    handler.hosts = frozenset(name + behind for name in (HERE, "localhost") for behind in ports)
+    with server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        try:
+            tell(f"http://{HERE}:{server.server_port}/{access.token}/")
+            while True:
+                try:
+                    future, method, path, body = work.get(timeout=WAIT)
+                except Empty:
+                    continue
+                future.set_result(_answered(access, method, path, body))
+        except KeyboardInterrupt:
+            pass
+        finally:
+            server.shutdown()
+
+
+def _answered(access: BoardAccess, method: str, path: str, body: bytes) -> Answer:
+    try:
+        return access.answer(method, path, body)
+    except Exception as problem:  # a fault of ltsim: the page says so, and the board goes on
+        words = f"a fault of ltsim itself ({type(problem).__name__}: {problem}); please report it"
+        content = json.dumps({"problem": words}).encode()
+        return Answer(HTTPStatus.INTERNAL_SERVER_ERROR, "application/json", content)

@@ -1,0 +1,361 @@
+"""Statistics over the trials of a campaign: distributions, means over what is varied, coverage."""
+
+import math
+import textwrap
+from collections.abc import Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from ltsim.campaigns.design import Factor
+from ltsim.campaigns.results import Results
+from ltsim.campaigns.statistics import NORMAL_95, Scores
+from ltsim.core.arrays import Floats
+from ltsim.core.errors import ModelError, unknown_name
+from ltsim.core.notation import number
+from ltsim.core.units import BY_ENDING
+from ltsim.reports import style
+from ltsim.reports.words import typeset
+
+MOST_PANELS, MOST_LINES = 12, 8
+LETTERS = 26
+"""Of a name beside a panel."""
+NINETY, FLOOR = "90 % of trials", "noise floor"
+PAPER = MappingProxyType(
+    {
+        "paper-workshop": {
+            "coordinate_before_max_um": 149.0, "coordinate_before_mean_um": 46.0, "distance_before_max_um": 60.0,
+            "distance_before_mean_um": 29.0, "coordinate_after_max_um": 118.0, "coordinate_after_mean_um": 39.0,
+            "distance_after_max_um": 39.0, "distance_after_mean_um": 17.0, "coordinate_improvement_percent": 14.47,
+            "distance_improvement_percent": 40.1,
+        },
+        "paper-laboratory": {
+            "coordinate_before_max_um": 54.0, "coordinate_before_mean_um": 21.0, "distance_before_max_um": 84.0,
+            "distance_before_mean_um": 24.0, "coordinate_after_max_um": 41.0, "coordinate_after_mean_um": 17.0,
+            "distance_after_max_um": 53.0, "distance_after_mean_um": 18.0, "coordinate_improvement_percent": 17.98,
+            "distance_improvement_percent": 25.53,
+        },
+    }
+)  # fmt: skip
+"""Tables 3 and 4 of Sensors 2021, 21, 7479."""
+
+
+@dataclass(frozen=True)
+class Swept:
+    """Mean of one statistic at one place: its `x`, line and panel in words, its 95 % interval, the middle 90 %.
+
+    `x` is a number, or a word where the levels are no numbers.
+    """
+
+    x: float | str
+    line: str
+    panel: str
+    mean: float
+    low: float
+    high: float
+    five: float
+    ninety_five: float
+
+
+def title(factor: Factor) -> str:
+    """A factor as an axis calls it: `angle noise [arcsec]`."""
+    plain = next((factor.name.removesuffix(e) for e in BY_ENDING if factor.name.endswith(e)), factor.name)
+    unit = typeset(factor.unit)
+    return plain.replace("_", " ") + (f" [{unit}]" if unit else "")
+
+
+def short(factor: Factor, level: Any) -> str:
+    """A factor with its value: `angle noise 0.2 arcsec`; a title by itself."""
+    if factor.name == "title":
+        return str(level)
+    name, _, unit = title(factor).partition(" [")
+    value = factor.words(level).removesuffix(f" {factor.unit}") if factor.unit else factor.words(level)
+    return f"{name} {value} {unit.rstrip(']')}".rstrip()
+
+
+def swept(
+    results: Results, statistic: str, along: str | Sequence[str], *, panel: str = "", **levels: Any
+) -> list[Swept]:
+    """A statistic of a campaign for `by_factor`, or `by_setting`: a row a cell and method.
+
+    Parameters
+    ----------
+    results : Results
+    statistic : str
+        A column of the rows, or a share. Calibrated errors have a further line: the floor that the noise of readings
+        makes, by the method whose parameters can be true.
+    along : str or sequence of str
+        A factor whose levels are the places; several are said in words.
+    panel : str
+        A factor that has a panel a level.
+    **levels
+        Only the cells that have these levels, ``faces=1``, or one ``method``.
+    """
+    known = {factor.name: factor for factor in results.factors}
+    names = [along] if isinstance(along, str) else [*along]
+    for name in filter(None, (*names, panel, *levels)):
+        if name not in known and name != "method":
+            raise unknown_name("factor of this campaign", name, ("method", *known))
+    places = [level | {"method": method} for level in results.levels for method in results.manifest.methods]
+    for name, own in levels.items():
+        if own not in (there := list(dict.fromkeys(place[name] for place in places))):
+            raise unknown_name(f"level of {name}", str(own), [str(level) for level in there])
+    floor = statistic.replace("error_calibrated", "error_true_parameters")
+    floors = results.spread(floor) if floor != statistic else []
+    lowest = [min((s for s in floors if s.cell == cell), key=lambda s: s.mean) for cell in {s.cell: 0 for s in floors}]
+    rows = []
+    for s in [*results.spread(statistic), *lowest]:
+        here = results.levels[s.cell] | {"method": s.method}
+        if any(here[name] != own for name, own in levels.items()):
+            continue
+        said = {name: short(factor, here[name]) for name, factor in known.items()} | {"method": s.method}
+        place = here[names[0]] if len(names) == 1 else ", ".join(said[name] for name in names)
+        line = s.method if s.column == statistic else FLOOR
+        rows.append(Swept(place, line, said.get(panel, ""), s.mean, s.low, s.high, s.quantiles[1], s.quantiles[5]))
+    return rows
+
+
+def sweep_figure(results: Results, statistic: str, along: str, *, panel: str = "", **levels: Any) -> Figure:
+    """As `Results.plot`: means of a statistic along a factor, a line a method."""
+    if not along:
+        known = " or ".join(f.name for f in results.factors) or "nothing, since nothing varies"
+        raise ModelError(f"a statistic is drawn along a factor, here {known}")
+    axis = title(next((f for f in results.factors if f.name == along), Factor(name=along, keys=())))
+    unit = results.units.get(statistic, "")
+    words = statistic.removesuffix("_percent").removesuffix("_um").replace("_", " ")
+    label = f"{words} [{typeset(unit)}]" if unit else words
+    rows = swept(results, statistic, along, panel=panel, **levels)
+    if len({(row.x, row.line, row.panel) for row in rows}) < len(rows):
+        others = [f.name for f in results.factors if f.name not in (along, panel, *levels)]
+        raise ModelError(f"there are several cells at one place: give a panel, or a level of {' or '.join(others)}")
+    return by_factor(rows, label=label, axis=axis)
+
+
+@style.styled
+def by_factor(
+    rows: Sequence[Swept], *, label: str, axis: str, published: float | None = None, joined: bool = True
+) -> Figure:
+    """Small multiples with common axes: values, of trials their means, with 95 % intervals; their middle 90 % shaded.
+
+    Parameters
+    ----------
+    rows : sequence of Swept
+    label : str
+        The statistic with its unit.
+    axis : str
+        The factor along the lines, with its unit.
+    published : float, optional
+        A published figure to compare with.
+    joined : bool
+        Whether points of a line are joined. Points spread over ranges are not, and each panel has its own factor: the
+        panel's name.
+    """
+    panels = list(dict.fromkeys(row.panel for row in rows))[:MOST_PANELS]
+    across = min(len(panels), 2)
+    down = -(-len(panels) // across)
+    figure = style.new_figure(0.9 + (1.9 if across > 1 else 2.6) * down)
+    axes = figure.subplots(down, across, sharex=joined, sharey=True, squeeze=False)
+    words = list(dict.fromkeys(row.x for row in rows if isinstance(row.x, str)))
+    names = list(dict.fromkeys(row.line for row in rows))[:MOST_LINES]
+    for ax, panel in zip(axes.flat, panels, strict=False):
+        for k, name in enumerate(names):
+            own = [row for row in rows if (row.panel, row.line) == (panel, name)]
+            _line(ax, own, _places(own, words, (k + 0.5) / len(names)), k, joined=joined)
+        if published is not None:
+            ax.axhline(published, color=style.INK, linewidth=1.2, linestyle=(0, (4, 2)), label="the paper")
+        if joined:
+            ax.set_title(style.shorten(panel, 44 if across < 2 else 34), fontsize=8.5)
+        else:
+            ax.set_xlabel(panel)
+        _axis(ax, [row.x for row in rows if row.panel == panel], words, joined=joined)
+        style.quiet_axis(ax)
+    for ax in axes.flat[len(panels) :]:
+        ax.set_axis_off()
+    for ax in axes.flat[max(len(panels) - across, 0) : len(panels)]:
+        ax.tick_params(labelbottom=True)
+    figure.supxlabel(axis, fontsize=8.5)
+    figure.supylabel(textwrap.fill(label, LETTERS * down), fontsize=8.5)
+    style.legend_of(figure, axes.flat[: len(panels)], ncols=2)
+    return figure
+
+
+def _places(rows: Sequence[Swept], words: Sequence[str], share: float) -> Floats:
+    """Where rows stand on the axis; at words a line has a share of the room of its own."""
+    place = [words.index(row.x) if isinstance(row.x, str) else row.x for row in rows]
+    return np.array(place, dtype=np.float64) + (0.3 * (share - 0.5) if words else 0.0)
+
+
+def _line(ax: Axes, rows: Sequence[Swept], place: Floats, k: int, *, joined: bool) -> None:
+    if not rows:
+        return
+    order = np.argsort(place, kind="stable")
+    x, mean = place[order], np.array([rows[i].mean for i in order])
+    low, high = (np.array([getattr(rows[i], side) for i in order]) for side in ("low", "high"))
+    colour = style.CYCLE[k % len(style.CYCLE)]
+    five, ninety_five = (np.array([getattr(rows[i], side) for i in order]) for side in ("five", "ninety_five"))
+    trials = bool(np.any(five < ninety_five))
+    if joined and not isinstance(rows[0].x, str) and trials:
+        ax.fill_between(x, five, ninety_five, color=colour, alpha=0.12, linewidth=0, label=NINETY if k == 0 else None)
+    words = "mean, 95 % interval" if trials else "95 % interval"  # without trials a share, or what the label says
+    told = (f"{rows[0].line}: {words}" if k == 0 else rows[0].line).removeprefix(": ")
+    ax.errorbar(
+        x, mean, [mean - low, high - mean], color=colour, marker=style.MARKERS[k % len(style.MARKERS)], markersize=4.5,
+        linestyle=("-" if joined else "none"), elinewidth=2.4, label=told,
+    )  # fmt: skip
+
+
+def _axis(ax: Axes, places: Sequence[float | str], words: Sequence[str], *, joined: bool) -> None:
+    """Ticks where the levels are; a logarithmic axis where they span a decade."""
+    if words:
+        ax.set_xticks(range(len(words)), [style.shorten(word, 18) for word in words])
+        ax.set_xlim(-0.5, len(words) - 0.5)
+        return
+    levels = sorted({float(x) for x in places if not isinstance(x, str)})
+    logarithmic = levels[0] > 0 and levels[-1] >= 8 * levels[0]
+    if logarithmic:
+        ax.set_xscale("log")
+        ax.minorticks_off()
+    if joined and len(levels) <= 8:
+        ticks = levels
+    elif logarithmic:
+        decades = range(math.floor(math.log10(levels[0])), math.ceil(math.log10(levels[-1])) + 1)
+        ticks = [t for k in decades for t in (10.0**k, 2 * 10.0**k, 5 * 10.0**k) if levels[0] <= t <= levels[-1]]
+    else:
+        whole = all(level.is_integer() for level in levels)
+        ax.xaxis.set_major_locator(MaxNLocator(6, integer=whole))
+        return
+    ax.set_xticks(ticks, [f"{tick:.4g}" for tick in ticks])
+
+
+MOST_SETTINGS = 40
+
+
+@style.styled
+def by_setting(rows: Sequence[Swept], *, label: str, published: float | None = None) -> Figure:
+    """A row a setting: marks are means with 95 % intervals, thin lines the middle 90 % of the trials.
+
+    Parameters
+    ----------
+    rows : sequence of Swept
+        `x` is the setting, `line` the method.
+    label : str
+        The statistic with its unit.
+    published : float, optional
+        A published figure to compare with.
+    """
+    settings = list(dict.fromkeys(str(row.x) for row in rows))[:MOST_SETTINGS]
+    methods = list(dict.fromkeys(row.line for row in rows))
+    figure, ax = style.panel(0.75 + len(settings) * (0.14 + 0.14 * len(methods)))
+    places = dict(zip(settings, style.category_rows(ax, settings), strict=True))
+    for m, method in enumerate(methods):
+        mine = [row for row in rows if row.line == method and str(row.x) in places]
+        y = np.array([places[str(row.x)] for row in mine]) + 0.62 * ((m + 0.5) / len(methods) - 0.5)
+        colour = style.CYCLE[m % len(style.CYCLE)]
+        ninety, mean = ("90 % of trials", "95 % interval of the mean") if m == 0 else ("", "")
+        ax.hlines(y, [r.five for r in mine], [r.ninety_five for r in mine], color=colour, lw=0.9, label=ninety)
+        ax.hlines(y, [r.low for r in mine], [r.high for r in mine], color=colour, lw=3.6, label=mean)
+        ax.plot([r.mean for r in mine], y, style.MARKERS[m % len(style.MARKERS)], ms=4.5, color=colour, label=method)
+    if published is not None:
+        ax.axvline(published, color=style.INK, linewidth=1.2, linestyle=(0, (4, 2)), label="the paper")
+    ax.set_xlabel(label)
+    style.legend_of(figure, [ax], ncols=2)
+    return figure
+
+
+@dataclass(frozen=True)
+class TrialDistribution:
+    """One quantity over trials: values (n,), its unit, and a published figure to compare with."""
+
+    name: str
+    values: Floats
+    unit: str = ""
+    published: float | None = None
+
+
+@style.styled
+def distributions(rows: Sequence[TrialDistribution]) -> Figure:
+    """Small histograms, two a line: mean with 95 % interval, middle 90 % of trials, the published figure."""
+    across = min(2, max(len(rows), 1))
+    lines = -(-len(rows) // across)
+    figure = style.new_figure(0.4 + 1.7 * lines)
+    axes = figure.subplots(lines, across, squeeze=False)
+    for ax, row in zip(axes.flat, rows, strict=False):
+        _panel(ax, row)
+    for ax in axes.flat[len(rows) :]:
+        ax.set_axis_off()
+    style.legend_of(figure, axes.flat)
+    return figure
+
+
+def _panel(ax: Axes, row: TrialDistribution) -> None:
+    values = row.values[np.isfinite(row.values)]
+    low, high = np.percentile(values, [0.25, 99.75])
+    if row.published is not None:
+        low, high = min(low, row.published), max(high, row.published)
+    margin = 0.04 * (high - low) or 1.0
+    height, edges = np.histogram(values, bins=min(60, max(12, int(np.sqrt(len(values))))), range=(low, high))
+    ax.stairs(height, edges, fill=True, color=style.SKY)
+    ax.set_xlim(low - margin, high + margin)
+    ax.set_yticks([])
+    ax.spines["left"].set_visible(False)
+    style.quiet_axis(ax, grid="none")
+    top = 1.05 * float(height.max())
+    ax.set_ylim(0, 1.28 * top)
+    mean, half = float(values.mean()), NORMAL_95 * float(values.std(ddof=1)) / np.sqrt(len(values))
+    ax.hlines(1.07 * top, *np.percentile(values, [5, 95]), color=style.INK, linewidth=1.0, label="90 % of trials")
+    ax.hlines(1.07 * top, mean - half, mean + half, color=style.AFTER, linewidth=5.0, label="mean, 95 % interval")
+    ax.plot([mean], [1.07 * top], "o", ms=4.5, color=style.AFTER)
+    ax.set_title(style.shorten(row.name, 40), fontsize=8)
+    ax.xaxis.set_major_locator(MaxNLocator(5))
+    ax.set_xlabel(f"[{style.unit_text(row.unit)}]" if row.unit else "")
+    if row.published is not None:
+        ax.axvline(row.published, color=style.INK, linewidth=1.2, linestyle=(0, (4, 2)), label="the paper")
+        left, below = row.published > 0.5 * (low + high), 100 * float(np.mean(values < row.published))
+        ax.annotate(
+            typeset(f"{number(row.published)}, percentile {below:.0f}"), (row.published, 1.27 * top),
+            xytext=(-3 if left else 3, -1), textcoords="offset points", fontsize=7.5, ha="right" if left else "left",
+            va="top", in_layout=False,
+        )  # fmt: skip
+
+
+ALLOWED = (0.935, 0.965)
+"""Band for the share of 95 % intervals that hold the truth."""
+
+
+def interval(row: Scores) -> tuple[float, float]:
+    """The 95 % interval of a share that was counted (Wilson 1927, equation 4)."""
+    n, z2 = row.trials, NORMAL_95**2
+    centre = (row.coverage_95 + z2 / (2 * n)) / (1 + z2 / n)
+    half = NORMAL_95 / (1 + z2 / n) * np.sqrt(row.coverage_95 * (1 - row.coverage_95) / n + z2 / (4 * n * n))
+    return float(centre - half), float(centre + half)
+
+
+def uncovered(rows: Sequence[Scores]) -> list[bool]:
+    """Whether even the interval of the share that holds the truth lies outside the allowed band: what is drawn red."""
+    return [high < ALLOWED[0] or low > ALLOWED[1] for low, high in map(interval, rows)]
+
+
+@style.styled
+def coverage(rows: Sequence[Scores]) -> Figure:
+    """Share of trials whose 95 % interval holds the truth, with its own 95 % interval, against the allowed band."""
+    figure, ax = style.panel(0.9 + 0.2 * max(len(rows), 3))
+    places = style.category_rows(ax, [row.parameter for row in rows])
+    share, bounds = np.array([row.coverage_95 for row in rows]), np.array([interval(row) for row in rows])
+    said = f"allowed {100 * ALLOWED[0]:.1f} to {100 * ALLOWED[1]:.1f} %"
+    ax.axvspan(*ALLOWED, color=style.BAND, linewidth=0, zorder=0, label=said)
+    ax.axvline(0.95, color=style.INK, linewidth=1.0, linestyle=(0, (4, 2)), label="nominal 95 %")
+    red = np.array(uncovered(rows), dtype=bool)
+    for chosen, colour, word in ((~red, style.BLUE, "share, its 95 % interval"), (red, style.RED, "outside the band")):
+        if chosen.any():
+            ax.hlines(places[chosen], *bounds[chosen].T, color=colour, linewidth=1.8)
+            ax.plot(share[chosen], places[chosen], "o", ms=4.5, color=colour, label=word)
+    ax.xaxis.set_major_formatter(lambda value, _: f"{100 * value:g} %")
+    ax.set_xlabel("95 % intervals that hold the truth")
+    ax.set_xlim(min(bounds.min(), ALLOWED[0]) - 0.01, min(max(bounds.max(), ALLOWED[1]) + 0.01, 1.0))
+    style.legend_of(figure, [ax], ncols=2)
+    return figure

@@ -1,0 +1,374 @@
+"""The floor seen from above, as the paper's Figure 5, with names where there is room."""
+
+from collections import defaultdict
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from math import hypot
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Circle, Polygon
+
+from ltsim.core.arrays import Bools, Floats
+from ltsim.core.units import DEGREE, MILLIMETRE
+from ltsim.planning.schema import PlanChange
+from ltsim.reports import style
+from ltsim.reports.workshop import PlacedWorkshop
+from ltsim.scene.floor import Floor, FloorArea, distance
+
+TURNS = np.radians([0, 180, 90, 270])
+GAP = 6.0
+"""[pt] From a place to its name."""
+LETTER = (0.62, 1.25)
+"""Width and height of a letter over the font's."""
+HALO = {"boxstyle": "square,pad=0", "facecolor": "#FFFFFFB0", "edgecolor": "none"}
+"""Behind a name: no line crosses it."""
+
+
+@dataclass(frozen=True)
+class Label:
+    """A name, its place (2,) in data units, its size [pt]; `bold` ones are printed strongly, `away` is tried first."""
+
+    text: str
+    place: Floats
+    size: float = 7.0
+    bold: bool = False
+    colour: str = "#4A5056"
+    away: float = 0.0
+
+
+def place_labels(figure: Figure, ax: Axes, labels: Sequence[Label], markers: Floats) -> None:
+    """Write labels beside markers (n, 2), the first ones first; the axes' limits must stand."""
+    figure.draw_without_rendering()
+    point = figure.dpi / 72.0
+    spots = ax.transData.transform(markers).reshape(-1, 2) / point
+    left, below = ax.get_window_extent().p0 / point
+    right, top = 72.0 * figure.get_size_inches()
+    numbers = [[-1e4, -1e4, left, 1e4], [-1e4, -1e4, 1e4, below]]  # those of the axes stand there
+    numbers += [[right, -1e4, 1e4, 1e4], [-1e4, top, 1e4, 1e4]]  # and here the figure ends
+    taken = np.concatenate([np.concatenate([spots - 3.0, spots + 3.0], axis=1), numbers])
+    for label in labels:
+        half = 0.5 * label.size * np.array([LETTER[0] * len(label.text), LETTER[1]])
+        for turn in label.away + TURNS:
+            way = np.array([np.cos(turn), np.sin(turn)])
+            offset = way * GAP + half * np.clip(1.5 * way, -1.0, 1.0)  # its box clears the mark, aslant too
+            middle = ax.transData.transform(label.place) / point + offset
+            box = np.concatenate([middle - half, middle + half])
+            if not ((box[:2] < taken[:, 2:]) & (box[2:] > taken[:, :2])).all(axis=1).any():
+                taken = np.concatenate([taken, box[None]])
+                ax.annotate(
+                    label.text, tuple(label.place), xytext=tuple(offset), textcoords="offset points", ha="center",
+                    va="center", fontsize=label.size, fontweight="bold" if label.bold else "normal",
+                    color=label.colour, zorder=8, in_layout=False, bbox=HALO,
+                )  # fmt: skip
+                break
+
+
+LEVELS = ((0.9, "v", style.ORANGE, "low"), (3.2, "s", style.SKY, "middle"), (np.inf, "^", style.BLUE, "high"))
+MOST_LABELS = 60
+FEW_DOTS = 150
+"""Above so many targets their marks are one small image."""
+MOST_PLACES, MOST_STACKED = 16, 4
+NEAR = 0.05
+"""Share of the floor within which targets share a label."""
+WIDE, HEIGHTS, ROW = 4.3, (3.6, 6.6), 0.16
+"""Inches: width of the axes, the figure's least and greatest height, and what each listed place adds to it."""
+ON_A_WALL = 0.35
+"""[m] from a side of the floor within which its wall is taken to hold a target."""
+
+
+@style.styled
+def floor_plan(
+    workshop: PlacedWorkshop,
+    *,
+    reference: Floats | None = None,
+    coordinates: bool = False,
+    ground: Floor | None = None,
+    marks: Callable[[Axes], list[Label]] = lambda ax: [],
+) -> Figure:
+    """Top view in metres: circles are the shadows of both cone openings on the floor, the tick is azimuth zero.
+
+    Parameters
+    ----------
+    workshop : PlacedWorkshop
+    reference : (k, 3) float, optional, [m]
+        Stations of another layout, to compare with.
+    coordinates : bool
+        List where each tripod goes beside the picture.
+    ground : Floor, optional
+        Areas for tripods, what stays free, and doors of a plan.
+    marks : function, optional
+        Draws further marks, which stand in the legend by their labels, and gives their names.
+    """
+    low, high = _limits(workshop)
+    tall = (high[1] - low[1]) / (high[0] - low[0])
+    figure, ax = style.panel(float(np.clip(WIDE * tall + 1.2, *HEIGHTS)), layout="compressed")
+    ax.set_aspect("equal")
+    style.quiet_axis(ax, grid="both")
+    ax.add_patch(
+        Polygon(workshop.floor, closed=True, facecolor="#F7F8F9", edgecolor="#B5BBC0", linewidth=0.8, zorder=0)
+    )
+    _walls(ax, workshop)
+    names = _ground(ax, ground) if ground is not None else []
+    _obstacles(ax, workshop)
+    _shadows(ax, workshop)
+    _gauge(ax, workshop)
+    seen = _seen(workshop)
+    if seen is None:
+        _targets(ax, workshop)
+    else:
+        _pies(ax, workshop, seen)
+    if reference is not None and len(reference):
+        ax.scatter(
+            reference[:, 0], reference[:, 1], s=46, facecolors="white", edgecolors=style.GREY, linewidths=1.4, zorder=5,
+            label="station of the reference",
+        )  # fmt: skip
+    _stations(ax, workshop, [style.INK] * len(workshop.stations) if seen is None else style.CYCLE)
+    ax.set_xlabel("x [m]")
+    ax.set_ylabel("y [m]")
+    ax.set_xlim(low[0], high[0])
+    ax.set_ylim(low[1], high[1])
+    marked = marks(ax)
+    labels_of = [*marked, *_station_labels(workshop), *names]
+    if len(workshop.targets) <= MOST_LABELS:
+        labels_of += _target_labels(workshop)
+    handles, labels = ax.get_legend_handles_labels()
+    if coordinates and len(workshop.stations) <= MOST_PLACES:
+        blank, places = _places(workshop, beside=len(labels))
+        handles, labels = [*handles, *blank], [*labels, *places]
+        figure.set_figheight(figure.get_figheight() + ROW * len(places))
+    figure.legend(handles, labels, loc="outside lower center", ncols=2)
+    spots = [*workshop.position[:, :2], *workshop.points[:, :2], *(label.place for label in marked)]
+    place_labels(figure, ax, labels_of, np.array(spots))
+    return figure
+
+
+def _walls(ax: Axes, workshop: PlacedWorkshop) -> None:
+    """Sides of the floor that hold targets; a single one near a side belongs to the wall that meets it there."""
+    word: str | None = "wall with targets"
+    sides = np.stack([workshop.floor, np.roll(workshop.floor, -1, axis=0)], axis=1)
+    away = np.array([distance(side, workshop.points[:, :2]) for side in sides])
+    nearest = np.where(away.min(axis=0) < ON_A_WALL, away.argmin(axis=0), -1)
+    for number, side in enumerate(sides):
+        if np.sum(nearest == number) >= 2:
+            ax.plot(*side.T, color=style.INK, linewidth=3.0, zorder=1, label=word)
+            word = None
+
+
+def _ground(ax: Axes, ground: Floor) -> list[Label]:
+    """Areas for tripods, what stays free, doors; their names."""
+    mm, names = MILLIMETRE, []
+    own = ground.areas or ((FloorArea(corners_mm=ground.corners_mm),) if ground.corners_mm else ())
+    for i, area in enumerate(own):
+        corners = np.array(area.corners_mm) * mm
+        word = "area for tripods" if i == 0 else None
+        ax.add_patch(
+            Polygon(corners, facecolor="#009E7318", edgecolor=style.GREEN, linewidth=0.9, zorder=0.5, label=word)
+        )
+        for hole in area.holes_mm:
+            ax.add_patch(
+                Polygon(np.array(hole) * mm, facecolor="white", edgecolor=style.GREEN, linewidth=0.9, zorder=0.6)
+            )
+        names.append(Label(area.name, corners.min(axis=0), 7.0, colour="#00664B", away=0.25 * np.pi))
+    for i, place in enumerate(ground.keep_outs):
+        corners = np.array(place.corners_mm) * mm
+        word = "kept free" if i == 0 else None
+        ax.add_patch(
+            Polygon(corners, facecolor="#FFFFFFCC", edgecolor=style.PURPLE, hatch="////", zorder=0.7, label=word)
+        )
+        names.append(Label(place.name, corners.mean(axis=0), 7.0, colour="#8A3A66", away=0.5 * np.pi))
+    for i, door in enumerate(ground.doors):
+        ends = np.array([door.from_mm, door.to_mm]) * mm
+        ax.plot(*ends.T, color="white", linewidth=5.0, zorder=1.5)
+        ax.plot(*ends.T, color=style.PURPLE, linewidth=2.0, zorder=1.6, label="door" if i == 0 else None)
+        names.append(Label(door.name, ends.mean(axis=0), 7.0, colour="#8A3A66"))
+    return [label for label in names if label.text]
+
+
+def _limits(workshop: PlacedWorkshop) -> Floats:
+    """Least and greatest x and y (2, 2) that show the floor and the inner circles whole; the outer ones may run out."""
+    radius = workshop.shadow_radius(workshop.openings[0])[:, None]
+    places = np.concatenate([workshop.floor, workshop.position[:, :2] - radius, workshop.position[:, :2] + radius])
+    low, high = places.min(axis=0), places.max(axis=0)
+    margin = 0.13 * float((high - low).max())  # room for the names of targets on the walls
+    return np.stack([low - margin, high + margin])
+
+
+def _shadows(ax: Axes, workshop: PlacedWorkshop) -> None:
+    for k, opening in enumerate(workshop.openings):
+        inner, outer = {"facecolor": "#D55E0022"}, {"facecolor": "none", "linestyle": (0, (3, 2))}
+        how: dict[str, Any] = {"edgecolor": style.RED, "linewidth": 0.9, "zorder": 1} | (outer if k else inner)
+        for s, radius in enumerate(workshop.shadow_radius(opening)):
+            word = f"shadow, cone of {opening / DEGREE:.0f}°" if s == 0 else None
+            ax.add_patch(Circle(tuple(workshop.position[s, :2]), radius, label=word, **how))
+
+
+def _obstacles(ax: Axes, workshop: PlacedWorkshop) -> None:
+    if len(workshop.obstacles):
+        ax.add_collection(
+            PolyCollection(
+                list(workshop.obstacles[:, :, :2]), facecolors="#B9A98C", edgecolors="#B9A98C", linewidths=0.3
+            ),
+            autolim=False,
+        )
+        ax.plot([], [], color="#B9A98C", linewidth=6.0, label="obstacle")
+
+
+def _seen(workshop: PlacedWorkshop) -> Bools | None:
+    """(S, T): who sees whom, where that is known, some pair does not, and stations are few enough for a colour each."""
+    count = len(workshop.stations), len(workshop.targets)
+    if workshop.sights is None or count[0] > len(style.CYCLE) or not len(workshop.hidden):
+        return None
+    seen = np.zeros(count, dtype=bool)
+    seen[workshop.sights.station, workshop.sights.target] = True
+    return seen
+
+
+def _pies(ax: Axes, workshop: PlacedWorkshop, seen: Bools) -> None:
+    """Each target as a circle with a slice, in the station's colour, for each station that sees it."""
+    x, y = workshop.points[:, :2].T
+    size = 62 if len(workshop.targets) <= MOST_LABELS else 34
+    label = "target: slices are the\nstations that see it"
+    ax.scatter(x, y, s=size, facecolors="white", edgecolors=style.INK, linewidths=0.7, zorder=4, label=label)
+    turn = 2 * np.pi / len(seen)
+    for s, sees in enumerate(seen):
+        angle = 0.5 * np.pi - turn * np.linspace(s, s + 1, 24)
+        slice_ = np.vstack([[0.0, 0.0], np.stack([np.cos(angle), np.sin(angle)], axis=1), [0.0, 0.0]])
+        reach = float(np.abs(slice_).max())  # a marker is scaled by its farthest corner
+        own = {"s": 0.8 * size * reach**2, "marker": slice_.tolist(), "color": style.CYCLE[s]}
+        ax.scatter(x[sees], y[sees], linewidths=0, zorder=5, **own)
+    none = ~seen.any(axis=0)
+    if none.any():
+        ax.scatter(x[none], y[none], marker="x", s=size, color=style.RED, zorder=5, label="seen from nowhere")
+
+
+def _gauge(ax: Axes, workshop: PlacedWorkshop) -> None:
+    for k, (a, b) in enumerate(workshop.gauge):
+        ends = workshop.points[[a, b], :2]
+        ax.plot(
+            ends[:, 0], ends[:, 1], color=style.GREEN, linewidth=1.2, zorder=2, label="gauge length" if k == 0 else None
+        )
+
+
+def _targets(ax: Axes, workshop: PlacedWorkshop) -> None:
+    """Targets by height; those above each other share one label."""
+    height = workshop.points[:, 2] - workshop.floor_height
+    low = -np.inf
+    for high, marker, colour, word in LEVELS:
+        here = (height > low) & (height <= high)
+        span = f"{word} target, up to {high:g} m" if np.isfinite(high) else f"{word} target, above {low:g} m"
+        if here.any():
+            ax.scatter(
+                workshop.points[here, 0],
+                workshop.points[here, 1],
+                marker=marker,
+                s=26,
+                color=colour,
+                zorder=4,
+                edgecolors="white",
+                linewidths=0.5,
+                label=span,
+                rasterized=len(workshop.targets) > FEW_DOTS,
+            )
+        low = high
+
+
+def _target_labels(workshop: PlacedWorkshop) -> list[Label]:
+    """One label for targets that stand above each other, away from the middle of the floor where that is free."""
+    middle, size = workshop.floor.mean(axis=0), np.ptp(workshop.floor, axis=0)
+    stacks: dict[tuple[float, ...], list[int]] = defaultdict(list)
+    for i, cell in enumerate(np.round(workshop.points[:, :2] / (NEAR * size.max())).tolist()):
+        stacks[tuple(cell)].append(i)
+    labels = []
+    for members in stacks.values():
+        place, names = workshop.points[members[0], :2], [style.shorten(workshop.targets[i], 16) for i in members]
+        away = (place - middle) / size
+        sideways = abs(away[0]) > abs(away[1])
+        turn = (0.0 if away[0] > 0 else np.pi) if sideways else (0.5 if away[1] > 0 else 1.5) * np.pi
+        told = " ".join(names) if len(names) < MOST_STACKED else f"{names[0]} +{len(names) - 1}"
+        labels.append(Label(told, place, away=turn))
+    return labels
+
+
+def _stations(ax: Axes, workshop: PlacedWorkshop, colours: Sequence[str]) -> None:
+    length = 0.075 * float(np.ptp(workshop.floor, axis=0).max())
+    tick: Floats = length * np.stack([np.cos(workshop.yaw), np.sin(workshop.yaw)], axis=1)
+    arrow = {"arrowstyle": "-|>", "color": style.INK, "lw": 1.3, "shrinkA": 0, "shrinkB": 0}
+    for place, end in zip(workshop.position[:, :2], tick, strict=True):
+        ax.annotate("", tuple(place + end), tuple(place), zorder=6, arrowprops=arrow)
+    x, y = workshop.position[:, :2].T
+    marker, own = "s" if colours is style.CYCLE else "o", list(colours[: len(workshop.stations)])
+    look: dict[str, Any] = {"s": 64, "edgecolors": "white", "linewidths": 0.8, "zorder": 7}
+    ax.scatter(x, y, marker=marker, color=own, label="station, tick to azimuth 0", **look)
+
+
+def _station_labels(workshop: PlacedWorkshop) -> list[Label]:
+    return [
+        Label(style.shorten(name, 16), place[:2], 9.0, bold=True, colour=style.INK, away=float(yaw) + 1.25 * np.pi)
+        for name, place, yaw in zip(workshop.stations, workshop.position, workshop.yaw, strict=True)
+    ]
+
+
+def _places(workshop: PlacedWorkshop, beside: int) -> tuple[list[Line2D], list[str]]:
+    """Lines of a legend that are its second column beside so many others."""
+    lines = [
+        f"{style.shorten(name, 10)}: {x:.3f}, {y:.3f}, {z:.3f} m, {yaw / DEGREE % 360:.0f}°"
+        for name, (x, y, z), yaw in zip(workshop.stations, workshop.position, workshop.yaw, strict=True)
+    ]
+    words = ["station: x, y, z, azimuth 0", *lines]
+    words = [""] * (len(words) - beside) + words + [""] * (beside - len(words))
+    return [Line2D([], [], linestyle="none") for _ in words], words
+
+
+@style.styled
+def whereabouts(workshop: PlacedWorkshop, marked: Sequence[str], pairs: Sequence[tuple[str, str]] = ()) -> Figure:
+    """The floor plan with red rings around stations and targets, and an arrow between the targets of each pair."""
+    figure = floor_plan(workshop)
+    ax = figure.axes[0]
+    names = [*workshop.stations, *workshop.targets]
+    place = dict(zip(names, np.concatenate([workshop.position, workshop.points])[:, :2].tolist(), strict=True))
+    for name in marked:
+        if name in place:
+            x, y = place[name]
+            ax.scatter(x, y, s=180, facecolors="none", edgecolors=style.RED, linewidths=2.0, zorder=9)
+    for start, end in pairs:
+        arrow = {"arrowstyle": "<|-|>", "color": style.RED, "lw": 1.6, "shrinkA": 5, "shrinkB": 5}
+        ax.annotate("", place[end], place[start], arrowprops=arrow, zorder=9)
+    return figure
+
+
+ONE_MARK = 0.04
+"""Share of the hall's size within which places have one mark, seen from above."""
+
+
+@style.styled
+def reflector_changes(workshop: PlacedWorkshop, changes: Sequence[PlanChange], ground: Floor | None = None) -> Figure:
+    """The floor plan with each change and its number: moves as arrows, crosses are left out."""
+    known = dict(zip(workshop.targets, workshop.points[:, :2].tolist(), strict=True))
+
+    def marks(ax: Axes) -> list[Label]:
+        labels = []
+        kinds = (True, "D", style.PURPLE, "new place, by number"), (False, "x", style.RED, "can go, by number")
+        for new, marker, colour, word in kinds:
+            numbers: dict[tuple[float, float], list[int]] = {}
+            for number, change in enumerate(changes, 1):
+                if (change.position_mm is not None) != new:
+                    continue
+                there = change.position_mm
+                x, y = (v * MILLIMETRE for v in there[:2]) if there else known[change.reflector]
+                near = next((p for p in numbers if hypot(p[0] - x, p[1] - y) < ONE_MARK * workshop.size), (x, y))
+                numbers.setdefault(near, []).append(number)
+                if new and change.reflector:
+                    arrow = {"arrowstyle": "-|>", "color": style.PURPLE, "lw": 1.3, "shrinkA": 3, "shrinkB": 4}
+                    ax.annotate("", near, xytext=known[change.reflector], arrowprops=arrow, zorder=8)
+            if numbers:
+                at = np.array([*numbers]).T
+                ax.scatter(at[0], at[1], marker=marker, s=40, color=colour, zorder=9, label=word)
+            labels += [Label(", ".join(map(str, n)), np.array(at), 8.0, bold=True) for at, n in numbers.items()]
+        return labels
+
+    return floor_plan(workshop, ground=ground, marks=marks)

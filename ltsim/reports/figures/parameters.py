@@ -1,0 +1,286 @@
+"""Numbers estimated or planned: parameters and their course, criteria, budgets, what a plan costs and is worth."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from textwrap import wrap
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from ltsim.calibration.schema import ParameterEntry
+from ltsim.core.arrays import Floats
+from ltsim.core.notation import number, with_sigma
+from ltsim.core.results import Table
+from ltsim.reports import style
+from ltsim.reports.words import QUALITY, distinct_labels, is_determined, typeset
+
+if TYPE_CHECKING:
+    from ltsim.calibration.history_schema import CourseEntry
+    from ltsim.planning.result import PlanResult
+    from ltsim.planning.schema import PlannedParameterEntry
+
+
+def names_of(rows: Sequence[ParameterEntry]) -> list[str]:
+    """Names of parameters, with their instrument where there are several."""
+    return [f"{row.name} ({row.instrument})" if row.instrument else row.name for row in rows]
+
+
+@style.styled
+def parameter_figure(rows: Sequence[ParameterEntry], true: Sequence[float | None] = ()) -> Figure:
+    """Each estimate in units of its prior sigma with its 95 % interval; the numbers stand at the right.
+
+    Where a parameter has no prior, its own sigma scales it. Hollow marks are hardly determined by the recording; `true`
+    are the values of a simulation, each where it is known.
+    """
+    figure, ax = style.panel(0.75 + 0.2 * max(len(rows), 3))
+    places = style.category_rows(ax, names_of(rows), size=7.0)
+    scales = np.array([row.prior_sigma or row.sigma or 1.0 for row in rows])
+    values, sigma = (np.array([getattr(row, name) or 0.0 for row in rows]) / scales for name in ("value", "sigma"))
+    ax.axvspan(-1.0, 1.0, color=style.BAND, linewidth=0, zorder=0, label="prior, ± 1 sigma")
+    ax.axvline(0.0, color=style.GREY, linewidth=0.7, zorder=1)
+    ax.hlines(
+        places, values - 1.96 * sigma, values + 1.96 * sigma, color=style.AFTER, linewidth=1.8, label="95 % interval"
+    )
+    clear = np.array([is_determined(row.sigma, row.prior_sigma) for row in rows], dtype=bool)
+    for chosen, fill, word in ((clear, style.AFTER, "estimate"), (~clear, "white", "hardly determined")):
+        if chosen.any():
+            ax.plot(values[chosen], places[chosen], "o", ms=4.5, mfc=fill, mec=style.AFTER, label=word)
+    known = [i for i, value in enumerate(true) if value is not None]
+    if known:
+        truth = np.array([true[i] for i in known], dtype=np.float64) / scales[known]
+        ax.plot(truth, places[known], "|", ms=9, mew=1.8, color=style.INK, zorder=4, label="hidden truth")
+    style.at_right(ax, places, [with_sigma(r.value, r.sigma, r.unit) for r in rows])
+    ax.set_xlabel("estimate / sigma of the prior")
+    style.legend_of(figure, [ax])
+    return figure
+
+
+@style.styled
+def sigma_figure(rows: Sequence[PlannedParameterEntry], reference: Mapping[str, float]) -> Figure:
+    """Sigma as a share of the prior's, on a logarithmic axis: left is better; the sigma stands at the right.
+
+    `reference` has the sigmas of another layout by name.
+    """
+    figure, ax = style.panel(0.55 + 0.21 * max(len(rows), 3))
+    places = style.category_rows(ax, [row.name for row in rows])
+    share = np.array([row.sigma / row.prior_sigma for row in rows])
+    other = np.array([reference.get(row.name, np.nan) / row.prior_sigma for row in rows])
+    ax.hlines(places, share, other, color=style.BEFORE, linewidth=1.0, zorder=1)
+    if np.isfinite(other).any():
+        ax.scatter(other, places, s=28, facecolors="white", edgecolors=style.BEFORE, zorder=2, label="reference layout")
+    ax.scatter(share, places, s=28, color=style.AFTER, zorder=3, label="this layout")
+    ax.axvline(1.0, color=style.GREY, linewidth=1.0, linestyle=(0, (4, 2)), label="nothing learnt")
+    ax.set_xscale("log")
+    low = float(np.nanmin(np.concatenate([share, other])))
+    ax.set_xlim(0.8 * low, 1.4)
+    ticks = [t for t in (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0) if t >= 0.8 * low]
+    ax.set_xticks(ticks, [f"{100 * t:g} %" for t in ticks])
+    ax.minorticks_off()
+    style.at_right(ax, places, [f"{number(r.sigma, 2)} {style.unit_text(r.unit)}" for r in rows])
+    ax.set_xlabel("sigma after measuring / sigma of the prior")
+    style.legend_of(figure, [ax])
+    return figure
+
+
+MOST = 24
+"""Parameters whose names can be read."""
+
+
+@style.styled
+def correlation_figure(rows: Sequence[ParameterEntry], covariance: Floats) -> Figure:
+    """Correlation of parameters with a covariance (p, p) as colours; coefficients above 0.3 are written in percent.
+
+    Of more than 24 parameters it shows those 24 that correlate most with another, and says so.
+    """
+    names, sigma = names_of(rows), np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    scale = np.where(sigma > 0, sigma, 1.0)
+    matrix = covariance / np.outer(scale, scale)
+    apart = np.abs(np.where(np.eye(len(names), dtype=bool), 0.0, matrix)).max(axis=1, initial=0.0)
+    shown = np.sort(np.argsort(-apart, kind="stable")[:MOST])
+    count, matrix = len(shown), matrix[np.ix_(shown, shown)]
+    figure, ax = style.panel(2.2 + 0.15 * count)
+    if count < len(names):
+        ax.set_title(f"the {count} of {len(names)} parameters that correlate most", fontsize=7.5, fontweight="normal")
+    ax.set_facecolor("#DDE1E4")
+    table = np.where(np.eye(count, dtype=bool), np.nan, matrix)
+    colours = ax.pcolormesh(table, cmap=style.DIVERGING, vmin=-1, vmax=1)
+    ax.invert_yaxis()
+    short = [style.shorten(names[i], 26) for i in shown]
+    ax.set_xticks(np.arange(count) + 0.5, short, rotation=60, ha="right", rotation_mode="anchor", fontsize=6.5)
+    ax.set_yticks(np.arange(count) + 0.5, short, fontsize=6.5)
+    ax.tick_params(length=0)
+    ax.grid(visible=False)
+    ax.spines[:].set_visible(False)
+    for i, j in zip(*np.nonzero(np.abs(np.nan_to_num(table)) > 0.3), strict=True):
+        colour = style.ON_DEEP if abs(matrix[i, j]) > 0.6 else style.ON_PALE
+        ax.text(j + 0.5, i + 0.5, f"{100 * matrix[i, j]:.0f}", ha="center", va="center", fontsize=5.5, color=colour)
+    bar = figure.colorbar(colours, ax=ax, shrink=0.7, pad=0.02)
+    bar.set_label("correlation (numbers: %)")
+    bar.outline.set_visible(False)
+    return figure
+
+
+@style.styled
+def history_figure(names: Sequence[str], courses: Sequence[CourseEntry]) -> Figure:
+    """A panel a parameter over calibrations: estimates with 95 % intervals, the band in which true values lie."""
+    columns = 2 if len(courses) > 1 else 1
+    rows = max(1, -(-len(courses) // columns))
+    figure = style.new_figure(0.7 + 1.35 * rows)
+    panels = figure.subplots(rows, columns, sharex=True, squeeze=False)
+    labels = [style.shorten(name, 24) for name in distinct_labels(names)]
+    place = np.arange(len(labels))
+    for ax, course in zip(panels.ravel(), courses, strict=False):
+        band = (course.mean - course.spread, course.mean + course.spread)
+        ax.axhspan(*band, color=style.BAND, linewidth=0, zorder=0, label="mean ± spread between calibrations")
+        ax.axhline(0.0, color=style.GREY, linewidth=0.7, zorder=1)
+        half = 1.96 * np.array(course.sigmas)
+        ax.errorbar(
+            place, course.values, half, fmt="o", ms=3.5, color=style.AFTER, lw=1.2, label="estimate, 95 % interval"
+        )
+        ax.set_title(f"{course.name} [{style.unit_text(course.unit)}]", fontsize=8, loc="right")
+        ax.set_xticks(place, labels, rotation=60, ha="right", fontsize=7)
+        ax.set_xlim(-0.5, len(place) - 0.5)
+        style.quiet_axis(ax)
+    for ax in panels.ravel()[len(courses) :]:
+        ax.set_axis_off()
+        panels[-2, -1].tick_params(labelbottom=True)
+    if courses:
+        figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside upper left", ncols=2)
+    return figure
+
+
+@style.styled
+def criteria_figure(criteria: Table) -> Figure:
+    """Two lines a criterion of a table `CRITERIA`, mean and largest; an arrow runs from before to after."""
+    lines = []
+    for row in criteria.json():
+        change = "" if row["improvement_percent"] is None else f" ({row['improvement_percent']:+.1f} % better)"
+        lines.append((f"{row['criterion']}, mean{change}", row["mean_um"], row["mean_after_um"]))
+        lines.append((f"{row['criterion']}, largest", row["max_um"], row["max_after_um"]))
+    figure, ax = style.panel(0.9 + 0.3 * len(lines))
+    places = style.category_rows(ax, [name for name, _, _ in lines])
+    for place, (_, before, after) in zip(places, lines, strict=True):
+        ax.annotate(
+            "", (after, place), (before, place), arrowprops={"arrowstyle": "-|>", "color": style.INK, "lw": 1.0}
+        )
+    ax.plot([x[1] for x in lines], places, "o", ms=5, mfc="white", mec=style.BEFORE, label="before")
+    ax.plot([x[2] for x in lines], places, "o", ms=5, color=style.AFTER, label="after")
+    ax.set_xlim(left=0)
+    ax.set_xlabel("deviation between stations [µm]")
+    style.legend_of(figure, [ax])
+    return figure
+
+
+MOST_SOURCES = 7
+"""Sources with a colour of their own; the smallest are drawn together."""
+
+
+@style.styled
+def budget_figure(names: Sequence[str], shares: Mapping[str, Sequence[float]]) -> Figure:
+    """Shares of the variance of each result by source; the sources that matter most over all results come first.
+
+    Parameters
+    ----------
+    names : sequence of str
+        The results.
+    shares : mapping of str to sequence of float
+        For each source its share of every result, 0 to 1.
+    """
+    ranked = sorted(shares, key=lambda name: -float(np.sum(shares[name])))
+    told, rest = ranked[:MOST_SOURCES], ranked[MOST_SOURCES:]
+    rows = {name: np.asarray(shares[name], dtype=np.float64) for name in told}
+    if rest:
+        rows["all others"] = np.sum([shares[name] for name in rest], axis=0)
+    figure, ax = style.panel(0.75 + 0.21 * max(len(names), 3))
+    places = style.category_rows(ax, list(names))
+    left = np.zeros(len(names))
+    for i, (name, share) in enumerate(rows.items()):
+        colour = style.GREY if name == "all others" else style.CYCLE[i % len(style.CYCLE)]
+        ax.barh(places, 100 * share, left=100 * left, height=0.62, color=colour, label=name)
+        left += share
+    ax.set_xlim(0, 100)
+    ax.set_xlabel("share of the variance [%]")
+    ax.grid(visible=False, axis="y")
+    style.legend_of(figure, [ax], ncols=2)
+    return figure
+
+
+Interval = tuple[float, float, float]
+"""A value, and the ends of its interval."""
+
+
+@style.styled
+def values_figure(
+    rows: Mapping[str, Interval], label: str, *, marks: Mapping[str, Sequence[float]] | None = None
+) -> Figure:
+    """A row a name: its value, its interval where it has one; dashed lines are the `marks` to compare with."""
+    lines = ["\n".join(wrap(name, 34)) for name in rows]
+    figure, ax = style.panel(0.9 + 0.15 * sum(1.4 + name.count("\n") for name in lines))
+    places = style.category_rows(ax, lines)
+    ax.set_yticks(places, lines)
+    value, low, high = np.array(list(rows.values())).T
+    ax.hlines(places, low, high, color=style.AFTER, linewidth=1.8)
+    ax.plot(value, places, "o", ms=4.5, color=style.AFTER)
+    for colour, (word, ends) in zip((style.INK, style.RED, style.GREY), (marks or {}).items(), strict=False):
+        for at in ends:
+            ax.axvline(at, color=colour, linewidth=1.0, linestyle=(0, (4, 2)), label=word)
+    figure.supxlabel(typeset(label), fontsize=8.5)
+    style.legend_of(figure, [ax])
+    return figure
+
+
+@style.styled
+def lines_figure(at: Sequence[float], lines: Mapping[str, Sequence[Interval]], axis: str, label: str) -> Figure:
+    """Lines over a quantity `at` (n,), each a value with its interval at every place."""
+    figure, ax = style.panel(2.7)
+    for name, rows, colour, marker in zip(lines, lines.values(), style.CYCLE, style.MARKERS, strict=False):
+        value, low, high = np.array(rows).T
+        half = np.maximum([value - low, high - value], 0.0)
+        ax.errorbar(at, value, half, color=colour, marker=marker, ms=4.0, lw=1.2, label=name)
+    ax.set_xlabel(typeset(axis))
+    ax.set_ylabel(typeset(label))
+    style.quiet_axis(ax, grid="both")
+    style.legend_of(figure, [ax])
+    return figure
+
+
+MOST_NAMED = 14
+"""Layouts that can be named in one picture."""
+COLOUR = {"tried": style.GREY, "best": style.BLUE, "chosen": style.RED, "reference": style.GREEN}
+MARKER = {"tried": ".", "best": "o", "chosen": "*", "reference": "D"}
+SIZE = {"tried": 34, "best": 30, "chosen": 150, "reference": 46}
+WORD = {"tried": "tried", "best": "best at its cost", "chosen": "the plan", "reference": "reference"}
+
+
+@style.styled
+def trade_off(plan: PlanResult, name: str) -> Figure:
+    """Time against one quality of a plan's goal; the line joins the layouts that are best at their cost."""
+    label, factor = QUALITY.get(name, (name, 1.0))
+    kinds: dict[str, list[tuple[float, float, str]]] = {"tried": [], "best": [], "reference": [], "chosen": []}
+    for option in plan.tradeoff:
+        way = f"{option.stations}s {option.faces}f {option.repeats}r"
+        kinds["best" if option.efficient else "tried"].append((option.hours, option.quality.get(name) or np.nan, way))
+    for kind, layout in (("reference", plan.reference), ("chosen", plan)):
+        if layout is not None and layout.quality.get(name) is not None:
+            kinds[kind].append((layout.hours, layout.quality[name] or np.nan, ""))
+    figure, ax = style.panel(3.2)
+    every = np.array([factor * quality for some in kinds.values() for _, quality, _ in some])
+    for kind, some in kinds.items():
+        if some:
+            hours, quality = zip(*((h, factor * q) for h, q, _ in sorted(some)), strict=True)
+            look: dict[str, Any] = {"marker": MARKER[kind], "s": SIZE[kind], "color": COLOUR[kind], "label": WORD[kind]}
+            ax.scatter(hours, quality, zorder=4 if kind != "tried" else 2, linewidths=0, **look)
+            if kind == "best":
+                ax.plot(hours, quality, color=style.BLUE, linewidth=1.0, zorder=3)
+    for hour, size, way in kinds["best"][:MOST_NAMED]:
+        ax.annotate(way, (hour, factor * size), xytext=(6, 5), textcoords="offset points", fontsize=7.5)
+    if (every > 0).all() and every.max() > 20 * every.min():
+        ax.set_yscale("log")
+    ax.margins(x=0.1, y=0.12)
+    ax.set_xlabel("time on the floor [h]; s: stations, f: faces, r: rounds")
+    ax.set_ylabel(f"{typeset(label)}\n(lower is better)")
+    style.quiet_axis(ax, grid="both")
+    style.legend_of(figure, [ax], ncols=2)
+    return figure

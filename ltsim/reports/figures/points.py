@@ -1,0 +1,154 @@
+"""Points against something: another epoch, limits of tests, themselves on the other face."""
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from ltsim.acceptance.files import AcceptanceFile
+from ltsim.adjustment.fieldcheck.check import Check
+from ltsim.measurands.comparison import Comparison
+from ltsim.reports import style
+from ltsim.reports.figures.floor_plan import Label, place_labels
+
+VIEWS = (("seen from above", 0, 1), ("seen from the side", 0, 2))
+
+
+@style.styled
+def displacement_figure(comparison: Comparison) -> Figure:
+    """Arrows of the shifts, enlarged alike, and a circle of the largest semi-axis around each tip."""
+    points = comparison.displacements
+    places, shifts, semi_axes = (
+        np.array([getattr(d, name) for d in points]) for name in ("place_mm", "shift_um", "semi_axes_um")
+    )
+    moved, names = np.array([d.moved for d in points], dtype=bool), [d.target for d in points]
+    figure = style.new_figure(3.0)
+    longest = max(np.linalg.norm(shifts, axis=1).max(), semi_axes.max(), 1e-9)
+    enlarged = float(0.125 * (np.ptp(places, axis=0).max() or 1.0) / longest)  # to an eighth of the picture
+    figure.suptitle(f"shifts are drawn {1e3 * enlarged:.0f} times as long", x=0.01, ha="left", fontsize=7.5)
+    for ax, (title, i, j) in zip(figure.subplots(1, 2), VIEWS, strict=True):
+        for place, shift, axes, far in zip(places, shifts, semi_axes, moved, strict=True):
+            colour = style.RED if far else style.AFTER
+            start, end = place[[i, j]], place[[i, j]] + enlarged * shift[[i, j]]
+            turn = np.linspace(0, 2 * np.pi, 60)
+            ring = end[:, None] + enlarged * axes[0] * np.stack([np.cos(turn), np.sin(turn)])
+            ax.plot(*ring, color=style.GREY, linewidth=0.7)
+            ax.plot([start[0], end[0]], [start[1], end[1]], color=colour, linewidth=1.8 if far else 1.0)
+            ax.plot(*start, marker="s" if far else "o", markersize=3.5, color=colour, linestyle="none")
+        ax.set_aspect("equal", adjustable="datalim")
+        ax.set_title(title)
+        ax.set_xlabel(f"{'xyz'[i]} [mm]")
+        ax.set_ylabel(f"{'xyz'[j]} [mm]")
+    gone = np.flatnonzero(moved)
+    for ax, (_, i, j) in zip(figure.axes, VIEWS, strict=True):
+        place_labels(
+            figure, ax, [Label(names[k], places[k, [i, j]], colour=style.RED) for k in gone], places[:, [i, j]]
+        )
+    return figure
+
+
+SPREAD = 0.32
+"""Of a group's tests about its row."""
+
+
+@style.styled
+def shares_of_limits(content: AcceptanceFile) -> Figure:
+    """Error over limit of every test, a row a group; bars are expanded uncertainties, failed errors are crosses."""
+    groups = [g.name for g in content.groups]
+    figure, ax = style.panel(0.9 + 0.42 * max(len(groups), 3))
+    rows = style.category_rows(ax, groups)
+    ax.axvspan(-1, 1, color=style.BLUE, alpha=0.08, lw=0)
+    for edge in (-1, 1):
+        ax.axvline(edge, color=style.INK, lw=0.8)
+    for row, name in zip(rows, groups, strict=True):
+        mine = [t for t in content.tests if t.group == name]
+        share = np.array([t.error_um / t.limit_um for t in mine])
+        width = np.array([(t.expanded_um or 0.0) / t.limit_um for t in mine])
+        place = row + np.linspace(-SPREAD, SPREAD, len(mine)) * (len(mine) > 1)
+        good = np.abs(share) <= 1
+        ax.hlines(place, share - width, share + width, color=style.BLUE, lw=0.6, alpha=0.6)
+        ax.plot(share[good], place[good], "o", ms=2.6, color=style.BLUE, mec="none")
+        ax.plot(share[~good], place[~good], "x", ms=5, color=style.RED, mew=1.4)
+    largest = max(1.0, *(abs(t.error_um) / t.limit_um for t in content.tests))
+    ax.set_xlim(-1.15 * largest, 1.15 * largest)
+    ax.set_xlabel("error / limit")
+    return figure
+
+
+OBSERVABLES = (("range", style.BLUE, "o"), ("across the beam", style.ORANGE, "s"), ("elevation", style.GREEN, "^"))
+MOST_NAMES = 40
+MOST_STATIONS, NAME = 8, 20
+"""Stations that a legend names, and letters of a name."""
+BELOW_LEGEND = 0.86
+"""Share of the axes that a legend inside them leaves."""
+
+
+@style.styled
+def check_figure(check: Check) -> Figure:
+    """Two panels: half two-face differences over their limits, target by target; misfit of pointings over time."""
+    figure = style.new_figure(5.2)
+    above, below = figure.subplots(2, 1)
+    _faces(above, check)
+    _course(below, check)
+    figure.suptitle(
+        "go" if check.passed else "no-go", x=0.01, ha="left", color=style.GREEN if check.passed else style.RED
+    )
+    return figure
+
+
+def _faces(ax: Axes, check: Check) -> None:
+    names: list[str] = []
+    at = 0
+    for setup in check.setups:
+        if setup.faces is None:
+            continue
+        share = setup.faces.pairs.half / setup.faces.limit
+        places = at + np.arange(len(share))
+        for column, (what, colour, marker) in enumerate(OBSERVABLES):
+            label = what if at == 0 else None
+            ax.plot(places, share[:, column], marker, ms=3.2, color=colour, label=label, alpha=0.85)
+        rows = setup.rows[setup.faces.pairs.rows[:, 0]] - 1
+        names += [check.recording.targets[check.recording.target[row]] for row in rows]
+        at += len(share)
+        ax.axvline(at - 0.5, ymax=BELOW_LEGEND, color=style.INK, lw=0.4)
+    for limit in (-1.0, 1.0):
+        ax.axhline(limit, color=style.RED, lw=1.0)
+    style.quiet_axis(ax)
+    ax.set_title("Half two-face differences over their limits")
+    ax.set_ylabel("share of the limit")
+    if not names:
+        ax.text(0.5, 0.5, "no target was measured on both faces", transform=ax.transAxes, ha="center")
+        ax.set_xticks([])
+        return
+    ax.set_xlim(-0.8, at - 0.2)
+    low, high = ax.get_ylim()
+    ax.set_ylim(low, low + (high - low) / BELOW_LEGEND)
+    few = len(names) <= MOST_NAMES
+    ax.set_xticks(range(at) if few else [], [style.shorten(n) for n in names] if few else [], rotation=90, fontsize=6)
+    ax.legend(loc="upper right", ncols=3)
+
+
+def _course(ax: Axes, check: Check) -> None:
+    scale, unit = (60.0, "time [min]") if check.recording.has_clock else (1.0, "pointing")
+    for i, setup in enumerate(check.setups):
+        if setup.visit is None:
+            continue
+        size = np.sqrt(np.mean(setup.visit.whitened**2, axis=1))
+        label = style.shorten(setup.station, NAME) if i < MOST_STATIONS else None
+        ax.plot(
+            setup.visit.recording.time / scale, size, ".", ms=4, color=style.CYCLE[i % len(style.CYCLE)], label=label
+        )
+    marked = False
+    for item in check.items:
+        if item.between_s is not None:
+            ax.axvspan(item.between_s[0] / scale, item.between_s[1] / scale, color=style.RED, alpha=0.35, lw=0)
+            ax.axvline(item.between_s[0] / scale, color=style.RED, lw=1.0, label=None if marked else "moved")
+            marked = True
+    style.quiet_axis(ax)
+    ax.set_title("What each pointing misses")
+    ax.set_xlabel(unit)
+    ax.set_ylabel("rms [sigma]")
+    ax.set_ylim(0, 1.3 * ax.get_ylim()[1])
+    if not ax.lines:
+        ax.text(0.5, 0.5, "no target was measured twice from one set-up", transform=ax.transAxes, ha="center")
+    if names := ax.get_legend_handles_labels()[1]:
+        ax.legend(loc="upper right", ncols=style.columns_for(names, 5))

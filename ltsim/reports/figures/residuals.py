@@ -1,0 +1,187 @@
+"""Residuals by station and against what they might depend on, and what a finding puts through them."""
+
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from ltsim.core.arrays import Bools, Floats
+from ltsim.core.units import FACTOR
+from ltsim.diagnosis.schema import Curve, Where
+from ltsim.recordings.recording import OBSERVABLES
+from ltsim.reports import style
+from ltsim.reports.residuals import COVARIATE_UNIT, OBSERVABLE_UNIT, USUAL, Residuals
+
+MOST_STATIONS, MOST_DOTS = 30, 40
+"""Above so many dots those of an axes are one small image."""
+BAND = 1.96
+
+
+@style.styled
+def residuals_by_covariate(residuals: Residuals) -> Figure:
+    """Normalised residuals of all observables against each covariate that is known, with their running means."""
+    names = [name for name in USUAL if name in residuals.covariates]
+    figure = style.new_figure(2.0 * max(-(-len(names) // 2), 1) + 0.4)
+    axes = figure.subplots(-(-len(names) // 2), 2, sharey=True, squeeze=False)
+    for ax, name in zip(axes.flat, names, strict=False):
+        for observable, colour in zip(OBSERVABLES, style.CYCLE, strict=False):
+            rows = residuals.of(observable) & np.isfinite(residuals.w)
+            x, w = residuals.covariates[name][rows], residuals.w[rows]
+            ax.plot(x, w, ".", ms=2.0, color=colour, alpha=0.35, rasterized=len(w) > MOST_DOTS, zorder=1.5)
+            _running_mean(ax, x, w, colour=colour, label=observable)
+        ax.axhline(0.0, color=style.INK, linewidth=0.6)
+        style.quiet_axis(ax, grid="both")
+        ax.xaxis.set_major_locator(MaxNLocator(5))
+        ax.set_xlabel(axis_text(name))
+    for ax in axes.flat[len(names) :]:
+        ax.set_axis_off()
+    for ax in axes[:, 0]:
+        ax.set_ylabel("residual / its sigma")
+    style.legend_of(figure, axes.flat)
+    return figure
+
+
+@style.styled
+def residuals_by_station(after: Residuals, before: Residuals | None = None) -> Figure:
+    """A panel an observable; each station shows its residuals as dots and their root mean square as a bar."""
+    shown = [name for name in OBSERVABLES if after.of(name).any()]
+    stations = after.stations[:MOST_STATIONS]
+    figure = style.new_figure(1.7 * max(len(shown), 1) + 0.4)
+    axes = figure.subplots(len(shown), 1, sharex=True, squeeze=False)[:, 0]
+    sides = [(after, 0.18 if before else 0.0, style.AFTER, "after")]
+    sides += [(before, -0.18, style.BEFORE, "before")] if before is not None else []
+    for ax, observable in zip(axes, shown, strict=True):
+        for residuals, shift, colour, word in sides:
+            for place, station in enumerate(stations):
+                values = residuals.residual[residuals.of(observable) & (residuals.station == station)]
+                x = place + shift + 0.26 * ((np.arange(len(values)) * 0.618034) % 1.0 - 0.5)
+                label, many = (word if place == 0 else None), len(values) > MOST_DOTS
+                ax.plot(x, values, ".", ms=2.5, color=colour, alpha=0.7, label=label, rasterized=many, zorder=1.5)
+                size = float(np.sqrt(np.mean(values**2))) if len(values) else np.nan
+                bar = f"± rms {word}" if place == 0 else None
+                ax.vlines(place + shift, -size, size, color=colour, linewidth=3.0, alpha=0.8, label=bar)
+        ax.set_ylabel(_reading(observable))
+        ax.axhline(0.0, color=style.INK, linewidth=0.6)
+        style.quiet_axis(ax)
+    axes[-1].set_xticks(
+        range(len(stations)), [style.shorten(s, 14) for s in stations], rotation=60 * (len(stations) > 8)
+    )
+    axes[-1].set_xlim(-0.6, len(stations) - 0.4)
+    style.legend_of(figure, axes[:1], ncols=4)
+    return figure
+
+
+@style.styled
+def signature_figure(before: Residuals, after: Residuals, covariate: str, where: Where) -> Figure:
+    """The residuals that a finding concerns, without it to the left and with it to the right, against a covariate.
+
+    Dots elsewhere than where the finding is confined to are pale.
+    """
+    shown = [n for n in OBSERVABLES if (not where.observables or n in where.observables) and before.of(n).any()]
+    figure = style.new_figure(0.5 + 1.8 * max(len(shown), 1))
+    grid = figure.subplots(len(shown), 2, sharex=True, sharey="row", squeeze=False)
+    stated = before.w, after.by_noise_of(before).w
+    for line, observable in zip(grid, shown, strict=True):
+        for ax, residuals, normalised, word in zip(line, (before, after), stated, ("without", "with it"), strict=True):
+            rows = residuals.of(observable) & np.isfinite(residuals.covariates[covariate])
+            here = rows & residuals.at(where.stations, where.targets)
+            if (rows & ~here).any():
+                _dots(ax, residuals, rows & ~here, covariate, color="#C3C8CC", label="elsewhere", ms=2.5)
+            _dots(ax, residuals, here, covariate, color=style.AFTER, label="where the finding acts", ms=4.0)
+            _running_mean(ax, residuals.covariates[covariate][here], residuals.residual[here], label="running mean")
+            w = normalised[here]
+            size = float(np.sqrt(np.mean(w[np.isfinite(w)] ** 2))) if np.isfinite(w).any() else 0.0
+            ax.set_title(f"{word}: rms {size:.2f} of the stated noise", fontsize=8, fontweight="normal")
+        line[0].set_ylabel(_reading(observable))
+    for ax in grid[-1]:
+        ax.set_xlabel(axis_text(covariate))
+    style.legend_of(figure, grid[0, :1])
+    return figure
+
+
+@style.styled
+def driver_curve(curve: Curve, carrier: str, residuals: Residuals | None = None) -> Figure:
+    """What a carrier does over its covariate, with the 95 % band.
+
+    `residuals` without the finding are dots behind the curve of a reading, whose sign is then that of a residual.
+    """
+    at, value, sigma = (np.array(values) for values in (curve.at, curve.value, curve.sigma))
+    covariate, unit = curve.covariate, curve.unit
+    if residuals is not None and covariate == "time":
+        covariate = residuals.order
+    figure, ax = style.panel(2.6)
+    factor, label = _axis(covariate)
+    sign = 1.0
+    if residuals is not None and covariate in residuals.covariates and carrier in OBSERVABLE_UNIT:
+        rows, label_ = residuals.of(carrier), "residuals without the finding"
+        _dots(ax, residuals, rows, covariate, color=style.BEFORE, label=label_, ms=2.5)
+        sign = -FACTOR[unit] / FACTOR[OBSERVABLE_UNIT[carrier]]
+        unit = OBSERVABLE_UNIT[carrier]
+    order = np.argsort(at, kind="stable")
+    x, y, half = factor * at[order], sign * value[order], abs(sign) * BAND * sigma[order]
+    ax.fill_between(x, y - half, y + half, color=style.RED, alpha=0.2, linewidth=0, label="95 % band")
+    ax.plot(x, y, color=style.RED, label="what fits")
+    ax.axhline(0.0, color=style.INK, linewidth=0.6)
+    ax.set_xlabel(label)
+    ax.set_ylabel(f"{carrier} [{style.unit_text(unit)}]")
+    style.quiet_axis(ax, grid="both")
+    style.legend_of(figure, [ax])
+    return figure
+
+
+def axis_text(covariate: str) -> str:
+    """Label of a covariate's axis."""
+    unit = COVARIATE_UNIT.get(covariate, "")
+    return f"{style.shorten(covariate)} [{unit}]" if unit else style.shorten(covariate)
+
+
+def _axis(covariate: str) -> tuple[float, str]:
+    """Factor from the stored unit to the axis's, and the axis's label."""
+    if covariate.endswith(("azimuth", "elevation", "incidence", "nest-direction")):
+        return float(np.degrees(1.0)), f"{covariate} [°]"
+    if covariate in ("time", "station-time", "lapse"):
+        return 1.0 / 60.0, f"{covariate} [min]"
+    return 1.0, f"{covariate} [m]" if covariate in ("distance", "height", "x", "y", "z") else covariate
+
+
+def _reading(observable: str) -> str:
+    return f"{observable} [{style.unit_text(OBSERVABLE_UNIT[observable])}]"
+
+
+def _dots(ax: Axes, residuals: Residuals, rows: Bools, covariate: str, **look: Any) -> None:
+    """Residuals against one covariate, over a line at zero; `look` is matplotlib's."""
+    many = int(rows.sum()) > MOST_DOTS
+    x, y = residuals.covariates[covariate][rows], residuals.residual[rows]
+    ax.plot(x, y, ".", alpha=0.7, rasterized=many, zorder=1.5, **look)
+    ax.axhline(0.0, color=style.INK, linewidth=0.6)
+    style.quiet_axis(ax, grid="both")
+
+
+def _running_mean(ax: Axes, x: Floats, y: Floats, *, colour: str = style.RED, label: str = "mean") -> None:
+    """Mean of the dots in about ten equally filled bins, with twice its standard error."""
+    good = np.isfinite(x) & np.isfinite(y)
+    order = np.flatnonzero(good)[np.argsort(x[good], kind="stable")]
+    bins = np.array_split(order, min(len(order) // 12, 12)) if len(order) >= 36 else []
+    if not bins:
+        return
+    centre, mean = (np.array([column[b].mean() for b in bins]) for column in (x, y))
+    error = np.array([y[b].std(ddof=1) / np.sqrt(len(b)) for b in bins])
+    ax.fill_between(centre, mean - 2 * error, mean + 2 * error, color=colour, alpha=0.25, linewidth=0)
+    ax.plot(centre, mean, color=colour, linewidth=1.4, label=label)
+
+
+@style.styled
+def hidden_and_found(at: Floats, hidden: Floats, found: Floats, axis: str, label: str) -> Figure:
+    """Changes of readings (n,) by what was hidden, as rings, and by what was found, over a covariate (n,)."""
+    figure, ax = style.panel(2.7)
+    order = np.argsort(at, kind="stable")
+    ax.axhline(0.0, color=style.GREY, linewidth=0.7)
+    ax.plot(at[order], hidden[order], "-o", ms=5, mfc="none", color=style.INK, lw=0.8, label="hidden")
+    ax.plot(at[order], found[order], "-o", ms=2.4, color=style.RED, lw=1.2, label="found")
+    ax.set_xlabel(axis)
+    ax.set_ylabel(label)
+    style.quiet_axis(ax, grid="both")
+    style.legend_of(figure, [ax])
+    return figure

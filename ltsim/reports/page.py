@@ -1,0 +1,214 @@
+"""The page a person reads: one HTML file that opens offline, the answer first, what to do next."""
+
+import importlib.metadata
+import platform
+import re
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup, escape
+
+from ltsim.campaigns import require_packages
+from ltsim.core.errors import LtsimError, RecordError
+from ltsim.recordings import read
+from ltsim.recordings.native import OBSERVATIONS, SETUP
+from ltsim.recordings.result_file import digest_of, read_json
+from ltsim.recordings.settings import read_setup
+from ltsim.recordings.setup import About
+from ltsim.reports.document import POLICY, Beside, Detail, Document, Section
+from ltsim.reports.sections import WRITERS, content_of, section_of
+from ltsim.reports.sections.network import TRUTH, recording_section
+from ltsim.reports.words import natural, typeset
+
+MOST = 5
+"""Actions at the head of a page."""
+
+
+HEADLINES = {
+    ("Recording", "good"): "The recording agrees with itself.",
+    ("Recording", "bad"): "The recording does not agree with what is stated.",
+    ("Calibration", "good"): "The calibration can be used.",
+    ("Calibration", "bad"): "The calibration should not be used yet.",
+    ("Network", "good"): "The network agrees with itself.",
+    ("Network", "bad"): "The network does not agree with what is stated.",
+    ("Diagnosis", "good"): "Nothing was found wrong.",
+    ("Diagnosis", "bad"): "Something is wrong with this recording.",
+    ("History", "good"): "The instrument has not changed.",
+    ("History", "bad"): "The instrument has changed.",
+    ("Acceptance", "good"): "The limits are kept.",
+    ("Acceptance", "bad"): "The limits are not kept.",
+    ("Prediction", "good"): "More likely than not all tests are passed.",
+    ("Prediction", "bad"): "More likely than not a test is failed.",
+    ("Comparison", "good"): "No point moved.",
+    ("Comparison", "bad"): "Points moved.",
+}
+"""The verdict in a few words, of the kinds that give one."""
+
+
+NAME, MANIFEST = "report.html", "manifest.json"
+HEADS = ("diagnosis.json", "calibration.json")
+UNREADABLE = "Not readable"
+
+
+@dataclass(frozen=True)
+class PagePart:
+    """One section to come: its folder, kind, the recording behind it; `brief` where others tell more of that."""
+
+    folder: Path
+    kind: str
+    recording: Path | None
+    brief: bool = False
+
+
+KINDS = ("diagnosis.json", "calibration.json", OBSERVATIONS, *(k for k in WRITERS if k not in HEADS), MANIFEST)
+"""What a folder holds, by the file that tells; in the order of the page, the first one's answer heads it."""
+
+
+def section(part: PagePart, detail: Detail = "none") -> Section:
+    """What the page says of one folder; raises RecordError, and SetupError where packages for it are missing."""
+    if part.kind == OBSERVATIONS:
+        return recording_section(part.folder, detail=detail, brief=part.brief)
+    if part.kind == MANIFEST:
+        require_packages()
+        from ltsim.reports.sections.campaign import campaign_section  # reads with packages that may be missing
+
+        return campaign_section(part.folder)
+    content = content_of(part.folder, part.kind)
+    recording = read(part.recording) if part.recording else None
+    made = section_of(content, Beside(part.folder, recording, detail, part.brief))
+    return replace(made, measured=(content.recording and content.recording.measured) or made.measured)
+
+
+def document(
+    folder: Path, *, recording: Path | None = None, title: str | None = None, about: About | None = None
+) -> Document:
+    """What the page will say.
+
+    Raises
+    ------
+    RecordError
+        When there is nothing to report, or a file of the folder itself is malformed.
+    """
+    if not folder.is_dir():
+        raise RecordError("there is no such folder; give the folder that a command wrote", file=folder)
+    parts = _parts(folder, recording)
+    sections = [replace(made, folder=part.folder.name) for part, made in _sections(parts, folder)]
+    sections.sort(key=lambda made: made.kind == UNREADABLE)
+    first = sections[0]
+    return Document(
+        title=title or first.title,
+        answer=first.answer,
+        mood=first.mood,
+        sections=sections,
+        versions=versions(),
+        about=_about(parts, sections, about or About()),
+        verdict=HEADLINES.get((first.kind.split(" ", maxsplit=1)[0], first.mood), ""),
+        actions=list(dict.fromkeys([*first.actions, *(a for s in sections for a in s.actions)]))[:MOST],
+    )
+
+
+def _about(parts: list[PagePart], sections: list[Section], given: About) -> list[tuple[str, str]]:
+    """Who measured what for whom, when, in which axes: as asked for, else as set-ups and results say."""
+    folders = dict.fromkeys(part.recording for part in parts if part.recording)
+    setups = [read_setup(place / SETUP) for place in folders if (place / SETUP).is_file()]
+    stated = [setup.report for setup in setups if setup.report is not None]
+    instruments = "; ".join(
+        dict.fromkeys(filter(None, [*(s.instruments_in_words for s in setups), *(s.instrument for s in sections)]))
+    )
+    days = ", ".join(dict.fromkeys(s.measured[:10] for s in sections if s.measured))
+    fallback = {"instrument": instruments, "date": days}
+    said = []
+    for key in About.model_fields:
+        values = [getattr(given, key)] if getattr(given, key) else [getattr(entry, key) for entry in stated]
+        text = ", ".join(dict.fromkeys(value for value in values if value)) or fallback.get(key)
+        said += [] if text is None else [(key, text or "not stated")]
+    axes = ", ".join(dict.fromkeys(s.axes for s in sections if s.axes))
+    return [*said, ("axes", axes or "not stated")]
+
+
+def _parts(folder: Path, recording: Path | None) -> list[PagePart]:
+    inner = sorted((p for p in folder.iterdir() if p.is_dir()), key=lambda p: natural(p.name))
+    found = [
+        PagePart(place, kind, recording or _recording_of(place, folder))
+        for kind in KINDS
+        for place in (folder, *inner)
+        if (place / kind).is_file()
+    ]
+    if not found:
+        raise RecordError(f"holds nothing to report; expected one of {', '.join(KINDS)} in it", file=folder)
+    digests = [_digest(part) for part in found]
+    near = {digest: part.recording for digest, part in zip(digests, found, strict=True) if digest and part.recording}
+    found = [replace(part, recording=near.get(d, part.recording)) for d, part in zip(digests, found, strict=True)]
+    used = Counter(part.recording for part in found)
+    diagnosed = {part.recording for part in found if part.kind == "diagnosis.json"} - {None}
+    return [
+        replace(part, brief=used[part.recording] > 1 if part.kind == OBSERVATIONS else part.recording in diagnosed)
+        for part in found
+    ]
+
+
+def _sections(parts: list[PagePart], top: Path) -> Iterator[tuple[PagePart, Section]]:
+    """The sections; the first recording is shown in 3D, others from above.
+
+    So is that of a diagnosis alone, whose page is to be quick and small, unless it stands beside a truth. A folder in
+    the `top` one that cannot be read is a section that says so, unless there is nothing else.
+    """
+    shown: set[Path | str | None] = set()
+    flat = (top / "diagnosis.json").is_file() and not (top / TRUTH).is_file()
+    for part in parts:
+        source = part.recording or _digest(part)
+        detail: Detail = "none" if source in shown and source else "plan" if shown or flat else "turn"
+        try:
+            made = section(part, detail)
+        except LtsimError as problem:
+            if part.folder == top or len(parts) == 1:
+                raise
+            made = Section(part.folder.name, UNREADABLE, str(problem), "bad")
+        if {block.title for block in made.blocks} & {"Floor plan", "The workshop in 3D"}:
+            shown.add(source)
+        yield part, made
+
+
+def _digest(part: PagePart) -> str:
+    """Digest of a recording, or of the one that a result names; empty where it names none."""
+    try:
+        if part.kind == OBSERVATIONS:
+            return digest_of(read(part.folder))
+        named = read_json(part.folder / part.kind, "result")["recording"]["digest"]
+    except (LtsimError, KeyError, TypeError, OSError):
+        return ""
+    return str(named)
+
+
+def render(content: Document) -> str:
+    """The page as text; every name in it is escaped."""
+    loader = PackageLoader("ltsim.reports")
+    environment = Environment(loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True)
+    environment.filters["print"] = typeset
+    environment.filters["names"] = lambda text: Markup(re.sub(r"[_:]|\.(?=[a-z])", r"\g<0><wbr>", str(escape(text))))
+    files = "palette.css", "page.css", "page.js"
+    palette, style, script = (loader.get_source(environment, file)[0] for file in files)
+    own = {"style": Markup(palette + style), "script": Markup(script)}
+    return environment.get_template("page.html.j2").render(document=content, policy=POLICY, **own)
+
+
+def versions() -> list[tuple[str, str]]:
+    """Versions of what made the page."""
+    found = [("Python", platform.python_version())]
+    for name in ("ltsim", "numpy", "scipy", "matplotlib", "pyvista"):
+        try:
+            found.append((name, importlib.metadata.version(name)))
+        except importlib.metadata.PackageNotFoundError:
+            found.append((name, "(not installed as a package)"))
+    return found
+
+
+def _recording_of(place: Path, top: Path) -> Path | None:
+    """The recording behind the results of a folder, if it lies near."""
+    for candidate in (place, place / "recording", place.parent / "recording", top):
+        if (candidate / OBSERVATIONS).is_file():
+            return candidate.resolve()
+    return None

@@ -1,0 +1,176 @@
+"""The picture of each result, for `plot()`."""
+
+from functools import singledispatch
+from typing import Any, cast
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from ltsim.acceptance.files import AcceptanceFile
+from ltsim.adjustment import Adjustment
+from ltsim.adjustment.evaluation.bench import BenchFile
+from ltsim.adjustment.evaluation.criteria import Criteria
+from ltsim.adjustment.fieldcheck.check import Check
+from ltsim.adjustment.remedies.next_measurement import NextMeasurement
+from ltsim.calibration.calibration import Calibration
+from ltsim.calibration.history import History
+from ltsim.calibration.history_file import history_file
+from ltsim.campaigns.judging import Judged
+from ltsim.campaigns.paired import Paired
+from ltsim.campaigns.recovery import Recovery
+from ltsim.core.errors import ModelError
+from ltsim.core.results import Result
+from ltsim.core.units import MICROMETRE
+from ltsim.diagnosis.diagnosis import Diagnosis
+from ltsim.measurands.comparison import Comparison
+from ltsim.measurands.evaluation import Evaluation
+from ltsim.planning.files import planned_scenario
+from ltsim.planning.plan import Plan
+from ltsim.recordings import Recording
+from ltsim.reports.figures.floor_plan import floor_plan
+from ltsim.reports.figures.parameters import (
+    criteria_figure,
+    history_figure,
+    lines_figure,
+    parameter_figure,
+    values_figure,
+)
+from ltsim.reports.figures.points import check_figure, displacement_figure, shares_of_limits
+from ltsim.reports.figures.residuals import residuals_by_covariate, residuals_by_station
+from ltsim.reports.residuals import Residuals
+from ltsim.reports.sections.diagnosis import finding_drawing
+from ltsim.reports.sections.plain import budget_of
+from ltsim.reports.verbs import View
+from ltsim.reports.workshop import from_recording, from_scenario
+from ltsim.simulation.inject import InjectionCurve
+from ltsim.simulation.scenario import Scenario
+
+MOST_PROPOSALS = 12
+
+
+@singledispatch
+def figure_of(result: Result) -> Figure:
+    """The picture of a result; raises ModelError for one that has none."""
+    if type(result).__module__ == "ltsim.campaigns.results":  # not registered: its packages may be missing
+        from ltsim.reports.sections.campaign import campaign_figure
+
+        return campaign_figure(cast(Any, result))
+    raise ModelError(f"a {type(result).__name__} has no picture of its own")
+
+
+figure_of.register(Check, check_figure)
+figure_of.register(Comparison, displacement_figure)
+figure_of.register(AcceptanceFile, shares_of_limits)
+figure_of.register(Scenario, lambda result: floor_plan(from_scenario(result)))
+figure_of.register(Recording, lambda result: floor_plan(from_recording(result)))
+figure_of.register(View, lambda result: floor_plan(result.workshop))
+figure_of.register(Adjustment, lambda result: residuals_by_station(Residuals.from_adjustment(result)))
+figure_of.register(Evaluation, lambda result: budget_of(result.content))
+
+
+@figure_of.register
+def _(result: Calibration) -> Figure:
+    if result.names:
+        return parameter_figure(result.parameters)
+    if result.adjustment is None:
+        raise ModelError("a network that was read from its file has no picture; lt.report makes a page of it")
+    return figure_of(result.adjustment)
+
+
+@figure_of.register
+def _(result: Criteria) -> Figure:
+    if result.distance.after is None:
+        raise ModelError("criteria without a calibration have no before and after to draw")
+    return criteria_figure(result.table())
+
+
+@figure_of.register
+def _(result: Diagnosis) -> Figure:
+    """The curve or the residuals of the first finding; of a consistent recording its residuals."""
+    before, after = (Residuals.from_adjustment(a) for a in (result.baseline, result.adjusted))
+    for finding in result.findings[:1]:
+        draw = finding_drawing(finding, before, after)
+        if draw is not None:
+            return draw()
+    return residuals_by_covariate(after)
+
+
+@figure_of.register
+def _(result: History) -> Figure:
+    content = history_file(result)
+    known = [course for course in content.parameters if course.constant.dof]
+    if not known:
+        raise ModelError("no parameter of these calibrations is known better than by its guarantee; there is no course")
+    return history_figure([c.label for c in content.calibrations], known)
+
+
+@figure_of.register
+def _(result: Plan) -> Figure:
+    """The floor with the chosen layout, as floor.png of a plan's folder."""
+    return floor_plan(from_scenario(planned_scenario(result)), coordinates=True, ground=result.file.floor)
+
+
+@figure_of.register
+def _(result: BenchFile) -> Figure:
+    """The reflector's range error with two sigmas, and the lengths as they were read."""
+    lines = {
+        "as read": [(row.as_read_um,) * 3 for row in result.angles],
+        "range error, ± 2 sigma": [
+            (row.error_um, row.error_um - 2 * row.sigma_um, row.error_um + 2 * row.sigma_um) for row in result.angles
+        ],
+    }
+    return lines_figure([row.angle_deg for row in result.angles], lines, "incidence [deg]", "range error [um]")
+
+
+@figure_of.register
+def _(result: InjectionCurve) -> Figure:
+    """The share of injections that was found, placed and named, with 95 % intervals."""
+    lines = {
+        name: [(row[name] / row["injections"], row[f"{name}_low"], row[f"{name}_high"]) for row in result.rows]
+        for name in ("found", "placed", "named")
+    }
+    strengths = [row["noncentrality"] for row in result.rows]
+    return lines_figure(strengths, lines, "noncentrality", "share, 95 % interval")
+
+
+@figure_of.register
+def _(result: Recovery) -> Figure:
+    """The errors of each parameter over their stated sigmas, those of a calibrator without sigmas over their rms."""
+    if not result.converged:
+        raise ModelError("no trial of this recovery converged; there is nothing to draw")
+    error = np.array([trial.estimate - trial.truth for trial in result.converged])
+    stated = np.isfinite(result.z).all()
+    shown = result.z if stated else error / np.sqrt(np.mean(error**2, axis=0))
+    ends = np.percentile(shown, [50, 2.5, 97.5], axis=0).T.tolist()
+    rows = {name: (middle, low, high) for name, (middle, low, high) in zip(result.names, ends, strict=True)}
+    label = f"error / {'stated sigma' if stated else 'its rms'}: median, middle 95 % of the trials"
+    return values_figure(rows, label, marks={"95 % of right ones": (-1.96, 1.96)} if stated else {})
+
+
+@figure_of.register
+def _(result: NextMeasurement) -> Figure:
+    shares = {p.remedy.words: (100 * (1 - p.sharper),) * 3 for p in result.proposals[:MOST_PROPOSALS]}
+    return values_figure(shares, "sigmas of the instrument's parameters fall by [%]")
+
+
+@figure_of.register
+def _(result: Judged) -> Figure:
+    found = next(iter(result.errors.values()))
+    rows = {name: (error.calibrated / MICROMETRE,) * 3 for name, error in result.errors.items()}
+    ends = {"as read": [found.raw / MICROMETRE], "by the true parameters": [found.true_parameters / MICROMETRE]}
+    return values_figure(rows, "error of a new point [um]", marks=ends)
+
+
+@figure_of.register
+def _(result: Paired) -> Figure:
+    rows = {
+        ", ".join([e.statistic, *(f"{name} {value}" for name, value in e.settings.items())]): (
+            e.difference,
+            e.low,
+            e.high,
+        )
+        for e in result.entries
+    }
+    one = result.entries[0]
+    unit = f" [{one.unit}]" if one.unit else ""
+    return values_figure(rows, f"{one.first} less {one.second}{unit}, 95 % interval", marks={"no difference": [0.0]})

@@ -1,0 +1,149 @@
+"""Residuals as figures need them: one row an observation, in the unit a person reads, with its covariates."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ltsim.adjustment.adjustment import Adjustment
+from ltsim.calibration.calibration import residuals_table
+from ltsim.calibration.schema import RESIDUALS
+from ltsim.core.arrays import Bools, Floats, Ints
+from ltsim.core.errors import RecordError
+from ltsim.core.results import Table
+from ltsim.core.units import DEGREE, FACTOR
+from ltsim.recordings.files import read_text, shown
+from ltsim.recordings.recording import OBSERVABLES
+
+Names = NDArray[np.str_]
+
+OBSERVABLE_UNIT = {"distance": "um", "azimuth": "arcsec", "elevation": "arcsec"}
+USUAL = ("azimuth", "elevation", "distance", "time", "row")
+"""Covariates that every recording has: the time where it has a clock, the row where it has none."""
+COVARIATE_UNIT = {"azimuth": "°", "elevation": "°", "distance": "m", "time": "min", "incidence": "°", "row": ""}
+
+
+@dataclass(frozen=True)
+class Residuals:
+    """Observed minus adjusted, one row an observation."""
+
+    row: Ints
+    """(n,): data row of the recording, from 1."""
+    station: Names
+    target: Names
+    """(n,) each."""
+    observable: Ints
+    """(n,): index into `OBSERVABLES`."""
+    residual: Floats
+    """(n,): in um for a distance, in arcsec for an angle."""
+    w: Floats
+    """(n,): normalised residual, standard normal where the model holds."""
+    redundancy: Floats
+    """(n,)."""
+    covariates: Mapping[str, Floats] = field(default_factory=dict)
+    """(n,): in the units of `COVARIATE_UNIT`."""
+
+    def __len__(self) -> int:
+        return len(self.row)
+
+    @property
+    def stations(self) -> list[str]:
+        """Names of the stations in the order of their appearance."""
+        return list(dict.fromkeys(self.station.tolist()))
+
+    def of(self, observable: str) -> Bools:
+        """(n,) bool: which rows are of one observable."""
+        return self.observable == OBSERVABLES.index(observable)
+
+    @property
+    def order(self) -> str:
+        """What tells the order of the work: the time, or the row where the recording is known to have no clock."""
+        return "time" if "time" in self.covariates or "azimuth" not in self.covariates else "row"
+
+    @property
+    def sigma(self) -> Floats:
+        """(n,): standard deviations of the readings that the normalised residuals rest on."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.asarray(np.abs(self.residual / self.w) / np.sqrt(self.redundancy))
+
+    def at(self, stations: Sequence[str], targets: Sequence[str]) -> Bools:
+        """(n,): which rows are at the named stations and targets; all where none is named."""
+        inside = np.ones(len(self), dtype=np.bool_)
+        for names, column in ((stations, self.station), (targets, self.target)):
+            if names:
+                inside &= np.isin(column, list(names))
+        return inside
+
+    @classmethod
+    def from_table(cls, table: Table, file: Path | None = None) -> Residuals:
+        """Residuals of a table `RESIDUALS`; raises RecordError for an observable or a unit that is none."""
+        for column, known in (("observable", OBSERVABLES), ("unit", FACTOR)):
+            wrong = next((i for i, name in enumerate(table.column(column)) if name not in known), None)
+            if wrong is not None:
+                message = f"'{shown(table.column(column)[wrong])}' is none of {', '.join(known)}"
+                raise RecordError(message, file=file, row=wrong + 1, column=column)
+        names, units = table.column("observable"), table.column("unit")
+        scale = np.array([FACTOR[u] / FACTOR[OBSERVABLE_UNIT[o]] for o, u in zip(names, units, strict=True)])
+        row, residual, redundancy, w = table.numbers("row", "residual", "redundancy", "w").T
+        return cls(
+            row=row.astype(np.int64),
+            station=np.array(table.column("station"), dtype=np.str_),
+            target=np.array(table.column("target"), dtype=np.str_),
+            observable=np.array([OBSERVABLES.index(name) for name in names], dtype=np.int64),
+            residual=residual * scale,
+            w=w,
+            redundancy=redundancy,
+            covariates={"row": row},
+        )
+
+    @classmethod
+    def from_adjustment(cls, adjustment: Adjustment) -> Residuals:
+        """Residuals of an adjustment with the geometry of its pointings."""
+        found = cls.from_table(residuals_table(adjustment))
+        return replace(found, covariates=_geometry(adjustment, found.row - 1))
+
+    @classmethod
+    def read(cls, file: Path) -> Residuals:
+        """Residuals from a `residuals.csv`; raises RecordError when a column is missing or a field is no number."""
+        return cls.from_table(RESIDUALS.parsed(read_text(file), file), file)
+
+    def with_covariates(self, other: Residuals | None) -> Residuals:
+        """The same residuals with the covariates that `other`, if there is one, knows for the same observations."""
+        if other is None:
+            return self
+        at = self._places_in(other)
+        found = {name: np.append(column, np.nan)[at] for name, column in other.covariates.items()}
+        return replace(self, covariates=found)
+
+    def by_noise_of(self, other: Residuals) -> Residuals:
+        """The same residuals, normalised by the standard deviations that `other` rests on."""
+        sigma = np.append(other.sigma, np.nan)[self._places_in(other)]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return replace(self, w=self.residual / (sigma * np.sqrt(self.redundancy)))
+
+    def _places_in(self, other: Residuals) -> Ints:
+        """Where the same observations (n,) stand in `other`; -1 where it lacks one."""
+        place = {key: i for i, key in enumerate(zip(other.row.tolist(), other.observable.tolist(), strict=True))}
+        keys = zip(self.row.tolist(), self.observable.tolist(), strict=True)
+        return np.array([place.get(key, -1) for key in keys], dtype=np.int64)
+
+
+def _geometry(adjustment: Adjustment, rows: Ints) -> dict[str, Floats]:
+    sightings, clock = adjustment.sightings, adjustment.recording.has_clock
+    found = {
+        "azimuth": sightings.azimuth[rows] / DEGREE,
+        "elevation": sightings.elevation[rows] / DEGREE,
+        "distance": sightings.range_[rows],
+    }
+    incidence = sightings.incidence[rows] / DEGREE
+    if np.isfinite(incidence).any():
+        found["incidence"] = incidence
+    further = {name: column[rows] for name, column in sightings.covariates.items()}
+    order: dict[str, Floats] = (
+        {"time": sightings.time[rows] / 60.0} if clock else {"row": (rows + 1).astype(np.float64)}
+    )
+    return found | order | further

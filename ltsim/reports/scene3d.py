@@ -1,0 +1,376 @@
+"""The workshop in 3D with pyvista: a picture, a window, or one page that opens offline."""
+
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import matplotlib as mpl
+import numpy as np
+import pyvista as pv
+from matplotlib.colors import ListedColormap
+from PIL import Image
+from vtkmodules.vtkCommonCore import vtkLogger
+
+from ltsim.core.arrays import Floats, Ints
+from ltsim.core.notation import listing
+from ltsim.core.units import DEGREE
+from ltsim.reports import style
+from ltsim.reports.workshop import PlacedWorkshop
+
+WALL, FLOOR, LEG = "#D5DBE0", "#E3E7EA", "#5C6166"
+MOST_ARROWS, MOST_METRES = 300, 200
+MOST_HIDDEN = 4
+"""Names of which it is said that they are left out, each by itself."""
+MOST_LABELS = 60
+FEW_BALLS, MANY_BALLS = 150, 600
+"""Above so many balls eight sides look round on the screen, and six."""
+LINES = ListedColormap(mpl.colormaps["viridis"](np.linspace(0.0, 0.86, 128)))
+
+vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_ERROR)  # else it complains about a missing display
+
+
+@dataclass(frozen=True)
+class Legend:
+    """What the colours and sizes of a scene mean; pictures and pages print it.
+
+    `bar` is label, lowest and highest value of the coloured lines, None where there are none.
+    """
+
+    lines: tuple[str, ...]
+    bar: tuple[str, float, float] | None = None
+
+
+def round_magnification(length: float, shown: float) -> float:
+    """The magnification 1, 2 or 5 times a power of ten that brings `length` to about `shown`."""
+    if not length > 0:
+        return 1.0
+    ratio = shown / length
+    power = 10.0 ** np.floor(np.log10(ratio))
+    step = max(s for s in (1.0, 2.0, 5.0) if s <= ratio / power * (1 + 1e-9))
+    return float(max(step * power, 1.0))
+
+
+def times(scale: float) -> str:
+    """A magnification in words."""
+    return f"{scale:,.0f}".replace(",", " ")
+
+
+Camera = Sequence[Sequence[float]]
+"""Where it stands, where it looks to, and what is up there [m]."""
+
+
+def build(
+    workshop: PlacedWorkshop,
+    *,
+    window_size: tuple[int, int] = (1400, 1000),
+    off_screen: bool = True,
+    camera: Camera | None = None,
+) -> tuple[pv.Plotter, Legend]:
+    """A plotter with the whole scene, and its legend; size in pixels, `off_screen` is False for a window."""
+    plotter = pv.Plotter(off_screen=off_screen, window_size=list(window_size), lighting="three lights")
+    plotter.background_color = pv.Color("white")
+    _surroundings(plotter, workshop)
+    lines: list[str] = []
+    bar = _sights(plotter, workshop)
+    _shadows(plotter, workshop, lines)
+    _targets(plotter, workshop)
+    _stations(plotter, workshop)
+    _uncertainty(plotter, workshop, lines)
+    _corrections(plotter, workshop, lines)
+    lines.extend(workshop.notes)
+    _camera(plotter, workshop)
+    if camera is not None:
+        plotter.camera_position = [tuple(v) for v in camera]
+    _names(plotter, workshop, lines)
+    return plotter, Legend(tuple(lines), bar)
+
+
+def picture(workshop: PlacedWorkshop, *, window_size: tuple[int, int] = (1400, 1000)) -> bytes:
+    """The scene as a PNG, with the legend written on it."""
+    plotter, legend = build(workshop, window_size=window_size)
+    write_legend(plotter, workshop.title, legend)
+    stream = io.BytesIO()
+    taken(plotter).save(stream, format="PNG")
+    return stream.getvalue()
+
+
+def taken(plotter: pv.Plotter) -> Image.Image:
+    """What a plotter shows; the plotter is closed."""
+    image = plotter.screenshot(return_img=True)
+    plotter.close()
+    return Image.fromarray(np.asarray(image))
+
+
+def show(workshop: PlacedWorkshop) -> None:
+    """Open a window; returns when it is closed."""
+    plotter, legend = build(workshop, off_screen=False)
+    write_legend(plotter, workshop.title, legend)
+    plotter.show()
+
+
+def write_legend(plotter: pv.Plotter, title: str, legend: Legend) -> None:
+    """Write title, magnifications and the colour bar on a picture."""
+    if title:
+        plotter.add_text(title, position=(0.015, 0.955), viewport=True, font_size=13, color=style.INK, shadow=False)
+    text = "\n".join(legend.lines)
+    if text:
+        actor = plotter.add_text(
+            text, position=(0.015, 0.93 - 0.027 * len(legend.lines)), viewport=True, font_size=9, color=style.INK
+        )
+        actor.prop.SetLineSpacing(1.35)
+    if legend.bar is not None:
+        plotter.add_scalar_bar(  # type: ignore[call-arg]
+            title=legend.bar[0] + "\n",
+            color=style.INK,
+            position_x=0.6,
+            position_y=0.02,
+            width=0.33,
+            height=0.07,
+            n_labels=3,
+            title_font_size=26,
+            label_font_size=24,
+            fmt="%.3g",
+            mapper=plotter.actors["sights"].mapper,
+        )
+
+
+def _surroundings(plotter: pv.Plotter, workshop: PlacedWorkshop) -> None:
+    z = workshop.floor_height
+    corners = np.column_stack([workshop.floor, np.full(len(workshop.floor), z - 0.002)])
+    plotter.add_mesh(_polygon(corners), color=FLOOR, lighting=False, name="floor")
+    ends = workshop.floor.min(axis=0), workshop.floor.max(axis=0)
+    metres = [np.arange(np.ceil(low), high + 1e-9) for low, high in zip(*ends, strict=True)]
+    if all(map(len, metres)) and sum(map(len, metres)) <= MOST_METRES:
+        grid = pv.RectilinearGrid(*metres, [z]).extract_all_edges()
+        plotter.add_mesh(grid, color="#CBD1D6", line_width=1, lighting=False, name="grid")
+    for i, wall in enumerate(workshop.walls):
+        plotter.add_mesh(_polygon(wall), color=WALL, opacity=0.55, lighting=False, name=f"wall-{i}")
+    if len(workshop.obstacles):
+        corners = workshop.obstacles.reshape(-1, 3)
+        stand = pv.PolyData.from_regular_faces(corners, np.arange(len(corners)).reshape(-1, 3))  # type: ignore[arg-type]
+        plotter.add_mesh(stand, color="#B9A98C", name="obstacles")
+
+
+def _sights(plotter: pv.Plotter, workshop: PlacedWorkshop) -> tuple[str, float, float] | None:
+    """Lines of sight, one a pair, coloured by the largest value of the pair."""
+    sights = workshop.sights
+    if sights is None or not len(sights.station):
+        return None
+    pairs, place = np.unique(np.stack([sights.station, sights.target], axis=1), axis=0, return_inverse=True)
+    value = np.full(len(pairs), -np.inf)
+    np.maximum.at(value, place.ravel(), sights.value)
+    ends = np.stack([workshop.position[pairs[:, 0]], workshop.points[pairs[:, 1]]], axis=1).reshape(-1, 3)
+    mesh = pv.line_segments_from_points(ends)
+    mesh.cell_data["value"] = value
+    low, high = float(value.min()), float(value.max())
+    plotter.add_mesh(
+        mesh,
+        scalars="value",
+        cmap=LINES,
+        clim=(low, high if high > low else low + 1.0),
+        line_width=1.6,
+        opacity=0.8,
+        lighting=False,
+        show_scalar_bar=False,
+        name="sights",
+    )
+    return sights.label, low, high
+
+
+def _shadows(plotter: pv.Plotter, workshop: PlacedWorkshop, lines: list[str]) -> None:
+    """The cone under each station that the elevation limit hides, and its rim on the floor."""
+    z = workshop.floor_height
+    for k, opening in enumerate(workshop.openings):
+        radius = workshop.shadow_radius(opening)
+        rims = []
+        for s, place in enumerate(workshop.position):
+            low = np.array([*place[:2], z + 0.004 * (k + 1)])
+            disc = pv.Polygon(center=low, radius=float(radius[s]), normal=(0.0, 0.0, 1.0), n_sides=72)
+            rims.append(disc.extract_feature_edges())
+            if k == 0:
+                high = float(place[2] - low[2])
+                how = {"direction": (0.0, 0.0, 1.0), "height": high, "radius": radius[s], "resolution": 72}
+                cone = pv.Cone(center=0.5 * (place + low), capping=False, **how)
+                plotter.add_mesh(cone, color=style.RED, opacity=0.13, lighting=False, name=f"cone-{s}")
+                plotter.add_mesh(disc, color=style.ORANGE, opacity=0.30, lighting=False, name=f"shadow-{s}")
+        plotter.add_mesh(
+            pv.merge(rims),
+            color=style.RED if k == 0 else style.ORANGE,
+            line_width=3 if k == 0 else 1.5,
+            lighting=False,
+            name=f"rims-{k}",
+        )
+        what = "red cone and disc" if k == 0 else "orange circle"
+        lines.append(f"{what}: shadow, opening {opening / DEGREE:.0f}°")
+
+
+def _polygon(corners: Floats) -> pv.PolyData:
+    """A flat convex face through corners (k, 3)."""
+    return pv.PolyData(corners, faces=[len(corners), *range(len(corners))])
+
+
+def _rod(begin: Floats, end: Floats, radius: float) -> pv.PolyData:
+    """A round bar between two points (3,)."""
+    along = end - begin
+    height = float(np.linalg.norm(along))
+    return pv.Cylinder(center=0.5 * (begin + end), direction=along, radius=radius, height=height, resolution=12)
+
+
+def balls(centres: Floats, axes: Floats) -> pv.PolyData:
+    """Ellipsoids around centres (k, 3) in one mesh; the columns of `axes` (k, 3, 3) are the semi-axes."""
+    count = len(centres)
+    around, up = (18, 12) if count <= FEW_BALLS else (8, 6) if count <= MANY_BALLS else (6, 4)
+    unit = pv.Sphere(radius=1.0, theta_resolution=around, phi_resolution=up)
+    points = np.einsum("kij,nj->kni", axes, unit.points) + centres[:, None, :]
+    first = len(unit.points) * np.arange(count, dtype=np.int64)[:, None, None]
+    corners: Ints = (np.asarray(unit.regular_faces, dtype=np.int64)[None] + first).reshape(-1, 3)
+    return pv.PolyData.from_regular_faces(points.reshape(-1, 3).astype(np.float32), corners)  # type: ignore[arg-type]
+
+
+def _targets(plotter: pv.Plotter, workshop: PlacedWorkshop) -> None:
+    gauge = set(workshop.gauge_targets)
+    radius = 0.009 * workshop.size
+    for name, colour, chosen in (
+        ("targets", style.BLUE, [i for i in range(len(workshop.targets)) if i not in gauge]),
+        ("gauge", style.GREEN, sorted(gauge)),
+    ):
+        if chosen:
+            axes = np.broadcast_to(np.eye(3) * radius, (len(chosen), 3, 3))
+            plotter.add_mesh(
+                balls(workshop.points[chosen], axes),
+                color=colour,
+                name=name,
+                smooth_shading=len(chosen) <= FEW_BALLS,
+            )
+    if workshop.gauge:
+        ends = workshop.points[np.array(workshop.gauge).ravel()]
+        plotter.add_mesh(
+            pv.line_segments_from_points(ends), color=style.GREEN, line_width=3, lighting=False, name="gauge-lengths"
+        )
+
+
+def _stations(plotter: pv.Plotter, workshop: PlacedWorkshop) -> None:
+    legs, heads, pointers = [], [], []
+    for place, turn in zip(workshop.position, workshop.rotation, strict=True):
+        height = max(place[2] - workshop.floor_height, 0.3)
+        spread = 0.28 * min(height, 2.0)
+        top = place - np.array([0.0, 0.0, 0.22])
+        for angle in np.array([90.0, 210.0, 330.0]) * DEGREE:
+            foot = np.array([*(place[:2] + spread * np.array([np.cos(angle), np.sin(angle)])), workshop.floor_height])
+            legs.append(_rod(top, foot, 0.018))
+        legs.append(_rod(top, place - np.array([0.0, 0.0, 0.09]), 0.05))
+        heads.append(pv.Cylinder(center=place, direction=turn[:, 1], radius=0.09, height=0.20, resolution=32))
+        end = place + 0.30 * turn[:, 0]
+        pointers.append(_rod(place, end, 0.022))
+        pointers.append(
+            pv.Cone(center=end + 0.06 * turn[:, 0], direction=turn[:, 0], height=0.12, radius=0.05, resolution=24)
+        )
+    plotter.add_mesh(pv.merge(legs), color=LEG, name="tripods")
+    plotter.add_mesh(pv.merge(heads), color=style.INK, name="heads")
+    plotter.add_mesh(pv.merge(pointers), color=style.ORANGE, name="azimuth-zero")
+
+
+def _uncertainty(plotter: pv.Plotter, workshop: PlacedWorkshop, lines: list[str]) -> None:
+    """Ellipsoids of one sigma around the targets at a round magnification."""
+    if workshop.covariance is None:
+        return
+    spread, axes = np.linalg.eigh(workshop.covariance)
+    semi = np.sqrt(np.maximum(spread, 0.0))
+    largest = float(np.median(semi.max(axis=1)))
+    if not largest > 0:
+        return
+    scale = round_magnification(largest, 0.035 * workshop.size)
+    ellipsoids = balls(workshop.points, axes * (scale * semi)[:, None, :])
+    plotter.add_mesh(
+        ellipsoids, color=style.SKY, opacity=0.35, name="ellipsoids", smooth_shading=len(semi) <= FEW_BALLS
+    )
+    lines.append(f"pale ellipsoids: 1 sigma of a target, enlarged {times(scale)} times")
+
+
+def _corrections(plotter: pv.Plotter, workshop: PlacedWorkshop, lines: list[str]) -> None:
+    if workshop.correction is None:
+        return
+    length = np.linalg.norm(workshop.correction, axis=1)
+    if not float(length.max()) > 0:
+        return
+    scale = round_magnification(float(np.percentile(length, 90)), 0.09 * workshop.size)
+    least = max(1e-3 * float(length.max()), float(np.sort(length)[-MOST_ARROWS:][0]))
+    arrows = [
+        pv.Arrow(
+            start=p,
+            direction=c / n,
+            scale=float(scale * n),
+            shaft_radius=0.03,
+            tip_radius=0.08,
+            tip_length=0.3,
+            shaft_resolution=8,
+            tip_resolution=12,
+        )
+        for p, c, n in zip(workshop.points, workshop.correction, length, strict=True)
+        if n >= least
+    ]
+    plotter.add_mesh(pv.merge(arrows), color=style.PURPLE, name="corrections")
+    most = f" (the {MOST_ARROWS} largest)" if len(length) > MOST_ARROWS else ""
+    lines.append(f"arrows: correction of a target{most}, enlarged {times(scale)} times")
+
+
+def _names(plotter: pv.Plotter, workshop: PlacedWorkshop, lines: list[str]) -> None:
+    """Names towards the camera, stations first; one that would cover another is left out, and said."""
+    eye = np.array(plotter.camera.position)
+    axes = _facing(eye - np.array(plotter.camera.focal_point))
+    size, kept, hidden = 0.026 * workshop.size, list[tuple[Floats, Floats]](), list[str]()
+    groups = [("station-names", workshop.stations, workshop.position, 0.15 + size, 1.5 * size, style.INK)]
+    if len(workshop.targets) <= MOST_LABELS:
+        groups.append(("target-names", workshop.targets, workshop.points, size, size, "#3A4046"))
+    for key, names, places, up, height, colour in groups:
+        words = []
+        for name, place in zip(names, places + np.array([0.0, 0.0, up]), strict=True):
+            word = _letters(name, place, axes, height)
+            if not word.n_points:  # letters that the drawing lacks
+                continue
+            seen = (word.points - eye) @ axes.T
+            low, high = (f(seen[:, :2] / -seen[:, 2:], axis=0) for f in (np.min, np.max))
+            if any(np.all((low < top) & (bottom < high)) for bottom, top in kept):
+                hidden.append(name)
+            else:
+                kept.append((low, high))
+                words.append(word)
+        if words:
+            plotter.add_mesh(pv.merge(words), color=colour, lighting=False, name=key)
+    if hidden:
+        lines.append(f"names left out: {listing(hidden, MOST_HIDDEN)}")
+
+
+def _facing(direction: Floats) -> Floats:
+    """Axes (3, 3) of a plane square to a direction: to the right, upwards, and out of it."""
+    out = direction / np.linalg.norm(direction)
+    right = np.cross([0.0, 0.0, 1.0] if abs(out[2]) < 1 - 1e-9 else [-1.0, 0.0, 0.0], out)
+    right /= np.linalg.norm(right)
+    return np.stack([right, np.cross(out, right), out])
+
+
+def _letters(name: str, place: Floats, axes: Floats, height: float) -> pv.PolyData:
+    """A short name of a given height [m] in the plane of `axes`."""
+    text = style.shorten(name, 16).replace("…", "..").encode("latin-1", "replace").decode("latin-1")
+    mesh = pv.Text3D(text, depth=0.0, height=height, center=(0.0, 0.0, 0.0), normal=(0.0, 0.0, 1.0))
+    mesh.points = mesh.points @ axes + place + 0.25 * axes[2]  # clear of the wall that the target may stand on
+    return mesh
+
+
+def _camera(plotter: pv.Plotter, workshop: PlacedWorkshop) -> None:
+    """Look from the open side, above, at the middle."""
+    low = np.array([*workshop.floor.min(axis=0), workshop.floor_height])
+    high = np.array([*workshop.floor.max(axis=0), max(workshop.points[:, 2].max(), workshop.position[:, 2].max())])
+    middle = 0.5 * (low + high) - np.array([0.0, 0.0, 0.04 * (high - low)[2]])
+    backs = workshop.walls.mean(axis=1) if len(workshop.walls) else workshop.points
+    away = (middle if len(workshop.walls) else workshop.position.mean(axis=0)) - backs.mean(axis=0)
+    open_side = np.array([1.0, 0.72]) * np.where(away[:2] < -1e-6, -1.0, 1.0)
+    reach = 1.75 * float(np.linalg.norm(high - low))
+    direction = np.array([*(open_side / np.linalg.norm(open_side)), 0.62])
+    plotter.camera_position = [
+        tuple(middle + reach * direction / np.linalg.norm(direction)),
+        tuple(middle),
+        (0.0, 0.0, 1.0),
+    ]
+    plotter.camera.view_angle = 32.0
+    plotter.camera.clipping_range = (0.05 * reach, 6.0 * reach)

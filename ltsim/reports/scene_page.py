@@ -1,0 +1,127 @@
+"""The workshop in 3D as one HTML page that opens offline, in the viewer of vtk.js, without any server."""
+
+import io
+import json
+import re
+import zipfile
+from html import escape
+from typing import Any
+
+import numpy as np
+import pyvista as pv
+from matplotlib.colors import to_hex
+from PIL import Image
+from trame_vtk.modules.vtk import serializers
+from trame_vtk.tools.vtksz2html import write_html
+
+from ltsim.core.notation import number
+from ltsim.reports import scene3d
+from ltsim.reports.document import POLICY
+from ltsim.reports.words import typeset
+from ltsim.reports.workshop import PlacedWorkshop
+
+STYLE = """
+.content { position: fixed; inset: 0; touch-action: none; }
+.content canvas { touch-action: none; }
+body { font-family: system-ui, sans-serif; overflow: hidden; background: #fff; }
+#legend { position: fixed; inset: 0.6rem auto auto 0.7rem; z-index: 9; pointer-events: none; color: #22272b;
+  font-size: clamp(10px, 1.7vw, 13px); line-height: 1.4; max-width: min(24rem, 60vw); }
+#legend h1 { font-size: 1.25em; margin: 0 0 .2em; overflow-wrap: anywhere; }
+#legend p { margin: 0; }
+#bar { position: fixed; inset: auto 0.8rem 0.7rem auto; z-index: 9; pointer-events: none; font-size: 12px;
+  width: min(19rem, 60vw); }
+#bar i { display: block; height: .7rem; border-radius: .2rem; margin: .15rem 0; }
+#bar span { float: right; }
+#hint { position: fixed; inset: auto auto 0.7rem 0.8rem; z-index: 9; pointer-events: none; color: #5c6166;
+  font-size: 11px; }
+@media (max-width: 34rem) { #hint { display: none; } #legend, #bar { background: #ffffffa6; } }
+"""
+HEAD = f'<meta http-equiv="Content-Security-Policy" content="{POLICY}"><meta name="generator" content="ltsim">'
+
+
+FINEST = 40_000
+"""Steps of places across a scene: too small to see on a screen of 1400 pixels, and numbers of few digits pack well."""
+
+
+def scene_page(workshop: PlacedWorkshop, camera: scene3d.Camera | None = None) -> str:
+    """One self-contained HTML page with the scene to turn; it asks nothing of any server."""
+    plotter, legend = scene3d.build(workshop, camera=camera)
+    html = _page(plotter, workshop, legend)
+    plotter.close()
+    return html
+
+
+def picture_and_page(workshop: PlacedWorkshop) -> tuple[Image.Image, scene3d.Legend, str]:
+    """A picture, what its colours mean, and the page to turn, from one scene."""
+    plotter, legend = scene3d.build(workshop, window_size=(1200, 860))
+    html = _page(plotter, workshop, legend)
+    scene3d.write_legend(plotter, "", scene3d.Legend((), legend.bar))
+    return scene3d.taken(plotter), legend, html
+
+
+def _page(plotter: pv.Plotter, workshop: PlacedWorkshop, legend: scene3d.Legend) -> str:
+    step = 2.0 ** np.floor(np.log2(workshop.size / FINEST))
+    for actor in plotter.actors.values():
+        mesh = getattr(getattr(actor, "mapper", None), "dataset", None)
+        if mesh is not None:
+            mesh.points = (step * np.round(mesh.points / step)).astype(np.float32)
+    plotter.render()
+    stream = io.StringIO()
+    write_html(_packed(_scene(plotter.render_window)), stream)
+    html = FAVICON.sub("data:,", stream.getvalue())
+    title = escape(workshop.title or "Workshop")
+    html = re.sub(r"<title>.*?</title>", lambda _: f"<title>{title}</title>", html, count=1)
+    html = html.replace("<head>", f"<head>{HEAD}", 1)
+    html = html.replace("</style>", STYLE + "</style>", 1)
+    html = html.replace("<body>", '<body><div class="content"></div>', 1)
+    before, _, after = html.rpartition("</body>")
+    return f"{before}{_overlay(title, legend)}</body>{after}"
+
+
+def _overlay(title: str, legend: scene3d.Legend) -> str:
+    lines = "".join(f"<p>{escape(line)}</p>" for line in legend.lines)
+    parts = [f'<div id="legend"><h1>{title}</h1>{lines}</div>']
+    if legend.bar is not None:
+        label, low, high = legend.bar
+        stops = ", ".join(to_hex(scene3d.LINES(x)) for x in np.linspace(0, 1, 9))
+        parts.append(
+            f'<div id="bar">{escape(label)}<i style="background: linear-gradient(90deg, {stops})"></i>'
+            f"{typeset(number(low))}<span>{typeset(number(high))}</span></div>"
+        )
+    parts.append('<div id="hint">drag: turn · wheel or pinch: zoom · shift-drag: move</div>')
+    return "".join(parts)
+
+
+FAVICON = re.compile(r"https://kitware\.github\.io/vtk-js/icon/favicon-\$\{\w+\}x\$\{\w+\}\.png")
+"""vtk.js asks its maker's site for an icon when it loads; the address is replaced by an empty one."""
+
+LONG_AGO = (1980, 1, 1, 0, 0, 0)
+
+
+def _scene(window: Any) -> dict[str, Any]:
+    """The render window in vtk.js' own description, with its arrays."""
+    serializers.initialize_serializers()
+    context = serializers.SynchronizationContext()
+    context.set_ignore_last_dependencies(True)
+    scene = serializers.serialize(None, window, serializers.reference_id(window), context, 1)
+    camera = window.GetRenderers().GetFirstRenderer().GetActiveCamera()
+    scene["extra"] = {
+        "vtkRefId": serializers.reference_id(window),
+        "centerOfRotation": camera.GetFocalPoint(),
+        "camera": serializers.reference_id(camera),
+    }
+    arrays = {
+        entry["hash"]: {**entry, "content": context.get_cached_data_array(entry["hash"], False)}
+        for entry in serializers.extract_array_hash(scene)
+    }
+    return {"hashes": arrays, "scene": scene}
+
+
+def _packed(scene: dict[str, Any]) -> bytes:
+    """The zip that the viewer opens; it carries no date."""
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w") as archive:
+        entry = zipfile.ZipInfo("index.json", LONG_AGO)
+        entry.compress_type = zipfile.ZIP_DEFLATED
+        archive.writestr(entry, json.dumps(scene))
+    return stream.getvalue()

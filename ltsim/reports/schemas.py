@@ -1,0 +1,109 @@
+"""Every result file with its model, every table with its columns: the one list that documentation is made from.
+
+``python -m ltsim.reports.schemas DIR`` writes a JSON Schema (draft 2020-12) a file, and tables.json for the tables.
+"""
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel
+
+from ltsim.acceptance import files as acceptance
+from ltsim.acceptance.spec import Acceptance
+from ltsim.adjustment.evaluation.bench import BENCH, BenchFile
+from ltsim.adjustment.evaluation.criteria import NOMINAL, CriteriaFile
+from ltsim.adjustment.fieldcheck import items as checks
+from ltsim.calibration.history_schema import HistoryFile
+from ltsim.calibration.schema import RESIDUALS, TARGETS, CalibrationFile
+from ltsim.campaigns.schema import ROWS, TRIALS, ManifestFile, RecoveryFile, summary_table
+from ltsim.campaigns.spec import Campaign
+from ltsim.core.results import Table
+from ltsim.diagnosis import schema as diagnosis
+from ltsim.measurands import comparison, files as uncertainty
+from ltsim.measurands.spec import Tasks
+from ltsim.planning import tables as plan_tables
+from ltsim.planning.result import NextFile, PlanResult
+from ltsim.planning.spec import PlanFile
+from ltsim.recordings.files import write_texts
+from ltsim.recordings.result_file import ResultFile
+from ltsim.recordings.setup import Setup
+from ltsim.simulation.scenario import Scenario
+from ltsim.simulation.truth import TruthFile
+
+RESULTS: tuple[type[ResultFile], ...] = (
+    CalibrationFile,
+    HistoryFile,
+    CriteriaFile,
+    diagnosis.DiagnosisFile,
+    PlanResult,
+    NextFile,
+    ManifestFile,
+    RecoveryFile,
+    uncertainty.UncertaintyFile,
+    comparison.Comparison,
+    checks.CheckFile,
+    acceptance.AcceptanceFile,
+    BenchFile,
+)
+"""Files that verbs write."""
+
+FILES: dict[str, type[BaseModel]] = {
+    **{model.FILE: model for model in RESULTS},
+    "truth.json": TruthFile,
+    "setup.toml": Setup,
+    "scenario.toml": Scenario,
+    "campaign.toml": Campaign,
+    "plan.toml": PlanFile,
+    "tasks.toml": Tasks,
+    "acceptance.toml": Acceptance,
+}
+"""Every file with a model, those that people write among them."""
+
+TABLES: dict[str, tuple[Table, ...]] = {
+    CalibrationFile.FILE: (TARGETS, RESIDUALS),
+    BenchFile.FILE: (BENCH,),
+    "truth.json": (NOMINAL,),
+    diagnosis.DiagnosisFile.FILE: (diagnosis.TARGETS, RESIDUALS, diagnosis.BEFORE),
+    PlanResult.FILE: plan_tables.TABLES,
+    NextFile.FILE: (plan_tables.NEXT,),
+    ManifestFile.FILE: (summary_table({"FACTOR": "number"}), ROWS),
+    checks.CheckFile.FILE: (checks.TWO_FACE,),
+    comparison.Comparison.FILE: (comparison.DISPLACEMENTS,),
+    uncertainty.UncertaintyFile.FILE: (uncertainty.RESULTS, uncertainty.BUDGET),
+    acceptance.AcceptanceFile.FILE: (acceptance.TESTS,),
+    RecoveryFile.FILE: (TRIALS,),
+}
+"""The tables beside each file."""
+
+
+def schemas() -> dict[str, dict[str, Any]]:
+    """The JSON Schema of every file, by the file's name."""
+    return {name: model.model_json_schema(by_alias=True) for name, model in FILES.items()}
+
+
+def tables() -> dict[str, list[dict[str, Any]]]:
+    """The tables beside each file: name, what it is about, its columns with their meaning."""
+    return {
+        file: [
+            {
+                "file": table.file,
+                "about": table.about,
+                "columns": [{"name": c.name, "kind": c.kind, "about": c.meaning} for c in table.columns],
+            }
+            for table in beside
+        ]
+        for file, beside in TABLES.items()
+    }
+
+
+def main(folder: Path) -> None:
+    """Write the schema of every file, and the columns of the tables, into a folder."""
+    named = {f"{name}.schema.json": content for name, content in schemas().items()}
+    write_texts(folder, {name: json.dumps(content, indent=1) + "\n" for name, content in named.items()})
+    write_texts(folder, {"tables.json": json.dumps(tables(), indent=1) + "\n"})
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1] if len(sys.argv) > 1 else "schemas"))

@@ -1,0 +1,39 @@
+"""What a report says of each kind of result: one function a kind, from the content of its file to a `Section`."""
+
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from ltsim.recordings.result_file import ResultFile, read_result
+from ltsim.reports.document import Beside, Section
+
+WRITERS = {
+    "diagnosis.json": ("diagnosis", "DiagnosisFile", "diagnosis_section"),
+    "calibration.json": ("calibration", "CalibrationFile", "calibration_section"),
+    "plan.json": ("plan", "PlanResult", "plan_section"),
+    "history.json": ("plain", "HistoryFile", "history_section"),
+    "uncertainty.json": ("plain", "UncertaintyFile", "uncertainty_section"),
+    "check.json": ("plain", "CheckFile", "check_section"),
+    "comparison.json": ("plain", "Comparison", "comparison_section"),
+    "accept.json": ("plain", "AcceptanceFile", "acceptance_section"),
+    "next.json": ("plain", "NextFile", "next_section"),
+}
+"""Module, model of the file, and function of each; a module is loaded when it is used, which takes its time."""
+
+
+def content_of(folder: Path, file: str) -> ResultFile:
+    """The content of one of these files in a folder; raises RecordError."""
+    module, model, _ = WRITERS[file]
+    content: ResultFile = read_result(folder, getattr(_module(module), model))
+    return content
+
+
+def section_of(content: ResultFile, beside: Beside | None = None) -> Section:
+    """What a page, or a terminal, says of a result."""
+    module, _, function = WRITERS[content.FILE]
+    section: Section = getattr(_module(module), function)(content, beside or Beside())
+    return section
+
+
+def _module(name: str) -> Any:
+    return import_module(f"{__name__}.{name}")

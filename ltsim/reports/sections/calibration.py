@@ -1,0 +1,265 @@
+"""What a report says of a calibration or an adjustment."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ltsim.adjustment.evaluation.criteria import CRITERIA
+from ltsim.calibration.calibration import NOISE, OUTLIERS, PARAMETERS
+from ltsim.calibration.files import read_targets
+from ltsim.calibration.schema import RESIDUALS, TARGETS, CalibrationFile
+from ltsim.core.chances import AGREES, p_text, two_sided
+from ltsim.core.errors import option
+from ltsim.core.notation import fixed, number
+from ltsim.core.units import FACTOR
+from ltsim.recordings import Recording, Setup
+from ltsim.recordings.result_file import check_source
+from ltsim.reports import figures
+from ltsim.reports.document import Beside, Block, Fact, Grid, Note, Notes, Picture, Section, mood, table_block, table_of
+from ltsim.reports.residuals import Residuals
+from ltsim.reports.sections.network import (
+    adjusted_if_possible,
+    combined,
+    residual_blocks,
+    target_table,
+    targets_in_words,
+    truth_of,
+    undetermined,
+    workshop_blocks,
+)
+from ltsim.reports.words import agreement, count, is_determined, listing, sentence
+from ltsim.simulation.truth import Truth
+
+if TYPE_CHECKING:
+    from ltsim.reports.workshop import PlacedWorkshop, Sights
+
+SETTLED = ("", "converged", "not stated")
+"""How a fit may have ended that nobody need worry about."""
+
+
+def calibration_section(content: CalibrationFile, beside: Beside) -> Section:
+    """The section of a `calibration.json`; a recording beside it adds the floor plan and the residuals before.
+
+    Raises
+    ------
+    RecordError
+        When a file is malformed.
+    """
+    recording = beside.recording
+    check_source(content, recording, beside.folder or Path())
+    agrees, words = agreement(content.fit.chi2, content.fit.dof, content.fit.p_value)
+    if content.noise_estimated:
+        words = "the noise was estimated from the same readings, which leaves nothing to test"
+    converged = content.fit.status in SETTLED
+    targets, residuals = (beside.file(table.file, content) for table in (TARGETS, RESIDUALS))
+    pair = None if residuals is None or beside.brief else adjusted_if_possible(recording)
+    before = Residuals.from_adjustment(pair[0]) if pair else None
+    after = Residuals.read(residuals).with_covariates(before) if residuals else None
+    product = target_table(targets, note=f"Axes: {content.frame or 'those of the first station'}.")
+    first = _parameters(content, truth_of(beside)) if content.parameters else product
+    known = _known_values(content)
+    ahead = known if any(entry.left_out for entry in content.known) else []
+    blocks: list[Block] = [*_warnings(content, converged=converged), *ahead, *first[:1], *_criteria(content)]
+    shown = len(blocks) + 1
+    if targets is not None and content.stations:
+        blocks += workshop_blocks(lambda: workshop_of(content, recording, targets, after), beside.detail)
+    blocks += combined("Determined in combination", content.determined)
+    blocks += [*([] if ahead else known), *first[1:], *(product if content.parameters else ()), *_stations(content)]
+    if after is not None and not beside.brief:
+        blocks += residual_blocks(after, before)
+    if content.effects:
+        blocks.append(Notes("Estimated beside the calibration", [effect.sentence for effect in content.effects]))
+    told = "What the recording tells of the combination: 0 % is nothing beyond the maker's guarantee."
+    blocks += undetermined("Not determined by this recording", content.undetermined, decimals=1, note=told)
+    kind = "Calibration" if content.parameters else "Network adjustment"
+    named = (recording.setup.title if recording else "") or (content.recording.title if content.recording else "")
+    return Section(
+        title=f"{kind}: {named}" if named else f"{kind} of {count(len(content.stations), 'station')}",
+        kind=f"{kind} ({content.method or 'network'})" if content.parameters else kind,
+        answer=_answer(content, words, targets),
+        mood=mood(agrees and converged and all(outlier.left_out for outlier in content.outliers)),
+        facts=_facts(content, agrees=agrees),
+        blocks=blocks,
+        actions=_actions(content),
+        axes=content.frame,
+        shown=shown,
+    )
+
+
+def _answer(content: CalibrationFile, agreement_words: str, targets: Path | None) -> str:
+    size = count(len(content.stations), "station")
+    if not content.parameters:
+        begin = f"The network of {size} was adjusted without instrument parameters: {agreement_words}"
+    else:
+        clear = [p for p in content.parameters if is_determined(p.sigma, p.prior_sigma)]
+        begin = (
+            f"The instrument was calibrated from {size}: {len(clear)} of "
+            f"{count(len(content.parameters), 'parameter')} are determined, and {agreement_words}"
+        )
+    distance = content.criteria.get("distance")
+    if distance is not None and distance.improvement_percent is not None:
+        change = distance.improvement_percent
+        word = "better" if change >= 0 else "worse"
+        begin += (
+            f"; stations agree about distances {abs(change):.1f} % {word} than before "
+            f"({number(distance.before.mean_um)} to {number(distance.after.mean_um)} um)"
+        )
+    if content.outliers:
+        left = sum(outlier.left_out for outlier in content.outliers)
+        begin += f"; {count(len(content.outliers), 'reading')} did not fit"
+        were = "was" if left == 1 else "were"
+        begin += f" and {were} left out" if left == len(content.outliers) else f", {left} left out" if left else ""
+    known = f" {targets_in_words(read_targets(targets)[2])}" if targets is not None else ""
+    return f"{begin}.{known}".rstrip()
+
+
+def _facts(content: CalibrationFile, *, agrees: bool) -> list[Fact]:
+    fit, found = content.fit, content.noise_estimated
+    p = None if found or fit.p_value is None else two_sided(fit.p_value)
+    facts = [
+        Fact("sigma0", fixed(fit.sigma0, 3), mood(agrees)),
+        Fact("p of the fit, two-sided", p_text(p), "plain" if found else mood(agrees)),
+        Fact("degrees of freedom", str(fit.dof)),
+        Fact("readings that do not fit", str(len(content.outliers)), "bad" if content.outliers else "plain"),
+    ]
+    if content.correction is not None and content.correction.uncorrected_um > 0:
+        expected = f"{number(content.correction.corrected_um, 2)} um, sigma"
+        facts.append(Fact("expected error of a new point, corrected", expected))
+    return facts
+
+
+def _warnings(content: CalibrationFile, *, converged: bool) -> list[Block]:
+    """What a reader must know before the numbers: a fit that failed, readings that do not belong, noise found."""
+    blocks: list[Block] = []
+    if not converged:
+        blocks.append(Note("The adjustment did not converge", content.fit.sentence or content.fit.status, "bad"))
+    if content.verdict.sentence and not content.noise_estimated:
+        blocks.append(Note("Which test to trust", content.verdict.sentence))
+    if content.correction is not None and content.correction.uncorrected_um > 0:
+        said = [content.correction.line, *content.correction.sentences]
+        blocks.append(Notes("What it is worth", [sentence(line) for line in said]))
+    if content.lost_targets:
+        text = "What is left of their readings does not determine them: " + ", ".join(content.lost_targets) + "."
+        blocks.append(Note("Targets without coordinates", text, "bad"))
+    blocks += table_block("Readings that do not belong", OUTLIERS.filled(content.outliers))
+    note = "The factor is on the stated standard deviation; the typical sigma is the median of a reading that results."
+    return blocks + table_block("Noise found from the readings", NOISE.filled(content.noise), note=note)
+
+
+def _known_values(content: CalibrationFile) -> list[Grid]:
+    note = "Residual: stated less adjusted; error: by how much it is wrong by what the rest says, +- one sigma."
+    shown = sorted(content.known, key=lambda entry: (not entry.left_out, -entry.w))
+    fields = ("kind", "name", "component", "residual", "error+-sigma_error", "minimal_detectable=detectable", "unit")
+    return table_of("How known values fit", shown, *fields, "redundancy", "w", "left_out", note=note)
+
+
+def _actions(content: CalibrationFile) -> list[str]:
+    """What to do next, the most urgent first."""
+    said = []
+    left = [o for o in content.outliers if not o.left_out]
+    if left:
+        which = listing([f"{o.station} to {o.target} ({o.observable}, row {o.row})" for o in left], 3)
+        out = f"or leave them out ({option('robust=True')})"
+        said.append(f"Measure again what did not fit, {out}: {which}.")
+    test = content.fit.p_value
+    if test is not None and test < AGREES / 2 and not content.noise_estimated:
+        said.append("Find out why readings and model disagree: ltsim diagnose names what is missing from the model.")
+    if content.verdict.scale_by_sigma0 and not content.noise:
+        said.append(
+            f"Have the noise of each observable estimated, if it is not known: {option('noise_from_data=True')}."
+        )
+    cures = dict.fromkeys(entry.cure.partition(" (gain ")[0] for entry in content.undetermined if entry.cure)
+    said += [f"To determine what is still open: {cure.rstrip('.')}." for cure in list(cures)[:3]]
+    if content.parameters and not said:
+        said.append("Apply the calibration to later readings: ltsim correct.")
+    return said
+
+
+def _parameters(content: CalibrationFile, truth: Truth | None) -> list[Block]:
+    rows, known = content.parameters, {} if truth is None else truth.instrument
+    names = [f"{p.name}@{p.instrument}" if p.instrument else p.name for p in rows]
+    true = [known[n] / FACTOR[truth.units[n]] if truth and n in known else None for n in names]
+    text = "Corrections (truth minus reading) with 95 % intervals, against the spread that the maker guarantees."
+    note = "Corrections, truth minus reading, +- one sigma."
+    if any(p.applied is not None for p in rows):
+        note += " Applied: estimated anew without what is not applied, under the priors that the readings ask for."
+    blocks: list[Block] = [
+        Picture("Instrument parameters", lambda: figures.parameters.parameter_figure(rows, true), text),
+        *table_block("Parameters in numbers", PARAMETERS.filled(rows), note=note, folds=False),
+    ]
+    if len(content.covariance) == len(rows) and len(rows) > 1:
+        covariance = np.array(content.covariance)
+        text = "Two parameters near +-100 % can hardly be told apart with this network."
+        drawn = Picture(
+            "Correlation of the parameters",
+            lambda: figures.parameters.correlation_figure(rows, covariance),
+            text,
+        )
+        blocks.append(drawn)
+    return blocks
+
+
+def _criteria(content: CalibrationFile) -> list[Grid]:
+    rows = [
+        [
+            name.replace("_", " "),
+            *(e.before.mean_um, e.before.max_um, e.after.mean_um, e.after.max_um, e.improvement_percent),
+        ]
+        for name, e in content.criteria.items()
+        if e.before.mean_um is not None
+    ]
+    text = "How far stations disagree about distances between reflectors and about their coordinates."
+    return table_block("Criteria before and after calibration", CRITERIA.filled(rows), note=text)
+
+
+def _stations(content: CalibrationFile) -> list[Grid]:
+    header = ["station", "x [mm]", "y [mm]", "z [mm]", "U x [um]", "U y [um]", "U z [um]"]
+    rows = [
+        [s.name, *(fixed(v, 3) for v in s.position_mm),
+         *(number(None if v is None else 2e3 * v, 2) for v in s.sigma_position_mm or (None,) * 3)]
+        for s in content.stations
+    ]  # fmt: skip
+    note = f"U: expanded uncertainty, k = 2. Axes: {content.frame or 'those of the first station'}."
+    return [Grid("Stations", header, rows, note=note)] if rows else []
+
+
+def workshop_of(
+    content: CalibrationFile, recording: Recording | None, targets: Path, residuals: Residuals | None
+) -> PlacedWorkshop:
+    """The calibrated network, ready to be drawn."""
+    from scipy.spatial.transform import Rotation
+
+    from ltsim.reports.workshop import PlacedWorkshop, with_surroundings
+
+    names, points, sigma = read_targets(targets)
+    stations = tuple(s.name for s in content.stations)
+    setup = recording.setup if recording is not None else Setup()
+    network = PlacedWorkshop(
+        title=setup.title or "Calibrated network",
+        stations=stations,
+        position=np.array([s.position for s in content.stations]),
+        rotation=Rotation.from_quat([s.rotation_quaternion for s in content.stations]).as_matrix(),
+        targets=names,
+        points=np.nan_to_num(points),
+        sights=_sights(residuals, stations, names),
+        covariance=np.einsum("ti,ij->tij", np.nan_to_num(sigma) ** 2, np.eye(3)),
+    )
+    return with_surroundings(network, setup)
+
+
+def _sights(residuals: Residuals | None, stations: Sequence[str], targets: Sequence[str]) -> Sights | None:
+    from ltsim.reports.workshop import Sights
+
+    if residuals is None:
+        return None
+    station, target = (
+        np.array([{name: i for i, name in enumerate(names)}.get(name, -1) for name in column.tolist()])
+        for names, column in ((stations, residuals.station), (targets, residuals.target))
+    )
+    known = (station >= 0) & (target >= 0)
+    size = np.abs(np.nan_to_num(residuals.w[known]))
+    return Sights(station[known], target[known], size, "largest normalised residual") if known.any() else None

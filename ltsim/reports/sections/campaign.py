@@ -1,0 +1,386 @@
+"""What a report says of a campaign: what was varied, the improvement with its interval, errors, z-scores, coverage."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+from ltsim.campaigns.design import Factor
+from ltsim.campaigns.results import Results
+from ltsim.campaigns.schema import SHARES, ManifestFile, column_of, errors_of
+from ltsim.campaigns.statistics import Checked, Scores, Spread
+from ltsim.core.notation import number
+from ltsim.core.results import Table as TableOf
+from ltsim.reports.document import Block, Fact, Grid, Listing, Picture, Section, mood, table_block
+from ltsim.reports.figures.campaign import (
+    ALLOWED,
+    MOST_LINES,
+    MOST_PANELS,
+    PAPER,
+    Swept,
+    TrialDistribution,
+    by_factor,
+    by_setting,
+    coverage,
+    distributions,
+    short,
+    title,
+    uncovered,
+)
+from ltsim.reports.words import count, of_presets, sentence
+from ltsim.simulation.keys import meaning_of
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+MOST_DRAWN = 200_000
+"""Trials whose values are drawn; tables and intervals use all of them."""
+MOST_CELLS, MOST_VALUES, MOST_SHOWN, MOST_ROWS = 3, 8, 4, 48
+IMPROVEMENT = "distance_improvement_percent"
+
+LABELS = MappingProxyType(
+    {
+        "distance_improvement_percent": "distance criterion, improvement [%]",
+        "coordinate_improvement_percent": "coordinate criterion, improvement [%]",
+        "share_removed": "share of the correctable error removed",
+        "target_error_um": "error of the targets [µm]",
+    }
+)
+
+
+def campaign_section(folder: Path) -> Section:
+    """The section of a campaign's folder.
+
+    Raises
+    ------
+    SetupError
+        When the folder holds no finished shard, or a damaged one.
+    """
+    results = Results(folder)
+    manifest = results.manifest
+    spreads = {name: results.spread(name) for name in results.columns if ":" not in name}
+    scores, ends = results.z_scores(), results.checked()
+    published = PAPER.get(str(manifest.settings.get("scenario", "")), {})
+    drawn_ = _distributions(results, published)
+    shown = [*_improvements(results, spreads, published), *_varied(results)] or drawn_[:1]
+    shown += _by_factor(results, spreads)
+    shown[1:1] = _errors(results, spreads)
+    blocks: list[Block] = [*shown, *(b for b in drawn_ if b not in shown)]
+    blocks += [*_coverage(results, scores), *_statistics(results, spreads, ends)]
+    blocks.append(Listing("Settings of the campaign", json.dumps(manifest.settings, indent=1)))
+    blocks.append(Listing("Scenarios of its cells", json.dumps(manifest.scenarios, indent=1)))
+    versions = [*manifest.versions.items(), *([("commit", manifest.commit[:12])] if manifest.commit else [])]
+    return Section(
+        title=f"Campaign: {manifest.title}" if manifest.title else "Campaign of simulated calibrations",
+        kind="Campaign",
+        answer=_answer(results, spreads, ends),
+        mood=mood(not sum(end.failed for end in ends)),
+        facts=_facts(manifest, ends, scores),
+        blocks=blocks,
+        seed=str(manifest.seed),
+        versions=versions,
+        axes="those of the scenario",
+        instrument=of_presets(manifest.scenarios),
+        shown=min(len(shown), MOST_SHOWN),
+    )
+
+
+def _mean(s: Spread, level: str = "95 %: ") -> str:
+    return f"{number(s.mean)} ({level}{number(s.low)} to {number(s.high)})"
+
+
+def _answer(results: Results, spreads: Mapping[str, list[Spread]], ends: Sequence[Checked]) -> str:
+    """What was varied, what calibration is worth, and where it is best and worst."""
+    manifest, factors = results.manifest, varied(results)
+    fewest, most = min(e.trials for e in ends), max(e.trials for e in ends)
+    size = f"Over {fewest} trials" if fewest == most else f"Over {fewest} to {most} trials"
+    if len(manifest.cells) > 1:
+        size += f" in each of {len(manifest.cells)} settings"
+        size += f" of {_listed([title(f).partition(' [')[0] for f in factors])}" if factors else ""
+    said = []
+    for method in manifest.methods:
+        means = [s for s in spreads.get(IMPROVEMENT, []) if s.method == method]
+        if len(means) == 1:
+            said.append(f"{method} by {_mean(means[0])} %")
+        elif means:
+            low, high = min(s.mean for s in means), max(s.mean for s in means)
+            said.append(f"{method} by {number(low)} to {number(high)} %")
+    told = f"{size}, calibration improves the distance criterion on average: {'; '.join(said)}."
+    return (told if said else f"{size} with {', '.join(manifest.methods)}.") + _extremes(results, spreads)
+
+
+def _extremes(results: Results, spreads: Mapping[str, list[Spread]]) -> str:
+    means = spreads.get("target_error_um", [])
+    if len(results.manifest.cells) < 2 or not means:
+        return ""
+    names, several = cell_words(results), len(results.manifest.methods) > 1
+    least, most = min(means, key=lambda s: s.mean), max(means, key=lambda s: s.mean)
+    first, last = (f"{number(s.mean)} um ({f'{s.method}, ' if several else ''}{names[s.cell]})" for s in (least, most))
+    return f" Targets err least with {first}, most with {last}."
+
+
+def _listed(words: Sequence[str]) -> str:
+    return " and ".join(filter(None, [", ".join(words[:-1]), *words[-1:]]))
+
+
+def _facts(manifest: ManifestFile, ends: Sequence[Checked], scores: Sequence[Scores]) -> list[Fact]:
+    failed = sum(end.failed for end in ends)
+    checked = [end.largest_difference_sigma for end in ends if end.largest_difference_sigma is not None]
+    facts = [
+        Fact("trials", str(sum(end.trials for end in ends))),
+        Fact("settings", str(len(manifest.cells))),
+        Fact("methods", ", ".join(manifest.methods)),
+        Fact("failed", str(failed), mood(not failed)),
+    ]
+    if checked:
+        facts.append(Fact("fast against full solver", f"{max(checked):.1e} sigma", mood(max(checked) < 1e-3)))
+    if scores:
+        shares = [s.coverage_95 for s in scores]
+        facts.append(Fact("coverage of 95 %", f"{100 * min(shares):.1f} to {100 * max(shares):.1f} %"))
+    return facts
+
+
+def _varied(results: Results) -> list[Block]:
+    rows = []
+    for factor in results.factors:
+        values = list(dict.fromkeys(factor.words(level[factor.name]) for level in results.levels))
+        shown = values if len(values) <= MOST_VALUES else [values[0], "...", values[-1]]
+        told = meaning_of(factor.keys[0]).replace("`", "")
+        rows.append([title(factor), ", ".join(shown), ", ".join(factor.keys), told])
+    return [Grid("What was varied", ["", "values", "key", "meaning"], rows, text_columns=4)] if rows else []
+
+
+def _by_factor(results: Results, spreads: Mapping[str, list[Spread]]) -> list[Grid]:
+    """Means over the cells of each level, where cells are too many to be read; factors of few levels first."""
+    if len(results.levels) <= MOST_ROWS:
+        return []
+    groups: dict[tuple[str, ...], list[float]] = {}
+    for factor in sorted(varied(results), key=lambda f: len(set(_column(results, f)))):
+        for name in filter(spreads.get, LABELS):
+            for s in spreads[name]:
+                key = title(factor), factor.words(results.levels[s.cell][factor.name]), s.method, name
+                groups.setdefault(key, []).append(s.mean)
+    rows = [[*key, *(number(v, 4) for v in (sum(m) / len(m), min(m), max(m)))] for key, m in groups.items()]
+    heads = ["factor", "level", "method", "statistic", "mean", "least cell", "largest cell"]
+    return [Grid("Means over the settings of a level", heads, rows, text_columns=4)]
+
+
+def _improvements(results: Results, spreads: Mapping[str, list[Spread]], published: Mapping[str, float]) -> list[Block]:
+    """Means with intervals over the settings, and where the paper's figure lies."""
+    blocks: list[Block] = []
+    if len(results.levels) == 1:  # nothing to draw a mean over: the distributions say it
+        return blocks
+    for column, label in LABELS.items():
+        own, paper = spreads.get(column, []), published.get(column)
+        for text, figure in drawn(results, own, label, paper) if own else ():
+            outside = [s for s in own if paper is not None and not s.quantiles[1] <= paper <= s.quantiles[5]]
+            where = f"outside it in {len(outside)} of {len(own)}" if outside else "within it everywhere"
+            told = f" The paper's {number(paper)} (dashed) lies against the 90 % of trials: {where}."
+            caption = text if paper is None else text + told
+            blocks.append(Picture(label.split(" [")[0].capitalize(), figure, caption))
+    return blocks
+
+
+def campaign_figure(results: Results) -> Figure:
+    """The first statistic of interest over what was varied; distributions where nothing was."""
+    if len(results.levels) > 1:
+        for column, label in LABELS.items():
+            if column in results.columns:
+                return next(drawn(results, results.spread(column), label, None))[1]()
+    return distributions(_rows_of(results, {}))
+
+
+def _rows_of(results: Results, published: Mapping[str, float]) -> list[TrialDistribution]:
+    """The criteria, or other sizes where there are none, over the trials of the first setting and method."""
+    cell = results.manifest.cells[0].cell
+    sized = [c for c in results.columns if c.endswith(("_um", "_percent"))]
+    wanted = [c for c in sized if c.startswith(("distance", "coordinate"))] or sized
+    wanted.sort(key=lambda c: (not c.endswith("percent"), "mean" not in c, "before" not in c, c.startswith("coord")))
+    values = {c: results.values(c, cell, results.manifest.methods[0], most=MOST_DRAWN) for c in wanted}
+    return [
+        TrialDistribution(_column_words(c), v, "um" if c.endswith("_um") else "%", published.get(c))
+        for c, v in values.items()
+        if len(v) > 1
+    ]
+
+
+def _distributions(results: Results, published: Mapping[str, float]) -> list[Block]:
+    """Histograms of the criteria of the file's first method; means over several settings tell more."""
+    rows = [] if len(results.levels) > 1 else _rows_of(results, published)
+    told = "Dashed: the paper's figures and the share of trials below them." if published else ""
+    title = f"Distributions over trials: {results.manifest.methods[0]}"
+    return [Picture(title, partial(distributions, rows), told)] if rows else []
+
+
+def _coverage(results: Results, scores: Sequence[Scores]) -> list[Block]:
+    """z-scores and coverage: as a picture for the first cell of each method, in figures for all."""
+    blocks: list[Block] = []
+    for method in dict.fromkeys(s.method for s in scores):
+        mine = [s for s in scores if s.method == method]
+        rows = [s for s in mine if s.cell == mine[0].cell and s.trials > 1]
+        if rows and len(blocks) < MOST_CELLS:
+            place = f", {cell_words(results)[mine[0].cell]}" if len(results.levels) > 1 else ""
+            blocks.append(Picture(f"Coverage: {method}{place}", partial(coverage, rows), coverage_words(rows)))
+    text = "z: estimate minus truth over its stated sigma; right sigmas give mean 0 and standard deviation 1."
+    return [*blocks, *table_block("z-scores of the parameters", results.table("z_scores"), note=text)] if scores else []
+
+
+def coverage_words(rows: Sequence[Scores]) -> str:
+    """Which shares are red, and why."""
+    low, high = (f"{100 * bound:.1f}" for bound in ALLOWED)
+    red = [row.parameter for row, out in zip(rows, uncovered(rows), strict=True) if out]
+    band = f"the allowed band of {low} to {high} %"
+    if not red:
+        return f"None is red: each interval reaches into {band}."
+    return f"Red, since that lies outside {band}: {', '.join(red)}."
+
+
+def _column_words(column: str) -> str:
+    """`distance_before_mean_um` as `distance, mean before`."""
+    if column.startswith("new_point_"):
+        return f"new point: {_column_words(column.removeprefix('new_point_'))}"
+    parts = column.removesuffix("_um").removesuffix("_percent").replace("max", "largest").split("_")
+    return f"{parts[0]}, {' '.join(reversed(parts[1:]))}" if len(parts) > 1 else column
+
+
+def _errors(results: Results, spreads: Mapping[str, list[Spread]]) -> list[Block]:
+    """Errors before and after calibration beside what no parameter removes: a total says little without its floor."""
+    names = cell_words(results)
+    blocks: list[Block] = []
+    for share in SHARES:
+        entries = [spreads.get(name, []) for name in (*errors_of(share), share)]
+        rows = [
+            [names[of[0].cell], of[0].method, *(_mean(s, "") for s in of)] for of in zip(*entries, strict=all(entries))
+        ]
+        named = "new point" if share.startswith("new_point") else "point"
+        header = ["setting", "method", "raw [um]", "calibrated [um]", "noise floor [um]", "share removed"]
+        note = (
+            f"{_meaning(share)}. Noise floor: readings corrected by the true parameters. In brackets: 95 % of the mean."
+        )
+        if rows:
+            blocks.append(Grid(f"Error of a {named}", header, rows, text_columns=2, note=note))
+    return blocks
+
+
+def _meaning(column: str) -> str:
+    known = column_of(column)
+    return sentence("" if known is None else known.meaning.replace("`", "")).removesuffix(".")
+
+
+def _statistics(results: Results, spreads: Mapping[str, list[Spread]], ends: Sequence[Checked]) -> list[Block]:
+    """All statistics, what each of them is, and how the trials ended."""
+    cells = results.table("summary")
+    more = {"cell", "deviation", "least", "largest", *(f"quantile_{q}_percent" for q in ("2.5", "25", "75", "97.5"))}
+    shown = _settings(results, cells.only(" ".join(name for name in cells.header if name not in more)))
+    means = [f"{_column_words(c)} [{results.units.get(c, '')}]: {_meaning(c)}" for c in spreads]
+    note = "Verified: trials that the full solver repeated; the difference is that of the estimates."
+    failed = frozenset(i for i, e in enumerate(ends) if e.failed)
+    ended = results.table("ends")
+    ended = _settings(results, ended.only(" ".join(name for name in ended.header if name != "cell")))
+    return [
+        *table_block(f"Statistics ({count(len(shown.rows), 'row')})", shown),
+        Listing("What the statistics mean", "\n".join(means)),
+        *table_block("How the trials ended", ended, note=note, marked=failed),
+    ]
+
+
+def _settings(results: Results, table: TableOf) -> TableOf:
+    """A table of cells whose settings read as they were given: 0.5 and not 0.5000."""
+    given = {f.name for f in results.factors}
+    columns = (replace(c, shown=".6g") if c.name in given and c.kind == "number" else c for c in table.columns)
+    return replace(table, columns=tuple(columns))
+
+
+def varied(results: Results) -> list[Factor]:
+    """Factors that truly vary, those that change together with an earlier one left out."""
+    kept: list[Factor] = []
+    for factor in results.factors:
+        own = _column(results, factor)
+        if len(set(own)) > 1 and not any(_alike(own, _column(results, other)) for other in kept):
+            kept.append(factor)
+    return kept
+
+
+def cell_words(results: Results) -> dict[int, str]:
+    """What each cell is, in a few words."""
+    factors = varied(results)
+    said = [", ".join(short(f, level[f.name]) for f in factors) for level in results.levels]
+    plain = "as the scenario" if len(said) == 1 else ""
+    return {
+        entry.cell: words or plain or entry.label for entry, words in zip(results.manifest.cells, said, strict=True)
+    }
+
+
+def _column(results: Results, factor: Factor) -> list[Any]:
+    return [level[factor.name] for level in results.levels]
+
+
+def _alike(one: Sequence[Any], other: Sequence[Any]) -> bool:
+    """Whether each value of one comes with one value of the other."""
+    pairs = len(set(zip(one, other, strict=True)))
+    return pairs == len(set(one)) == len(set(other))
+
+
+def drawn(
+    results: Results, spreads: Sequence[Spread], label: str, published: float | None
+) -> Iterator[tuple[str, Callable[[], Figure]]]:
+    """Figures of a statistic, each with words for its caption.
+
+    A line over one factor where cells form a grid, dots over every range of a design, else a line of text a cell.
+    """
+    factors, several = varied(results), f"Over {results.manifest.trials} trials a setting."
+    how: dict[str, Any] = {"label": label, "published": published}
+    cells = len({tuple(level[f.name] for f in factors) for level in results.levels})
+    of_grid = cells == len(results.levels) == math.prod(len(set(_column(results, f))) for f in factors)
+    if factors and results.manifest.settings.get("design"):
+        places = [(f, _place(f, results.levels[s.cell]), s) for f in factors for s in spreads]
+        rows = [_swept(s, place, s.method, title(factor)) for factor, place, s in places]
+        figure = partial(by_factor, rows, axis="", joined=False, **how)
+        yield f"Each mark is one setting, against each factor. {several}", figure
+    elif factors and of_grid and cells > 2:
+        axis, rows = _lines(results, factors, spreads)
+        names = list(dict.fromkeys(row.panel for row in rows))
+        for first in range(0, len(names), MOST_PANELS):
+            shown = names[first : first + MOST_PANELS]
+            part = f" Panels {first + 1} to {first + len(shown)} of {len(names)}." if len(names) > MOST_PANELS else ""
+            yield several + part, partial(by_factor, [row for row in rows if row.panel in shown], axis=axis, **how)
+    else:
+        named = cell_words(results)
+        yield several, partial(by_setting, [_swept(s, named[s.cell], s.method, "") for s in spreads], **how)
+
+
+def _lines(results: Results, factors: Sequence[Factor], spreads: Sequence[Spread]) -> tuple[str, list[Swept]]:
+    """The axis of lines over one factor, and their points."""
+    along, across, panels = arranged(results, factors)
+    rows = []
+    for s in spreads:
+        level = results.levels[s.cell]
+        line = short(across, level[across.name]) if across else s.method
+        rows.append(_swept(s, _place(along, level), line, ", ".join(short(f, level[f.name]) for f in panels)))
+    return title(along), rows
+
+
+def arranged(results: Results, factors: Sequence[Factor]) -> tuple[Factor, Factor | None, list[Factor]]:
+    """The factor along the lines, the one that tells lines apart (None: methods do), those of the panels."""
+    levels = {f.name: len(set(_column(results, f))) for f in factors}
+    along = max(factors, key=lambda f: (f.kind in ("number", "integer"), levels[f.name]))
+    rest = [f for f in factors if f is not along]
+    if len(results.manifest.methods) > 1 or not rest:
+        return along, None, rest
+    across = max(rest, key=lambda f: levels[f.name] if levels[f.name] <= MOST_LINES else 0)
+    return along, across, [f for f in rest if f is not across]
+
+
+def _place(factor: Factor, level: Mapping[str, Any]) -> float | str:
+    value = level[factor.name]
+    return float(value) if factor.kind in ("number", "integer") and value is not None else factor.words(value)
+
+
+def _swept(s: Spread, x: float | str, line: str, panel: str) -> Swept:
+    return Swept(x, line, panel, s.mean, s.low, s.high, s.quantiles[1], s.quantiles[5])

@@ -1,0 +1,218 @@
+"""A recording's section, and blocks that several kinds share: residuals, floor plan, 3D view, who stands where."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ltsim.adjustment import Adjustment, adjust
+from ltsim.calibration.files import read_targets
+from ltsim.calibration.schema import Combination, DeterminedEntry
+from ltsim.core.arrays import Floats
+from ltsim.core.chances import p_text, two_sided
+from ltsim.core.errors import ConvergenceError, NetworkError, installed, missing_extra
+from ltsim.core.notation import NONE, fixed, number
+from ltsim.physics.model.construction import stated_construction
+from ltsim.recordings import Recording, read
+from ltsim.reports import figures
+from ltsim.reports.document import (
+    Beside,
+    Block,
+    Detail,
+    Fact,
+    Grid,
+    Listing,
+    Note,
+    Picture,
+    Scene,
+    Section,
+    mood,
+    table_of,
+)  # fmt: skip
+from ltsim.reports.residuals import USUAL, Residuals
+from ltsim.reports.words import agreement, count, duration, natural
+from ltsim.simulation.truth import Truth, read_truth
+
+if TYPE_CHECKING:
+    from ltsim.reports.workshop import PlacedWorkshop
+
+TRUTH = "truth.json"
+Pair = tuple[Adjustment, Adjustment]
+"""The network without and with the instrument's parameters."""
+
+
+def adjusted(recording: Recording) -> Pair:
+    """The network without and with the instrument's parameters; raises NetworkError, ConvergenceError."""
+    plain, full = adjust(recording), adjust(recording, stated_construction(recording))
+    plain.solution.require_success()
+    full.solution.require_success()
+    return plain, full
+
+
+def adjusted_if_possible(recording: Recording | None) -> Pair | None:
+    """The same; None where there is no recording, or it cannot be adjusted."""
+    try:
+        return adjusted(recording) if recording is not None else None
+    except (NetworkError, ConvergenceError):
+        return None
+
+
+def truth_of(beside: Beside) -> Truth | None:
+    """The truth of a simulation that lies beside a result."""
+    file = beside.folder / TRUTH if beside.folder else None
+    return read_truth(file) if file is not None and file.is_file() else None
+
+
+def residual_blocks(after: Residuals, before: Residuals | None) -> list[Block]:
+    """Residuals by station and against covariates; `before` is without the instrument's parameters."""
+    compared = " Grey: without the instrument's parameters; blue: with." if before is not None else ""
+    text = "Observed minus adjusted reading of every pointing; the bar is the root mean square."
+    drawn = Picture(
+        "Residuals by station", lambda: figures.residuals.residuals_by_station(after, before), text + compared
+    )
+    return [drawn, *over_covariates(after)]
+
+
+def over_covariates(after: Residuals) -> list[Block]:
+    """Residuals against what is known of each pointing."""
+    text = "Lines: running means with twice their standard error; where the model holds they stay at zero."
+    title = "Residuals against what they might depend on"
+    known = set(USUAL) & set(after.covariates)
+    return [Picture(title, lambda: figures.residuals.residuals_by_covariate(after), text)] if known else []
+
+
+def workshop_blocks(shown: Callable[[], PlacedWorkshop], detail: Detail) -> list[Block]:
+    """The 3D view and the floor plan, as far as `detail` asks for them."""
+    if detail == "none":
+        return []
+    workshop = shown()
+    text = (
+        "Seen from above. No reflector may stand on the floor inside a shadow circle: the elevation limit of that "
+        "station hides it"
+    )
+    drawn = "; ".join([text, *workshop.notes]) + "."
+    plan = Picture("Floor plan", lambda: figures.floor_plan.floor_plan(workshop), drawn)
+    return [scene(workshop), plan] if detail == "turn" else [plan]
+
+
+def scene(workshop: PlacedWorkshop) -> Scene | Note:
+    """The 3D view, with the page to turn; where it cannot be drawn, what it needs."""
+    if not installed("pyvista"):
+        return Note("No 3D view", str(missing_extra("3D views", "view")))
+    from ltsim.reports.scene_page import picture_and_page  # pyvista takes a second to load, and only this needs it
+    from ltsim.reports.style import webp_uri
+
+    coloured = workshop.coloured("incidence")
+    picture, legend, page = picture_and_page(coloured)
+    lines = "; ".join(line.rstrip(".") for line in legend.lines)
+    by = f" Lines of sight are coloured by {coloured.sights.label}." if coloured.sights else ""
+    caption = f"{lines[:1].upper()}{lines[1:]}.{by}"
+    return Scene("The workshop in 3D", webp_uri(picture), caption, page)
+
+
+def undetermined(title: str, entries: Sequence[Combination], *, decimals: int, note: str = "") -> list[Grid]:
+    """Combinations of parameters that stay open, and the cure of each."""
+    rows = [
+        [entry.terms, entry.cure or NONE, NONE if entry.gain is None else f"{100 * entry.gain:.{decimals}f} %"]
+        for entry in entries
+    ]
+    header = ["combination, in units of the prior sigma", "what would determine it", "told"]
+    return [Grid(title, header, rows, text_columns=2, note=note)] if rows else []
+
+
+def combined(title: str, entries: Sequence[DeterminedEntry]) -> list[Grid]:
+    """Combinations of parameters that are known far better than each of them."""
+    note = "Together they are known far better than each of them."
+    return table_of(title, entries, "terms=combination", "instrument", "value+-sigma", "unit", note=note)
+
+
+def target_table(file: Path | None, *, note: str) -> list[Grid]:
+    """Coordinates of a `targets.csv` with their expanded uncertainty; none where there is no such file."""
+    if file is None:
+        return []
+    names, points, sigma = read_targets(file)
+    order = sorted(range(len(names)), key=lambda i: natural(names[i]))
+    rows = [[names[i], *(fixed(1e3 * v, 4) for v in points[i]), *(number(2e6 * s, 2) for s in sigma[i])] for i in order]
+    header = ["target", "x [mm]", "y [mm]", "z [mm]", "U x [um]", "U y [um]", "U z [um]"]
+    return [Grid("Targets", header, rows, note=f"U: expanded uncertainty, k = 2. {note}", folds=False)]
+
+
+def targets_in_words(sigma: Floats) -> str:
+    """How well targets are known, from their standard deviations (T, 3) [m]: in plan where heights of some are open."""
+    told = sigma[np.isfinite(sigma[:, :2]).all(axis=1)]
+    flat = bool(np.isnan(told).any())
+    known = np.sort(np.sqrt((told[:, : 2 if flat else 3] ** 2).sum(axis=1)))
+    if not len(known):
+        return ""
+    typical, worst = (number(2e6 * s, 2) for s in (np.median(known), known[-1]))
+    return f"A target is known to U = {typical} um (k = 2) in {'plan' if flat else 'space'}, the worst to {worst} um."
+
+
+def recording_section(folder: Path, *, detail: Detail = "turn", brief: bool = False) -> Section:
+    """The section of a recording; a `brief` one leaves residuals to the section of its calibration.
+
+    Raises
+    ------
+    RecordError
+        When the recording cannot be read.
+    """
+    from ltsim.reports.workshop import from_adjustment
+
+    recording = read(folder)
+    title = f"Recording: {recording.setup.title}" if recording.setup.title else "Recording of a tracker network"
+    facts = [
+        Fact("stations", str(len(recording.stations))),
+        Fact("targets", str(len(recording.targets))),
+        Fact("pointings", str(len(recording))),
+        Fact("known lengths", str(len(recording.gauge.distance))),
+    ]
+    last: list[Block] = [_table(recording), _settings(folder)]
+    try:
+        plain, full = adjusted(recording)
+    except (NetworkError, ConvergenceError) as problem:
+        answer = f"{_contents(recording)} The network could not be adjusted: {problem}."
+        return Section(title, "Recording", answer, "bad", facts, last)
+    agrees, words = agreement(full.chi2, full.dof, full.p_value)
+    outliers = full.outliers()
+    found = f" Outliers: {count(len(outliers), 'reading')}." if outliers else ""
+    facts += [
+        Fact("sigma0", f"{np.sqrt(full.chi2 / max(full.dof, 1)):.3f}", mood(agrees)),
+        Fact("p, two-sided", p_text(two_sided(full.p_value)), mood(agrees)),
+        Fact("outliers", str(len(outliers)), "bad" if outliers else "plain"),
+    ]
+    blocks = workshop_blocks(lambda: from_adjustment(full, plain=plain), detail)
+    if not brief:
+        before, after = Residuals.from_adjustment(plain), Residuals.from_adjustment(full)
+        last = [*residual_blocks(after, before), *last]
+    answer = f"{_contents(recording)} With the instrument's parameters adjusted, {words}.{found}"
+    return Section(title, "Recording", answer, mood(agrees and not outliers), facts, [*blocks, *last], shown=2)
+
+
+def _contents(recording: Recording) -> str:
+    faces = "two faces" if (recording.face == 2).any() else "one face"
+    time = f" over {duration(float(np.ptp(recording.time)))}" if recording.has_clock and len(recording) else ""
+    return (
+        f"{count(len(recording), 'pointing')} from {count(len(recording.stations), 'station')} to "
+        f"{count(len(recording.targets), 'target')} in {faces}{time}."
+    )
+
+
+def _table(recording: Recording) -> Grid:
+    rows = []
+    for s, name in enumerate(recording.stations):
+        here = recording.station == s
+        sizes = (here.sum(), len(set(recording.target[here].tolist())), len(set(recording.face[here].tolist())))
+        begin = duration(float(recording.time[here].min())) if recording.has_clock else NONE
+        rows.append([name, *map(str, sizes), str((~recording.measured[here]).sum()), begin])
+    header = ["station", "pointings", "targets", "faces", "missing readings", "starts at"]
+    return Grid("Work of each station", header, rows)
+
+
+def _settings(folder: Path) -> Block:
+    file = folder / "setup.toml"
+    if not file.is_file():
+        return Note("Set-up", "There is no set-up file: the default noise and priors were used.")
+    return Listing("Set-up of the recording (setup.toml)", file.read_text(encoding="utf-8"))

@@ -1,0 +1,255 @@
+"""Sections that are a sentence, tables and at most a picture: each is a few lines over its result file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
+
+from ltsim.acceptance.files import AcceptanceFile, passes_words
+from ltsim.adjustment.fieldcheck.items import CheckFile
+from ltsim.calibration.events import ENOUGH_STEPS, LEAST_STEPS
+from ltsim.calibration.history_schema import HistoryFile
+from ltsim.core.chances import p_is, p_text
+from ltsim.core.notation import number, with_sigma
+from ltsim.measurands.comparison import DISPLACEMENTS, Comparison
+from ltsim.measurands.files import UncertaintyFile
+from ltsim.planning.result import NextFile
+from ltsim.reports import figures
+from ltsim.reports.document import Beside, Block, Fact, Grid, Note, Notes, Picture, Section, mood, table_block, table_of
+from ltsim.reports.words import count, distinct_labels, duration, listing, natural, sentence
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+LEVEL, LIKELY, NOTHING = 0.01, 0.5, 1e-6
+UNITED = (
+    "U: expanded uncertainty; mc: ends of the interval by Monte Carlo, to be taken where it does not agree with U "
+    "(JCGM 101, clause 8)."
+)
+MOST_BARS, MOST_TESTS = 40, 200
+AGAINST = {
+    ("two-face",): "Run the tracker's own two-face compensation, or calibrate it: ltsim calibrate.",
+    ("gross", "bump", "drift", "instrument-drift", "closure", "level", "mistake"): (
+        "Measure what is named here anew before the tripod is carried on."
+    ),
+    ("network",): "Find out why the stations disagree: ltsim diagnose names what is missing from the model.",
+}
+"""What to do where a check of these kinds fails."""
+
+
+def check_section(content: CheckFile, beside: Beside) -> Section:
+    """Go or no-go, and every test."""
+    drawn = beside.file("check.svg", content)
+    caption = "Above: half two-face differences over their limits. Below: what each pointing misses over time."
+    blocks: list[Block] = [] if drawn is None else [Picture("At a glance", lambda: drawn.read_text("utf-8"), caption)]
+    fields = ("station", "kind=test", "sentence=what was found", "targets", "p_value")
+    for title, passed in (("Against going on", False), ("Tests that are kept", True)):
+        blocks += table_of(title, [i for i in content.items if i.passed is passed], *fields, folds=False)
+    failed = sum(not item.passed for item in content.items)
+    facts = [Fact("tests", str(len(content.items))), Fact("against going on", str(failed), mood(not failed))]
+    blocks = [*blocks[1:2], *blocks[:1], *blocks[2:]] if failed and drawn else blocks
+    shown = 2 if failed else 1
+    named = content.recording.title if content.recording else ""
+    title, answer = f"Check in the field: {named}" if named else "Check in the field", sentence(content.sentence)
+    actions = [does for kinds, does in AGAINST.items() if any(not i.passed and i.kind in kinds for i in content.items)]
+    return Section(title, "Check", answer, mood(content.passed), facts, blocks, shown=shown, actions=actions)
+
+
+def comparison_section(content: Comparison, _: Beside) -> Section:
+    """Which points moved."""
+    points = sorted(content.displacements, key=lambda d: (not d.moved, natural(d.target)))
+    moved = [d.target for d in points if d.moved]
+    caption = "Shift of each point, enlarged; circle: the largest semi-axis of its 95 % ellipsoid."
+    note = "a +- b: one standard deviation; visible: the smallest motion that is found in 4 of 5 cases."
+    shown = DISPLACEMENTS.filled(d.row for d in points).only("target moved dx_um dy_um dz_um a_um visible_um p_value")
+    table = table_block("Every point", shown, note=note, marked=frozenset(range(len(moved))), folds=False)
+    facts = [
+        Fact("points", str(len(points))),
+        Fact("moved", str(len(moved)), mood(not moved)),
+        Fact("no motion at all, p", p_text(content.p_value), mood(content.p_value >= content.level)),
+        *([] if content.scale_ppm is None else [Fact("scale", f"{content.scale_ppm:+.2f} ppm")]),
+    ]
+    answer = " ".join(map(sentence, (content.sentence, *content.notes)))
+    drawn = Picture("Displacements", lambda: figures.points.displacement_figure(content), caption)
+    said = f"Look at what moved, and measure it again before it is used as a reference: {listing(moved)}."
+    return Section(
+        "Comparison of two epochs", "Comparison", answer, mood(not moved), facts, [drawn, *table],
+        axes="the first epoch's", actions=[said] if moved else [],
+    )  # fmt: skip
+
+
+def acceptance_section(content: AcceptanceFile, _: Beside) -> Section:
+    """Tests against the maker's limits."""
+    predicted = content.kind == "predicted"
+    good = mood(content.passes >= (LIKELY if predicted else 1.0))
+    caption = "Each test's error over its limit, with its expanded uncertainty; the limit is at +-1."
+    groups = [
+        [g.name, str(g.tests), passes_words(content, g.passes), f"{100 * g.largest_share:.0f} %"]
+        for g in content.groups
+    ]
+    share = "error + U over limit" if predicted else "error over limit"
+    note = f"Assumed: {content.assumption}." if content.assumption else ""
+    ranked = sorted(content.tests, key=lambda t: (t.passes, -abs(t.error_um) / t.limit_um))[:MOST_TESTS]
+    blocks: list[Block] = [
+        Picture("Errors over limits", lambda: figures.points.shares_of_limits(content), caption),
+        Grid("Groups", ["tests", "number", "all pass", share], groups, note=note),
+        *table_of(
+            "The hardest tests", ranked, "name=test", "error_um", "expanded_um=U (k = 2)", "limit_um", "passes",
+            marked=lambda t: not predicted and t.passes < 1,
+        ),
+        *table_of(
+            "What the tests see of one constant alone", content.sensitivities, "name=constant",
+            "prior_sigma=usual size", "smallest_failing=fails from", "unit", "test=first failed test",
+        ),
+    ]  # fmt: skip
+    worst = content.worst_passing
+    if worst is not None:
+        constants = ", ".join(
+            f"{name} {number(value, 2)}" for name, value in worst.constants.items() if abs(value) > NOTHING
+        )
+        blind = [s.name for s in content.sensitivities if s.smallest_failing is None]
+        text = f"No test sees {', '.join(blind)}. " if blind else ""
+        text += (
+            f"An instrument with {constants} passes every test and places points 1.5 to 9 m away by {worst.rms_um:.0f} "
+            f"um (root mean square; {worst.largest_um:.0f} um at most) off."
+        )
+        blocks.append(Note("What the tests do not see", text))
+    facts = [
+        Fact("tests", str(len(content.tests))),
+        Fact("chance to pass" if predicted else "passed", passes_words(content, content.passes), good),
+        Fact("plan", content.plan),
+        *([Fact("limits", content.specification.name)] if content.specification.name else []),
+    ]
+    title = content.title or "Acceptance tests of a tracker"
+    kind, named = "Prediction" if predicted else "Acceptance", content.specification.name or ""
+    return Section(title, kind, sentence(content.sentence), good, facts, blocks, instrument=named)
+
+
+def uncertainty_section(content: UncertaintyFile, _: Beside) -> Section:
+    """What tasks are worth."""
+    told = [r for r in content.results if r.conformity is not None]
+    results = content.tables()["results"]().only(
+        "task result unit value U mc_low mc_high agrees judgement largest_source"
+    )
+    blocks: list[Block] = [*table_block("Results", results, note=UNITED, folds=False)]
+    judged = [[r.task, r.name, *(number(x, 6) for x in (c.lower, c.upper, c.guard_band)), r.unit,
+               f"{100 * c.probability:.1f} %", c.judgement] for r in told if (c := r.conformity)]  # fmt: skip
+    header = ["task", "result", "lower", "upper", "guard band", "unit", "conforms with", "judgement"]
+    blocks += [Grid("Conformity (JCGM 106)", header, judged, 2)] if judged else []
+    caption = "Where each result's variance comes from; improve the widest bar first."
+    blocks.append(Picture("Budget", lambda: budget_of(content), caption))
+    blocks += [Notes("What to mind", content.warnings)] if content.warnings else []
+    fields = ("source", "type", "standard_uncertainty=sigma", "share=share of the variance")
+    for r in content.results:
+        head = f"Budget of {r.task}, {r.name}" + (f" [{r.unit}]" if r.unit else "")
+        blocks += table_of(head, [part for part in r.budget if part.share > 1e-3], *fields)
+    by_word = {w: [r.words for r in told if r.conformity and r.conformity.judgement == w]
+               for w in ("accepted", "rejected", "undecided")}  # fmt: skip
+    answer = (
+        "; ".join(f"{word}: {listing(names, 3)}" for word, names in by_word.items() if names)
+        or content.results[0].words
+    )
+    facts = [Fact("results", str(len(content.results))), Fact("coverage", f"{100 * content.coverage:g} %")]
+    facts += [] if content.sigma0 is None else [Fact("sigma0 of the adjustment", number(content.sigma0))]
+    title = content.title or "Uncertainty of tasks"
+    return Section(
+        title, "Uncertainty", sentence(answer), mood(not by_word["rejected"]), facts, blocks, axes=content.frame
+    )
+
+
+def budget_of(content: UncertaintyFile) -> Figure:
+    """The budgets of the first results side by side."""
+    shown = content.results[:MOST_BARS]
+    sources = dict.fromkeys(part.source for r in shown for part in r.budget)
+    shares = {name: [next((p.share for p in r.budget if p.source == name), 0.0) for r in shown] for name in sources}
+    return figures.parameters.budget_figure([f"{r.task}, {r.name}" for r in shown], shares)
+
+
+def next_section(content: NextFile, _: Beside) -> Section:
+    """What to measure next."""
+    best = content.proposals[0]
+    decided = mood(best.decides) if content.between else "plain"
+    saved = [100 * (1 - factor) for factor in (best.sharper, best.serves_factor)]
+    answer = f"Measure next: {best.do} ({duration(60 * best.minutes)}); the instrument's parameters become "
+    answer += f"{saved[0]:.0f} % sharper on average, {best.serves} by {saved[1]:.0f} %."
+    answer = sentence(content.advice) if content.between and content.advice else answer
+    rows = [[p.do, f"{p.minutes:.0f}", f"{100 * (1 - p.sharper):.0f} %",
+             f"{p.serves} ({100 * (1 - p.serves_factor):.0f} %)"] for p in content.proposals]  # fmt: skip
+    header = ["do", "time [min]", "sharper by", "most for"]
+    note = "'Sharper' is the mean fall of the standard deviations of the instrument's parameters."
+    blocks: list[Block] = [Grid("Further measurements, the best first", header, rows, note=note)]
+    if content.between:
+        rivals = content.between[1:]
+        now = ["as it is now", *(number(content.evidence_now.get(name, 0.0)) for name in rivals), ""]
+        seen = [[p.do, *(number(p.evidence.get(name, 0.0)) for name in rivals), "yes" if p.decides else "no"]
+                for p in content.proposals if p.evidence]  # fmt: skip
+        told = f"The larger, the more surely {content.between[0]} is told from it."
+        heads = ["measurement", *(f"chi2 against {name}" for name in rivals), "decides"]
+        blocks.append(Grid("What would decide", heads, [now, *seen], note=told))
+    blocks += [Note("What the diagnosis of the recording said", content.diagnosis)] if content.diagnosis else []
+    facts = [Fact("time for it", duration(60 * best.minutes)), Fact("instrument sharper by", f"{saved[0]:.0f} %")]
+    actions = [sentence(proposal.do) for proposal in content.proposals[:1]]
+    return Section("What to measure next", "Next measurement", answer, decided, facts, blocks, actions=actions)
+
+
+def history_section(content: HistoryFile, _: Beside) -> Section:
+    """Whether an instrument has changed."""
+    labels = [c.label for c in content.calibrations]
+    short = dict(zip(labels, distinct_labels(labels), strict=True))
+    since, usual = content.since_first, len(labels) > ENOUGH_STEPS
+    changed = bool(content.events) if usual else since.p_value < LEVEL
+    known = [p for p in content.parameters if p.constant.dof]
+    text = "Estimates with 95 % intervals; the band is the mean +- the spread of the true values between calibrations."
+    course = Picture("Course of the parameters", lambda: figures.parameters.history_figure(labels, known), text)
+    drawn = [course] if known else []
+    ends: dict[str, Callable[[Any], str]] = {
+        "from_": lambda e: short.get(e.from_, e.from_),
+        "to": lambda e: short.get(e.to, e.to),
+    }
+    named = [e.model_copy(update={key: end(e) for key, end in ends.items()}) for e in content.events]
+    every = [*content.changes, since] if len(content.changes) > 1 else [since]
+    rows = [[ends["from_"](c), ends["to"](c), listing(c.changed) or ("no single one" if c.p_value < LEVEL else ""),
+             f"{c.chi2:.1f} / {c.dof}", p_text(c.p_value)] for c in every]  # fmt: skip
+    marked = frozenset(i for i, c in enumerate(every) if c.p_value < LEVEL)
+    few = "no event can be told" if len(labels) <= LEAST_STEPS else "only a gross event stands out"
+    hardly = f" {len(labels)} calibrations hardly tell how the instrument moves from one to the next: {few}."
+    blocks: list[Block] = [
+        Grid("Has it changed?", ["from", "to", "above all", "chi2 / parameters", "p"], rows, 3,
+              "Marked where the chance of such differences without a change is under 1 %." + hardly * (not usual),
+              marked),
+        *drawn,
+        *table_of("Events: steps that stand out", named, "from_=from", "to", "name=parameter", "difference+-sigma=step",
+                  "usual=its usual step", "unit", "p_value"),
+        Grid("Parameters", ["parameter", "last", "mean", "spread", "p constant"],
+              [[p.name, with_sigma(p.values[-1], p.sigmas[-1], p.unit), number(p.mean), number(p.spread),
+                p_text(p.constant.p_value)] for p in known]),
+        Grid("Fits of the calibrations", ["calibration", "chi2", "degrees of freedom", "sigma0"],
+              [[short[c.label], number(c.fit.chi2), str(c.fit.dof), number(c.fit.sigma0)]
+               for c in content.calibrations],
+              note="Where sigma0 is far above 1 the sigmas are too small, and changes look too certain."),
+    ]  # fmt: skip
+    facts = [
+        Fact("calibrations", str(len(labels))),
+        Fact("events", str(len(named)), mood(not named)),
+        Fact("p of no change since the first", p_text(since.p_value), mood(not changed)),
+    ]
+    answer = f"Over {count(len(labels), 'calibration')} from {rows[-1][0]} to {rows[-1][1]} the instrument "
+    answer += _course_words(content, named, usual, ends)
+    return Section("History of an instrument", "History", answer, mood(not changed), facts, blocks)
+
+
+def _course_words(content: HistoryFile, events: Sequence[Any], usual: bool, ends: dict[str, Any]) -> str:
+    since = content.since_first
+    tested = f"(chi2 {since.chi2:.0f} for {since.dof}, {p_is(since.p_value)})"
+    if events:
+        steps = listing(list(dict.fromkeys(f"between {e.from_} and {e.to}" for e in events)))
+        return f"had an event (a service, a blow) {steps}, in {listing(list(dict.fromkeys(e.name for e in events)))}."
+    if since.p_value >= LEVEL:
+        between = [f"{ends['from_'](c)} and {ends['to'](c)}" for c in content.changes if c.p_value < LEVEL]
+        return f"shows no change since the first {tested}" + (
+            f", though it did between {listing(between)}." if between else "."
+        )
+    if usual:
+        return f"moved no more than it does from one calibration to the next {tested}."
+    which = f", above all in {listing(since.changed)}" if since.changed else ", in no single parameter for certain"
+    return f"has changed since the first{which} {tested}."

@@ -1,0 +1,166 @@
+"""What a report says of a plan: where the tripods go, what it is worth, what it costs, what it cannot see."""
+
+import json
+from functools import partial
+
+import numpy as np
+
+from ltsim.core.notation import number
+from ltsim.core.units import MILLIMETRE
+from ltsim.planning.result import PlanResult
+from ltsim.reports import figures
+from ltsim.reports.document import (
+    Beside,
+    Block,
+    Fact,
+    Grid,
+    Listing,
+    Note,
+    Notes,
+    Picture,
+    Section,
+    mood,
+    table_block,
+)
+from ltsim.reports.sections.network import scene, undetermined
+from ltsim.reports.words import QUALITY, count, duration, of_presets
+from ltsim.scene.floor import Floor
+from ltsim.simulation.scenario import Scenario, load_scenario
+
+
+def plan_section(content: PlanResult, beside: Beside) -> Section:
+    """The section of a `plan.json` (and of the `scenario.toml` beside it, for the pictures).
+
+    Raises
+    ------
+    RecordError, SetupError
+        When a file is malformed.
+    """
+    frame = f"{content.frame[:1].upper()}{content.frame[1:]}." if content.frame else ""
+    blocks: list[Block] = [*table_block("Where to put the tripod", content.table("stations"), note=frame)]
+    file = beside.file("scenario.toml", content)
+    scenario = None if file is None else load_scenario(file)
+    drawn, changed = _pictures(content, scenario, turn=beside.detail == "turn")
+    blocks += drawn
+    if content.not_seen:
+        blocks.append(Notes("Who does not see whom", content.not_seen))
+    if content.reasons:
+        blocks.append(Notes("Why this plan", content.reasons))
+    blocks += _tolerances(content) + _changes(content) + changed
+    blocks += _curve(content) + _parameters(content)
+    blocks += table_block("Expected by the paper's criteria", content.table("expected"))
+    blocks += undetermined("Not determined by this layout", content.undetermined, decimals=0)
+    blocks += _effects(content)
+    note = "U: expanded uncertainty, k = 2, in the frame that all points define together."
+    points = content.table("reflectors").only("target x_mm y_mm z_mm U_x_um U_y_um U_z_um seen_from")
+    blocks += table_block("Points", points, note=note)
+    if content.bodies:
+        blocks.append(Notes("What stands in the hall", content.bodies))
+    blocks.append(Listing("Settings of the plan", json.dumps(content.settings, indent=1)))
+    good = mood(not content.broken_rules and content.reached is not False)
+    return Section(
+        title=content.title or "Plan of a network", kind="Plan", answer=content.summary, mood=good,
+        facts=_facts(content), blocks=blocks, seed="" if content.seed is None else str(content.seed),
+        instrument=of_presets([scenario.model_dump()]) if scenario else "", measured="planned",
+        axes="the workshop's",
+    )  # fmt: skip
+
+
+def _tolerances(content: PlanResult) -> list[Block]:
+    """Points against their tolerances, and what remains after a loss."""
+    asked = content.table("tolerances")
+    if not asked.rows:
+        return []
+    level = content.settings.get("goal", {}).get("level_pct", 95)
+    over = frozenset(i for i, kept in enumerate(asked.column("kept")) if not kept)
+    blocks: list[Block] = [*table_block(f"Points against their tolerances, at {level:g} %", asked, marked=over)]
+    return [*blocks, *table_block("When a station or a sight is lost", content.table("losses"))]
+
+
+def _changes(content: PlanResult) -> list[Block]:
+    """Which reflector to move, to add, to leave out."""
+    title, changes = "Reflectors to move, to add, to leave out", content.table("changes")
+    if not changes.rows:
+        return [Note(title, content.changes_tried)] if content.changes_tried else []
+    return [*table_block(title, changes, note=content.changes_tried)]
+
+
+def _facts(content: PlanResult) -> list[Fact]:
+    facts = [
+        Fact("stations", str(len(content.stations))),
+        Fact("pointings", str(content.pointings)),
+        Fact("work", duration(3600.0 * content.hours)),
+    ]
+    if content.reached is not None:
+        facts.insert(0, Fact("goal", "reached" if content.reached else "not reached", mood(content.reached)))
+    facts += [Fact("broken rule", rule, "bad") for rule in content.broken_rules]
+    for name, value in content.quality.items():
+        if value is not None:
+            label, factor = QUALITY.get(name, (name, 1.0))
+            other = content.reference.quality.get(name) if content.reference else None
+            better = "plain" if other is None else mood(value <= other)
+            text = number(factor * value) + (f" (was {number(factor * other)})" if other else "")
+            facts.append(Fact(label, text, better))
+    return facts
+
+
+def _pictures(content: PlanResult, scenario: Scenario | None, *, turn: bool) -> tuple[list[Block], list[Block]]:
+    """Floor plan, 3D view and who sees whom, from the plan's own scenario; where reflectors may change."""
+    if scenario is None:
+        return [], []
+    from ltsim.reports.workshop import from_scenario
+
+    workshop = from_scenario(scenario)
+    reference = content.reference.stations if content.reference else ()
+    places = np.array([s.position_mm for s in reference], dtype=np.float64).reshape(-1, 3) * MILLIMETRE
+    text = "Seen from above; x and y in metres. Inside the circles the elevation limit hides the floor." + (
+        " Hollow: the stations of the reference layout." if len(places) else ""
+    )
+    ground = Floor.model_validate(content.settings.get("floor", {}))
+    floor = figures.floor_plan
+    drawn: list[Block] = [
+        Picture("Floor plan", lambda: floor.floor_plan(workshop, reference=places, ground=ground), text)
+    ]
+    drawn += [scene(workshop)] if turn else []
+    text = "Numbers are those of the table; an arrow comes from where a reflector is now."
+    changes = partial(figures.floor_plan.reflector_changes, workshop, content.reflector_changes, ground)
+    return drawn, [Picture("Where these reflectors are", changes, text)] if content.reflector_changes else []
+
+
+def _curve(content: PlanResult) -> list[Block]:
+    text = "Every dot is the best layout found for its way of working."
+    blocks: list[Block] = [
+        Picture(f"Cost against quality: {name}", partial(figures.parameters.trade_off, content, name), text)
+        for name, own in content.quality.items()
+        if own is not None and sum(option.quality.get(name) is not None for option in content.tradeoff) > 1
+    ]
+    factor, unit = (1e6, "um") if set(content.quality) == {"targets"} else (1.0, "")
+    rows = [
+        [count(o.stations, "station"), str(o.faces), str(o.repeats), str(o.pointings), f"{o.hours:.2f}",
+         number(None if o.value is None else factor * o.value), "yes" if o.efficient else ""]
+        for o in content.tradeoff
+    ]  # fmt: skip
+    if rows:
+        header = ["layout", "faces", "rounds", "pointings", "hours", f"objective [{unit}]" if unit else "objective",
+                  "best at its cost"]  # fmt: skip
+        blocks.append(Grid("Ways of working", header, rows, note="A smaller objective is better."))
+    return blocks
+
+
+def _parameters(content: PlanResult) -> list[Block]:
+    other = {p.name: p.sigma for p in content.reference.parameters} if content.reference else {}
+    rows = [p for p in content.parameters if p.prior_sigma and p.sigma > 0]
+    text = "Predicted before any measurement; on the dashed line the recording would teach nothing."
+    figure = partial(figures.parameters.sigma_figure, rows, other)
+    return [Picture("What will be known of the instrument", figure, text)] if rows else []
+
+
+def _effects(content: PlanResult) -> list[Block]:
+    """Smallest effects that would be seen, those that would be mixed up, those that leave no trace."""
+    note = "Found in most recordings of this layout if at least this large; best and worst are over its places."
+    blocks: list[Block] = [*table_block("Smallest effects that would be found", content.table("effects"), note=note)]
+    note = "Share of the first effect's trace that the second one explains."
+    blocks += table_block("Effects that look alike here", content.table("alike"), note=note)
+    if content.silent:
+        blocks.append(Notes("Effects that would leave no trace", content.silent))
+    return blocks

@@ -1,0 +1,181 @@
+"""One look for every figure: colours, sizes, axes, and how a figure becomes bytes.
+
+The colours are those of Okabe and Ito (2008), told apart by colour-blind eyes; what matters also differs in marker or
+line, so that a grey print still reads. A figure is drawn once: its letters can be read at the width of a phone, and the
+page turns its lightness over where the reader's screen is dark.
+"""
+
+import base64
+import io
+from collections.abc import Callable, Iterable, Sequence
+from functools import wraps
+from typing import Any, ParamSpec
+from urllib.parse import quote
+
+import matplotlib as mpl
+import numpy as np
+from cycler import cycler
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.figure import Figure
+from PIL import Image, WebPImagePlugin  # noqa: F401  # named, else `save` loads all forty formats to find it
+
+from ltsim.core.arrays import Floats
+from ltsim.reports.words import typeset
+
+BLUE, ORANGE, GREEN, RED = "#0072B2", "#E69F00", "#009E73", "#D55E00"
+SKY, PURPLE, GREY, PALE, INK = "#56B4E9", "#CC79A7", "#8A8F94", "#E8ECEF", "#22272B"
+CYCLE = (BLUE, ORANGE, GREEN, RED, PURPLE, SKY, "#666666", INK)
+MARKERS = "osD^vP*X"
+"""Beside the colours: what a grey print still tells apart."""
+BEFORE, AFTER = GREY, BLUE
+BAND = "#8A8F9440"
+"""Clear, so that it shows on a page that is dark as well."""
+DIVERGING = "RdBu_r"
+ON_PALE, ON_DEEP = "#23282c", "#fefefe"
+"""Letters on coloured cells."""
+
+WIDTH = 4.9
+"""Inches of every figure: on a phone its letters still have nine pixels."""
+LINE, HANDLE = 75, 8
+"""Letters that a legend as wide has in a line, and those that fit where a label's mark stands."""
+
+_SETTINGS: dict[Any, Any] = {
+    "font.sans-serif": ["DejaVu Sans", "Verdana", "Arial"],
+    "font.size": 8.5,
+    "axes.prop_cycle": cycler(color=CYCLE),
+    "axes.titlesize": 9.0,
+    "axes.titlelocation": "left",
+    "axes.titleweight": "bold",
+    "axes.labelsize": 8.5,
+    "axes.edgecolor": "#6B7278",
+    "axes.labelcolor": INK,
+    "axes.linewidth": 0.7,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.axisbelow": True,
+    "axes.grid": True,
+    "axes.formatter.useoffset": False,
+    "grid.color": PALE,
+    "grid.linewidth": 0.7,
+    "xtick.color": "#4A5056",
+    "ytick.color": "#4A5056",
+    "xtick.labelsize": 8.0,
+    "ytick.labelsize": 8.0,
+    "legend.frameon": False,
+    "legend.fontsize": 8.0,
+    "text.color": INK,
+    "text.parse_math": False,
+    "text.usetex": False,  # a matplotlibrc in the working folder may ask for a program of TeX
+    "lines.linewidth": 1.4,
+    "svg.fonttype": "none",
+    "svg.hashsalt": "ltsim",
+    "figure.dpi": 100,
+    "savefig.dpi": 120,
+    "savefig.transparent": True,
+}
+P = ParamSpec("P")
+
+
+def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
+    """Draw a figure under the common settings; nothing global changes."""
+
+    @wraps(draw)
+    def inside(*args: P.args, **kwargs: P.kwargs) -> Figure:
+        with mpl.rc_context(_SETTINGS):
+            return draw(*args, **kwargs)
+
+    return inside
+
+
+def new_figure(height: float, *, layout: Any = "constrained") -> Figure:
+    """An empty figure [inch] that arranges itself and belongs to no window."""
+    return Figure(figsize=(WIDTH, height), layout=layout)
+
+
+def panel(height: float, *, layout: Any = "constrained") -> tuple[Figure, Axes]:
+    """An empty figure with one panel."""
+    figure = new_figure(height, layout=layout)
+    return figure, figure.subplots()
+
+
+def svg(figure: Figure) -> str:
+    """The figure as SVG text, the same bytes for the same data."""
+    stream, layout, dpi = io.StringIO(), figure.get_layout_engine(), figure.dpi
+    with mpl.rc_context(_SETTINGS):
+        if layout is not None:  # `savefig` would draw everything twice, the first time for the layout alone
+            FigureCanvasSVG(figure)
+            figure.dpi = FigureCanvasSVG.fixed_dpi
+            layout.execute(figure)
+            figure.set_layout_engine(None)
+        figure.savefig(stream, format="svg", metadata={"Date": None})
+    figure.dpi = dpi
+    figure.set_layout_engine(layout)
+    return stream.getvalue()
+
+
+def png(figure: Figure) -> bytes:
+    """The figure as a picture to print."""
+    stream = io.BytesIO()
+    figure.savefig(stream, format="png", dpi=150)
+    return stream.getvalue()
+
+
+def svg_uri(text: str) -> str:
+    """An SVG as a `data:` address for an `img`, in which names can run nothing."""
+    return "data:image/svg+xml," + quote(text, safe=" !$'()*+,/:;<=>?@[]{|}")
+
+
+def webp_uri(picture: Image.Image) -> str:
+    """A picture of a scene as a `data:` address of a fifth of its size as a PNG."""
+    small = io.BytesIO()
+    picture.convert("RGB").save(small, format="WEBP", quality=82)
+    return "data:image/webp;base64," + base64.b64encode(small.getvalue()).decode()
+
+
+def unit_text(unit: str) -> str:
+    """How a unit is printed."""
+    return {"arcsec": '"', "deg": "°"}.get(unit, typeset(unit))
+
+
+def quiet_axis(ax: Axes, *, grid: str = "y") -> None:
+    """Keep grid lines of one direction only ('x', 'y', 'both' or 'none')."""
+    ax.grid(visible=False)
+    if grid != "none":
+        ax.grid(visible=True, axis=grid)  # type: ignore[arg-type]
+
+
+def category_rows(ax: Axes, names: Sequence[str], *, size: float = 8.0) -> Floats:
+    """Put names on the y axis, the first on top; gives their places."""
+    places = np.arange(len(names), dtype=np.float64)
+    ax.set_yticks(places, [shorten(name) for name in names], fontsize=size)
+    ax.set_ylim(len(names) - 0.4, -0.6)
+    ax.tick_params(axis="y", length=0)
+    quiet_axis(ax, grid="x")
+    return places
+
+
+def at_right(ax: Axes, places: Floats, texts: Sequence[str]) -> None:
+    """Texts beside the rows, at the right end."""
+    right = ax.secondary_yaxis("right")
+    right.set_yticks(places, [typeset(text) for text in texts], fontsize=8)
+    right.tick_params(length=0)
+    right.spines["right"].set_visible(False)
+
+
+def legend_of(figure: Figure, panels: Iterable[Axes], *, ncols: int = 3) -> None:
+    """One legend above all panels, each label once."""
+    known = {label: handle for ax in panels for handle, label in zip(*ax.get_legend_handles_labels(), strict=True)}
+    columns = columns_for(list(known), ncols)
+    figure.legend(list(known.values()), list(known), loc="outside upper left", ncols=columns)
+
+
+def columns_for(labels: Sequence[str], most: int) -> int:
+    """Columns of a legend, as many as have room for the longest label: a wider one leaves a figure no axes."""
+    return max(1, min(most, LINE // (max(map(len, labels), default=0) + HANDLE)))
+
+
+def shorten(name: str, most: int = 34) -> str:
+    """A name that fits on an axis: cut in the middle, since names of one place often differ in their ends."""
+    flat, end = " ".join(name.split()), most // 2
+    return flat if len(flat) <= most else f"{flat[: most - 1 - end]}…{flat[-end:]}"

@@ -1,0 +1,161 @@
+"""What is drawn: the workshop in 3D, and the page a person reads."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from html import escape
+from pathlib import Path
+
+from ltsim.core.arguments import check_choice
+from ltsim.core.errors import require
+from ltsim.core.results import Result
+from ltsim.recordings import Recording
+from ltsim.recordings.exchange import read
+from ltsim.recordings.files import write_text
+from ltsim.recordings.setup import About
+from ltsim.reports.page import NAME, UNREADABLE, document, render
+from ltsim.reports.workshop import PlacedWorkshop, from_recording, from_scenario, with_cad
+from ltsim.scene.cad import WORDS
+from ltsim.simulation.builtin import builtin_names
+from ltsim.simulation.scenario import Scenario
+
+
+@dataclass(frozen=True, repr=False)
+class View(Result):
+    """A workshop to look at: turned by hand in a notebook, or as a picture, a page or a window."""
+
+    workshop: PlacedWorkshop
+
+    def _lines(self) -> list[str]:
+        w = self.workshop
+        title = f"{w.title}: " if w.title else ""
+        return [f"View: {title}{len(w.stations)} stations, {len(w.targets)} targets; png(), html() or show()"]
+
+    def _repr_html_(self) -> str:
+        from ltsim.reports.scene_page import scene_page  # pyvista takes a second to load
+
+        return f'<iframe srcdoc="{escape(scene_page(self.workshop))}" width="100%" height="600"></iframe>'
+
+    def png(self, path: str | Path) -> None:
+        """Write a picture."""
+        from ltsim.reports import scene3d
+
+        write_text(Path(path), scene3d.picture(self.workshop))
+
+    def html(self, path: str | Path) -> None:
+        """Write one page to turn in a browser, offline."""
+        from ltsim.reports.scene_page import scene_page
+
+        write_text(Path(path), scene_page(self.workshop))
+
+    def show(self) -> None:
+        """Open a window; returns when it is closed."""
+        from ltsim.reports import scene3d
+
+        scene3d.show(self.workshop)
+
+
+def view(
+    source: Recording | Scenario | str | Path,
+    *,
+    cad: str | Path | None = None,
+    cad_unit: str | None = None,
+    cad_up: str | None = None,
+    colour: str = "incidence",
+) -> View:
+    """The workshop in 3D: stations, shadow cones, targets, lines of sight, uncertainty, corrections.
+
+    Parameters
+    ----------
+    source : Recording, Scenario, str or Path
+        A recording (adjusted first), a scenario, the file of either, or the name of a built-in scenario.
+    cad : str or Path, optional
+        STL, OBJ, PLY, GLB, STEP or IGES to stand in the room.
+    cad_unit : {`mm`, `m`, `in`}, optional
+        Unit of its coordinates; default by its format (glTF: metres; STEP: its own; others: millimetres).
+    cad_up : {`y`, `z`}, optional
+        Its axis that points up; default by its format (glTF: y).
+    colour : {`incidence`, `residual`}
+        What colours the lines of sight of a recording.
+
+    Raises
+    ------
+    RecordError, SetupError, NetworkError
+        When the source is neither, is malformed, or cannot be adjusted.
+
+    Examples
+    --------
+    >>> import ltsim as lt
+    >>> lt.view("paper-workshop")
+    View: The paper's workshop: 5 stations, 28 targets; png(), html() or show()
+    """
+    check_choice("cad_unit", cad_unit, tuple(WORDS))
+    check_choice("cad_up", cad_up, ("y", "z"))
+    check_choice("colour", colour, ("incidence", "residual"))
+    require(("pyvista", "trame_vtk"), "3D views", "view")
+    shown = _workshop_of(source).coloured(colour)
+    return View(shown if cad is None else with_cad(shown, Path(cad), cad_unit, cad_up))
+
+
+def _workshop_of(source: Recording | Scenario | str | Path) -> PlacedWorkshop:
+    """The workshop of a scenario or a recording; a name that is no file is taken for a scenario's."""
+    from ltsim.simulation.verbs import scenario  # loads the simulator, which no page needs
+
+    if isinstance(source, Recording):
+        return from_recording(source)
+    if isinstance(source, Scenario) or str(source) in builtin_names():
+        return from_scenario(scenario(source))
+    path = Path(source)
+    if (path.suffix == ".toml" and path.is_file()) or (path / "plan.json").is_file() or not path.exists():
+        return from_scenario(scenario(source))
+    return from_recording(read(path))
+
+
+def report(
+    folder: str | Path,
+    *,
+    recording: str | Path | None = None,
+    title: str | None = None,
+    about: About | Mapping[str, str] | None = None,
+    tell: Callable[[str], None] = lambda words: None,
+) -> Path:
+    """Write `report.html` into a folder: one page that opens offline, the answer first.
+
+    Parameters
+    ----------
+    folder : str or Path
+        A recording, a calibration, a diagnosis, a campaign, a plan, or a folder of such folders.
+    recording : str or Path, optional
+        The recording behind a calibration or diagnosis, where it does not lie in the folder.
+    title : str, optional
+        Of the page.
+    about : mapping of str to str, optional
+        `instrument`, `date`, `operator`, `customer`; default the table ``[report]`` of the set-up.
+    tell : callable
+        Told of each folder in the folder that cannot be read; the page says it too.
+
+    Returns
+    -------
+    Path
+        Of the page.
+
+    Raises
+    ------
+    RecordError
+        When there is nothing to report, or a file is malformed; nothing is written then.
+
+    Examples
+    --------
+    >>> import ltsim as lt
+    >>> recording, _ = lt.simulate("paper-workshop", seed=7)
+    >>> lt.write(recording, "my-recording")
+    >>> lt.report("my-recording").name
+    'report.html'
+    """
+    head = About(**about) if isinstance(about, Mapping) else about
+    behind = None if recording is None else Path(recording)
+    target, content = Path(folder) / NAME, document(Path(folder), recording=behind, title=title, about=head)
+    for unread in content.sections:
+        if unread.kind == UNREADABLE:
+            tell(unread.answer)
+    write_text(target, render(content))
+    return target

@@ -1,0 +1,85 @@
+"""Words that sections share: names are counted and listed, members of statistics are put into words."""
+
+import math
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import takewhile
+from typing import Any
+
+from ltsim.core.chances import AGREES, p_is, two_sided
+from ltsim.core.notation import listing as listing
+
+QUALITY = {
+    "instrument": ("instrument: sigma / prior sigma", 1.0),
+    "targets": ("targets: rms sigma [um]", 1e6),
+    "diagnosis": ("effects: found / plausible size", 1.0),
+}
+"""What a plan's goal is measured by: its name with its unit, and that unit in SI."""
+
+
+def is_determined(sigma: float | None, prior_sigma: float | None) -> bool:
+    """Whether a measurement tells more than half of what is known of a parameter."""
+    return prior_sigma is None or (sigma or 0.0) < 0.7 * prior_sigma
+
+
+def duration(seconds: float) -> str:
+    """A time span."""
+    minutes = seconds / 60.0
+    if minutes < 1:
+        return f"{seconds:.0f} s"
+    if minutes < 120:
+        return f"{minutes:.0f} min"
+    hours, rest = divmod(round(minutes), 60)
+    return f"{hours} h {rest:02d} min"
+
+
+def of_presets(scenarios: Iterable[Mapping[str, Any]]) -> str:
+    """The trackers of scenarios as tables, by the presets or data sheets that state them."""
+    trackers = [t for s in scenarios for t in (*s.get("instruments", {}).values(),) or (s["instrument"],)]
+    return ", ".join(f"preset {name}" for name in dict.fromkeys(t["preset"] for t in trackers))
+
+
+def count(number: int, one: str, many: str = "") -> str:
+    """`1 station`, `5 stations`."""
+    return f"{number} {one if number == 1 else many or one + 's'}"
+
+
+def natural(name: str) -> list[tuple[int, str]]:
+    """Sort key by which T9 comes before T10."""
+    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"([0-9]+)", name) if part]
+
+
+def sentence(words: str) -> str:
+    """Words with a capital before them and a full stop behind."""
+    return f"{words[:1].upper()}{words[1:].rstrip('.')}." if words else ""
+
+
+def typeset(text: str) -> str:
+    """A text with the signs of print: plus-minus, minus before a number, micro, chi, a dash for what does not exist."""
+    signs = re.sub(
+        r"\bu(m|rad)\b",
+        "µ\\1",
+        text.replace("+-", "±").replace("chi2", "χ²").replace("[deg]", "[°]").replace(" %", "\u00a0%"),
+    )
+    return "–" if signs == "-" else re.sub(r"(?<![\w.,)\]-])-(?=\.?\d)", "−", signs)
+
+
+def agreement(chi2: float, dof: int, p: float | None) -> tuple[bool, str]:
+    """Whether readings agree with the model, at 1 % on each side, and the words for it; `p` is that of a larger one."""
+    if dof <= 0 or p is None or not math.isfinite(p):
+        return True, "there is no redundancy to test the model with"
+    agrees, tested = two_sided(p) >= AGREES, f"(chi2 {chi2:.0f} for {dof}, two-sided {p_is(two_sided(p))})"
+    if not agrees and p > 0.5:
+        return False, f"the readings scatter less than the stated noise says {tested}"
+    return agrees, f"the readings {'agree' if agrees else 'do not agree'} with the model and the stated noise {tested}"
+
+
+def distinct_labels(labels: Sequence[str]) -> tuple[str, ...]:
+    """Labels without the words that all of them begin with, where something is left then."""
+    if len(set(labels)) < 2:
+        return tuple(labels)
+    alike = takewhile(lambda letters: len(set(letters)) == 1, zip(*labels, strict=False))
+    common = "".join(letters[0] for letters in alike)
+    begin = 1 + max(common.rfind(separator) for separator in "_- .")
+    short = tuple(label[begin:] for label in labels)
+    return short if all(short) else tuple(labels)

@@ -1,0 +1,275 @@
+"""What stands in the workshop, ready to be drawn: as measured (a recording, calibrated poses) or as planned."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from ltsim.adjustment import Adjustment, adjust
+from ltsim.adjustment.remedies.remedy import FloorPlan
+from ltsim.core.arrays import Floats, Ints
+from ltsim.core.errors import SetupError
+from ltsim.core.units import DEGREE, MILLIMETRE
+from ltsim.core.values import Valued
+from ltsim.physics.model.construction import stated_construction
+from ltsim.recordings.recording import Recording
+from ltsim.recordings.setup import Limits, Setup
+from ltsim.scene.cad import read_mesh, size_question
+from ltsim.scene.visibility import Reason, Visibility, cone_opening, shadow_radius
+from ltsim.simulation.scenario import Scenario
+from ltsim.simulation.workshop import Layout, obstacles_of, planned, visibility_of
+
+SECOND_OPENING = 110.0 * DEGREE
+"""The other reading of the paper's shadow cone (section 2.3.2)."""
+HEAD = 3.0
+"""Height [m] of a tracker's head above the floor at most: a plan whose zero lies farther down tells no floor."""
+FACING, FLUSH, MARGIN = 0.25, 0.2, 0.4
+"""Least component of a nest's look across its wall; how far [m] nests of one wall differ in depth at most, and how far
+the floor reaches beyond what stands on it."""
+
+
+@dataclass(frozen=True)
+class Sights:
+    """Lines of sight (n,) with a value each; `label` is the value's name and unit."""
+
+    station: Ints
+    target: Ints
+    value: Floats
+    label: str
+
+
+@dataclass(frozen=True)
+class PlacedWorkshop(Valued):
+    """Stations, targets and surroundings in one frame whose z axis is vertical; metres and radians."""
+
+    title: str
+    stations: tuple[str, ...]
+    position: Floats
+    """(S, 3)."""
+    rotation: Floats
+    """(S, 3, 3): instrument frame to this frame."""
+    targets: tuple[str, ...]
+    points: Floats
+    nest_normal: Floats = field(default_factory=lambda: np.zeros((0, 3)))
+    """(T, 3): the normal is NaN where the reflector is turned by hand."""
+    floor: Floats = field(default_factory=lambda: np.zeros((0, 2)))
+    """(k, 2): outline."""
+    floor_height: float = 0.0
+    walls: Floats = field(default_factory=lambda: np.zeros((0, 4, 3)))
+    """(W, 4, 3)."""
+    gauge: tuple[tuple[int, int], ...] = ()
+    """Pairs of targets whose distance is known."""
+    elevation_min: float = -55.0 * DEGREE
+    sights: Sights | None = None
+    covariance: Floats | None = None
+    """(T, 3, 3)."""
+    correction: Floats | None = None
+    """(T, 3): change of the targets by a calibration or a finding."""
+    obstacles: Floats = field(default_factory=lambda: np.zeros((0, 3, 3)))
+    """(k, 3, 3): corners of the triangles of what stands in the way."""
+    hidden: Ints = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
+    """(k, 2): station and target of the sights that these obstacles hide."""
+    notes: tuple[str, ...] = ()
+    """What a reader must know, such as an assumed floor."""
+
+    @property
+    def yaw(self) -> Floats:
+        """(S,) [rad]: where azimuth zero of each station looks."""
+        return np.arctan2(self.rotation[:, 1, 0], self.rotation[:, 0, 0])
+
+    @property
+    def openings(self) -> tuple[float, ...]:
+        """Full angles [rad] of the shadow cones: by the elevation limit, then the paper's other reading."""
+        own = cone_opening(self.elevation_min)
+        return (own,) if abs(own - SECOND_OPENING) < 1e-9 else (own, SECOND_OPENING)
+
+    def shadow_radius(self, opening: float) -> Floats:
+        """(S,) [m]: radius on the floor of the cone with a full angle `opening`."""
+        return shadow_radius(self.position, self.floor_height, opening)
+
+    @property
+    def gauge_targets(self) -> tuple[int, ...]:
+        """Targets that belong to the gauge."""
+        return tuple(sorted({i for pair in self.gauge for i in pair}))
+
+    @property
+    def size(self) -> float:
+        """Largest extent [m] of the targets and stations."""
+        points = np.concatenate([self.points, self.position])
+        return float(np.max(np.ptp(points, axis=0)))
+
+    def incidence(self) -> Sights | None:
+        """Lines of sight coloured by the angle between beam and nest, for the nests that are known."""
+        if self.sights is None or not np.isfinite(self.nest_normal).any():
+            return None
+        station, target = self.sights.station, self.sights.target
+        back = self.position[station] - self.points[target]
+        cosine = np.sum(back * self.nest_normal[target], axis=1) / np.linalg.norm(back, axis=1)
+        known = np.isfinite(cosine)
+        angle = np.arccos(np.clip(cosine[known], -1.0, 1.0)) / DEGREE
+        return Sights(station[known], target[known], angle, "incidence on the nest [°]")
+
+    def coloured(self, by: str) -> PlacedWorkshop:
+        """The same workshop with lines of sight coloured by 'incidence' or 'residual'; as it is where unknown."""
+        sights = self.incidence() if by == "incidence" else None
+        return self if sights is None else replace(self, sights=sights)
+
+
+def from_adjustment(adjustment: Adjustment, *, plain: Adjustment | None = None) -> PlacedWorkshop:
+    """The workshop of an adjusted network; `plain` is the adjustment before, for the correction arrows."""
+    recording, state = adjustment.recording, adjustment.state
+    worst = np.nanmax(np.abs(np.nan_to_num(adjustment.w)), axis=1)
+    placed = np.asarray(np.isfinite(adjustment.target_covariance[:, :2, :2]).all(axis=(1, 2)))
+    rows, number = placed[recording.target], np.cumsum(placed) - 1
+    correction = None if plain is None else (state.points - plain.state.points)[placed]
+    network = PlacedWorkshop(
+        title=recording.setup.title,
+        stations=recording.stations,
+        position=state.position,
+        rotation=state.rotation,
+        targets=tuple(name for name, known in zip(recording.targets, placed, strict=True) if known),
+        points=state.points[placed],
+        sights=Sights(
+            recording.station[rows], number[recording.target[rows]], worst[rows], "largest normalised residual"
+        ),
+        covariance=np.nan_to_num(adjustment.target_covariance[placed]),
+        correction=correction,
+    )
+    return with_surroundings(network, recording.setup)
+
+
+def from_recording(recording: Recording) -> PlacedWorkshop:
+    """The workshop of a recording, adjusted with the instrument's parameters; arrows show what they change."""
+    plain = adjust(recording)
+    plain.solution.require_success()
+    full = adjust(recording, stated_construction(recording))
+    return from_adjustment(full if full.solution.converged else plain, plain=plain)
+
+
+def with_surroundings(network: PlacedWorkshop, setup: Setup) -> PlacedWorkshop:
+    """Bring a network into the frame of the floor plan where the set-up knows one, and add floor, walls and gauge."""
+    plan = FloorPlan.by(setup, network.stations, network.position, network.rotation)
+    turn, planned = plan.rotation, plan.known
+    points, position = plan.place(network.points), plan.place(network.position)
+    normal = _nest_normals(setup, network.targets)
+    lowest = float(np.concatenate([points, position])[:, 2].min())
+    height = 0.0 if planned and -0.05 < lowest < HEAD else float(points[:, 2].min())
+    planes = _wall_planes(points, normal) if planned else []
+    instrument = next(iter(setup.instruments.values()), setup.instrument)
+    at = {name: i for i, name in enumerate(network.targets)}
+    lengths = setup.gauge.distance if setup.gauge else ()
+    floor = _floor(np.concatenate([points, position])[:, :2], planes)
+    return replace(
+        network,
+        position=position,
+        rotation=turn @ network.rotation,
+        points=points,
+        nest_normal=normal,
+        floor=floor,
+        floor_height=height,
+        walls=_wall_corners(planes, floor, height, float(points[:, 2].max()) + 0.3),
+        gauge=tuple((at[g.from_], at[g.to]) for g in lengths if g.from_ in at and g.to in at),
+        elevation_min=(instrument.limits or Limits()).elevation_min_deg * DEGREE,
+        covariance=None if network.covariance is None else turn @ network.covariance @ turn.T,
+        correction=None if network.correction is None else network.correction @ turn.T,
+        notes=() if height == 0.0 else ("the floor is taken at the lowest target",),
+    )
+
+
+def _nest_normals(setup: Setup, targets: tuple[str, ...]) -> Floats:
+    rows = [setup.targets[t].nest_normal if t in setup.targets else None for t in targets]
+    normal = np.array([row or (np.nan, np.nan, np.nan) for row in rows], dtype=np.float64).reshape(-1, 3)
+    return normal / np.linalg.norm(normal, axis=1, keepdims=True)
+
+
+def _wall_planes(points: Floats, normal: Floats) -> list[tuple[int, float, float]]:
+    """Axis, side (the sign of the free side) and place [m] of upright planes that at least four nests stand on.
+
+    Their nests look away from them, straight or aimed at the stations, and nothing stands behind them.
+    """
+    planes = []
+    for axis in range(2):
+        for side in (1.0, -1.0):
+            depth = side * points[:, axis]
+            last = float(depth.min())
+            looking = np.nan_to_num(side * normal[:, axis]) > FACING
+            if np.sum(looking & (depth < last + FLUSH)) >= 4:
+                planes.append((axis, side, side * (last - 0.05)))
+    return planes
+
+
+def _floor(places: Floats, planes: list[tuple[int, float, float]]) -> Floats:
+    """Corners (4, 2) of the upright rectangle around places (n, 2) with a margin, up to the walls."""
+    (x0, y0), (x1, y1) = places.min(axis=0) - MARGIN, places.max(axis=0) + MARGIN
+    sides = {(0, 1.0): x0, (0, -1.0): x1, (1, 1.0): y0, (1, -1.0): y1}
+    sides |= {(axis, side): place for axis, side, place in planes}
+    x0, x1, y0, y1 = sides[0, 1.0], sides[0, -1.0], sides[1, 1.0], sides[1, -1.0]
+    return np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
+
+
+def _wall_corners(planes: list[tuple[int, float, float]], floor: Floats, low: float, high: float) -> Floats:
+    """Corners (W, 4, 3) of walls between heights `low` and `high` over the sides of the floor."""
+    walls = np.zeros((len(planes), 4, 3))
+    for wall, (axis, _, place) in zip(walls, planes, strict=True):
+        begin, end = floor[:, 1 - axis].min(), floor[:, 1 - axis].max()
+        wall[:, axis] = place
+        wall[:, 1 - axis] = [begin, end, end, begin]
+        wall[:, 2] = [low, low, high, high]
+    return walls
+
+
+def from_scenario(scenario: Scenario) -> PlacedWorkshop:
+    """Stations, targets, the room's corner and what stands in it; lines of sight where stations see targets.
+
+    Raises
+    ------
+    SetupError
+        When the scenario's gauge or one of its CAD files is impossible.
+    """
+    layout = planned(scenario)
+    table = visibility_of(scenario, layout)
+    obstacles = obstacles_of(scenario)
+    hidden = int((~table.visible).sum())
+    lost = (f"{hidden} of {table.visible.size} pairs do not see each other.",) if hidden else ()
+    x, y, z = np.array(scenario.workshop.size_mm) * MILLIMETRE
+    floor = np.array([[0.0, 0.0], [x, 0.0], [x, y], [0.0, y]])
+    gauge = range(len(scenario.targets), len(layout.targets))
+    return PlacedWorkshop(
+        title=scenario.title,
+        stations=layout.stations,
+        position=layout.position,
+        rotation=layout.rotation,
+        targets=layout.targets,
+        points=layout.points,
+        nest_normal=np.where(layout.reaimed[:, None], np.nan, layout.nest_normal),
+        floor=floor,
+        walls=_wall_corners([(0, 1.0, 0.0), (1, 1.0, 0.0)], floor, 0.0, z),
+        gauge=tuple((i, j) for i in gauge for j in gauge if i < j),
+        elevation_min=max(t.limits.elevation_min_deg for t in scenario.trackers.values()) * DEGREE,
+        sights=_sights(layout, table),
+        obstacles=np.zeros((0, 3, 3)) if obstacles is None else obstacles.triangles,
+        hidden=np.argwhere(table.reason == Reason.OBSTACLE),
+        notes=lost,
+    )
+
+
+def with_cad(workshop: PlacedWorkshop, file: Path, unit: str | None = None, up: str | None = None) -> PlacedWorkshop:
+    """The workshop with a CAD file standing in it; `unit` and `up` where its format's convention does not hold.
+
+    Raises
+    ------
+    SetupError
+        When it cannot be read, or its size has to be asked about.
+    """
+    cad = read_mesh(file, unit, up)
+    if asked := size_question(cad, np.ptp(workshop.floor, axis=0)):
+        raise SetupError(asked)
+    return replace(workshop, obstacles=np.concatenate([workshop.obstacles, cad.triangles]))
+
+
+def _sights(layout: Layout, table: Visibility) -> Sights:
+    station, target = np.nonzero(table.visible)
+    elevation = table.elevation[station, target] / DEGREE
+    return Sights(station.astype(np.int64), target.astype(np.int64), elevation, "elevation of the beam [°]")

@@ -1,0 +1,265 @@
+"""Where tripods may stand: the table [floor] of a plan file, and outlines seen from above."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+import shapely
+from pydantic import Field, model_validator
+
+from ltsim.core.arrays import Bools, Floats
+from ltsim.core.errors import SetupError
+from ltsim.core.units import MILLIMETRE
+from ltsim.recordings.setup import Finite, NonNegative, Positive, TomlSection
+from ltsim.scene.meshes import Obstacles
+
+Corner = tuple[Finite, Finite]
+Corners = Annotated[tuple[Corner, ...], Field(min_length=3, max_length=500)]
+Heights = tuple[Positive, Positive]
+HEAD_ROOM = 0.3
+"""[m] that the head of an instrument needs above its centre."""
+PLACES = 250
+"""That cover the floor where no step is stated; stations are refined off the grid afterwards."""
+EDGE = 1e-9
+"""[m] within which a place counts as on an edge."""
+
+
+class FloorArea(TomlSection):
+    """One area where tripods may stand."""
+
+    name: str = ""
+    """What pictures and messages call it."""
+    corners_mm: Corners
+    """x and y of its corners, in order round it."""
+    holes_mm: tuple[Corners, ...] = ()
+    """Outlines that are cut out of it, such as a pit."""
+    height_mm: Heights | None = None
+    """Lowest and highest centre of the head here; as the whole floor's where it is not given."""
+    ceiling_mm: Positive | None = None
+    """Height of what hangs above this area, such as a gallery: heads stay 300 mm below it. To hide sights
+    too, give it as an obstacle."""
+
+
+class FreePlace(TomlSection):
+    """A place that stays free of tripods, such as the way of a crane."""
+
+    name: str = ""
+    """What pictures call it."""
+    corners_mm: Corners
+    """x and y of its corners, in order round it."""
+    clear_mm: NonNegative = 0.0
+    """Distance that stays free around it."""
+
+
+class Door(TomlSection):
+    """A door, before which no tripod stands."""
+
+    name: str = ""
+    """What pictures call it."""
+    from_mm: Corner
+    """x and y of one side of the opening."""
+    to_mm: Corner
+    """x and y of the other side."""
+    clear_mm: NonNegative = 1500.0
+    """Distance that stays free before it."""
+
+
+class Floor(TomlSection):
+    """Where tripods may stand; by default the whole floor but a margin along the walls."""
+
+    corners_mm: Corners | None = None
+    """Corners of the floor, x and y, in order round it; the room's without it."""
+    margin_mm: NonNegative = 600.0
+    """Distance to keep from the walls, where neither corners nor areas are given."""
+    height_mm: Heights | None = None
+    """Lowest and highest centre of the head; those of the scenario's stations where it is not given."""
+    areas: tuple[FloorArea, ...] = ()
+    """Tables `[[floor.areas]]`, in place of `corners_mm`: a tripod stands in one of them."""
+    keep_outs: tuple[FreePlace, ...] = ()
+    """Tables `[[floor.keep_outs]]`."""
+    doors: tuple[Door, ...] = ()
+    """Tables `[[floor.doors]]`."""
+
+    @model_validator(mode="after")
+    def _fits(self) -> Floor:
+        for heights in (self.height_mm, *(area.height_mm for area in self.areas)):
+            if heights is not None and heights[0] > heights[1]:
+                raise ValueError("it should give the lower height_mm first")
+        if self.areas and self.corners_mm is not None:
+            raise ValueError("it should have either corners_mm or areas")
+        return self
+
+
+def ground_of(
+    floor: Floor, size_mm: tuple[float, float, float], heights: tuple[float, float]
+) -> tuple[tuple[Area, ...], tuple[KeepOut, ...]]:
+    """Areas where tripods may stand and what is kept free in them [m].
+
+    `size_mm` is that of the room; `heights` [m] are those of heads, where neither the floor nor the area states them.
+    Raises SetupError for an outline that crosses itself or leaves the room, or a ceiling too low for any head.
+    """
+    mm = MILLIMETRE
+    usual = heights if floor.height_mm is None else (floor.height_mm[0] * mm, floor.height_mm[1] * mm)
+    parts = floor.areas or (FloorArea(corners_mm=floor.corners_mm or _room(floor, size_mm)),)
+    areas = []
+    for i, part in enumerate(parts, 1):
+        key = f"floor.areas.{i}.corners_mm" if floor.areas else "floor.corners_mm"
+        low, high = usual if part.height_mm is None else (part.height_mm[0] * mm, part.height_mm[1] * mm)
+        if part.ceiling_mm is not None:
+            high = min(high, part.ceiling_mm * mm - HEAD_ROOM)
+        if low > high:
+            raise SetupError(
+                f"floor.areas.{i}.ceiling_mm is {part.ceiling_mm:g}, but heads stand at {low / mm:g} mm and more; "
+                "give the area a lower height_mm"
+            )
+        outline = _outline(key, part.corners_mm, size_mm)
+        holes = tuple(_outline(f"floor.areas.{i}.holes_mm.{k}", hole) for k, hole in enumerate(part.holes_mm, 1))
+        areas.append(Area(outline, (low, high), holes))
+    free = [
+        KeepOut(_outline(f"floor.keep_outs.{i}.corners_mm", place.corners_mm), place.clear_mm * mm)
+        for i, place in enumerate(floor.keep_outs, 1)
+    ]
+    free += [KeepOut(np.array([door.from_mm, door.to_mm]) * mm, door.clear_mm * mm) for door in floor.doors]
+    return tuple(areas), tuple(free)
+
+
+def _room(floor: Floor, size_mm: tuple[float, float, float]) -> tuple[Corner, ...]:
+    """The room's corners, less the margin."""
+    (wide, deep, _), margin = size_mm, floor.margin_mm
+    if 2 * margin >= min(wide, deep):
+        raise SetupError(f"floor.margin_mm of {margin:g} leaves no floor in a workshop of {wide:g} x {deep:g} mm")
+    return (margin, margin), (wide - margin, margin), (wide - margin, deep - margin), (margin, deep - margin)
+
+
+def _outline(key: str, corners_mm: tuple[Corner, ...], size_mm: tuple[float, float, float] | None = None) -> np.ndarray:
+    """Corners (k, 2) [m] of an outline that is simple and, where a room is given, within it."""
+    outline = np.array(corners_mm, dtype=np.float64) * MILLIMETRE
+    problem = fault(outline)
+    if problem:
+        raise SetupError(f"{key} is no outline: {problem}")
+    if size_mm is not None:
+        room = np.array(size_mm[:2]) * MILLIMETRE
+        beyond = np.flatnonzero(np.any((outline < -1e-3) | (outline > room + 1e-3), axis=1))
+        if len(beyond):
+            x, y = corners_mm[beyond[0]]
+            raise SetupError(
+                f"{key} has the corner ({x:g}, {y:g}), outside the room of {size_mm[0]:g} x {size_mm[1]:g} mm"
+            )
+    return outline
+
+
+@dataclass(frozen=True)
+class Area:
+    """One area of the floor."""
+
+    outline: Floats
+    """(k, 2) [m]: corners, in order around it."""
+    heights: tuple[float, float]
+    """[m]: lowest and highest centre of the instrument here."""
+    holes: tuple[Floats, ...] = ()
+    """(k, 2) [m]: what is cut out of it."""
+
+    def holds(self, position: Floats) -> Bools:
+        """(N,): positions (N, 3) [m] of an instrument that may stand here."""
+        low, high = self.heights
+        return np.asarray(self.covers(position[:, :2]) & (position[:, 2] > low - EDGE) & (position[:, 2] < high + EDGE))
+
+    def covers(self, places: Floats) -> Bools:
+        """(N,): places (N, 2) [m] in the area, its holes left out."""
+        good = inside(self.outline, places)
+        for hole in self.holes:
+            good &= ~inside(hole, places)
+        return good
+
+
+@dataclass(frozen=True)
+class KeepOut:
+    """A place that stays free: within `clear` [m] of an outline (k, 2), or of the way between two ends (2, 2)."""
+
+    outline: Floats
+    clear: float = 0.0
+
+    def holds(self, places: Floats) -> Bools:
+        """(N,): places (N, 2) that stay free."""
+        near = distance(self.outline, places) < self.clear + EDGE
+        return near | inside(self.outline, places) if len(self.outline) > 2 else near
+
+
+def distance(outline: Floats, places: Floats) -> Floats:
+    """(N,) [m]: from places (N, 2) to the nearest edge of an outline (k, 2), or to the way between two ends (2, 2)."""
+    edges = shapely.linearrings(outline) if len(outline) > 2 else shapely.linestrings(outline)
+    return np.asarray(shapely.distance(edges, shapely.points(places)))
+
+
+def inside(outline: Floats, places: Floats) -> Bools:
+    """(N,): places (N, 2) inside an outline (k, 2) or within a nanometre of its edge."""
+    return np.asarray(shapely.distance(shapely.polygons(outline), shapely.points(places)) < EDGE)
+
+
+def fault(outline: Floats) -> str:
+    """What keeps corners (k, 2) from being an outline, in words; empty for one that is simple and has an area."""
+    count, then = len(outline), np.roll(outline, -1, axis=0)
+    same = np.flatnonzero(np.linalg.norm(outline - np.roll(outline, 1, axis=0), axis=1) < EDGE)
+    if len(same):
+        return f"its corner {same[0] + 1} stands where the one before it stands"
+    sides = shapely.linestrings(np.stack([outline, then], axis=1))
+    first, second = np.nonzero(np.triu(shapely.dwithin(sides[:, None], sides, EDGE), 2))
+    for i, j in zip(first.tolist(), second.tolist(), strict=True):
+        if (i, j) != (0, count - 1):  # which have a corner in common
+            return (
+                f"its side from corner {i + 1} crosses the one from corner {j + 1}; give the corners in order around it"
+            )
+    return "" if shapely.area(shapely.polygons(outline)) > EDGE else "its corners lie in a line"
+
+
+def grid_step(areas: Sequence[Area], grid_mm: float | None) -> float:
+    """[m]: of a grid of places; where none is stated `PLACES` of them cover the areas, half a metre apart or more."""
+    if grid_mm is not None:
+        return grid_mm * MILLIMETRE
+    size = sum(float(np.prod(np.ptp(area.outline, axis=0))) for area in areas)
+    return max(round(float(np.sqrt(size / PLACES)), 1), 0.5)
+
+
+def may_stand(
+    areas: Sequence[Area], keep_outs: Sequence[KeepOut], obstacles: Obstacles | None, position: Floats
+) -> Bools:
+    """(N,): a tripod may stand under an instrument at positions (N, 3) [m]."""
+    good = np.zeros(len(position), dtype=bool)
+    for area in areas:
+        good |= area.holds(position)
+    for place in keep_outs:
+        good &= ~place.holds(position[:, :2])
+    if obstacles is not None and good.any():
+        good[good] = ~obstacles.encloses(position[good])
+    return good
+
+
+def objection(
+    areas: Sequence[Area], keep_outs: Sequence[KeepOut], obstacles: Obstacles | None, position: Floats
+) -> str:
+    """Why no tripod may stand under an instrument at a position (3,) [m], with the key; empty where one may."""
+    if may_stand(areas, keep_outs, obstacles, position[None])[0]:
+        return ""
+    place, under = position[None, :2], [area for area in areas if area.covers(position[None, :2])[0]]
+    if not under:
+        return "outside the floor where tripods may stand (floor.corners_mm, floor.areas, floor.margin_mm)"
+    if not any(area.holds(position[None])[0] for area in under):
+        low, high = min(area.heights[0] for area in under), max(area.heights[1] for area in under)
+        span = f"{low / MILLIMETRE:g} to {high / MILLIMETRE:g} mm (floor.height_mm)"
+        return f"with its head at {position[2] / MILLIMETRE:.0f} mm, expected {span}"
+    if any(free.holds(place)[0] for free in keep_outs):
+        return "where the floor is kept free (floor.keep_outs, floor.doors)"
+    return "inside an obstacle (workshop.obstacles)"
+
+
+def over(area: Area, step: float, heights: int) -> Floats:
+    """Grid (N, 3) [m] over the rectangle around an area, at its heights."""
+    low, high = area.outline.min(axis=0), area.outline.max(axis=0)
+    count = np.maximum(np.ceil((high - low) / step).astype(int), 1)
+    axes = [np.linspace(a, b, n + 1) for a, b, n in zip(low, high, count, strict=True)]
+    bottom, top = area.heights
+    levels = np.linspace(bottom, top, heights if top - bottom > EDGE else 1)
+    return np.stack([g.ravel() for g in np.meshgrid(*axes, levels, indexing="ij")], axis=1)

@@ -1,0 +1,67 @@
+"""A bench recording read and evaluated, as `ltsim bench` does it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import ltsim as lt
+from experiments.virtual_bench import MIDDLE, BenchTest, measure_bench
+from ltsim.adjustment.evaluation.bench import BENCH
+from ltsim.cli.main import run
+from ltsim.core.errors import RecordError
+from ltsim.core.units import DEGREE, MICROMETRE
+from ltsim.physics.effects.smr_incidence import PAPER_TABLE
+from tests.conftest import ROOT
+
+SAMPLE = ROOT / "docs" / "how-to" / "reflector.csv"
+
+
+def written(path: Path, bench: BenchTest, seed: int) -> Path:
+    """A test done once, as a table; lengths from 250 um."""
+    record = measure_bench(bench, seed)
+    lengths = dict(zip(np.round(record.angles / DEGREE, 3), record.lengths / MICROMETRE + 250.0, strict=True))
+    rows = zip(np.round(record.probe_angles / DEGREE, 3), record.displacements / MICROMETRE, strict=True)
+    path.write_text(BENCH.filled([a, lengths.get(a, np.nan), p] for a, p in rows).csv())
+    return path
+
+
+def test_the_table_comes_back_within_its_uncertainty(tmp_path: Path) -> None:
+    turns = np.arange(-30.0, 330.0, 7.5) * DEGREE
+    bench = BenchTest(eccentricity=np.array([4e-6, -11e-6]), probe_angles=turns)
+    true = (np.array(PAPER_TABLE) - PAPER_TABLE[MIDDLE]) / MICROMETRE
+    found = lt.bench(written(tmp_path / "reflector.csv", bench, 5))
+    error = np.array([row.error_um for row in found.angles]) - true
+    sigma = np.array([row.sigma_um for row in found.angles])
+    assert np.all(np.abs(error) <= 4 * sigma)
+    assert abs(found.eccentricity_side.value_um + 11.0) < 4 * found.eccentricity_side.sigma_um
+    assert np.abs([row.as_read_um for row in found.angles] - true).max() > 4.0
+
+
+def test_the_command_writes_what_it_shows(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["bench", str(SAMPLE), "--out", str(tmp_path / "out")]) == 0
+    shown = capsys.readouterr().out
+    assert "table_um = [10.27" in shown
+    content = json.loads((tmp_path / "out" / "bench.json").read_text())
+    assert content["table"][0]["error_um"] == pytest.approx(10.27, abs=0.005)
+    assert run(["bench", str(SAMPLE), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == content
+
+
+@pytest.mark.parametrize(
+    ("rows", "said"),
+    [
+        ("0,1,2\n", "holds length_um at 1 angles, expected 3"),
+        ("0,1,2\n5,1,2\n10,1,2\n", "holds probe_um at 3 angles, expected 4"),
+        ("0,1,2\n,1,2\n", "row 2: an angle is missing"),
+        ("0,wide,2\n", "'wide' is no number"),
+    ],
+)
+def test_what_is_wrong_is_one_sentence(rows: str, said: str, tmp_path: Path) -> None:
+    file = tmp_path / "bad.csv"
+    file.write_text("angle_deg,length_um,probe_um\n" + rows)
+    with pytest.raises(RecordError, match=said):
+        lt.bench(file)

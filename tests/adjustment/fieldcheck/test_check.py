@@ -1,0 +1,439 @@
+"""Go or no-go: what is wrong is named with its place and time, what is right passes, at the stated rate."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import stats
+
+import ltsim as lt
+from ltsim.adjustment.estimate import adjust
+from ltsim.adjustment.evaluation.two_face import two_face
+from ltsim.adjustment.fieldcheck import Check, check, check_file
+from ltsim.adjustment.fieldcheck.check import best_bump
+from ltsim.adjustment.fieldcheck.occupation import StationOccupation
+from ltsim.adjustment.fieldcheck.words import plain
+from ltsim.adjustment.reliability import surprise
+from ltsim.cli.check import changes, follow, mpe_of
+from ltsim.cli.main import run
+from ltsim.cli.options import ReadingOptions
+from ltsim.cli.terminal import Terminal
+from ltsim.core.errors import NetworkError, RecordError
+from ltsim.core.randomness import stream
+from ltsim.core.units import ARCSECOND
+from ltsim.physics.effects.motions import exact_station_change
+from ltsim.physics.model.construction import misalignment, steering_mirror
+from ltsim.recordings import Hints, Recording, read, write
+from ltsim.recordings.setup import Instrument, Station
+from ltsim.reports.figures.points import check_figure
+from ltsim.reports.style import svg
+from tests.networks import drawn, network
+
+
+def visits(seed: int, *, stations: int = 1, values: float = 0.0) -> Recording:
+    """Both faces of every target, face 1 first, in one mixed order from each station; a pointing every 10 s."""
+    errors = values * np.array([p.prior_sigma for p in misalignment().parameters])
+    recording, _ = network(faces=2, seed=seed, stations=stations, values=errors)
+    mixed = stream(1, "order").permutation(len(recording.targets))
+    order = np.lexsort((mixed[recording.target], recording.face, recording.station))
+    return recording.select(order).replace(time=10.0 * np.arange(len(recording)), has_clock=True)
+
+
+def moved(recording: Recording, station: int, time: float, motion: list[float]) -> Recording:
+    """The recording with a station that stands elsewhere from a time on [m, rad]."""
+    rows = recording.station == station
+    visit = StationOccupation.of(recording.select(rows), misalignment())
+    after = recording.time[rows] >= time
+    readings = recording.readings.copy()
+    readings[rows] += exact_station_change(visit.sightings, after[:, None] * np.array(motion))
+    return recording.with_readings(readings)
+
+
+def kinds(found: Check) -> set[tuple[str, str]]:
+    return {(item.station, item.kind) for item in found.items if not item.passed}
+
+
+def test_a_tracker_within_its_guarantee_is_a_go() -> None:
+    """Two-face differences of several times the noise are no fault where the maker guarantees no less."""
+    found = check(visits(3, stations=2, values=0.7))
+    assert found.passed, found.sentence
+    faces = found.setups[0].faces
+    assert faces is not None
+    assert np.sqrt(np.mean((faces.pairs.half / faces.noise) ** 2)) > 3
+    assert found.sentence == "go: 2 set-ups within noise and guarantee"
+    assert {item.kind for item in found.items} >= {"two-face", "gross", "bump", "drift", "closure", "network"}
+
+
+def test_false_alarms_come_at_the_stated_rate() -> None:
+    """60 clean set-ups at 20 %: Bonferroni alarms at most so often, and does not sleep either."""
+    alarms = sum(not check(visits(seed, values=0.7), level=0.2).passed for seed in range(60))
+    assert 1 <= alarms <= 20
+
+
+def test_a_bump_is_dated_within_its_gap() -> None:
+    """One set-up: somebody touches the tripod between the pointings at 300 and 310 s."""
+    clean = visits(4, values=0.5)
+    start = clean.setup.model_copy(update={"started": "2026-03-04T11:55:00"})
+    found = check(moved(clean.replace(setup=start), 0, 305.0, [40e-6, -30e-6, 10e-6, 0.0, 12e-6, 20e-6]))
+    assert kinds(found) == {("S1", "bump")}
+    item = next(item for item in found.items if item.kind == "bump")
+    assert item.between_s == (300.0, 310.0)
+    assert item.rows == (31, 32)
+    assert item.p_value is not None
+    assert item.p_value < 1e-6
+    gap = "between 2026-03-04 12:00:00 and 2026-03-04 12:00:10 (rows 31 and 32)"
+    assert f"no-go: S1 moved {gap}: shifted by " in found.sentence
+
+
+def test_a_gross_pointing_is_named_and_nothing_else() -> None:
+    recording = visits(5, stations=2, values=0.5)
+    readings = recording.readings.copy()
+    readings[70, 0] += 80e-6
+    found = check(recording.with_readings(readings))
+    assert ("S2", "gross") in kinds(found)
+    assert kinds(found) <= {("S2", "gross"), ("", "network")}
+    item = next(item for item in found.items if item.kind == "gross" and not item.passed)
+    name = recording.targets[recording.target[70]]
+    assert item.targets == (name,)
+    twin = np.flatnonzero((recording.station == 1) & (recording.target == recording.target[70])) + 1
+    assert item.rows[0] in twin  # two pointings of a target cannot tell which of them is wrong
+    apart = re.fullmatch(rf"S2 to {name}: rows (\d+) and (\d+) are ([\d.]+) um apart, .*: measure again", item.sentence)
+    assert apart is not None, item.sentence
+    assert {int(apart[1]), int(apart[2])} == set(twin.tolist())
+    assert float(apart[3]) == pytest.approx(80.0, abs=4 * np.sqrt(2) * 1e6 * recording.sigma()[70, 0])
+
+
+def test_creeping_is_called_drift() -> None:
+    recording = visits(6, values=0.5)
+    visit = StationOccupation.of(recording, misalignment())
+    share = recording.time / recording.time.max()
+    creep = exact_station_change(visit.sightings, share[:, None] * np.array([0, 0, 0, 25e-6, 0, 30e-6]))
+    found = check(recording.with_readings(recording.readings + creep))
+    assert ("S1", "bump") not in kinds(found)
+    assert found.sentence.startswith("no-go: S1 drifts")
+    index = recording.readings.copy()
+    index[:, 2] += share * 6 * ARCSECOND
+    found = check(recording.with_readings(index))
+    assert ("S1", "instrument-drift") in kinds(found)
+    said = next(item for item in found.items if item.kind == "instrument-drift").sentence
+    drift = re.search(r"vertical index by (-?[\d.]+) \+- ([\d.]+) arcsec", said)
+    assert drift is not None
+    assert abs(float(drift[1])) == pytest.approx(6.0, abs=4 * float(drift[2]))
+
+
+def test_a_tripod_that_sinks_evenly_drifts_and_was_not_moved() -> None:
+    clean = visits(6, values=0.5)
+    recording = clean.replace(time=clean.time * (36 * 60 / clean.time.max()))
+    visit, share = StationOccupation.of(recording, misalignment()), recording.time / recording.time.max()
+    for millimetres in (0.05, 0.3, 2.0):
+        sunk = exact_station_change(visit.sightings, share[:, None] * np.array([0, 0, -1e-3 * millimetres, 0, 0, 0]))
+        found = check(recording.with_readings(recording.readings + sunk))
+        assert kinds(found) == {("S1", "drift")}
+        assert found.sentence.startswith("no-go: S1 drifts in 36 min: shifted by")
+
+
+@pytest.mark.parametrize("faces", [(1, 2), (1,)])
+def test_of_a_tripod_that_sinks_no_pointing_is_blamed(faces: tuple[int, ...]) -> None:
+    """A network of three: neither two faces, nor scatter, nor pointings are named; one face is told by the others."""
+    clean = visits(6, values=0.1, stations=3)
+    rows = (clean.station == 0) & np.isin(clean.face, faces)
+    share = clean.time[rows] / clean.time[rows].max()
+    sunk, visit = clean.readings.copy(), StationOccupation.of(clean.select(rows), misalignment())
+    sunk[rows] += exact_station_change(visit.sightings, share[:, None] * np.array([0, 0, -2e-3, 0, 0, 0]))
+    recording = clean.with_readings(sunk).select(np.isin(clean.face, faces))
+    assert {kind for _, kind in kinds(check(recording))} == {"drift"}
+    assert lt.adjust(recording).outliers == ()
+    found = lt.adjust(recording, robust=True)
+    assert found.outliers == ()
+    assert found.verdict is not None
+    moved_by = re.match(r"Station S1 moves while it measures, by ([\d.]+) \+- ", found.verdict.sentence)
+    assert moved_by is not None
+    assert float(moved_by[1]) == pytest.approx(2000.0, rel=0.05)
+
+
+@pytest.mark.parametrize("millimetres", [0.1, 1.0])
+def test_a_bump_seen_in_one_face_is_told_by_the_others_and_no_pointing_is_blamed(millimetres: float) -> None:
+    """Eleven pointings before; nothing of the station was measured twice, so that only the network tells."""
+    clean = visits(6, values=0.1, stations=3).select(visits(6, stations=3).face == 1)
+    rows = clean.station == 0
+    first = clean.select(rows)
+    at = float(np.median(first.time))
+    motion = (first.time > at)[:, None] * np.array([1e-3 * millimetres, 0, 0, 0, 0, 2e-5])
+    bumped, visit = clean.readings.copy(), StationOccupation.of(first, misalignment())
+    bumped[rows] += exact_station_change(visit.sightings, motion)
+    recording = clean.with_readings(bumped)
+    found = check(recording)
+    assert kinds(found) == {("S1", "bump")}
+    order = np.flatnonzero(rows)[np.argsort(first.time, kind="stable")]
+    last = int(np.sum(first.time <= at))
+    between = f"Station S1 moved between rows {order[last - 1] + 1} and {order[last] + 1}, by"
+    size = re.match(rf"no-go: {between} ([\d.]+) \+- ([\d.]+) mm and ", found.sentence)
+    assert size is not None, found.sentence
+    assert float(size[1]) == pytest.approx(millimetres, abs=4 * float(size[2]))
+    told = lt.adjust(recording)
+    assert told.outliers == ()
+    assert told.verdict is not None
+    assert told.verdict.sentence.startswith(between)
+
+
+def test_scatter_of_a_target_is_no_drift_of_the_station() -> None:
+    """Poses of a robot, each watched without a break: they settle and scatter by themselves."""
+    one = visits(4).select(np.arange(6))
+    poses, shots = np.repeat(np.arange(6), 20), np.tile(np.arange(20), 6)
+    rng = stream(3, "poses")
+    settling = rng.standard_normal((6, 3))[poses] * (shots / 20)[:, None] * 12
+    shaken = rng.standard_normal((120, 3)) * np.array([1, 2, 2, 3, 6, 12])[poses][:, None]
+    recording = one.select(poses).replace(repeat=shots + 1, time=10.0 * np.arange(120))
+    readings = recording.readings + (settling + shaken) * recording.sigma()
+    found = check(recording.with_readings(readings))
+    assert not kinds(found) & {("S1", "drift"), ("S1", "instrument-drift"), ("S1", "bump")}
+    closure = next(item for item in found.items if item.kind == "closure")
+    assert recording.targets[5] in closure.targets
+    assert recording.targets[0] not in closure.targets
+    assert "it belongs to the targets" in found.sentence
+
+
+def test_what_was_not_measured_again_has_no_value() -> None:
+    """Two targets near each other on both faces: they tell no turn about the line through them, and no drift."""
+    recording = visits(4)
+    rows = np.flatnonzero((recording.face == 1) | np.isin(recording.target, [0, 1]))
+    for seed in range(4):
+        readings = recording.readings + recording.sigma() * stream(seed, "more").standard_normal((len(recording), 3))
+        found = check(recording.with_readings(readings).select(rows))
+        for item in found.items:
+            assert not re.search(r"nan|inf|e\+|\d{4,} \+-|\+- \d{3,}", item.sentence), item.sentence
+
+
+def test_never_go_where_adjust_refuses() -> None:
+    recording = visits(3, stations=3)
+    lost = (recording.station != 2) | (recording.target < 2)
+    clockwise = recording.readings.copy()
+    clockwise[recording.station == 1, 1] *= -1.0
+    for broken in (recording.select(lost), recording.with_readings(clockwise)):
+        with pytest.raises(NetworkError) as refused:
+            lt.adjust(broken)
+        found = check(broken)
+        assert not found.passed
+        assert ("", "network") in kinds(found)
+        assert any(str(refused.value) in item.sentence for item in found.items)
+
+
+def test_a_swap_is_called_a_swap_and_comes_first() -> None:
+    recording = visits(5, stations=3)
+    target = recording.target.copy()
+    a, b = (int(np.flatnonzero((recording.station == 1) & (recording.target == t))[0]) for t in (3, 20))
+    target[[a, b]] = target[[b, a]]
+    found = check(recording.replace(target=target))
+    assert found.items[0].kind == "mistake"
+    assert sorted(found.items[0].rows) == sorted([a + 1, b + 1])
+    assert found.sentence.startswith("no-go: At station S2 the reflectors T04 and T21")
+    assert kinds(found) == {("S2", "mistake")}  # nobody else is blamed, not even their other pointings
+
+
+def test_beyond_the_guarantee_and_beyond_a_limit() -> None:
+    recording = visits(7)
+    readings = recording.readings.copy()
+    readings[recording.face == 2, 1] += 60 * ARCSECOND / np.cos(readings[recording.face == 2, 2])
+    found = check(recording.with_readings(readings))
+    assert kinds(found) == {("S1", "two-face")}
+    assert "the two faces differ beyond noise and guarantee at 28 of 28 pairs" in found.sentence
+    assert check(recording, mpe=(50, 10)).passed
+    tight = check(recording, mpe=(1, 0.1))
+    assert ("S1", "two-face") in kinds(tight)
+    assert "beyond the limit" in tight.sentence
+
+
+def test_scatter_is_judged_on_both_sides() -> None:
+    recording = visits(8)
+    noise = recording.setup.instrument.noise
+    stated = {"distance_mm": 0.2, "azimuth_arcsec": 2.0, "elevation_arcsec": 2.0}
+    loud = recording.setup.instrument.model_copy(update={"noise": noise.model_copy(update=stated)})
+    found = check(recording.replace(setup=recording.setup.model_copy(update={"instrument": loud})))
+    assert found.passed
+    assert any("less than stated" in item.sentence for item in found.items)
+    shaken = recording.readings + stream(1, "shaken").standard_normal(recording.readings.shape) * 4 * recording.sigma()
+    assert ("S1", "closure") in kinds(check(recording.with_readings(shaken)))
+
+
+def levelled(recording: Recording, sigma: float) -> Recording:
+    """The recording with every station said to follow its level, so well [arcsec]."""
+    stations = {name: Station(levelled=True, levelling_sigma_arcsec=sigma) for name in recording.stations}
+    return recording.replace(setup=recording.setup.model_copy(update={"stations": stations}))
+
+
+def test_a_level_that_is_off_is_told_by_the_others() -> None:
+    upright = levelled(visits(2, stations=3), 1.0)
+    assert {item.passed for item in check(upright).items if item.kind == "level"} == {True}
+    leaning = moved(upright, 1, -1.0, [0.0, 0.0, 0.0, 0.0, 30 * ARCSECOND, 0.0])
+    found = check(leaning)
+    assert ("S2", "level") in kinds(found)
+    said = next(item.sentence for item in found.items if item.kind == "level" and item.station == "S2")
+    assert said.startswith("S2: its level is off the vertical of the others (29.9 +- 1.")
+
+
+def test_a_steering_mirror_is_judged_by_its_own_errors() -> None:
+    """Errors of a mirror that a source in the head cannot have are within its guarantee, and no scatter."""
+    mirror = steering_mirror()
+    recording, _ = network(faces=2, seed=5, stations=1, construction=mirror, values=drawn(mirror, 5))
+    stated = Instrument(construction="steering-mirror")
+    own = recording.replace(setup=recording.setup.model_copy(update={"instrument": stated}))
+    assert check(own).passed
+    assert ("S1", "closure") in kinds(check(recording))
+    both = visits(3, stations=2)
+    mixed = {"instruments": {"M": stated}, "stations": {"S2": Station(instrument="M")}}
+    items = check(both.replace(setup=both.setup.model_copy(update=mixed))).items
+    assert any(
+        "the stations are not compared: stations S2 are of a tracker with a steering mirror" in i.sentence
+        for i in items
+    )
+
+
+def test_nothing_repeated_is_said() -> None:
+    recording = visits(9)
+    with pytest.raises(NetworkError, match="measure some targets on both faces, or the first ones again"):
+        check(recording.select(recording.face == 1))
+
+
+def test_the_whole_search_is_paid_for() -> None:
+    """The best of all gaps on clean readings: its chance, gaps counted, is no smaller than it should be."""
+    chances = []
+    for seed in range(40):
+        visit = StationOccupation.of(visits(seed), misalignment())
+        _, gain, gaps = best_bump(visit)
+        chances.append(visit.p_value(gain) * gaps)
+    assert np.mean(np.array(chances) < 0.1) <= 0.2
+
+
+def test_answers_and_pictures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    recording = moved(visits(4), 0, 305.0, [60e-6, 0, 0, 0, 0, 0])
+    write(recording, tmp_path / "rec")
+    assert run(["check", str(tmp_path / "rec"), "--out", str(tmp_path / "out"), "--json"]) == 1
+    answer = json.loads(capsys.readouterr().out)
+    assert answer == json.loads((tmp_path / "out" / "check.json").read_text())
+    assert answer["passed"] is False
+    assert [i["kind"] for i in answer["items"] if not i["passed"]] == ["bump"]
+    assert len((tmp_path / "out" / "two_face.csv").read_text().splitlines()) == 29
+    assert (tmp_path / "out" / "check.svg").read_text().startswith("<?xml")
+    write(visits(4), tmp_path / "good")
+    assert run(["check", str(tmp_path / "good"), "--mpe", "100,10"]) == 0
+    assert "Go: 1 set-up within" in capsys.readouterr().out
+    assert run(["check", str(tmp_path / "good"), "--mpe", "twenty"]) == 2
+
+
+def test_surprise_far_out() -> None:
+    """The tail that a float cannot hold continues the one that it can, for every rank."""
+    for rank in (1, 2, 3, 6):
+        near = surprise(np.array([590.0, 599.9, 600.1, 610.0]), np.full(4, rank))
+        np.testing.assert_allclose(near, -stats.chi2.logsf([590.0, 599.9, 600.1, 610.0], rank), rtol=1e-5)
+        assert np.isfinite(surprise(1e9, rank))
+    assert surprise(10.0, 0) == 0.0
+
+
+def test_numbers_are_written_out() -> None:
+    assert [plain(v) for v in (2712.3, 0.04216, -104.9, 7.0)] == ["2710", "0.0422", "-105", "7"]
+    assert plain(-104.9, 2) == "-100"
+
+
+def test_limits_as_text() -> None:
+    assert mpe_of("20,6") == (20.0, 6.0)
+    for text in ("20", "a,b", "-1,2", "1,2,3", "0,1"):
+        with pytest.raises(RecordError, match="for instance 20,6"):
+            mpe_of(text)
+
+
+@pytest.mark.parametrize("dialect", ["native", "table"])
+def test_a_growing_recording_is_followed(dialect: str, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    """A file that grows by bytes, rows cut anywhere: the bump is told once, as soon as pointings after it say so."""
+    write(moved(visits(4), 0, 305.0, [200e-6, 0, 0, 0, 0, 0]), tmp_path / "rec")
+    place = tmp_path / "rec"
+    file = place / "observations.csv"
+    text = file.read_text()
+    if dialect == "table":
+        place = file = tmp_path / "live.csv"
+        text = text.replace("azimuth_deg", "azimuth [deg]").replace("time_s", "time [s]").replace("station", "Stn", 1)
+    ends = [i for i, c in enumerate(text) if c == "\n"]
+
+    def steps() -> Iterator[None]:
+        for pointings in (0, 5, 10, 11, 29, 30, 31, 40, 48, 56):
+            file.write_text(text[: ends[pointings] + 1] + "S1,T"[: pointings % 5])
+            yield
+
+    follow(Terminal(), lambda: check(ReadingOptions().of(place, growing=True)), steps())
+    told = capsys.readouterr()
+    assert told.err.count("waiting: no station measured a target twice") == 1
+    assert "cut" not in told.err and "never measured" not in told.err
+    assert told.out.count("moved between 300.0 s and 310.0 s") == 1
+    assert "40 pointings: NO-GO S1 moved" in told.out
+    file.write_text(text[:-20])
+    with pytest.raises(RecordError, match="cut"):
+        read(place)
+
+
+def test_changes_of_files_are_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = tmp_path / "a.csv"
+    file.write_text("1")
+    naps = []
+
+    def nap(seconds: float) -> None:
+        naps.append(seconds)
+        if len(naps) == 3:
+            file.write_text("12")
+
+    monkeypatch.setattr("ltsim.cli.check.time.sleep", nap)
+    steps = changes(file)
+    next(steps)
+    next(steps)
+    assert len(naps) == 3
+
+
+def test_every_page_of_the_figure() -> None:
+    one_face = visits(9).select(np.arange(28))
+    twice = one_face.replace(
+        **{name: np.concatenate([getattr(one_face, name)] * 2) for name in ("station", "target", "face", "readings")},
+        repeat=np.repeat([1, 2], 28),
+        time=np.arange(56.0),
+    )
+    assert "no target was measured on both faces" not in svg(check_figure(check(visits(3, stations=2))))
+    assert svg(check_figure(check(twice)))
+
+
+def test_the_girder_epochs(shared: Path) -> None:
+    """The differences are those of the readings, and the nest whose faces differ by 32 um in range is named."""
+    folder = shared / "recordings" / "desy-girder-at960"
+    if not folder.is_dir():
+        pytest.skip("the recordings of the girder are not beside this checkout")
+    recording = read(folder / "Polar_measurements_24Feb22.txt", hints=Hints(azimuth="clockwise"))
+    found = check(recording)
+    whole = two_face(recording)
+    pairs = [setup.faces.pairs for setup in found.setups if setup.faces is not None]
+    assert sum(map(len, pairs)) == len(whole)
+    np.testing.assert_allclose(np.concatenate([p.half for p in pairs]), whole.half, atol=1e-12)
+    gross = next(item for item in found.items if item.kind == "gross" and item.station == "Instrument_0")
+    assert "K6" in gross.targets
+    assert not found.passed
+    assert check_file(found).sentence.startswith("no-go: Instrument_0 to K6: rows 81 and 82 are 52")
+
+
+def test_readings_to_targets_that_scatter_are_told_as_that_and_none_is_gross() -> None:
+    """Directions to four targets are ten times as noisy: neither a set-up nor the network blames a pointing of them."""
+    for seed in range(5):
+        recording = network(faces=2, seed=seed)[0]
+        extra = 10.0 * recording.sigma() * stream(seed, "noisy").standard_normal(recording.readings.shape)
+        noisy = recording.readings + np.isin(recording.target, [3, 9, 14, 20])[:, None] * extra * [0.0, 1.0, 1.0]
+        found = check(recording.with_readings(noisy), level=0.001)
+        failed = [item for item in found.items if not item.passed]
+        noisier = [item for item in failed if "scatter" in item.sentence and not item.station]
+        assert sorted(name for item in noisier for name in item.targets) == ["T04", "T10", "T15", "T21"]
+        assert not [item for item in failed if item.rows]
+
+
+@pytest.mark.parametrize(("scenario", "seed"), [("paper-workshop-two-face", 5), ("paper-workshop", 13)])
+def test_what_an_uncalibrated_instrument_does_to_near_targets_is_no_scatter_of_theirs(scenario: str, seed: int) -> None:
+    recording, _ = lt.simulate(scenario, seed=seed)
+    assert len(adjust(recording).restless[0])
+    assert check(recording).passed

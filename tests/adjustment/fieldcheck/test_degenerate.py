@@ -1,0 +1,165 @@
+"""Networks that are degenerate in one way each: all verbs refuse them, in the same words."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+import ltsim as lt
+from ltsim.adjustment.doubt import doubts
+from ltsim.adjustment.fieldcheck import check
+from ltsim.adjustment.fieldcheck.check import LEVEL
+from ltsim.adjustment.fieldcheck.network import RARE
+from ltsim.calibration.network import calibrate_network
+from ltsim.core.errors import LtsimError
+from ltsim.core.randomness import stream
+from ltsim.geometry.polar import to_polar
+from ltsim.recordings.recording import Recording
+from tests.campaigns.workshop import workshop
+
+Points = np.ndarray
+Break = Callable[[Recording, Points, np.random.Generator], Recording]
+
+
+def seen(recording: Recording, points: Points, seed: int) -> Recording:
+    """The workshop's pointings to targets in other places, with its stated noise."""
+    _, state = workshop()
+    arm = points[recording.target] - state.position[recording.station]
+    readings = to_polar(np.einsum("nji,nj->ni", state.rotation[recording.station], arm))
+    noise = stream(seed, "degenerate").standard_normal(readings.shape) * recording.sigma()
+    return recording.with_readings(readings + noise)
+
+
+def without(recording: Recording, gone: np.ndarray) -> Recording:
+    """The recording without some pointings."""
+    return recording.select(~gone)
+
+
+def on_a_line(recording: Recording, points: Points, rng: np.random.Generator) -> Recording:
+    """Two stations share ten targets on one line."""
+    line = points.copy()
+    line[:10] = points[0] + np.linspace(0.0, 3.0, 10)[:, None] * rng.uniform(0.1, 0.3, 3)
+    return seen(recording, line, int(rng.integers(1000))).select((recording.station < 2) & (recording.target < 10))
+
+
+def two_shared(recording: Recording, points: Points, rng: np.random.Generator) -> Recording:
+    """One station shares two targets only with the others."""
+    one, kept = rng.integers(1, 5), rng.choice(len(points), 2, replace=False)
+    return without(recording, (recording.station == one) & ~np.isin(recording.target, kept))
+
+
+def nothing_shared(recording: Recording, points: Points, rng: np.random.Generator) -> Recording:
+    """Two halves of the stations see other targets."""
+    first = recording.station < rng.integers(1, 4)
+    half = recording.target < len(points) // 2
+    return without(recording, first != half)
+
+
+def clockwise(recording: Recording, points: Points, rng: np.random.Generator) -> Recording:
+    """One set-up is the mirror image of the others."""
+    readings = recording.readings.copy()
+    readings[recording.station == rng.integers(1, 5), 1] *= -1.0
+    return recording.with_readings(readings)
+
+
+def no_scale(recording: Recording, points: Points, rng: np.random.Generator) -> Recording:
+    """Beams alone, and no length."""
+    recording = recording.replace(setup=recording.setup.model_copy(update={"gauge": None}))
+    return recording.with_readings(np.where([True, False, False], np.nan, recording.readings))
+
+
+WAYS: tuple[Break, ...] = (on_a_line, two_shared, nothing_shared, clockwise, no_scale)
+
+
+def words(verb: Callable[[Recording], object], recording: Recording) -> str:
+    """The sentence in which a verb refuses a recording; empty where it does not."""
+    try:
+        verb(recording)
+    except LtsimError as refused:
+        return str(refused)
+    return ""
+
+
+def agreed(way: Break, seed: int) -> str:
+    """The sentence of all verbs about a network that is degenerate in one way."""
+    recording, state = workshop()
+    broken = way(seen(recording, state.points, seed), state.points, stream(seed, way.__name__))
+    said = words(lt.adjust, broken)
+    if not said:  # noise bends a line: there is a solution, and its sigmas are doubted aloud
+        (doubt,) = doubts(lt.adjust(broken).adjustment)
+        assert way is on_a_line
+        assert "hold its pose so weakly" in doubt
+        assert "hold its pose so weakly" in calibrate_network(broken, advise=False).verdict.sentence
+        assert any(item.sentence == doubt and not item.passed for item in check(broken).items)
+        return doubt
+    assert words(lambda r: calibrate_network(r, advise=False), broken) == said
+    if way is clockwise:  # what is understood is mended by a diagnosis, and said
+        assert "clockwise" in str(lt.diagnose(broken))
+    else:
+        assert words(lt.diagnose, broken) == said
+    found = check(broken)
+    assert not found.passed
+    assert any(said in item.sentence for item in found.items)
+    return said
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("way", WAYS)
+def test_all_verbs_say_the_same_of_a_degenerate_network(way: Break, seed: int) -> None:
+    agreed(way, seed)
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("noise", [1.0, 1.2, 1.5])
+def test_check_gives_the_judgement_of_adjust_where_nothing_but_noise_is_larger(seed: int, noise: float) -> None:
+    """No error of the instrument is at work: the same sigma0, and no-go where it is rarer than the level allows."""
+    recording, state = workshop()
+    exact = recording.with_readings(seen(recording, state.points, seed).readings)
+    exact = exact.select((exact.station < 3) & (exact.target < 9))
+    extra = stream(seed, "larger").standard_normal(exact.readings.shape) * exact.sigma() * np.sqrt(noise**2 - 1.0)
+    noisy = exact.with_readings(exact.readings + extra)
+    adjusted, found = lt.adjust(noisy).adjustment, check(noisy)
+    (item,) = (item for item in found.items if item.kind == "network")
+    assert found.passed == item.passed
+    if lt.adjust(noisy, robust=True).adjustment.rejected.any():
+        assert "contradicts the other stations" in item.sentence
+        return
+    assert item.passed == (2.0 * min(adjusted.p_value, 1.0 - adjusted.p_value) >= LEVEL / 4)
+    assert f"sigma0 {adjusted.sigma0:.2f} " in item.sentence
+    assert ("as noise brings it in one network of" in item.sentence) == (item.passed and adjusted.p_value < RARE / 2)
+
+
+def test_a_pointing_to_the_zenith_is_named_by_all_verbs() -> None:
+    recording, state = workshop()
+    above = state.points.copy()
+    above[3] = state.position[1] + state.rotation[1] @ [0.0, 0.0, 2.0]
+    broken = seen(recording, above, 0)
+    verbs = (lt.adjust, lambda r: calibrate_network(r, advise=False), lt.diagnose)
+    for said in (words(verb, broken) for verb in verbs):
+        assert "row 32: at the zenith an azimuth means nothing, leave it out" in said
+    assert any("row 32: at the zenith" in item.sentence for item in check(broken).items)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("seed", range(4, 64))
+@pytest.mark.parametrize("way", WAYS)
+def test_all_verbs_say_the_same_of_three_hundred_degenerate_networks(way: Break, seed: int) -> None:
+    agreed(way, seed)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_slip_of_a_metre_in_a_small_network_is_named_and_does_not_make_it_singular(seed: int) -> None:
+    """29 pointings determine everything: one that is 1.02 m too long or too high is told, and nothing is refused."""
+    recording, state = workshop()
+    whole, rng = seen(recording, state.points, 1), stream(seed, "slip")
+    few = whole.select((whole.station < 3) & np.isin(whole.target, rng.choice(28, 10, replace=False)))
+    few = few.select(np.arange(min(len(few), 29)))
+    readings, row = few.readings.copy(), int(rng.integers(len(few)))
+    readings[row, 2 * (seed % 2)] += 1.02 / (readings[row, 0] if seed % 2 else 1.0)
+    broken = few.with_readings(readings)
+    assert not words(lt.adjust, broken)
+    found = check(broken)
+    assert not found.passed
+    assert any(row + 1 in item.rows for item in found.items if not item.passed)

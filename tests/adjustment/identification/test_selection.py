@@ -1,0 +1,233 @@
+"""Simple causes: each is identified at its place with its size, just visible or absurd, and nothing else is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+import ltsim as lt
+from ltsim.adjustment.identification import Network, Selection, outcomes, select
+from ltsim.adjustment.identification.evidence import LOG_RANGE, occam, occam_of_variance, variance_factor
+from ltsim.adjustment.identification.fit import changed_recording
+from ltsim.adjustment.robust import robust_state
+from ltsim.adjustment.start import reached_network
+from ltsim.core.arrays import Floats
+from ltsim.core.randomness import stream
+from ltsim.geometry.alignment import robust_align
+from ltsim.geometry.rotations import about_z
+from ltsim.physics.effects.motions import exact_station_change, exact_target_change
+from ltsim.physics.model.construction import misalignment
+from ltsim.physics.model.measurement import sightings_of
+from ltsim.recordings.recording import Recording
+from ltsim.recordings.setup import Target
+from tests.networks import Truth, network
+
+CONTROL = ("T01", "T06", "T12", "T24")
+
+
+@cache
+def hall() -> tuple[Recording, Truth]:
+    """Four stations, both faces, four control points, a gauge; a pointing every 10 s."""
+    recording, truth = network(faces=2, seed=3, stations=4)
+    points = dict(zip(recording.targets, truth.state.points, strict=True))
+    known = {name: Target(known_mm=tuple((1e3 * points[name]).tolist()), known_sigma_mm=0.01) for name in CONTROL}
+    setup = recording.setup.model_copy(update={"targets": {**recording.setup.targets, **known}})
+    order = np.argsort(recording.station, kind="stable")
+    clocked = recording.select(order).replace(time=10.0 * np.arange(len(recording)), has_clock=True, setup=setup)
+    return clocked, truth
+
+
+def identified(recording: Recording) -> Selection:
+    return select(Network(recording, misalignment()))
+
+
+def shifted(recording: Recording, rows: Floats, column: int, size: float) -> Recording:
+    readings = recording.readings.copy()
+    readings[rows, column] += size
+    return recording.with_readings(readings)
+
+
+def the_one(selection: Selection) -> tuple[str, tuple[str, ...], tuple[str, ...]]:
+    (choice,) = selection.choices
+    return choice.hypothesis.kind, choice.hypothesis.stations, choice.hypothesis.targets
+
+
+def test_nothing_is_identified_in_a_clean_hall() -> None:
+    selection = identified(hall()[0])
+    assert selection.choices == ()
+    assert selection.fit.outliers.sum() <= 1
+    assert not selection.leads
+
+
+@pytest.mark.parametrize("size", [2e-4, 12.7e-3, 0.4])
+def test_an_offset_of_all_distances_to_a_target(size: float) -> None:
+    recording, truth = hall()
+    wrong = shifted(recording, recording.target == 7, 0, size)
+    selection = identified(wrong)
+    assert the_one(selection) == ("constant-offset", (), ("T08",))
+    (test,) = [t for t in outcomes(selection) if t.accepted and t.kind != "outlier"]
+    assert test.unit == "mm"
+    assert test.estimate == pytest.approx(1e3 * size, abs=0.05)
+    assert ("0.5 inch" in test.sentence) == (size == 12.7e-3)
+    assert np.allclose(selection.fit.state.points, truth.state.points, atol=1e-4)
+
+
+@pytest.mark.parametrize("size", [2e-4, 17.5e-3, 0.3])
+def test_an_offset_of_all_distances_from_a_station(size: float) -> None:
+    recording, _ = hall()
+    assert the_one(identified(shifted(recording, recording.station == 2, 0, size))) == ("constant-offset", ("S3",), ())
+
+
+@pytest.mark.parametrize("share", [3e-5, 0.01])
+def test_a_scale_error_of_a_station(share: float) -> None:
+    recording, _ = hall()
+    readings = recording.readings.copy()
+    readings[recording.station == 1, 0] *= 1.0 + share
+    assert the_one(identified(recording.with_readings(readings))) == ("scale-error", ("S2",), ())
+
+
+@pytest.mark.parametrize("size", [1e-3, 10.0])
+def test_a_reference_point_that_is_off(size: float) -> None:
+    recording, truth = hall()
+    targets = dict(recording.setup.targets)
+    off = np.array(targets["T12"].known_mm) + 1e3 * size * np.array([0.6, 0.0, -0.8])
+    targets["T12"] = targets["T12"].model_copy(update={"known_mm": tuple(off.tolist())})
+    wrong = recording.replace(setup=recording.setup.model_copy(update={"targets": targets}))
+    selection = identified(wrong)
+    assert the_one(selection) == ("reference-value", (), ("T12",))
+    assert np.allclose(selection.fit.state.points, truth.state.points, atol=2e-4)
+
+
+@pytest.mark.parametrize("size", [3e-4, 0.02])
+def test_a_station_that_moved_in_mid_work(size: float) -> None:
+    recording, truth = hall()
+    rows = np.flatnonzero(recording.station == 1)
+    motion = np.zeros((len(recording), 6))
+    motion[rows[len(rows) // 2 :], :2] = [0.8 * size, -0.6 * size]
+    change = exact_station_change(sightings_of(recording, truth.state), motion)
+    selection = identified(recording.with_readings(recording.readings + change))
+    assert the_one(selection) == ("station-bump", ("S2",), ())
+    (test,) = [t for t in outcomes(selection) if t.kind == "station-bump"]
+    assert test.estimate == pytest.approx(1e3 * size, abs=0.1)
+    middle = len(rows) // 2
+    assert f"between rows {rows[middle - 1] + 1} and {rows[middle] + 1}" in test.sentence
+
+
+def test_a_target_that_moved_between_two_stations() -> None:
+    recording, truth = hall()
+    motion = np.zeros((len(recording), 3))
+    motion[(recording.target == 4) & (recording.station >= 2)] = [1e-3, 0.0, 2e-3]
+    change = exact_target_change(sightings_of(recording, truth.state), motion)
+    assert the_one(identified(recording.with_readings(recording.readings + change))) == ("target-moved", (), ("T05",))
+
+
+@pytest.mark.parametrize("angle", [1e-3, 0.5])
+def test_a_circle_that_was_turned_in_mid_work(angle: float) -> None:
+    recording, _ = hall()
+    rows = np.flatnonzero(recording.station == 0)
+    wrong = shifted(recording, rows[len(rows) // 2 :], 1, angle)
+    kind, stations, _ = the_one(identified(wrong))
+    assert stations == ("S1",)
+    assert kind in ("orientation", "station-bump")  # a station that is turned turns its circle with it
+
+
+def test_exchanged_names_are_put_right() -> None:
+    recording, _ = hall()
+    target = recording.target.copy()
+    rows = recording.station == 3
+    target[rows & (recording.target == 2)], target[rows & (recording.target == 9)] = 9, 2
+    selection = identified(recording.replace(target=target))
+    assert the_one(selection) == ("names", ("S4",), ("T03", "T10"))
+    assert np.array_equal(
+        changed_recording(recording.replace(target=target), selection.fit.hypotheses).target, recording.target
+    )
+
+
+@pytest.mark.parametrize("size", [1e-3, 20.0])
+def test_one_bad_reading_is_an_outlier_and_no_cause(size: float) -> None:
+    recording, _ = hall()
+    selection = identified(shifted(recording, 40, 0, size))
+    assert selection.choices == ()
+    (test,) = [t for t in outcomes(selection) if 41 in t.rows]
+    assert test.kind == "outlier"
+    assert test.estimate == pytest.approx(1e3 * size, abs=0.1)
+
+
+@pytest.mark.parametrize("factor", [0.25, 4.0])
+def test_noise_other_than_declared(factor: float) -> None:
+    recording, _ = hall()
+    noise = recording.setup.instrument.noise
+    fields = ("distance_mm", "distance_ppm", "azimuth_arcsec", "elevation_arcsec")
+    other = noise.model_copy(update={name: getattr(noise, name) / factor for name in fields})
+    instrument = recording.setup.instrument.model_copy(update={"noise": other})
+    selection = identified(recording.replace(setup=recording.setup.model_copy(update={"instrument": instrument})))
+    assert the_one(selection) == ("noise-level", (), ())
+    (test,) = [t for t in outcomes(selection) if t.kind == "noise-level"]
+    assert test.estimate == pytest.approx(factor, rel=0.1)
+    assert not selection.leads
+
+
+def test_two_causes_at_once() -> None:
+    recording, _ = hall()
+    wrong = shifted(shifted(recording, recording.target == 7, 0, 12.7e-3), recording.station == 2, 0, 2e-3)
+    found = {(c.hypothesis.stations, c.hypothesis.targets) for c in identified(wrong).choices}
+    assert found == {((), ("T08",)), (("S3",), ())}
+
+
+def test_verbs_say_the_same_of_one_cause() -> None:
+    recording, truth = hall()
+    wrong = shifted(recording, recording.target == 7, 0, 12.7e-3)
+    adjusted, calibrated, checked = lt.adjust(wrong), lt.calibrate(wrong, advise=False), lt.check(wrong)
+    diagnosed = lt.diagnose(wrong, held_out=False)
+    first = {adjusted.tests[0].sentence, calibrated.tests[0].sentence, checked.tests[0].sentence}
+    assert first == {diagnosed.findings[0].sentence}
+    assert not checked.passed
+    assert checked.sentence.startswith("no-go: The distances to T08")
+    assert "T08" in (adjusted.verdict.sentence if adjusted.verdict else "")
+    for points in (adjusted.points, calibrated.points, diagnosed.targets.points):
+        assert np.allclose(points, truth.state.points, atol=2e-4)
+
+
+def test_a_robust_state_is_not_bent_by_a_reference_point_that_is_far_off() -> None:
+    recording, truth = hall()
+    wrong = identified(recording).fit.whole
+    control = wrong.control
+    points = control.points.copy()
+    points[1] += 5.0
+    bent = replace(wrong, control=replace(control, points=points))
+    positions, rotations, targets = reached_network(recording)[0]
+    start = replace(truth.state, position=positions, rotation=rotations, points=targets, instrument=np.zeros((1, 16)))
+    state, _ = robust_state(bent, start)
+    assert np.allclose(state.points, truth.state.points, atol=2e-4)
+
+
+def test_alignment_survives_one_point_of_four_that_is_off_by_any_amount() -> None:
+    source = np.array([[0.0, 0.0, 0.0], [6.0, 0.0, 1.0], [5.0, 7.0, 0.0], [0.0, 6.0, 3.0]])
+    turn, shift = about_z(0.7), np.array([1.0, -2.0, 0.3])
+    goal = source @ turn.T + shift
+    for off in (0.01, 1.0, 100.0):
+        wrong = goal.copy()
+        wrong[2, 0] += off
+        rotation, translation = robust_align(source, wrong)
+        assert np.abs(source @ rotation.T + translation - goal).max() < 0.02 * off
+
+
+def test_the_occam_factor_is_the_integral_over_all_sizes() -> None:
+    w, sizes = 9.0, np.geomspace(1e-3, 1e3, 400_001)
+    likelihood = np.exp(-0.5 * (w - sizes) ** 2) + np.exp(-0.5 * (w + sizes) ** 2)
+    integral = np.trapezoid(0.5 * likelihood, np.log(sizes)) / np.exp(LOG_RANGE)
+    assert float(occam(w, 1)) == pytest.approx(np.log(integral), abs=0.02)
+
+
+def test_a_variance_factor_is_found_where_the_noise_has_it() -> None:
+    draw = stream(5, "noise").normal(size=(200, 300)) * 2.0
+    squares = np.sum(draw**2, axis=1)
+    factor, gain = variance_factor(squares, np.full(200, 300.0))
+    assert np.mean(factor) == pytest.approx(2.0, rel=0.01)
+    assert np.all(gain + occam_of_variance(300.0) > 50.0)
+    quiet, nothing = variance_factor(np.array([300.0]), np.array([300.0]))
+    assert quiet == pytest.approx(1.0)
+    assert nothing == pytest.approx(0.0)

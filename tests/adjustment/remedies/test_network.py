@@ -1,0 +1,123 @@
+"""A network with pointings nobody made, and what would determine a combination."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ltsim.adjustment import adjust
+from ltsim.adjustment.remedies.network import Network
+from ltsim.adjustment.remedies.next_measurement import next_measurement
+from ltsim.adjustment.remedies.remedy import (
+    ADVICE,
+    further_pointings,
+    known_length,
+    near_reflectors,
+    other_ways,
+    returns,
+)
+from ltsim.calibration.network import calibrate_network
+from ltsim.physics.model.construction import misalignment
+from ltsim.recordings import read
+from tests.networks import drawn, network
+
+
+@pytest.fixture(scope="module")
+def measured() -> Network:
+    recording, _ = network(values=drawn(misalignment(), 1), seed=1, stations=3)
+    return Network.of(adjust(recording, misalignment()))
+
+
+def test_a_planned_network_knows_what_a_measured_one_knows(measured: Network) -> None:
+    """Everything once more in the same order, planned and then solved with its predicted readings."""
+    recording = measured.recording
+    twice = measured.with_pointings(recording.station, recording.target, recording.face)
+    assert len(twice.recording) == 2 * len(recording)
+    again = adjust(twice.recording, misalignment()).instrument_covariance
+    assert twice.adjustment.instrument_covariance == pytest.approx(again, rel=1e-3)
+    assert twice.recording.time[len(recording) :].min() > recording.time.max()
+
+
+def test_a_longer_network_never_knows_less(measured: Network) -> None:
+    before = measured.adjustment.instrument_covariance
+    for remedy in [
+        *other_ways(measured), *known_length(measured), *returns(measured, 1200.0), *near_reflectors(measured)
+    ]:  # fmt: skip
+        after = remedy.network.adjustment.instrument_covariance
+        scale = np.sqrt(np.outer(np.diag(before), np.diag(before)))
+        assert np.linalg.eigvalsh((before - after) / scale).min() > -1e-6, remedy.words
+
+
+def test_a_length_that_is_known_is_not_calibrated_again(measured: Network) -> None:
+    assert measured.with_length(24, 25, 0.002) is measured
+    grown = measured.with_length(0, 25, 0.002)
+    assert len(grown.recording.gauge.distance) == len(measured.recording.gauge.distance) + 1
+
+
+def test_the_smallest_recordings_get_advice_and_no_traceback() -> None:
+    """One pointing, one target from one station in both faces, two targets from one station."""
+    recording, _ = network(seed=1, faces=2)
+    for rows in (recording.target == 0, recording.target < 2):
+        one = recording.select(rows & (recording.station == 0))
+        found = calibrate_network(one)
+        assert all(c.cure for c in found.undetermined)
+    first = recording.select(np.arange(len(recording)) == 0)
+    assert any("none of the measurements" in c.cure for c in calibrate_network(first).undetermined)
+
+
+def test_every_way_of_measuring_on_has_its_sentence(measured: Network) -> None:
+    """Each further measurement that is tried here is told by a sentence of the table, its blanks filled."""
+    blank = re.compile(r"\\\{[^}]*\\\}")
+    patterns = {key: blank.sub("(.+)", re.escape(text)) for key, text in ADVICE.items()}
+    tried = [
+        *other_ways(measured), *known_length(measured), *returns(measured, 1200.0), *near_reflectors(measured)
+    ]  # fmt: skip
+    said = {
+        remedy.words: {key for key, text in patterns.items() if re.fullmatch(text, remedy.words)} for remedy in tried
+    }
+    assert all(len(keys) == 1 for keys in said.values()), said
+    assert {"other face", "close", "reverse", "length", "near", "turned"} <= set().union(*said.values())
+
+
+def test_nobody_aims_at_the_mark_that_the_tripod_stands_on(measured: Network) -> None:
+    """A target that the last station has not measured because it stands over it is no remedy; another one is."""
+    recording = measured.recording
+    last = int(recording.station[np.argmax(recording.time)])
+    kept = recording.select(~((recording.station == last) & np.isin(recording.target, [3, 4])))
+    network = Network.of(adjust(kept, misalignment()))
+    points, position = network.state.points.copy(), network.state.position
+    points[kept.targets.index(recording.targets[3])] = position[last]
+    over = replace(network, state=replace(network.state, points=points))
+    words = [remedy.words for remedy in further_pointings(over) if "has not measured" in remedy.words]
+    assert len(words) == 1
+    assert f"({recording.targets[4]})" in words[0]
+
+
+def test_a_plan_is_continued_in_plan_and_a_set_up_that_sees_too_little_is_no_remedy(tmp_path: Path) -> None:
+    """A traverse between two known points: whoever stands at its end sees one target, and nobody reads a height."""
+    places = {"A": (0.0, 0.0), "B": (100.0, 50.0), "C": (200.0, -40.0), "D": (300.0, 0.0)}
+    kept = {"A": "fix", "D": "fix", "B": "adj", "C": "adj"}
+    lines = [f'<point id="{n}" x="{x}" y="{y}" {kept[n]}="xy"/>' for n, (x, y) in places.items()]
+    for at, targets in {"A": "B", "B": "AC", "C": "BD", "D": "C"}.items():
+        lines.append(f'<obs from="{at}">')
+        for to in targets:
+            away = complex(*places[to]) - complex(*places[at])
+            lines.append(f'<direction to="{to}" val="{np.degrees(np.angle(away)) / 0.9 % 400:.4f}" stdev="5"/>')
+            lines.append(f'<distance to="{to}" val="{abs(away):.4f}" stdev="1"/>')
+        lines.append("</obs>")
+    head = '<gama-local><network axes-xy="en" angles="right-handed"><points-observations>'
+    file = tmp_path / "traverse.gkf"
+    file.write_text("\n".join([head, *lines, "</points-observations></network></gama-local>"]))
+    found = adjust(read(file))
+    network = Network.of(found)
+    before = len(network.recording)
+    remedies = [*further_pointings(network), *returns(network, 60.0)]
+    assert all(remedy.network.recording.is_horizontal[before:].all() for remedy in remedies)
+    determined = {remedy.words.split(",")[0]: remedy.is_determined for remedy in remedies if remedy.kind == "return"}
+    assert determined == {f"set up once more at {name}": name in "BC" for name in "ABCD"}
+    assert all(remedy.is_determined for remedy in remedies if remedy.kind == "pointings")
+    assert next_measurement(file).proposals

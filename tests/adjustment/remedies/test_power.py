@@ -1,0 +1,106 @@
+"""What is told as detectable is found: the tool's own search, simulated at the minimal detectable sizes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ltsim.adjustment import adjust
+from ltsim.adjustment.remedies.detectability import LEVEL, examine, thinned
+from ltsim.adjustment.residual_space import ResidualSpace
+from ltsim.calibration.evidence import log_sum_exp
+from ltsim.core.arrays import Floats
+from ltsim.core.randomness import stream
+from ltsim.diagnosis.detect import Detection, detect
+from ltsim.diagnosis.noise import NoiseBank, noise_hypotheses
+from ltsim.diagnosis.probe import TRIALS, Probe
+from ltsim.diagnosis.search import Searcher
+from ltsim.physics.effects import BASELINE, CATALOGUE
+from ltsim.physics.effects.effect import Effect
+from ltsim.physics.model.construction import misalignment
+from tests.networks import drawn, network
+
+
+class Search:
+    """The search of a diagnosis on one network, with the threshold of its simulated null."""
+
+    def __init__(self, faces: int) -> None:
+        recording, _ = network(values=drawn(misalignment(), 1), seed=1, faces=faces)
+        self.space = ResidualSpace.of(adjust(recording, misalignment()))
+        self.noise = NoiseBank.of(self.space, noise_hypotheses(self.space.sightings))
+        self.detection: Detection = detect(Searcher(self.space, 0, TRIALS), self.noise)
+
+    def families(self) -> Iterator[list[Effect]]:
+        """All places and shapes of each effect beyond the ordinary calibration."""
+        ordinary = {type(effect) for effect in BASELINE}
+        for kind in CATALOGUE:
+            places = [] if kind in ordinary else list(kind.candidates(self.space.sightings))
+            if places:
+                yield places
+
+    def shift(self, places: list[Effect]) -> Floats | None:
+        """Residual (m,) of the effect at its minimal detectable size and a middling place; None if it leaves none."""
+        seen = examine(self.space, places)
+        assert seen is not None
+        row = min(seen.table(), key=lambda r: r.typical / r.prior_sigma)
+        if not np.isfinite(row.typical):
+            return None
+        for effect, sizes in zip(thinned(places), seen.sizes, strict=True):
+            names = [p.name for p in effect.parameters]
+            if row.parameter in names and sizes[names.index(row.parameter)] == row.typical:
+                column = self.space.signature(effect)[:, names.index(row.parameter)]
+                return self.space.project(column * row.typical)
+        return None
+
+    def share_found(self, shift: Floats, trials: int) -> float:
+        """Share of recordings with it whose search is above the threshold."""
+        white = stream(11, "power").standard_normal((self.space.size, trials))
+        residual = self.space.project(white) + shift[:, None]
+        usual = Probe.of
+        with pytest.MonkeyPatch.context() as patch:  # The search scores these recordings in place of clean ones.
+            patch.setattr(
+                Probe,
+                "of",
+                staticmethod(lambda *given, **how: replace(usual(*given, **how), trials=residual.astype(np.float32))),
+            )
+            scored = Searcher(self.space, 0).first.null
+        statistic = np.logaddexp(log_sum_exp(self.noise.family_evidence(residual, self.space.redundancy)), scored)
+        return float(np.mean(statistic > self.detection.threshold(LEVEL)))
+
+
+@pytest.fixture(scope="module")
+def search() -> Search:
+    return Search(1)
+
+
+def test_an_effect_of_the_minimal_detectable_size_is_found_by_the_search_as_often_as_is_said(search: Search) -> None:
+    """One effect without a place, one of a station, one of a target, one of a reading."""
+    chosen = {"gauge-scale", "station-weather", "target-moved", "smr-dihedral"}
+    shares = {}
+    for places in search.families():
+        if places[0].name in chosen:
+            shift = search.shift(places)
+            assert shift is not None
+            shares[places[0].name] = search.share_found(shift, 100)
+    assert len(shares) == 4
+    assert all(0.65 < share < 0.95 for share in shares.values()), shares
+    assert np.mean(list(shares.values())) == pytest.approx(0.8, abs=0.07)
+
+
+def test_nothing_is_found_where_there_is_nothing(search: Search) -> None:
+    assert search.share_found(np.zeros(search.space.size), 300) == pytest.approx(LEVEL, abs=0.04)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("faces", [1, 2])
+def test_every_effect_of_its_minimal_detectable_size_is_found_in_about_four_of_five(faces: int) -> None:
+    """Over all effects of the catalogue that leave a trace."""
+    search = Search(faces)
+    shifts = {places[0].name: search.shift(places) for places in search.families()}
+    shares = {name: search.share_found(shift, 400) for name, shift in shifts.items() if shift is not None}
+    assert len(shares) > 28
+    assert np.mean(list(shares.values())) == pytest.approx(0.82, abs=0.05), shares
+    assert min(shares.values()) > 0.65, shares

@@ -1,0 +1,236 @@
+"""One declaration of a table's columns feeds every form of it; results are values that can be kept."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+from dataclasses import dataclass, fields, is_dataclass, replace
+from importlib import import_module
+from pathlib import Path
+from pkgutil import walk_packages
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from matplotlib.figure import Figure
+
+import ltsim as lt
+from ltsim.adjustment import Adjustment
+from ltsim.core.errors import ModelError, RecordError
+from ltsim.core.results import Column, Result, Table, flags, numbers, texts
+from ltsim.core.values import Valued, equal_values
+from ltsim.reports.verbs import View
+from ltsim.simulation.inject import InjectionCurve
+from ltsim.simulation.scenario import Scenario
+
+POINTS = Table(
+    "points.csv",
+    "where points are",
+    (
+        *texts(target="name"),
+        Column("x_mm", "coordinate", form=".6f", sigma="sigma_x_mm"),
+        Column("sigma_x_mm", "its standard deviation", form=".6f"),
+        *numbers(".3g", ".2f", share_percent="of all"),
+        *flags(moved="it moved"),
+    ),
+)
+ROWS = [("=T1", 1000.12349, 0.0123, 12.5, True), ("T2", -1.0, None, float("nan"), False)]
+
+
+@dataclass(frozen=True)
+class Cloud(Result):
+    """A small result."""
+
+    points: np.ndarray
+    name: str = "cloud"
+    rows: Any = None
+
+    def _lines(self) -> list[str]:
+        return [f"{self.name}: {len(self.points)} points"]
+
+    def _tables(self) -> Any:
+        return {"points": lambda: POINTS.filled(ROWS), "plain": lambda: {"n": [1, 2], "what": ["a", "b"]}}
+
+
+def test_a_table_is_written_and_read_back():
+    text = POINTS.filled(ROWS).csv()
+    assert text.splitlines()[1] == "'=T1,1000.123490,0.012300,12.5,True"
+    again = POINTS.parsed(text)
+    assert again.column("target") == ["=T1", "T2"]
+    assert again.column("moved") == [True, False]
+    assert np.isnan(again.column("sigma_x_mm")[1])
+    assert again.csv() == text
+    with pytest.raises(RecordError, match="row 1, column x_mm: 'one' is no number"):
+        POINTS.parsed(text.replace("1000.123490", "one"))
+    with pytest.raises(RecordError, match="the column moved is missing"):
+        POINTS.parsed(text.replace("moved", "went"))
+
+
+def test_a_person_reads_value_and_sigma_together_with_units_at_the_head():
+    table = POINTS.filled(ROWS)
+    assert table.headings == ["target", "x [mm]", "share [%]", "moved"]
+    assert table.cells() == [["=T1", "1000.123 +- 0.012", "12.50", "yes"], ["T2", "-1.00", "-", ""]]
+    assert table.meanings["x [mm]"] == "coordinate"
+    assert table.text().splitlines()[1].startswith("=T1     1000.123 +- 0.012")
+
+
+def test_rows_come_from_sequences_mappings_and_objects():
+    @dataclass
+    class Row:
+        n: int
+        what: str
+
+    table = Table("rows.csv", "rows", (*numbers(n="number"), *texts(what="word")))
+    made = [table.filled(rows) for rows in ([(1, "a")], [{"what": "a", "n": 1}], [Row(1, "a")])]
+    assert made[0] == made[1] == made[2]
+    assert made[0].json() == [{"n": 1, "what": "a"}]
+    with pytest.raises(ModelError, match="has 1 cells for 2 columns"):
+        table.filled([(1,)])
+
+
+def test_a_result_gives_its_tables_by_name():
+    cloud = Cloud(np.zeros((2, 3)))
+    assert repr(cloud) == "cloud: 2 points"
+    assert cloud.table("plain").header == ["n", "what"]
+    assert "<td>1000.123 +- 0.012</td>" in cloud._repr_html_()
+    with pytest.raises(ModelError, match="no table of a Cloud called 'point'; did you mean points"):
+        cloud.table("point")
+    with pytest.raises(ModelError, match="a Cloud has no picture"):
+        cloud.plot()
+
+
+def test_results_are_equal_where_their_values_are():
+    one, other = Cloud(np.array([[1.0, np.nan]])), Cloud(np.array([[1.0, np.nan]]))
+    assert one == other
+    assert hash(one) == hash(other)
+    assert one != replace(other, points=np.array([[1.0, 2.0]]))
+    assert one != replace(other, points=other.points.astype(np.float32))
+    assert one != replace(other, name="fog")
+    assert equal_values({"a": (1, np.arange(3))}, {"a": (1, np.arange(3))})
+    assert equal_values(sp.csr_array(np.eye(3)), sp.csr_array(np.eye(3)))
+    assert not equal_values(sp.csr_array(np.eye(3)), sp.csr_array(2 * np.eye(3)))
+    assert not equal_values([1, 2], [1, 3])
+
+
+def test_data_classes_below_keep_their_own_representation():
+    @dataclass(frozen=True)
+    class Pair(Valued):
+        both: np.ndarray
+
+    assert repr(Pair(np.ones(1))).endswith("Pair(both=array([1.]))")
+    assert Pair(np.ones(2)) == Pair(np.ones(2))
+
+
+@pytest.fixture(scope="module")
+def kept() -> dict[str, Any]:
+    recording = lt.simulate("paper-workshop", seed=7).recording
+    calibration = lt.calibrate(recording)
+    return {
+        "recording": recording,
+        "scenario": lt.scenario("paper-workshop"),
+        "truth": lt.simulate("paper-workshop").truth,
+        "calibration": calibration,
+        "dh": lt.calibrate(recording, construction="dh"),
+        "adjustment": calibration.adjustment,
+        "criteria": lt.evaluate(recording, calibration),
+        "history": lt.history([calibration, recording]),
+        "check": lt.check(recording),
+        "diagnosis": lt.diagnose(recording),
+        "comparison": lt.compare(recording, recording, same_instrument=True),
+        "catalogue": lt.catalogue("beam-tilt", "backlash"),
+    }
+
+
+NAMES = "recording scenario truth calibration dh adjustment criteria history check diagnosis comparison catalogue"
+
+
+@pytest.mark.parametrize("name", NAMES.split())
+def test_every_result_can_be_copied_pickled_and_compared(name: str, kept):
+    result = kept[name]
+    for again in (copy.copy(result), copy.deepcopy(result), pickle.loads(pickle.dumps(result))):
+        assert again == result
+        assert repr(again) == repr(result)
+    assert all(other is result or other != result for other in kept.values())
+
+
+@pytest.fixture(scope="module")
+def drawn(kept: dict[str, Any], tmp_path_factory: pytest.TempPathFactory) -> list[Any]:
+    """One of every result, or more."""
+    recording, calibration, folder = kept["recording"], kept["calibration"], tmp_path_factory.mktemp("results")
+    small = {
+        "format": "ltsim-campaign/1",
+        "scenario": "paper-workshop",
+        "trials": 3,
+        "methods": [{"method": "network"}, {"method": "distance"}],
+    }
+    campaign = lt.campaign({**small, "statistics": ["errors"]}, out=folder / "campaign")
+    chances = {f"{n}{e}": v for n in CHANCES for e, v in (("", 2.0), ("_low", 0.1), ("_high", 0.8))}
+    row = {"noncentrality": 25.0, "largest_um": 20.0, "largest_urad": 5.0, "injections": 5, "right": 2.0} | chances
+    plan = folder / "plan.toml"
+    plan.write_text('format = "ltsim-plan/1"\n[search]\nstarts = 1\ngrid_mm = 3000\nyaws = 1\nheights = 1\n')
+    return [
+        *(result for name, result in kept.items() if name not in ("truth", "catalogue")),
+        lt.adjust(recording),
+        lt.next_measurement(recording),
+        lt.recover("paper-workshop", trials=3),
+        lt.uncertainty(recording, {"task": [{"kind": "distance", "name": "d", "targets": ["T01", "T02"]}]}),
+        lt.accept({"standard": "asme-b89.4.19-2006", "instrument": "leica-at500"}),
+        lt.bench(Path(__file__).parents[2] / "docs" / "how-to" / "reflector.csv"),
+        InjectionCurve("range-step", (), (row, row | {"noncentrality": 100.0})),
+        lt.judge("paper-workshop", {"network": calibration}, "paper-laboratory", seed=7),
+        lt.view("paper-workshop"),
+        lt.plan(plan),
+        campaign,
+        campaign.paired("target_error_um", method=("network", "distance")),
+    ]
+
+
+CHANCES = ("found", "placed", "named")
+WITHOUT = {"EffectList", "Truth", "Injected", "InjectionTruth", "PlanResult"}
+"""What is a list of words and sizes, and the content of a plan, which is drawn as the plan."""
+
+
+def test_every_result_is_drawn_with_what_its_axes_mean_and_has_a_table(drawn: list[Any]):
+    for module in walk_packages(lt.__path__, "ltsim."):
+        import_module(module.name)
+    kinds = {kind.__name__ for kind in Result.__subclasses__() if kind.__module__.startswith("ltsim.")}
+    assert kinds - WITHOUT == {type(result).__name__ for result in drawn}
+    for result in drawn:
+        figure = result.plot()
+        assert isinstance(figure, Figure)
+        for ax in figure.axes:
+            assert ax.lines or ax.collections or ax.patches or ax.texts, "no panel is empty without a word"
+        told = [words for ax in figure.axes for words in (ax.get_xlabel(), ax.get_ylabel())]
+        told += [ax.get_title(loc) for ax in figure.axes for loc in ("left", "right")]
+        assert any(told) or figure.get_supxlabel(), type(result)
+        assert isinstance(result, View | Scenario | Adjustment) or len(result.to_dataframe().columns), type(result)
+
+
+def test_every_table_of_every_result_reads_its_own_csv_back(drawn: list[Any]):
+    for result in drawn:
+        for name in result._tables():
+            table = result.table(name)
+            again = table.parsed(table.csv())
+            assert again.header == table.header, (type(result), name)
+            assert len(again.rows) == len(table.rows), (type(result), name)
+
+
+def test_the_parts_of_a_result_are_compared_by_value(drawn: list[Any], kept: dict[str, Any]):
+    """Those of an adjustment are the solver's matrices, which nobody compares."""
+    whole = [result for result in [*drawn, kept["truth"]] if is_dataclass(result) and type(result) is not Adjustment]
+    for result in whole:
+        held = [getattr(result, field.name) for field in fields(result)]
+        parts = [part for value in held for part in (value if isinstance(value, tuple) else (value,))]
+        for part in filter(is_dataclass, parts):
+            assert copy.deepcopy(part) == part, (type(result), type(part))
+
+
+def test_what_has_no_table_says_so():
+    with pytest.raises(ModelError, match=r"^View has no table$"):
+        lt.view("paper-workshop").to_dataframe()
+
+
+def test_what_has_no_picture_says_so(kept):
+    with pytest.raises(ModelError, match="has no picture"):
+        kept["catalogue"].plot()

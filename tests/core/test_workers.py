@@ -1,0 +1,119 @@
+"""Processes that work for another end with it, and one that dies is a sentence."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from ltsim.core.errors import WorkerError
+from ltsim.core.workers import ProgressNotes, followed, parallel
+
+SLEEPERS = """
+import os, sys, time
+from pathlib import Path
+from ltsim.core.workers import parallel
+
+def sleep(name):
+    (Path(sys.argv[1]) / name).write_text(str(os.getpid()))
+    time.sleep(300)
+
+if __name__ == "__main__":
+    list(parallel(sleep, [("a",), ("b",)], 2))
+"""
+
+
+def note(notes: ProgressNotes, piece: int) -> None:
+    notes.write(piece, 1.0)
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_whoever_watches_hears_how_far_each_piece_is(jobs: int) -> None:
+    heard: list[float] = []
+    with followed(4, heard.append) as notes:
+        notes.write(0, 0.5)
+        assert notes.mean() == 0.125
+        list(parallel(note, [(notes, k) for k in range(3)], jobs))
+        assert notes.mean() == 0.75
+    assert heard[-1] == 0.75
+    assert heard == sorted(heard)
+
+
+def test_results_come_in_order_and_as_they_come() -> None:
+    calls = [(k, 2) for k in range(20)]
+    assert list(parallel(pow, calls, 1)) == [k * k for k in range(20)]
+    assert list(parallel(pow, calls, 2)) == [k * k for k in range(20)]
+    assert sorted(parallel(pow, calls, 2, ordered=False)) == [k * k for k in range(20)]
+
+
+def test_workers_end_when_their_parent_is_killed(tmp_path: Path, root: Path) -> None:
+    (tmp_path / "sleepers.py").write_text(SLEEPERS)
+    there = tmp_path / "pids"
+    there.mkdir()
+    parent = subprocess.Popen([sys.executable, str(tmp_path / "sleepers.py"), str(there)], cwd=root, env=_path(root))
+    try:
+        assert _until(lambda: len(_pids(there)) == 2)
+    finally:
+        parent.send_signal(signal.SIGKILL)
+        parent.wait()
+    assert _until(lambda: not any(map(_lives, _pids(there))))
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="the processes of a process are not listed here")
+def test_workers_end_when_their_parent_is_killed_while_they_start(tmp_path: Path, root: Path) -> None:
+    (tmp_path / "sleepers.py").write_text(SLEEPERS)
+    there = tmp_path / "pids"
+    there.mkdir()
+    parent = subprocess.Popen([sys.executable, str(tmp_path / "sleepers.py"), str(there)], cwd=root, env=_path(root))
+    children: set[int] = set()
+
+    def started() -> bool:
+        for file in Path(f"/proc/{parent.pid}/task").glob("*/children"):
+            children.update(map(int, file.read_text().split()))
+        return len(children) > 2  # two that work, and one that keeps account of what they share
+
+    try:
+        assert _until(started)
+    finally:
+        parent.send_signal(signal.SIGKILL)
+        parent.wait()
+    assert _until(lambda: not any(map(_lives, children)))
+
+
+def test_a_worker_that_is_killed_is_a_sentence() -> None:
+    with pytest.raises(WorkerError, match="ended from outside"):
+        list(parallel(_die, [(1,), (2,)], 2))
+
+
+def _die(number: int) -> None:
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def _path(root: Path) -> dict[str, str]:
+    return {**os.environ, "PYTHONPATH": str(root)}
+
+
+def _pids(folder: Path) -> list[int]:
+    return [int(p.read_text()) for p in folder.iterdir() if p.read_text()]
+
+
+def _lives(pid: int) -> bool:
+    """Whether a process works; one that has ended and waits to be collected does not."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def _until(done: object, seconds: float = 120.0) -> bool:
+    deadline = time.monotonic() + seconds
+    while time.monotonic() < deadline:
+        if done():  # type: ignore[operator]
+            return True
+        time.sleep(0.05)
+    return False

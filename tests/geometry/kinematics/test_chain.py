@@ -1,0 +1,135 @@
+"""The chains against their slow twins: the printed matrices, multiplied out one pointing at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import pytest
+from hypothesis import given, strategies as st
+
+from ltsim.core.arrays import Floats
+from ltsim.core.randomness import stream
+from ltsim.geometry.kinematics.chain import Chain, Motion, Turn, point, point_and_derivatives
+from ltsim.geometry.kinematics.dh import DH
+from ltsim.geometry.kinematics.misalignment import MISALIGNMENT
+from ltsim.geometry.polar import from_polar, to_face
+
+CHAINS = {"misalignment": MISALIGNMENT, "dh": DH}
+QUARTER = np.pi / 2
+both = pytest.mark.parametrize("name", CHAINS)
+
+
+def slots_of(chain: Chain) -> list[str]:
+    return [motion.slot for motion in chain if motion.slot]
+
+
+def readings(seed: int, count: int = 8) -> Floats:
+    rng = stream(seed, "readings")
+    polar = rng.uniform([1.0, -np.pi, -1.0], [9.0, np.pi, 1.2], (count, 3))
+    return to_face(polar, rng.integers(1, 3, count))
+
+
+def errors(chain: Chain, seed: int, count: int = 8, size: float = 1e-2) -> dict[str, Floats]:
+    rng = stream(seed, "errors")
+    return {slot: rng.normal(0, size, count) for slot in slots_of(chain)}
+
+
+def shift(x: float, y: float, z: float) -> Floats:
+    matrix = np.eye(4)
+    matrix[:3, 3] = x, y, z
+    return matrix
+
+
+def turn(axis: str, angle: float) -> Floats:
+    c, s = np.cos(angle), np.sin(angle)
+    block = {
+        "x": [[1, 0, 0], [0, c, -s], [0, s, c]],
+        "y": [[c, 0, s], [0, 1, 0], [-s, 0, c]],
+        "z": [[c, -s, 0], [s, c, 0], [0, 0, 1]],
+    }[axis]
+    matrix = np.eye(4)
+    matrix[:3, :3] = block
+    return matrix
+
+
+def misalignment_twin(raw: Floats, e: Mapping[str, float]) -> Floats:
+    """The formula at the head of `ltsim/geometry/kinematics/misalignment.py`, bearing first."""
+    head = shift(e["transit-offset"], 0, 0) @ turn("x", e["transit-tilt"])
+    head = head @ turn("y", -(raw[2] + e["elevation"])) @ shift(0, e["beam-lateral"], e["beam-vertical"])
+    c, range_ = e["beam-tilt"], raw[0] + e["range"]
+    bearing = shift(e["standing-radial-x"], e["standing-radial-y"], e["standing-axial"])
+    bearing = bearing @ turn("x", e["standing-tilt-x"]) @ turn("y", e["standing-tilt-y"])
+    target = np.array([range_ * np.cos(c), range_ * np.sin(c), 0, 1])
+    return (bearing @ turn("z", raw[1] + e["azimuth"]) @ head @ target)[:3]
+
+
+def link(theta: float, d: float, a: float, alpha: float) -> Floats:
+    """Equation (1) of Sensors 2021, 21, 7479."""
+    return shift(0, 0, d) @ turn("z", theta) @ shift(a, 0, 0) @ turn("x", alpha)
+
+
+def dh_twin(raw: Floats, e: Mapping[str, float]) -> Floats:
+    """Equations (1), (2), (5), (8), Table 1 of Sensors 2021, 21, 7479; azimuth zero brought from +Y to +X."""
+
+    def of(joint: str, kind: str) -> list[float]:
+        return [e[f"{joint}.{kind}{axis}"] for axis in "XYZ"]
+
+    def rotary(joint: str) -> Floats:
+        x, y, z = of(joint, "e")
+        return shift(*of(joint, "d")) @ turn("x", x) @ turn("y", y) @ turn("z", z)
+
+    chain = link(raw[1] - QUARTER, 0, 0, -QUARTER) @ rotary("J1")
+    chain = chain @ link(raw[2] - QUARTER, 0, 0, QUARTER) @ rotary("J2") @ link(-QUARTER, raw[0], 0, 0)
+    x, y, z = of("T", "e")
+    small = np.array([[1, -z, y, 0], [z, 1, -x, 0], [-y, x, 1, 0], [0, 0, 0, 1]])
+    return (turn("z", -QUARTER) @ chain @ shift(*of("T", "d")) @ small @ [0, 0, 0, 1])[:3]
+
+
+TWINS = {"misalignment": misalignment_twin, "dh": dh_twin}
+
+
+@both
+@given(seed=st.integers(0, 1000))
+def test_without_errors_a_chain_is_polar_coordinates(name: str, seed: int) -> None:
+    raw = readings(seed)
+    np.testing.assert_allclose(point(CHAINS[name], raw, {}), from_polar(raw), atol=1e-14)
+
+
+@both
+@given(seed=st.integers(0, 1000))
+def test_a_chain_is_the_product_of_its_printed_matrices(name: str, seed: int) -> None:
+    chain, raw = CHAINS[name], readings(seed)
+    amounts = errors(chain, seed)
+    one_by_one = [
+        TWINS[name](raw[i], {slot: float(amount[i]) for slot, amount in amounts.items()}) for i in range(len(raw))
+    ]
+    np.testing.assert_allclose(point(chain, raw, amounts), one_by_one, atol=1e-13)
+
+
+@both
+@given(seed=st.integers(0, 1000))
+def test_derivatives_by_every_slot(name: str, seed: int) -> None:
+    chain, raw = CHAINS[name], readings(seed)
+    amounts = errors(chain, seed)
+    p, analytic = point_and_derivatives(chain, raw, amounts, set(slots_of(chain)))
+    np.testing.assert_array_equal(p, point(chain, raw, amounts))
+    step = 1e-5
+    for slot in slots_of(chain):
+        after = point(chain, raw, amounts | {slot: amounts[slot] + step})
+        before = point(chain, raw, amounts | {slot: amounts[slot] - step})
+        np.testing.assert_allclose(analytic[slot], (after - before) / (2 * step), atol=1e-8, err_msg=slot)
+
+
+def test_a_slot_used_twice_adds_up() -> None:
+    chain: tuple[Motion, ...] = (Turn(2, "twice"), *MISALIGNMENT, Turn(2, "nothing"))
+    doubled = tuple(Turn(2, "twice", m.nominal) if m.slot == "azimuth" else m for m in chain)
+    raw = readings(3)
+    _, by_slot = point_and_derivatives(doubled, raw, {}, {"twice"})
+    _, once = point_and_derivatives(MISALIGNMENT, raw, {}, {"azimuth"})
+    np.testing.assert_allclose(by_slot["twice"], 2 * once["azimuth"], atol=1e-14)
+
+
+def test_only_wanted_slots_are_derived() -> None:
+    _, by_slot = point_and_derivatives(DH, readings(0), {}, {"J1.eX"})
+    assert set(by_slot) == {"J1.eX"}

@@ -1,0 +1,242 @@
+"""Two epochs from lists of coordinates: each point by itself, frames, axes, files, the verb."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.linalg
+
+import ltsim as lt
+from ltsim.cli.main import run
+from ltsim.core.arrays import Floats
+from ltsim.core.errors import LtsimError, RecordError
+from ltsim.core.randomness import stream
+from ltsim.geometry.rigid import rigid_motion
+from ltsim.measurands.comparison import Comparison
+from ltsim.measurands.epochs import compare_coordinates
+from ltsim.recordings.coordinates import Coordinates, read_coordinates
+from ltsim.recordings.result_file import read_result
+from tests.networks import network as small_network
+
+POINTS = ("901", "902", "903", "904", "905")
+
+
+def crown(epoch: int) -> Coordinates:
+    """Five points on the crown of a wall, seen from fixed points in both epochs; they did not move."""
+    rng = stream(9, "crown", epoch)
+    root = 0.4 * rng.normal(size=(10, 10)) + np.diag(np.full(10, 1.0))
+    covariance = 1e-6 * root @ root.T
+    points = np.zeros((5, 3))
+    points[:, :2] = stream(9, "wall").uniform(100.0, 300.0, (5, 2))
+    points[:, :2] += np.linalg.cholesky(covariance).dot(rng.normal(size=10)).reshape(5, 2)
+    return Coordinates(f"epoch {epoch + 1}", POINTS, "xy", points, covariance)
+
+
+def test_each_point_alone_is_tested_by_its_own_blocks() -> None:
+    first, second = crown(0), crown(1)
+    found = compare_coordinates(first, second)
+    shift = (second.points - first.points)[:, :2]
+    blocks = [np.ix_([2 * i, 2 * i + 1], [2 * i, 2 * i + 1]) for i in range(5)]
+    own = [
+        d @ np.linalg.solve((first.covariance + second.covariance)[b], d) for d, b in zip(shift, blocks, strict=True)
+    ]
+    np.testing.assert_allclose([d.own_chi2 for d in found.displacements], own, rtol=1e-9)
+    assert not found.moved
+    assert found.dof == 10
+
+
+def written(found: Coordinates, path: Path) -> Path:
+    """The list as CSV with its covariance beside it."""
+    header = ["target", *(f"{axis}_mm" for axis in found.axes)]
+    rows = [
+        [name, *(repr(1e3 * float(p[k])) for k in found.along)]
+        for name, p in zip(found.names, found.points, strict=True)
+    ]
+    path.write_text("\n".join(",".join(row) for row in [header, *rows]) + "\n")
+    coordinates = [f"{name}.{axis}" for name in found.names for axis in found.axes]
+    matrix = [
+        [name, *(repr(1e6 * float(x)) for x in row)] for name, row in zip(coordinates, found.covariance, strict=True)
+    ]
+    beside = [["covariance_mm2", *coordinates], *matrix]
+    path.with_suffix(".covariance.csv").write_text("\n".join(",".join(row) for row in beside) + "\n")
+    return path
+
+
+def test_the_verb_compares_lists(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    paths = [str(written(crown(i), tmp_path / f"{i}.csv")) for i in (0, 1)]
+    assert run(["compare", *paths, "--out", str(tmp_path / "out")]) == 0
+    assert "No point moved" in capsys.readouterr().out
+    content = read_result(tmp_path / "out", Comparison)
+    own = [d.own_chi2 or np.nan for d in compare_coordinates(crown(0), crown(1)).displacements]
+    np.testing.assert_allclose([d.own_chi2 or np.nan for d in content.displacements], own, rtol=1e-6)
+    assert run(["report", str(tmp_path / "out"), "--quiet"]) == 0
+    assert not lt.compare(*paths).moved
+    assert run(["compare", *paths, "--robust"]) == 2
+    assert "hold no readings" in capsys.readouterr().err
+    (tmp_path / "1.covariance.csv").write_text("covariance_mm2,901.x\n901.x,1\n")
+    assert run(["compare", *paths]) == 2
+    assert "lacks the coordinate 901.y" in capsys.readouterr().err
+
+
+def network(axes: str, seed: int, shift: Floats | None = None, *, turned: bool = False) -> Coordinates:
+    """Ten points of a free adjustment (inner constraints), somewhere else in each epoch where `turned`."""
+    rng = stream(5, "places")
+    along = np.array(["xyz".index(axis) for axis in axes])
+    points = np.zeros((10, 3))
+    points[:, along] = rng.uniform(0, 10, (10, 3))[:, along]
+    raw = rng.normal(size=(10 * len(along),) * 2) * 1e-4
+    free = rigid_motion(points).reshape(10, 3, 6)[:, along].reshape(-1, 6)
+    basis = scipy.linalg.orth(free[:, np.linalg.norm(free, axis=0) > 0])
+    project = np.eye(len(raw)) - basis @ basis.T
+    covariance = project @ (raw @ raw.T / len(raw) + 1e-9 * np.eye(len(raw))) @ project
+    noise = (
+        project
+        @ np.linalg.cholesky(raw @ raw.T / len(raw) + 1e-9 * np.eye(len(raw)))
+        @ stream(seed, "noise").normal(size=len(raw))
+    )
+    moved = points + (0.0 if shift is None else shift)
+    moved[:, along] += noise.reshape(10, -1)
+    if turned:
+        turn = np.array([[0.6, -0.8, 0.0], [0.8, 0.6, 0.0], [0.0, 0.0, 1.0]])
+        moved = moved @ turn.T + (np.array([3.0, -2.0, 1.0]) * [axis in axes for axis in "xyz"])
+        big = np.kron(np.eye(10), turn[np.ix_(along, along)])
+        covariance = big @ covariance @ big.T
+    return Coordinates("free", tuple(f"P{i}" for i in range(10)), axes, moved, covariance)
+
+
+@pytest.mark.parametrize("axes", ["xyz", "xy", "z"])
+def test_free_networks_are_compared_whatever_their_frames(axes: str) -> None:
+    """P-values of networks that did not move are uniform; a point that did is named, and no other."""
+    turned = len(axes) > 1
+    pairs = [(network(axes, 2 * i), network(axes, 2 * i + 1, turned=turned)) for i in range(40)]
+    found = [compare_coordinates(*pair, free=True) for pair in pairs]
+    assert found[0].dof == {"xyz": 24, "xy": 17, "z": 9}[axes]
+    assert 0.35 < np.mean([c.p_value for c in found]) < 0.65
+    assert sum(bool(c.moved) for c in found) <= 6
+    shift = np.zeros((10, 3))
+    shift[4, "xyz".index(axes[0])] = 2e-6 * found[0].displacements[4].visible_um[1]
+    moved = compare_coordinates(network(axes, 0), network(axes, 1, shift, turned=turned), free=True)
+    assert moved.moved == ("P4",)
+    assert moved.displacements[0].own_chi2 is None
+
+
+@pytest.mark.parametrize("axes", ["xyz", "xy", "z"])
+def test_a_covariance_without_a_datum_is_recognised(axes: str) -> None:
+    """A free network's covariance has a rank defect: the epochs are aligned as by `free`, and it is said."""
+    shift = np.zeros((10, 3))
+    shift[4, "xyz".index(axes[0])] = 0.01
+    pair = network(axes, 0), network(axes, 1, shift, turned=len(axes) > 1)
+    plain, free = compare_coordinates(*pair), compare_coordinates(*pair, free=True)
+    assert plain.dof == free.dof
+    assert plain.moved == free.moved == ("P4",)
+    np.testing.assert_allclose(plain.displacements[4].sigma_um, free.displacements[4].sigma_um, rtol=1e-6)
+    assert len(plain.notes) == 1 and "motions of the whole network open" in plain.notes[0]
+    assert not free.notes
+    assert not compare_coordinates(crown(0), crown(1)).notes
+
+
+def test_a_datum_of_some_points_leaves_the_same_motions_open() -> None:
+    """Constraints on three of ten points: the covariance has its rank defect elsewhere."""
+    whole = network("xyz", 0)
+    motions = rigid_motion(whole.points)
+    hold = np.zeros((30, 30))
+    hold[:9, :9] = np.eye(9)
+    project = np.eye(30) - motions @ np.linalg.solve(motions.T @ hold @ motions, motions.T @ hold)
+    epochs = [replace(network("xyz", i), covariance=project @ network("xyz", i).covariance @ project.T) for i in (0, 1)]
+    plain, free = compare_coordinates(*epochs), compare_coordinates(*epochs, free=True)
+    assert plain.p_value == pytest.approx(free.p_value, rel=1e-6)
+
+
+@pytest.mark.parametrize("cycle", [(2, 7), (1, 5, 8)])
+def test_exchanged_names_are_named_and_no_motion_is(tmp_path: Path, cycle: tuple[int, ...]) -> None:
+    first, second = network("xyz", 0), network("xyz", 1)
+    names = list(second.names)
+    for place, other in zip(cycle, cycle[1:] + cycle[:1], strict=True):
+        names[place] = second.names[other]
+    mixed = compare_coordinates(first, replace(second, names=tuple(names)), free=True)
+    assert not mixed.moved
+    assert f"the names {', '.join(f'P{i}' for i in cycle)} are exchanged" in mixed.notes[0]
+    assert mixed.p_value == pytest.approx(compare_coordinates(first, second, free=True).p_value, rel=1e-6)
+
+
+def test_numbers_of_rows_are_no_names(tmp_path: Path) -> None:
+    for i, numbers in enumerate(((1, 2, 3), (3, 1, 2))):
+        rows = [f"{n},R{k},{1000 * k},{500 * k * k},{i * 0.01},0.02" for k, n in enumerate(numbers)]
+        text = "\n".join(["ID,Feature,X [mm],Y [mm],Z [mm],sigma_mm", *rows])
+        (tmp_path / f"{i}.csv").write_text(text + "\n")
+    found = lt.compare(tmp_path / "0.csv", tmp_path / "1.csv")
+    assert [d.target for d in found.displacements] == ["R0", "R1", "R2"] and not found.moved
+
+
+def test_what_adjust_writes_is_what_compare_and_uncertainty_read(tmp_path: Path) -> None:
+    recordings = [small_network(seed=seed)[0] for seed in (1, 2)]
+    recordings = [r.replace(setup=r.setup.model_copy(update={"gauge": None})) for r in recordings]
+    for i, recording in enumerate(recordings):
+        lt.write(lt.adjust(recording), tmp_path / f"{i}")
+    lists = [read_coordinates(tmp_path / f"{i}" / "targets.csv") for i in (0, 1)]
+    assert not any("states no covariance" in note for one in lists for note in one.notes)
+    read, known = lt.compare(*lists, free=True), lt.compare(*recordings, calibrate=False)
+    assert read.p_value == pytest.approx(known.p_value, abs=1e-4)
+    np.testing.assert_allclose(read.displacements[3].sigma_um, known.displacements[3].sigma_um, rtol=1e-3)
+    names = list(recordings[0].targets[:2])
+    task = {"task": [{"name": "length", "kind": "distance", "targets": names}], "calibrate": False}
+    wanted = lt.uncertainty(recordings[0], task).content.results[0]
+    listed = lt.uncertainty(tmp_path / "0" / "targets.csv", task).content.results[0]
+    assert listed.value == pytest.approx(wanted.value, abs=1e-5)
+    assert listed.standard_uncertainty == pytest.approx(wanted.standard_uncertainty, rel=1e-5)
+
+
+GAMA = """<?xml version="1.0"?>
+<gama-local-adjustment xmlns="http://www.gnu.org/software/gama/gama-local-adjustment">
+<description> a levelled loop </description>
+<coordinates>
+<fixed> <point> <id>A</id> <z>100.0</z> </point> </fixed>
+<adjusted>
+ <point> <id>B</id> <Z>101.2345</Z> </point>
+ <point> <id>C</id> <z>99.5</z> </point>
+</adjusted>
+<cov-mat>
+<dim>3</dim> <band>1</band>
+<flt>1.0</flt> <flt>0.25</flt> <flt>2.0</flt> <flt>0.5</flt> <flt>9.0</flt>
+</cov-mat>
+</coordinates>
+</gama-local-adjustment>
+"""
+
+
+def test_results_of_gama_are_read(tmp_path: Path) -> None:
+    path = tmp_path / "one.xml"
+    path.write_text(GAMA)
+    found = read_coordinates(path)
+    assert (found.title, found.names, found.axes) == ("a levelled loop", ("B", "C"), "z")
+    np.testing.assert_allclose(found.points[:, 2], [101.2345, 99.5])
+    np.testing.assert_allclose(found.covariance, [[1e-6, 0.25e-6], [0.25e-6, 2e-6]])
+    path.write_text(GAMA.replace("<band>1</band>", "<band>2</band>"))
+    with pytest.raises(RecordError, match="do not match dim and band"):
+        read_coordinates(path)
+    path.write_text(GAMA.replace("<flt>0.25</flt>", "<flt>25</flt>"))
+    with pytest.raises(RecordError, match="negative in some direction"):
+        read_coordinates(path)
+
+
+def test_what_cannot_be_compared_is_said(tmp_path: Path) -> None:
+    path = tmp_path / "points.csv"
+    path.write_text("target,x_mm,y_mm\nA,1,2\nB,3,4\n")
+    with pytest.raises(RecordError, match="states no precision"):
+        read_coordinates(path)
+    path.write_text("target,x_mm,sigma_x_mm\nA,1,0.1\nB,3,0\n")
+    with pytest.raises(RecordError, match=r"no variance of B\.x"):
+        read_coordinates(path)
+    path.write_text("target,x_mm,sigma_x_mm\nA,1,0.1\nB,3,0.2\n")
+    assert "no covariance between points" in read_coordinates(path).notes[0]
+    with pytest.raises(LtsimError, match="axes have to be the same"):
+        compare_coordinates(crown(0), read_coordinates(path))
+    with pytest.raises(LtsimError, match="another one alone"):
+        lt.compare(path, lt.simulate("paper-workshop", seed=1)[0])
+    two = network("xy", 1)
+    few = Coordinates("", two.names[:2], "xy", two.points[:2], two.covariance[:4, :4])
+    with pytest.raises(LtsimError, match="share 2 points; at least 3"):
+        compare_coordinates(few, few, free=True)

@@ -1,0 +1,66 @@
+"""Nest normals are stated in the floor plan and used in the network's frame."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ltsim.geometry.rotations import about_z, from_rotation_vector
+from ltsim.physics.model.measurement import State, plan_rotation, sightings_of
+from ltsim.recordings.recording import Recording
+from ltsim.recordings.setup import Station
+from ltsim.simulation.scenario import load_scenario
+from ltsim.simulation.simulator import simulate
+from tests.networks import STATIONS, YAWS, network
+
+ROOM = from_rotation_vector(np.array([0.004, -0.003, 2.1]))
+"""Room to network, as after an adjustment in a station's frame."""
+
+
+def recording_with(**stated: object) -> tuple[Recording, State]:
+    """The test network with a rough floor plan, its state in a frame of its own."""
+    recording, truth = network(faces=1)
+    rough = np.random.default_rng(5)
+    stations = {}
+    for name, place, yaw in zip(recording.stations, STATIONS, YAWS, strict=True):
+        plan = {
+            "position_mm": tuple(1e3 * (place + rough.normal(0, 0.02, 3))),
+            "yaw_deg": float(np.degrees(yaw)) + rough.normal(0, 1.0),
+        }
+        stations[name] = Station.model_validate({k: plan[k] for k in plan if k in stated})
+    setup = recording.setup.model_copy(update={"stations": stations})
+    state = State(
+        truth.state.position @ ROOM.T, ROOM @ truth.state.rotation, truth.state.points @ ROOM.T, truth.state.instrument
+    )
+    return recording.replace(setup=setup), state
+
+
+@pytest.mark.parametrize(
+    "stated", [{"position_mm"}, {"yaw_deg"}, {"position_mm", "yaw_deg"}], ids=["position", "yaw", "both"]
+)
+def test_incidences_are_those_of_the_room(stated: set[str]) -> None:
+    recording, truth = network(faces=1)
+    expected = sightings_of(recording, truth.state)
+    found = sightings_of(*recording_with(**dict.fromkeys(stated)))
+    np.testing.assert_allclose(found.incidence, expected.incidence, atol=np.radians(1.0))
+    assert np.degrees(np.abs(found.incidence)).max() < 90
+
+
+def test_a_frame_that_is_the_plan_s_is_left_alone() -> None:
+    recording, _ = recording_with(position_mm=None, yaw_deg=None)
+    stations = np.stack([about_z(float(y)) for y in YAWS])
+    np.testing.assert_array_equal(plan_rotation(recording, STATIONS, stations), np.eye(3))
+
+
+def test_without_a_plan_nothing_is_turned() -> None:
+    recording, state = recording_with()
+    np.testing.assert_array_equal(plan_rotation(recording, state.position, state.rotation), np.eye(3))
+
+
+def test_rough_places_do_not_lean_the_room() -> None:
+    """Heights that are rough by a decimetre turn nothing but the yaw: instruments on tripods know the vertical."""
+    recording, truth = simulate(load_scenario("paper-workshop"), seed=1)
+    first = truth.rotation[0]
+    turn = plan_rotation(recording, (truth.position - truth.position[0]) @ first, first.T @ truth.rotation)
+    leaned = (first @ turn)[2, 2]
+    assert np.degrees(np.arccos(min(1.0, leaned))) < 0.1

@@ -1,0 +1,81 @@
+"""Long sights of levelled set-ups: plumb lines of a round earth."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import ltsim as lt
+from ltsim.adjustment.axes import in_axes_of_points
+from ltsim.core.units import EARTH
+from ltsim.recordings import Hints, read
+from ltsim.recordings.coordinates import read_points
+
+CORNERS = {"A": (0.0, 0.0, 1.5), "B": (600.0, 80.0, 4.0), "C": (250.0, 520.0, 9.0)}
+ARCSECOND = np.pi / 648_000
+LEVELS = "\n".join(
+    f"[stations.{name}]\nlevelled = true\nlevelling_sigma_arcsec = 0.3\nover = '{name}'" for name in CORNERS
+)
+
+
+def survey(folder: Path, *, size: float = 1.0, further: str = "") -> Path:
+    """A total station on three pillars, 600 m apart times `size`: noise of 0.5 arcsec and 0.6 mm, no refraction."""
+    rng = np.random.default_rng(8)
+    corners = {name: size * np.array(place) for name, place in CORNERS.items()}
+    points = corners | {f"W{i}": size * rng.uniform([0, 0, 0], [600, 500, 25]) for i in range(8)}
+    rows = ["Station;Point;Hz [gon];V [gon];D [m]"]
+    for name, place in corners.items():
+        lean = np.array([*(place[:2] / EARTH), 1.0])
+        up = lean / np.linalg.norm(lean)
+        east = np.cross([0.0, 1.0, 0.0], up)
+        east /= np.linalg.norm(east)
+        axes = np.array([east, np.cross(up, east), up])
+        for target in (t for t in points if t != name):
+            arm = axes @ (points[target] - place)
+            length = float(np.linalg.norm(arm))
+            hz = np.arctan2(arm[0], arm[1]) + rng.normal(0.0, 0.5) * ARCSECOND / np.hypot(arm[0], arm[1]) * length
+            zenith = np.arccos(arm[2] / length) + rng.normal(0.0, 0.5) * ARCSECOND
+            printed = np.array([hz % (2 * np.pi), zenith]) * 200 / np.pi
+            rows.append(f"{name};{target};{printed[0]:.6f};{printed[1]:.6f};{length + rng.normal(0, 6e-4):.5f}")
+    (folder / "survey.csv").write_text("\n".join(rows) + "\n")
+    noise = "distance_mm = 0.6\ndistance_ppm = 0.0\nazimuth_arcsec = 0.5\nelevation_arcsec = 0.5"
+    (folder / "known.toml").write_text(
+        f'format = "ltsim-recording/1"\n{further}\n[instrument.noise]\n{noise}\n{LEVELS}\n'
+    )
+    lines = [f"{n},{','.join(f'{1e3 * x:.3f}' for x in p)}" for n, p in points.items()]
+    (folder / "true.csv").write_text("\n".join(["target,x_mm,y_mm,z_mm", *lines]) + "\n")
+    return folder / "survey.csv"
+
+
+def hints(folder: Path) -> Hints:
+    return Hints(setup=folder / "known.toml")
+
+
+def test_long_sights_of_levelled_set_ups_are_on_a_round_earth(tmp_path: Path) -> None:
+    recording = read(survey(tmp_path), hints=hints(tmp_path))
+    assert recording.setup.curved
+    assert sum("levelled set-ups stand on a round earth" in note for note in recording.notes) == 1
+    assert 0.7 < lt.adjust(recording).fit.sigma0 < 1.3
+    flat = recording.replace(setup=recording.setup.model_copy(update={"curved": False}))
+    assert lt.adjust(flat).fit.sigma0 > 2.0
+
+
+def test_coordinates_that_are_given_need_not_stand_along_the_plumb_line_of_the_middle(tmp_path: Path) -> None:
+    """Their z is the plumb line at A, 12 arcsec from that in the middle of the network."""
+    recording = read(survey(tmp_path), hints=hints(tmp_path))
+    points = read_points(tmp_path / "true.csv").by_name
+    adjusted = lt.adjust(in_axes_of_points(recording, points, "true.csv"))
+    assert 0.7 < adjusted.fit.sigma0 < 1.3
+    true = np.loadtxt(tmp_path / "true.csv", delimiter=",", skiprows=1, usecols=(1, 2, 3)) * 1e-3
+    names = [line.split(",")[0] for line in (tmp_path / "true.csv").read_text().splitlines()[1:]]
+    at = [names.index(name) for name in adjusted.targets]
+    assert np.abs(adjusted.points - true[at]).max() < 3e-3
+
+
+@pytest.mark.parametrize(("size", "further"), [(0.003, ""), (1.0, "curved = false")])
+def test_short_sights_and_what_a_person_states_stay_as_they_are(tmp_path: Path, size: float, further: str) -> None:
+    recording = read(survey(tmp_path, size=size, further=further), hints=hints(tmp_path))
+    assert not recording.setup.curved
+    assert not any("round earth" in note for note in recording.notes)

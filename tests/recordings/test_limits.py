@@ -1,0 +1,227 @@
+"""Small files that stand for much are refused before anything is built; files at the limits take bounded means."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import resource
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ltsim.core.errors import LtsimError, ModelError, RecordError
+from ltsim.core.limits import JSON_VALUES, TOML_KEYS, XML_TAGS
+from ltsim.recordings import read
+from ltsim.recordings.coordinates import read_points
+from ltsim.recordings.files import read_lines
+from ltsim.recordings.result_file import read_json
+from ltsim.recordings.settings import check_toml, read_toml
+from ltsim.recordings.tables.sheets import table_rows
+from ltsim.recordings.xml import parse
+from tests.recordings.samples import workshop
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "a" + ".a" * 200_000 + " = 1\n",
+        "a = " + "[" * 1000 + "]" * 1000 + "\n",
+        "a = " + "{a = " * 1000 + "1" + "}" * 1000 + "\n",
+        "[" + ".".join("a" * 40) + "]\n",
+        'a = ["""x"""", ' + "[" * 40 + ', ""]\n',
+        "a = ['''x'''', " + "[" * 40 + ", '']\n",
+        'a = "\\"" # "\nb = ' + "[" * 40 + "\n",
+    ],
+)
+def test_toml_that_is_nested_too_deeply_is_refused_before_it_is_parsed(text: str) -> None:
+    with pytest.raises(RecordError, match="nested deeper than 32"):
+        check_toml(text, "a.toml")
+
+
+def test_strings_and_comments_of_toml_are_no_structure() -> None:
+    quiet = '"' + "." * 100 + '"', "'" + "[" * 100 + "'", '"""\n' + "{\n" * 100 + '"""', "'''" + "[" * 100 + "'''"
+    check_toml("".join(f"k{i} = {text} # {'[' * 100}\n" for i, text in enumerate(quiet)), "a.toml")
+
+
+def test_toml_of_too_many_keys_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "a.toml"
+    file.write_text("".join(f"k{i} = 1\n" for i in range(TOML_KEYS + 1)))
+    with pytest.raises(RecordError, match=f"more than {TOML_KEYS} keys"):
+        read_toml(file, "set-up")
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("<a>" * (XML_TAGS + 1), "more than 600000 tags"),
+        ("<a " + " ".join(f'a{i}=""' for i in range(1001)) + "/>", "more than 1000 attributes"),
+        ("<a>" * 65 + "</a>" * 65, "deeper than 64"),
+        ('<!DOCTYPE a [<!ENTITY b "c">]><a>&b;</a>', "declares entities"),
+        ('<!DOCTYPE a [<!ENTITY b SYSTEM "file:///etc/passwd">]><a>&b;</a>', "declares entities"),
+    ],
+)
+def test_xml_is_bounded(text: str, says: str, tmp_path: Path) -> None:
+    (tmp_path / "a.xml").write_text(text)
+    with pytest.raises(RecordError, match=says):
+        parse(tmp_path / "a.xml")
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ('{"a": [' + "{}," * JSON_VALUES + "{}]}", "more than 1500000 values"),
+        ("[" * 100_000, "is not JSON"),
+        ('{"a": 1e308}', "at most 1e"),
+        ('{"a": -Infinity}', "at most 1e"),
+        ('{"a": ' + "9" * 300 + "}", "at most 1e"),
+    ],
+)
+def test_json_is_bounded(text: str, says: str, tmp_path: Path) -> None:
+    (tmp_path / "a.json").write_text(text)
+    with pytest.raises(RecordError, match=says):
+        read_json(tmp_path / "a.json", "result")
+
+
+def test_every_reader_takes_the_line_ends_of_the_old_macintosh(tmp_path: Path) -> None:
+    for end in ("\r", "\r\n", "\r\r\n", "\n"):
+        (tmp_path / "a.csv").write_bytes(f"name,x,y,z{end}P1,1,2,3{end}P2,4,5,6{end}".encode())
+        assert read_points(tmp_path / "a.csv").names == ("P1", "P2")
+        assert read_lines(tmp_path / "a.csv") == ["name,x,y,z", "P1,1,2,3", "P2,4,5,6", ""]
+
+
+def test_columns_of_one_title_are_told_apart_and_refused_where_a_title_is_a_key(tmp_path: Path) -> None:
+    row = "T{i},{a},{z},{z},{d}\n"
+    for station in ("S1", "S2"):
+        rows = [row.format(i=i, a=10 * i, z=80 + i, d=5000 + i) for i in range(6)]
+        head = "Name,Hz[deg],Zenith[deg],Zenith[deg],D[mm]\n" if station == "S2" else None
+        text = (head or "Name,Hz[deg],Zenith[deg],Note,D[mm]\n") + "".join(rows)
+        (tmp_path / f"{station}.csv").write_text(text)
+    found = read(tmp_path)
+    assert np.isfinite(found.covariates["Zenith[deg] (2)"][6:]).all()
+    (tmp_path / "table").write_text("name,value,value\na,1,2\n")
+    with pytest.raises(RecordError, match="column value: this column appears twice"):
+        table_rows(tmp_path / "table")
+
+
+def test_times_that_are_not_finite_are_refused_where_a_recording_is_built() -> None:
+    recording = workshop()
+    time = recording.time.copy()
+    time[3] = np.nan
+    with pytest.raises(ModelError, match="time of row 4 is nan, expected finite seconds"):
+        recording.replace(time=time)
+
+
+@pytest.mark.parametrize("mark", ["[", "(", " ", ";", "-", "1 ", "((", "_ "])
+def test_long_cells_take_no_time(mark: str, tmp_path: Path) -> None:
+    """Patterns that try every division of a cell took minutes for one of 20,000 characters."""
+    cell = mark * (19_000 // len(mark)) + "x"
+    (tmp_path / "a.csv").write_text(
+        "station\ttarget\tHz\tV\tdistance\n" + f"S1\t{cell}\t1\t2\t3000\n{cell}\t{cell}\n" * 20
+    )
+    before = os.times().user
+    with pytest.raises(LtsimError):
+        read(tmp_path / "a.csv")
+    assert os.times().user - before < 20
+
+
+AT_LIMITS = {
+    "keys.toml": 'format = "ltsim-scenario/1"\n' + "".join(f"[t.k{i}]\n" for i in range(TOML_KEYS - 2)),
+    "flat.gkf": "<gama-local>" + "<a/>" * (XML_TAGS - 2) + "</gama-local>",
+    "dicts.json": '{"format": "ltsim-calibration/1", "parameters": [' + "{}," * (JSON_VALUES // 2 - 2) + "{}]}",
+}
+READS = "import sys, ltsim as lt; lt.scenario(sys.argv[1]) if sys.argv[1].endswith('toml') else lt.read(sys.argv[1])"
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", AT_LIMITS)
+def test_files_at_the_limits_take_500_mb_and_30_s(name: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_text(AT_LIMITS[name])
+    used = means(READS, str(tmp_path / name))
+    assert used.ru_maxrss < 500 * 1024
+    assert used.ru_utime + used.ru_stime < 30
+
+
+def means(code: str, *words: str) -> resource.struct_rusage:
+    """Memory and processor time of a process of Python that runs `code` with `words`."""
+    with subprocess.Popen([sys.executable, "-c", code, *words], stderr=subprocess.DEVNULL) as process:
+        _, _, used = os.wait4(process.pid, 0)
+        process.returncode = 0
+    return used
+
+
+def monitoring(rows: int, path: Path) -> Path:
+    """A table of eight set-ups that measure 500 targets again and again, with the time and the air temperature."""
+    grid = np.arange(500)
+    targets = np.stack([40 * grid - 9000.0, 37 * (7 * grid % 500) - 9000.0, 3.0 * (11 * grid % 500)], axis=1)
+    lines = ["station,target,face,Hz[deg],zenith[deg],distance[mm],time[s],temperature"]
+    for i in range(rows // 500):
+        way = targets - [800.0 * (i % 8), -600.0 * (i % 8), 1500.0]
+        length = np.linalg.norm(way, axis=1)
+        turn = np.degrees(np.arctan2(way[:, 0], way[:, 1])) % 360
+        zenith = np.degrees(np.arccos(way[:, 2] / length))
+        lines += [
+            f"S{i % 8},T{t:03d},1,{h:.6f},{z:.6f},{d:.4f},{500 * i + t},{20 + i % 7 / 10}"
+            for t, h, z, d in zip(grid.tolist(), turn.tolist(), zenith.tolist(), length.tolist(), strict=True)
+        ]
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def calls(work: Callable[[], object]) -> int:
+    """Calls of functions written in Python that a piece of work makes."""
+    counted = itertools.count()
+
+    def count(_: object, event: str, __: object) -> None:
+        if event == "call":
+            next(counted)
+
+    sys.setprofile(count)
+    try:
+        work()
+    finally:
+        sys.setprofile(None)
+    return next(counted)
+
+
+def test_20000_rows_are_converted_by_column(tmp_path: Path) -> None:
+    """Row by row they took 400 calls each."""
+    few, many = monitoring(500, tmp_path / "few.csv"), monitoring(20_500, tmp_path / "many.csv")
+    read(few)  # modules are loaded now
+    assert (calls(lambda: read(many)) - calls(lambda: read(few))) / 20_000 < 60
+    found = read(many)
+    assert len(found) == 20_500
+    assert found.repeat.max() == 6
+    assert found.covariates["temperature"][500] == 20.1
+
+
+def test_headers_of_a_table_are_bounded(tmp_path: Path) -> None:
+    lines = [
+        f"station,target,Hz[deg],zenith[deg],distance[mm],n{i % 2}\nS1,T{i % 9},{i % 360},80,3000,x"
+        for i in range(10_001)
+    ]
+    (tmp_path / "a.csv").write_text("\n".join(lines) + "\n")
+    with pytest.raises(RecordError, match="row 20001: holds more than 10000 headers"):
+        read(tmp_path / "a.csv")
+
+
+def test_advice_on_many_columns_looks_at_bounded_samples(tmp_path: Path) -> None:
+    """Each column was converted for each pair of angles: two minutes for eight megabytes."""
+    (tmp_path / "a.csv").write_text((",".join(["1.5"] * 300) + "\n") * 2000)
+
+    def refused() -> None:
+        with pytest.raises(RecordError, match="without a header does not say what its columns hold"):
+            read(tmp_path / "a.csv")
+
+    refused()
+    assert calls(refused) < 4_000_000
+
+
+@pytest.mark.long
+def test_400000_rows_take_10_s_and_400_mb(tmp_path: Path) -> None:
+    used = means(READS, str(monitoring(400_000, tmp_path / "a.csv")))
+    assert used.ru_maxrss < 400 * 1024
+    assert used.ru_utime + used.ru_stime < 10

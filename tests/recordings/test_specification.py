@@ -1,0 +1,142 @@
+"""Built-in data sheets: where they come from, what they become, what they leave to the person."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import ltsim as lt
+from ltsim.core.errors import ModelError, RecordError, SetupError
+from ltsim.core.units import ARCSECOND, MICROMETRE, MILLIMETRE
+from ltsim.recordings.specification import COVERAGE, LIMITS, Specification, figures, sheet, sheet_names, stated_by
+
+RANGE_TABLES = {
+    "noise": {"distance_mm": 0.004, "distance_ppm": 0.1},
+    "prior": {"range_scale_ppm": 0.2, "range_offset_mm": 0.003},
+}
+WHOLE = [name for name in sheet_names() if all(key in figures(name) for key in LIMITS)]
+
+
+def limits_of(noise: dict[str, float], prior: dict[str, float], *, own_zero: bool) -> dict[str, float]:
+    """Limits whose `COVERAGE`-th part noise and prior are, each as the root sum of squares of its parts."""
+    zero = [noise["distance_mm"]] if own_zero else [noise["distance_mm"], prior["range_offset_mm"]]
+    angle = np.hypot(noise["azimuth_arcsec"], np.sqrt(2) * prior["angle_arcsec"])
+    return {
+        "transverse_um": COVERAGE * prior["offset_mm"] * MILLIMETRE / MICROMETRE,
+        "transverse_um_per_m": COVERAGE * angle * ARCSECOND / MICROMETRE,
+        "range_um": COVERAGE * float(np.linalg.norm(zero)) * MILLIMETRE / MICROMETRE,
+        "range_um_per_m": COVERAGE * float(np.hypot(noise["distance_ppm"], prior["range_scale_ppm"])),
+        "range_offset_um": COVERAGE * prior["range_offset_mm"] * MILLIMETRE / MICROMETRE if own_zero else 0.0,
+    }
+
+
+@pytest.mark.parametrize("name", sheet_names())
+def test_noise_and_prior_give_the_stated_limits_back(name: str) -> None:
+    stated = figures(name)
+    tables = stated_by(name, RANGE_TABLES)
+    made = limits_of(tables["noise"], tables["prior"], own_zero="range_offset_um" in stated)
+    known = [key for key in made if key in stated and (name in WHOLE or key.startswith("transverse"))]
+    assert known[:2] == ["transverse_um", "transverse_um_per_m"]
+    assert {key: made[key] for key in known} == pytest.approx({key: stated[key] for key in known}, abs=3e-3, rel=1e-5)
+
+
+def test_every_sheet_says_where_its_figures_stand() -> None:
+    for name in sheet_names():
+        assert re.search(r"\d{4}|p\. \d|\.com/", figures(name)["source"]), name
+        assert figures(name)["name"]
+    assert set(WHOLE) == {"leica-at500", "faro-vantage", "sensors-2021"}
+
+
+def test_no_range_is_guessed() -> None:
+    with pytest.raises(ModelError, match="leica-at960 leaves range_um open"):
+        sheet("leica-at960")
+    with pytest.raises(ModelError, match=r"leaves the ranges open; state prior\.range_scale_ppm, prior\.range_offset"):
+        stated_by("api-radian", {"noise": RANGE_TABLES["noise"]})
+
+
+def test_a_specification_completes_a_sheet() -> None:
+    plan = {"standard": "asme-b89.4.19-2006", "instrument": "leica-at960"}
+    with pytest.raises(SetupError, match="leaves range_um open; state it in the table"):
+        lt.accept(plan)
+    found = lt.accept({**plan, "specification": {"range_um": 10}}).specification
+    assert (found.transverse_um, found.range_um, found.range_um_per_m) == (15, 10, 0.5)
+    assert found.source.endswith("not from there: range_um")
+
+
+LIMITS_KNOWN = {
+    "instrument.limits.elevation_min_deg": -50.0,
+    "instrument.limits.elevation_max_deg": 75.0,
+    "instrument.limits.range_min_mm": 500.0,
+    "instrument.limits.range_max_mm": 35_000.0,
+}
+
+
+def test_no_limit_of_another_instrument_is_kept() -> None:
+    """A preset took the 20 m and the travel of the paper's tracker without a word."""
+    with pytest.raises(SetupError, match=r"does not say what can be pointed at; state limits.*limits.range_max_mm"):
+        lt.scenario("paper-workshop", {"instrument.preset": "faro-vantage"})
+    some = {key: x for key, x in LIMITS_KNOWN.items() if "range_max" not in key}
+    with pytest.raises(SetupError, match=r"state limits\.range_max_mm$"):
+        lt.scenario("paper-workshop", {"instrument.preset": "faro-vantage", **some})
+
+
+def test_a_scenario_takes_a_sheet_as_preset() -> None:
+    tracker = lt.scenario("paper-workshop", {"instrument.preset": "faro-vantage", **LIMITS_KNOWN}).instrument
+    assert tracker.limits.range_max_mm == 35_000.0
+    assert tracker.noise.model_dump() == stated_by("faro-vantage", {})["noise"]
+    with pytest.raises(SetupError, match="leaves the ranges open"):
+        lt.scenario("paper-workshop", {"instrument.preset": "leica-at901"})
+    own = {f"instrument.{table}.{key}": x for table, values in RANGE_TABLES.items() for key, x in values.items()}
+    tracker = lt.scenario("paper-workshop", {"instrument.preset": "leica-at901", **own, **LIMITS_KNOWN}).instrument
+    assert tracker.noise.distance_mm == 0.004
+    assert tracker.noise.azimuth_arcsec == pytest.approx(
+        figures("leica-at901")["transverse_um_per_m"] * 0.0729, rel=1e-3
+    )
+
+
+def test_a_recording_takes_a_sheet(tmp_path: Path) -> None:
+    recording, _ = lt.simulate("paper-laboratory", seed=1)
+    lt.write(recording, tmp_path / "rec")
+    file = tmp_path / "rec" / "setup.toml"
+    text = re.sub(r"\[instrument\.noise\].*?(?=\[stations)", "", file.read_text(), flags=re.DOTALL)
+    own = '[instrument]\nsheet = "leica-at500"\nnoise = {distance_mm = 0.002}\n'
+    file.write_text(text.replace("[instrument]\n", own))
+    found = lt.read(tmp_path / "rec").setup.instrument
+    assert found.model == "Leica Absolute Tracker AT500"
+    assert (found.noise.distance_mm, found.noise.distance_ppm) == (0.002, pytest.approx(0.106066))
+    lt.write(lt.read(tmp_path / "rec"), tmp_path / "again")
+    assert lt.read(tmp_path / "again").setup.instrument == found
+    file.write_text(file.read_text().replace("leica-at500", "leica-at50"))
+    with pytest.raises(
+        RecordError, match=r"instrument\.sheet: there is no data sheet called 'leica-at50'; did you mean leica"
+    ):
+        lt.read(tmp_path / "rec")
+
+
+def test_what_a_specification_of_ones_own_becomes() -> None:
+    own = Specification(transverse_um=0, transverse_um_per_m=6, range_um=10, range_um_per_m=0)
+    stated = own.instrument()
+    made = limits_of(stated.noise.model_dump(), stated.prior.model_dump(), own_zero=False)
+    assert made["transverse_um_per_m"] == pytest.approx(6)
+    assert made["range_um"] == pytest.approx(10)
+    assert "2 standard deviations" in own.assumption
+
+
+def test_a_sheet_below_what_the_file_states_itself_is_told_key_by_key(tmp_path: Path) -> None:
+    """A converted table states the default noise in full: a sheet that is named beside it would change nothing."""
+    lt.write(lt.simulate("paper-workshop", seed=1)[0], tmp_path / "rec")
+    setup = tmp_path / "rec" / "setup.toml"
+    whole = setup.read_text()
+    setup.write_text(whole.replace("[instrument]\n", '[instrument]\nsheet = "leica-at500"\n', 1))
+    told = [
+        note for note in lt.read(tmp_path / "rec").notes if "stand above those of the data sheet leica-at500" in note
+    ]
+    assert len(told) == 1
+    assert "noise.azimuth_arcsec" in told[0]
+    assert "prior.range_scale_ppm" in told[0]
+    bare = re.sub(r"\[instrument\.(noise|prior)\]\n(.+\n)*", "", setup.read_text())
+    setup.write_text(bare)
+    assert not [note for note in lt.read(tmp_path / "rec").notes if "stand above" in note]

@@ -1,0 +1,198 @@
+"""Times and angles of tables are read by what their cells hold, and advice by what the cells allow."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ltsim.core.errors import RecordError
+from ltsim.recordings import Hints, read
+from ltsim.recordings.tables import cells
+
+POLAR = "Station;Point;Face;Hz [gon];V [gon];D [m]"
+ROWS = [
+    "A;P1;1;36.891195;99.552368;12.0064232",
+    "A;P2;1;298.024567;90.721389;10.6753296",
+    "A;P3;1;14.024965;89.961369;16.0960773",
+    "A;P1;2;236.891172;300.447147;12.0064249",
+    "A;P2;2;98.024163;309.278235;10.6753222",
+    "A;P3;2;214.025065;310.038075;16.0960837",
+]
+
+
+def table(path: Path, header: str, cells_: list[str], rows: list[str] = ROWS) -> Path:
+    path.write_text("\n".join([f"{POLAR};{header}", *(f"{r};{c}" for r, c in zip(rows, cells_, strict=True))]) + "\n")
+    return path
+
+
+@pytest.mark.parametrize("header", ["Uhrzeit", "Zeit [hh:mm:ss]", "Registered", "time_s"])
+@pytest.mark.parametrize(
+    "form", ["08:{:02d}:20", "08:{:02d}:20.000", "'11.10.2022 08:{:02d}:20", "2022-10-11T08:{:02d}:20Z"]
+)
+def test_a_clock_is_a_time_of_day_under_any_header(tmp_path: Path, header: str, form: str) -> None:
+    found = read(table(tmp_path / "a.csv", header, [form.format(i) for i in range(6)]))
+    assert found.has_clock
+    np.testing.assert_allclose(found.time, 60.0 * np.arange(6))
+    assert found.setup.started.endswith("08:00:20")
+    assert not found.covariates and not found.labels
+
+
+def test_a_clock_beside_the_time_is_kept_as_text(tmp_path: Path) -> None:
+    moments = [f"{20.0 * i};08:{i:02d}:20" for i in range(6)]
+    found = read(table(tmp_path / "a.csv", "time_s;set up at", moments))
+    np.testing.assert_allclose(found.time, 20.0 * np.arange(6))
+    assert found.labels["set up at"][1] == "08:01:20" and not found.covariates
+
+
+def test_a_pace_that_no_instrument_has_is_questioned(tmp_path: Path) -> None:
+    rows = [*ROWS, *ROWS]
+    quick = read(table(tmp_path / "a.csv", "Time", [f"{0.0055 * i}" for i in range(12)], rows))
+    assert any("take 0.0605 s, 0.0055 s from one target to the next: check the unit" in note for note in quick.notes)
+    slow = read(table(tmp_path / "b.csv", "Time", [f"{20.0 * i}" for i in range(12)], rows))
+    assert not any("check the unit" in note for note in slow.notes)
+
+
+@pytest.mark.parametrize(
+    ("text", "degrees"),
+    [
+        ("33°12'07.2\"", 33.202),
+        ("33º12´07.2´´", 33.202),
+        ("33d12m07.2s", 33.202),
+        ("33° 12′ 07,2″", 33.202),
+        ("33-12-07.2", 33.202),
+        ("-33°12'07.2''", -33.202),
+        ("33°12.12'", 33.202),
+    ],
+)
+def test_degrees_with_any_usual_marks(text: str, degrees: float) -> None:
+    found = cells.value(text)
+    assert found is not None and float(found) == pytest.approx(degrees, abs=1e-12)
+    assert cells.is_marked(text)
+
+
+@pytest.mark.parametrize(("text", "degrees"), [("33.12072", 33.202), ("33.5", 33 + 50 / 60), ("7", 7.0)])
+def test_minutes_and_seconds_as_decimals(text: str, degrees: float) -> None:
+    found = cells.packed(text)
+    assert found is not None and float(found) == pytest.approx(degrees, abs=1e-12)
+
+
+@pytest.mark.parametrize("text", ["33°72'07\"", "33°12'61\"", "33.7512"])
+def test_no_angle_has_sixty_minutes(text: str) -> None:
+    assert cells.packed(text) is None
+
+
+GON = [(36.5, 99.75), (298.25, 90.5), (14.125, 89.625)]
+"""Horizontal circle and zenith angle; whole numbers of degrees and seconds below."""
+
+
+def sexagesimal(gon: float) -> tuple[int, int, float]:
+    seconds = round(gon * 0.9 * 3600, 6)
+    return int(seconds // 3600), int(seconds % 3600 // 60), seconds % 60
+
+
+def test_degrees_minutes_seconds_in_columns_in_marks_and_in_decimals_are_one_angle(tmp_path: Path) -> None:
+    angles = [tuple(map(sexagesimal, pair)) for pair in GON]
+    columns = ["A,B,HzD,HzM,HzS,ZA [°],ZA ['],ZA [\"],SD [m]"]
+    marked, decimals, unnamed = ["A,B,Hz,ZA,SD [m]"], ["A,B,Hz [ddd.mmss],ZA [ddd.mmss],SD [m]"], ["a,b,c,d,e,f,g,h,i"]
+    columns[0] = columns[0].replace("A,B", "Station,Point")
+    marked[0], decimals[0] = (line[0].replace("A,B", "Station,Point") for line in (marked, decimals))
+    for i, (hz, v) in enumerate(angles):
+        names, length = f"S,P{i + 1}", f"{3.1 + i}"
+        columns.append(",".join([names, *map(str, hz), *map(str, v), length]))
+        unnamed.append(columns[-1])
+        marked.append(",".join([names, *("{}°{:02d}'{:04.1f}\"".format(*a) for a in (hz, v)), length]))
+        decimals.append(",".join([names, *("{}.{:02d}{:02.0f}".format(*a) for a in (hz, v)), length]))
+    expected = np.array([[-0.9 * h % 360, 90 - 0.9 * v] for h, v in GON])
+    for name, text in {"columns": columns, "marked": marked, "decimals": decimals}.items():
+        (tmp_path / f"{name}.csv").write_text("\n".join(text) + "\n")
+        found = read(tmp_path / f"{name}.csv")
+        rounding = 1e-9 if name != "decimals" else 1.5e-4
+        np.testing.assert_allclose(np.degrees(found.readings[:, 1:]), expected, atol=rounding)
+        assert not found.covariates
+    (tmp_path / "unnamed.csv").write_text("\n".join(unnamed) + "\n")
+    with pytest.raises(RecordError, match=r"azimuth=c\+d\+e\[deg\],vertical=f\+g\+h\[deg\],distance=i\[m\]"):
+        read(tmp_path / "unnamed.csv")
+    mapped = Hints(columns="station=a,target=b,horizontal=c+d+e,zenith=f+g+h,distance=i[m]", angle="deg")
+    np.testing.assert_allclose(
+        np.degrees(read(tmp_path / "unnamed.csv", hints=mapped).readings[:, 1:]), expected, atol=1e-9
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        # directions in three columns and a distance: no column of minutes is an angle
+        ("C1,C2,76,46,56,141.9394\nC1,C3,0,0,5,323.6861\n", '"station=a,target=b,horizontal=c+d+e[deg],flat=f[m]"'),
+        # point numbers are names, one station's number no face
+        ("1,101,23.12345,99.23456,3.1234\n1,102,223.12345,98.23456,3.2\n", '"station=a,target=b,azimuth=c[deg],vert'),
+        # two temperatures are no reading
+        ("x,20.5,30.5\ny,20.6,30.4\n", "no three of them can be two angles and a distance, or coordinates"),
+        ("x,700.5,-3190.1,300.5\ny,740.1,-3165.1,291.5\n", '"target=a,x=b[mm],y=c[mm],z=d[mm]"'),
+    ],
+)
+def test_advice_suggests_only_what_the_values_allow(tmp_path: Path, text: str, says: str) -> None:
+    header = ",".join("abcdef"[: text.splitlines()[0].count(",") + 1])
+    (tmp_path / "a.csv").write_text(f"{header}\n{text}")
+    with pytest.raises(RecordError) as refused:
+        read(tmp_path / "a.csv", format="table")
+    assert says in str(refused.value)
+
+
+ROBOT = "X [mm],Y [mm],Z [mm],Target,Time Stamp\n" + "".join(
+    f"{700 + 40 * (i % 4)}.0{i % 3},{-3190 + 25 * (i % 4)}.000,{300 - 9 * (i % 4)}.000,RRR,'11.10.2022 15:{i:02d}:10\n"
+    for i in range(8)
+)
+
+
+def test_positions_of_a_moving_target_are_no_list_of_points(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(ROBOT)
+    with pytest.raises(RecordError, match=r"8 positions under one name \('RRR'\): a target that moves"):
+        read(tmp_path / "a.csv")
+
+
+@pytest.mark.parametrize("named", [True, False])
+def test_positions_of_one_set_up_are_targets_by_place(tmp_path: Path, named: bool) -> None:
+    text = ROBOT if named else ROBOT.replace("Target", "ball")
+    (tmp_path / "a.csv").write_text(text)
+    hints = Hints(station="L", columns=None if named else "x=1[mm],y=2[mm],z=3[mm]")
+    found = read(tmp_path / "a.csv", format="table", hints=hints)
+    assert found.stations == ("L",) and found.targets == ("pose-1", "pose-2", "pose-3", "pose-4")
+    assert found.repeat.max() == 2 and found.has_clock
+    assert any("its 8 rows are 4 positions of a target that moves" in note for note in found.notes)
+
+
+def test_set_ups_without_point_names_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(
+        "Station,Hz [gon],ZA [gon],D [m]\n" + "A,1.5,99.5,3.1\nA,7.5,99.0,3.2\nB,9,98.5,3.3\n"
+    )
+    with pytest.raises(
+        RecordError, match="names no points, and nothing tells which targets of its set-ups are the same"
+    ):
+        read(tmp_path / "a.csv")
+
+
+def test_headers_of_office_programs(tmp_path: Path) -> None:
+    """As Leica Infinity exports the observations of a total station."""
+    header = (
+        "Station ID;Point ID;Date/Time;Hz [gon];V [gon];Slope Dist. [m];Instrument Height [m];Target Height [m];Face"
+    )
+    rows = [
+        f"1000;{name};26.11.2026 08:{i:02d}:15;{hz};{v};{12.0105 + i:.4f};1.5520;{1.3 + 0.1 * (i % 2):.4f};{face}"
+        for i, (name, hz, v, face) in enumerate(
+            [
+                ("101", 10.5, 98.5, "I"),
+                ("101", 210.5001, 301.5, "II"),
+                ("102", 80.25, 101.25, "I"),
+                ("102", 280.25, 298.75, "II"),
+            ]
+        )
+    ]
+    (tmp_path / "a.csv").write_text("\n".join([header, *rows]) + "\n")
+    found = read(tmp_path / "a.csv")
+    assert found.stations == ("1000",) and found.targets == ("101", "102")
+    assert list(found.face) == [1, 2, 1, 2]
+    np.testing.assert_allclose(found.time, [0, 60, 120, 180])
+    np.testing.assert_allclose(found.heights()[0], 1.552)
+    np.testing.assert_allclose(found.covariates["target_height_mm"], [1300, 1400, 1300, 1400])

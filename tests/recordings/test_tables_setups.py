@@ -1,0 +1,116 @@
+"""Occupations, rounds and kinds of instrument that tables of surveyors show."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import ltsim as lt
+from ltsim.recordings import Recording, read
+from ltsim.recordings.kinds import TOTAL_STATION_NOISE
+
+MARKS = {"A": (0.0, 0.0, 1.0), "B": (30.0, 2.0, 1.4)}
+RNG_SEED = 5
+
+
+def survey(
+    path: Path, visits: list[tuple[str, str, str, int, float]], *, heights: bool, sigmas: bool = False, digits: int = 4
+) -> Path:
+    """A total station's table: visits of (mark, day, set-up, round, zero of the circle [deg]) to six of twelve targets.
+
+    Noise of 1 arcsec and 0.1 mm; heads and prisms stand 1.6 m over their marks.
+    """
+    rng = np.random.default_rng(RNG_SEED)
+    targets = {f"P{i:02d}": rng.uniform([5, -15, 0], [25, 15, 8]) for i in range(12)}
+    header = ["fromstn", "tostn", "date", "obsset", "isetupid", "ha_value [deg]", "zd_value [deg]", "sd_value [m]"]
+    header += ["fromhgt [m]", "tohgt [m]"] * heights + ["ha_error [arcsec]"] * sigmas
+    rows = [",".join(header)]
+    for k, (mark, day, setup, turn, zero) in enumerate(visits):
+        other = "B" if mark == "A" else "A"
+        chosen = [other, *list(targets)[6 * (k % 2) : 6 * (k % 2) + 6]]
+        for name in chosen:
+            there = np.array(MARKS[name]) if name in MARKS else targets[name]
+            arm = there - MARKS[mark] + np.array([0, 0, 0 if name in MARKS else -1.6]) * heights
+            length = float(np.linalg.norm(arm)) + rng.normal(0, 1e-4)
+            hz = np.degrees(np.arctan2(arm[0], arm[1])) + zero + rng.normal(0, 1) / 3600
+            zd = np.degrees(np.arccos(arm[2] / np.linalg.norm(arm))) + rng.normal(0, 1) / 3600
+            row = [mark, name, day, str(turn), setup, f"{hz % 360:.5f}", f"{zd:.5f}", f"{length:.{digits}f}"]
+            row += ["1.600", "1.600" if name in MARKS else "0.000"] * heights + ["1.0"] * sigmas
+            rows.append(",".join(row))
+    path.write_text("\n".join(rows) + "\n")
+    return path
+
+
+def said(recording: Recording) -> str:
+    return "\n".join(recording.notes)
+
+
+DAYS = [
+    ("A", "2015-03-17", "S1", 1),
+    ("B", "2015-03-17", "S2", 1),
+    ("A", "2015-03-18", "S3", 1),
+    ("B", "2015-03-18", "S4", 1),
+]
+
+
+@pytest.mark.parametrize("by", ["set-up", "day"])
+def test_occupations_of_one_mark_are_set_ups_of_their_own(tmp_path: Path, by: str) -> None:
+    visits = [
+        (mark, day, setup if by == "set-up" else "", turn, 10.0 * i)
+        for i, (mark, day, setup, turn) in enumerate(DAYS * 2)
+    ]
+    file = survey(tmp_path / "a.csv", visits, heights=True)
+    if by == "day":
+        file.write_text(file.read_text().replace("isetupid", "remark"))
+    recording = read(file)
+    assert recording.stations == ("A", "B", "A#2", "B#2")
+    assert f"4 occupations of 2 marks, by {by}, are set-ups of their own" in said(recording)
+    assert {recording.station_setup(name).over for name in recording.stations} == {"A", "B"}
+
+
+def test_rounds_zeroed_anew_are_orientations_of_their_own(tmp_path: Path) -> None:
+    """By 20 arcsec where the table states 1: the heads stay where they are."""
+    zeros = np.random.default_rng(1).normal(0.0, 20.0, 8) / 3600
+    visits = [("A" if i % 4 < 2 else "B", "", "", i // 4 * 2 + i % 2, zero) for i, zero in enumerate(zeros.tolist())]
+    recording = read(survey(tmp_path / "a.csv", visits, heights=False, sigmas=True))
+    assert len(recording.stations) == 8
+    assert "the circle was turned between rounds: 8 rounds are set-ups of their own" in said(recording)
+    adjusted = lt.adjust(recording)
+    assert 0.6 < adjusted.fit.sigma0 < 1.5
+    still = read(survey(tmp_path / "b.csv", [(*visit[:4], 0.0) for visit in visits], heights=False, sigmas=True))
+    assert still.stations == ("A", "B")
+
+
+def test_one_wrong_direction_turns_no_circle(tmp_path: Path) -> None:
+    visits = [("A", "", "", i, 0.0) for i in range(4)] + [("B", "", "", i, 0.0) for i in range(4)]
+    file = survey(tmp_path / "a.csv", visits, heights=True)
+    lines = file.read_text().splitlines()
+    cells = lines[18].split(",")
+    cells[5] = f"{float(cells[5]) + 1.0:.5f}"
+    file.write_text("\n".join([*lines[:18], ",".join(cells), *lines[19:]]) + "\n")
+    assert read(file).stations == ("A", "B")
+
+
+@pytest.mark.parametrize(("digits", "heights"), [(4, False), (4, True), (5, True)])
+def test_ranges_that_no_tracker_prints_have_a_total_stations_noise_and_it_is_said_first(
+    tmp_path: Path, digits: int, heights: bool
+) -> None:
+    visits = [("A", "", "", 1, 0.0), ("B", "", "", 1, 0.0)]
+    recording = read(survey(tmp_path / "a.csv", visits, heights=heights, digits=digits))
+    assert recording.setup.instrument.noise == TOTAL_STATION_NOISE
+    assert (
+        "that of a total station is taken (1 mm + 1.5 ppm, 1 arcsec), because its ranges are written to"
+        in recording.notes[0]
+    )
+    assert all(recording.station_setup(name).levelled for name in recording.stations)
+
+
+def test_a_trackers_table_keeps_a_trackers_noise(tmp_path: Path) -> None:
+    recording = read(
+        survey(tmp_path / "a.csv", [("A", "", "", 1, 0.0), ("B", "", "", 1, 0.0)], heights=False, digits=7)
+    )
+    assert recording.setup.instrument.noise.distance_mm == pytest.approx(0.003)
+    assert "that of the default laser tracker is taken" in recording.notes[0]
+    assert not recording.setup.stations

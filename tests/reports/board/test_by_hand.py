@@ -1,0 +1,226 @@
+"""A plan moved by hand: the board says what the planner says, the page follows the mouse, what is saved is a plan."""
+
+from __future__ import annotations
+
+import json
+import re
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import ltsim as lt
+from ltsim.cli.main import run
+from ltsim.core.errors import SetupError
+from ltsim.planning.information import LayoutInformation
+from ltsim.planning.loading import load_plan
+from ltsim.planning.planner import sight_table
+from ltsim.planning.tolerances import judged
+from ltsim.reports.board.board import Board
+from ltsim.scene.visibility import Reason
+from tests.planning.test_hall import HALL, points_csv
+from tests.reports.board.tab import opened
+from tests.reports.browser import find_browser
+
+TOLERANCES = '[[goal.tolerances]]\ngroup = "machine"\nwithin_mm = 0.05\n[search]'
+
+
+@pytest.fixture
+def hall(tmp_path: Path) -> Path:
+    (tmp_path / "points.csv").write_text(points_csv(), encoding="utf-8")
+    text = HALL.replace("[search]", f"[stations]\ncount = 3\n[work]\nfaces = 1\n{TOLERANCES}")
+    (tmp_path / "hall.toml").write_text(text, encoding="utf-8")
+    return tmp_path / "hall.toml"
+
+
+def test_the_board_says_what_the_planner_says(hall: Path) -> None:
+    board = Board.of(hall)
+    stations = board.hall()["stations"]
+    stations[1]["mm"][0] += 500.0
+    found = board.judged(stations)
+    survey = board.survey(stations)
+    survey = survey.replace(seen=sight_table(board.site, survey).visible)
+    assert survey.position[1, 0] == pytest.approx(board.site.survey.position[1, 0] + 0.5, abs=1e-4)
+    information = LayoutInformation.of(survey, board.construction)
+    assert [p["sigma_um"] for p in found["points"]] == pytest.approx(1e6 * information.target_sigma)
+    assert found["rms_um"] == pytest.approx(1e6 * information.target_rms)
+    assert (np.array(found["reasons"]) == Reason.VISIBLE).tolist() == survey.seen.tolist()
+    assert found["shadow"] == pytest.approx(survey.position[:, 2] * np.tan(np.radians(35)))
+
+
+def test_the_verdict_says_when_a_station_less_is_too_few(hall: Path) -> None:
+    board = Board.of(hall)
+    stations = board.hall()["stations"]
+    survey = board.survey(stations)
+    survey = survey.replace(seen=sight_table(board.site, survey).visible)
+    lost = [judged(survey.without(s), board.demands, board.construction) for s in range(3)]
+    said = board.verdict(stations)
+    assert said is not None
+    assert said["words"].startswith("Reached: all 8 tolerances" if said["reached"] else "Not reached: ")
+    assert ("with any one station lost all kept too" in said["words"]) == all(one.good for one in lost)
+    stations[0]["mm"] = [1000.0 * v for v in board.site.survey.points[0]]
+    assert board.verdict(stations) is None
+
+
+def test_a_layout_that_breaks_a_rule_is_never_reached(hall: Path) -> None:
+    text = hall.read_text()
+    hall.write_text(text.replace("within_mm = 0.05", "within_mm = 5"))
+    board = Board.of(hall)
+    stations = board.hall()["stations"]
+    assert board.verdict(stations)["reached"] and board.judged(stations)["problem"] == ""  # type: ignore[index]
+    stations[1]["mm"][:2] = stations[0]["mm"][:2]
+    said = board.verdict(stations)
+    rule = "S1 and S2 stand 0.00 m apart, nearer than 1 m (stations.spacing_mm)"
+    assert said is not None and not said["reached"]
+    assert said["words"].startswith(f"Not reached: the layout breaks a rule ({rule}); all 8 tolerances kept")
+    assert board.judged(stations)["problem"] == rule
+    place = ",".join(f"{v}" for v in stations[0]["mm"])
+    move = {name: [float(v) for v in place.split(",")] for name in ("S1", "S2")}
+    with pytest.raises(SetupError, match=re.escape(f"move: {rule}")):
+        lt.plan(hall, move=move)
+
+
+def test_stations_are_added_and_removed(hall: Path, tmp_path: Path) -> None:
+    board = Board.of(hall)
+    stations = board.hall()["stations"]
+    more = [*stations, {"name": "S9", "mm": [1500.0, 6500.0, 1600.0], "yaw": 10.0}]
+    found = board.judged(more)
+    assert len(found["reasons"]) == 4 and found["rms_um"] < board.judged(stations)["rms_um"]
+    assert found["hours"] > board.judged(stations)["hours"]
+    fewer = board.judged(stations[:2])
+    assert len(fewer["reasons"]) == 2 and fewer["rms_um"] > found["rms_um"]
+    board.save(more, tmp_path / "moved")
+    _, scenario = load_plan(tmp_path / "moved" / "plan.toml")
+    assert list(scenario.stations) == ["S1", "S2", "S3", "S9"]
+    for wrong, says in (
+        (stations[:1], "expected 2 to 40 stations, found 1"),
+        ([*stations, stations[0]], "a different name"),
+        ([*stations[:2], {**stations[2], "name": "<b>"}], "a different name"),
+    ):
+        with pytest.raises(SetupError, match=says):
+            board.judged(wrong)
+
+
+def test_what_breaks_a_rule_is_said_and_judged_all_the_same(hall: Path) -> None:
+    board = Board.of(hall)
+    stations = board.hall()["stations"]
+    stations[0]["mm"][:2] = [4700.0, 1500.0]  # in the crane way
+    found = board.judged(stations)
+    assert found["problem"] == "S1 stands where the floor is kept free (floor.keep_outs, floor.doors)"
+    assert found["may_stand"][0] is False
+    assert found["points"]
+    stations[0]["mm"][:2] = [6000.0, 4000.0]  # inside the machine: it sees nothing
+    assert "S1 stands outside the floor where tripods may stand" in board.judged(stations)["problem"]
+    stations[0]["mm"][:2] = stations[1]["mm"][:2]
+    assert "nearer than 1 m" in board.judged(stations)["problem"]
+    stations[0]["mm"] = [1000.0 * v for v in board.site.survey.points[0]]
+    assert "S1 stands in M00" in board.judged(stations)["problem"]
+
+
+def test_what_is_saved_is_planned_and_simulated_where_it_stands(hall: Path, tmp_path: Path) -> None:
+    board = Board.of(hall)
+    stations = board.hall()["stations"]
+    stations[0]["mm"][:2] = [2000.0, 2000.0]
+    wanted = board.judged(stations)
+    board.save(stations, tmp_path / "moved")
+    file, scenario = load_plan(tmp_path / "moved" / "plan.toml")
+    assert len(file.listed) == 30
+    assert len(scenario.targets) == 30
+    made = lt.plan(tmp_path / "moved")
+    assert made.chosen.survey.position[0] == pytest.approx([2.0, 2.0, stations[0]["mm"][2] / 1000])
+    assert 1e6 * made.chosen.qualities["targets"] == pytest.approx(wanted["rms_um"])
+    assert made.kept is not None
+    recording, _ = lt.simulate(tmp_path / "moved" / "scenario.toml", seed=1)
+    assert len(recording.stations) == 3
+    elsewhere = (tmp_path / "moved" / "plan.toml").read_text().replace("x_mm = 4710", "x_mm = 4711", 1)
+    (tmp_path / "moved" / "plan.toml").write_text(elsewhere)
+    with pytest.raises(SetupError, match="'M00', which is a target elsewhere in the scenario"):
+        load_plan(tmp_path / "moved" / "plan.toml")
+
+
+def test_a_folder_of_a_plan_begins_where_the_plan_stands(hall: Path, tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run(["plan", "hall.toml", "--out", "made", "--jobs", "1", "--quiet"]) == 0
+    planned = json.loads((tmp_path / "made" / "plan.json").read_text())
+    board = Board.of(tmp_path / "made")
+    assert [s["mm"] for s in board.hall()["stations"]] == [s["position_mm"] for s in planned["stations"]]
+    assert board.judged(board.hall()["stations"])["rms_um"] == pytest.approx(
+        1e6 * planned["quality"]["targets"], rel=1e-4
+    )
+
+
+@pytest.mark.parametrize(
+    ("given", "sentence"),
+    [
+        ([], "either a scenario or a recording, or --plan FILE"),
+        (["paper-workshop", "--plan", "hall.toml"], "either a scenario or a recording, or --plan FILE"),
+        (["--plan", "nowhere.toml"], "there is no such file"),
+        (["--plan", "hall.toml", "--out", "taken"], "is there already"),
+    ],
+)
+def test_what_is_wrong_is_one_sentence(given: list[str], sentence: str, hall: Path, monkeypatch, capsys) -> None:
+    monkeypatch.chdir(hall.parent)
+    Path("taken").mkdir()
+    Path("taken/plan.toml").write_text("mine")
+    assert run(["view", *given]) == 2
+    said = capsys.readouterr().err
+    assert sentence in said
+    assert said.count("\n") == 1
+
+
+START = "import signal; signal.signal(2, signal.default_int_handler); from ltsim.cli.main import main; main()"
+"""A shell in the background starts what it starts deaf to Ctrl-C."""
+SIGMA = "document.querySelector('tr[data-point=M31] td:nth-child(3)').textContent"
+
+COVERED = """(() => { stations[1].mm = [stations[0].mm[0] - 1200, stations[0].mm[1], stations[1].mm[2]]; write();
+  const shown = [...layer.names.children].filter(one => one.getAttribute("visibility") === "visible");
+  const boxes = shown.map(one => [one.textContent, one.getBBox()]);
+  const across = (a, b) => a.x + 1e-6 < b.x + b.width && a.y + 1e-6 < b.y + b.height;
+  return boxes.flatMap(([name, a], i) =>
+    boxes.slice(i + 1).filter(([, b]) => across(a, b) && across(b, a)).map(([b]) => [name, b])); })()"""
+"""Pairs of names that cover each other, the second station 1.2 m beside the first."""
+
+
+def test_a_dragged_station_changes_the_accuracy_on_the_page(hall: Path, tmp_path: Path) -> None:
+    find_browser()
+    command = [sys.executable, "-c", START, "view", "--plan", str(hall), "--out", str(tmp_path / "moved")]
+    server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    try:
+        assert server.stdout is not None
+        address = server.stdout.readline().strip()
+        assert address.startswith("http://127.0.0.1:")
+        with opened(address, tmp_path) as tab:
+            tab.until("told && told.points")
+            before = tab.value("told"), tab.value(SIGMA), tab.value("stations[0].mm")
+            x, y = tab.middle("[data-station=S1] .head")
+            tab.drag((x, y), (x + 60, y + 8))
+            tab.until(f"!busy && {SIGMA} != '{before[1]}'")
+            after = tab.value("told"), tab.value(SIGMA), tab.value("stations[0].mm")
+            assert after[2][0] > before[2][0] + 100
+            assert after[2][1] < before[2][1]
+            judged = Board.of(hall).judged(tab.value("stations"))
+            assert float(after[1]) == pytest.approx(judged["points"][7]["sigma_um"], rel=0.01)
+            assert after[0]["rms_um"] == pytest.approx(judged["rms_um"])
+            assert after[0]["shadow"] == pytest.approx(judged["shadow"])
+            assert tab.value("layer.sights.childElementCount") > 0
+            tab.until("/eached: /.test(document.querySelector('#verdict').textContent)")
+            assert tab.value("document.querySelector('#verdict').className") in ("reached", "lost")
+            tab.value("document.querySelector('#add').click()")
+            tab.until("!busy && told.reasons.length === 4 && stations.length === 4")
+            tab.value("document.querySelector('[aria-label=\"Remove S4\"]').click()")
+            tab.until("!busy && told.reasons.length === 3")
+            assert tab.value("layer.tripods.childElementCount") == 3
+            tab.until("document.querySelector('#space iframe')?.contentWindow.global?.renderWindow")
+            tab.value("document.querySelector('#save').click()")
+            assert "plan.toml" in tab.until("document.querySelector('#saved').textContent")
+            assert tab.value(COVERED) == []
+            assert not [line for line in tab.said if "hashes" not in line and '"rendering"' not in line]
+        _, scenario = load_plan(tmp_path / "moved" / "plan.toml")
+        assert list(scenario.stations["S1"].position_mm) == after[2]
+    finally:
+        server.send_signal(signal.SIGINT)
+        server.communicate(timeout=60)
+    assert server.returncode == 0

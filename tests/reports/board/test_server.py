@@ -1,0 +1,241 @@
+"""The board answers its page on this machine and nobody else, whatever is sent to it: raw sockets to 127.0.0.1."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from ltsim.reports.board import server
+from ltsim.reports.board.board import Board
+from ltsim.reports.board.server import MOST_BYTES, MOST_CONNECTIONS, BoardAccess
+from tests.planning.test_hall import HALL, points_csv
+
+START = (
+    "import signal; signal.signal(2, signal.default_int_handler); from ltsim.reports.board import server; "
+    "server.PATIENCE = server._Handler.timeout = 1.5; from ltsim.cli.main import main; main()"
+)
+
+
+@dataclass(frozen=True)
+class Open:
+    """A board that is being served."""
+
+    port: int
+    token: str
+    folder: Path
+    stations: list[dict[str, Any]]
+
+    def sent(self, raw: bytes, *, half: bool = False) -> bytes:
+        """The answer to some bytes; `half` leaves the connection open on this side."""
+        parts = []
+        with (
+            contextlib.suppress(ConnectionError),
+            socket.create_connection(("127.0.0.1", self.port), timeout=30) as connection,
+        ):
+            connection.sendall(raw)
+            if not half:
+                connection.shutdown(socket.SHUT_WR)
+            while part := connection.recv(1 << 16):
+                parts.append(part)
+            return b"".join(parts)
+        return b""
+
+    def request(self, name: str, body: bytes = b"", method: str = "POST", **headers: str) -> tuple[int, bytes]:
+        """Status and content of the answer to a well-formed request."""
+        given = {"Host": f"127.0.0.1:{self.port}", "Content-Length": str(len(body))} | {
+            k.replace("_", "-"): v for k, v in headers.items()
+        }
+        lines = [f"{method} /{self.token}/{name} HTTP/1.1", *(f"{k}: {v}" for k, v in given.items() if v)]
+        head, _, content = self.sent("\r\n".join(lines).encode() + b"\r\n\r\n" + body).partition(b"\r\n\r\n")
+        return int(head.split()[1]), content
+
+    @property
+    def own(self) -> bytes:
+        return json.dumps({"stations": self.stations}).encode()
+
+    @property
+    def lives(self) -> bool:
+        status, content = self.request("judged", self.own)
+        return status == 200 and bool(json.loads(content)["points"])
+
+
+@pytest.fixture(scope="module")
+def hall(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("hall")
+    (folder / "points.csv").write_text(points_csv(), encoding="utf-8")
+    text = HALL.replace("[search]", "[stations]\ncount = 3\n[work]\nfaces = 1\n[search]")
+    (folder / "hall.toml").write_text(text, encoding="utf-8")
+    return folder / "hall.toml"
+
+
+@pytest.fixture(scope="module")
+def board(hall: Path) -> Iterator[Open]:
+    folder = hall.parent / "moved"
+    command = [sys.executable, "-c", START, "view", "--plan", str(hall), "--out", str(folder)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    _, _, place, token, _ = process.stdout.readline().strip().split("/")
+    stations = [{"name": s["name"], "mm": s["mm"], "yaw": s["yaw"]} for s in Board.of(hall).hall()["stations"]]
+    yield Open(int(place.partition(":")[2]), token, folder, stations)
+    process.send_signal(signal.SIGINT)
+    _, said = process.communicate(timeout=60)
+    assert (process.returncode, said) == (0, "")
+
+
+def test_the_page_and_its_questions_are_answered(board: Open) -> None:
+    status, page = board.request("", method="GET")
+    assert status == 200 and b"<html" in page
+    assert board.lives
+    origin = f"http://127.0.0.1:{board.port}"
+    assert board.request("judged", board.own, Origin=origin)[0] == 200
+    named = f"localhost:{board.port}"
+    assert board.request("judged", board.own, Host=named, Origin=f"http://{named}")[0] == 200
+
+
+FOREIGN = (
+    {"Origin": "http://evil.example"},
+    {"Origin": "null"},
+    {"Origin": "http://127.0.0.1:1"},
+    {"Origin": "https://127.0.0.1:PORT"},
+    {"Origin": "http://127.0.0.1:PORT.evil.example"},
+    {"Host": "evil.example"},
+    {"Host": "evil.example:PORT"},
+    {"Host": "127.0.0.1:1"},
+    {"Host": "127.0.0.1"},
+    {"Host": ""},
+)
+
+
+@pytest.mark.parametrize("headers", FOREIGN, ids=str)
+@pytest.mark.parametrize("name", ["", "judged", "save"])
+def test_who_knows_the_token_is_refused_under_another_name(headers: dict[str, str], name: str, board: Open) -> None:
+    given = {key: value.replace("PORT", str(board.port)) for key, value in headers.items()}
+    status, content = board.request(name, board.own if name else b"", "POST" if name else "GET", **given)
+    assert status in (403, 421)
+    assert content == b""
+    assert not board.folder.exists()
+
+
+@pytest.mark.parametrize(
+    "path", ["/", "/judged", "//judged", "/wrong/", "/wrong/judged", "/{}/nothing", "/{}x/", "/%00"]
+)
+def test_other_paths_are_not_found(path: str, board: Open) -> None:
+    for method in ("GET", "POST"):
+        lines = f"{method} {path.format(board.token)} HTTP/1.1\r\nHost: 127.0.0.1:{board.port}\r\nContent-Length: 2\r\n"
+        assert board.sent(lines.encode() + b"\r\n{}").split()[1] == b"404"
+
+
+def deep(count: int) -> bytes:
+    return b'{"stations": ' + b"[" * count + b"]" * count + b"}"
+
+
+BODIES = {
+    "nothing": b"",
+    "a list": b"[1]",
+    "a number": b"7",
+    "null": b"null",
+    "no JSON": b"{",
+    "no text": b"\xff\xfe\x00",
+    "deep": deep(100_000),
+    "no stations": b"{}",
+    "stations of another kind": b'{"stations": [1, 2, 3]}',
+    "stations by name": b'{"stations": {"mm": 1}}',
+    "one station of three": b'{"stations": [{"name": "S1", "mm": [0, 0, 0], "yaw": 0}]}',
+    "no number": b'{"stations": [{"name": "S1", "mm": [NaN, 0, 0], "yaw": 0}]}',
+    "a number of 5000 digits": b'{"stations": [{"mm": [' + b"9" * 5000 + b', 0, 0], "yaw": 0}]}',
+    "a huge number": b'{"stations": [{"name": "a", "mm": [1e308, 0, 0], "yaw": 1e308}, '
+    b'{"name": "b", "mm": [1e308, 0, 0], "yaw": 1e308}]}',
+    "a camera of another kind": b'{"stations": [], "camera": 5}',
+    "a camera of words": b'{"stations": [], "camera": [["a"], 2, {}]}',
+}
+
+
+@pytest.mark.parametrize("name", ["judged", "verdict", "scene", "save"])
+@pytest.mark.parametrize("kind", BODIES)
+def test_a_body_that_makes_no_sense_is_a_problem_and_the_board_goes_on(kind: str, name: str, board: Open) -> None:
+    status, content = board.request(name, BODIES[kind])
+    assert status in (200, 400)
+    assert json.loads(content)["problem"] and "fault of ltsim" not in json.loads(content)["problem"]
+    assert not board.folder.exists()
+    assert board.lives
+
+
+@pytest.mark.parametrize(
+    "more",
+    [
+        "",
+        "Content-Length: -1",
+        "Content-Length: many",
+        "Content-Length: 1_0",
+        "Content-Length: \u0663",
+        "Content-Length: 1e3",
+        f"Content-Length: {MOST_BYTES + 1}",
+        f"Content-Length: {'9' * 5000}",
+        "Content-Length: 2\r\nContent-Length: 3",
+        "Transfer-Encoding: chunked",
+        "Transfer-Encoding: chunked\r\nContent-Length: 2",
+        "Content-Length: 1000",
+        "Expect: 100-continue\r\nContent-Length: 7",
+        "no colon",
+        "Content-Length: 2\r\n" + "X: y\r\n" * 200,
+        "Long: " + "y" * 100_000,
+    ],
+    ids=lambda more: more[:40],
+)
+def test_a_malformed_request_ends_nothing(more: str, board: Open) -> None:
+    head = f"POST /{board.token}/judged HTTP/1.1\r\nHost: 127.0.0.1:{board.port}\r\n{more}\r\n\r\n{{}}"
+    answer = board.sent(head.encode("utf-8", "replace"))
+    assert not answer or b" 4" in answer.split(b"\r\n")[0] or b"100 Continue" in answer
+    assert board.lives
+
+
+@pytest.mark.parametrize(
+    "raw", [b"", b"\r\n", b"GET", b"GET /\r\n\r\n", b"\x16\x03\x01", b"A" * 70_000, b"PUT / HTTP/1.1\r\n\r\n"]
+)
+def test_what_is_no_request_ends_nothing(raw: bytes, board: Open) -> None:
+    board.sent(raw)
+    assert board.lives
+
+
+def test_slow_and_silent_connections_end_by_themselves(board: Open) -> None:
+    head = f"POST /{board.token}/judged HTTP/1.1\r\nHost: 127.0.0.1:{board.port}\r\nContent-Length: 10\r\n\r\n{{"
+    assert board.sent(head.encode(), half=True).split(b"\r\n")[0][-3:] != b"200"
+    assert board.sent(b"POST", half=True) == b""
+    silent = [socket.create_connection(("127.0.0.1", board.port)) for _ in range(2 * MOST_CONNECTIONS)]
+    for connection in silent:  # closed by the board: at once beyond those that it serves, the others after a while
+        connection.settimeout(30)
+        with contextlib.suppress(ConnectionError):
+            assert connection.recv(1) == b""
+        connection.close()
+    assert board.lives
+
+
+def test_a_fault_is_told_and_the_board_goes_on(hall: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    access = BoardAccess(Board.of(hall), tmp_path / "out")
+
+    def broken(*_: object) -> None:
+        raise IndexError("nobody expects this")
+
+    monkeypatch.setattr(access, "answer", broken)
+    answer = server._answered(access, "POST", f"/{access.token}/judged", b"")
+    assert answer.status == 500
+    assert json.loads(answer.content)["problem"].startswith("a fault of ltsim itself (IndexError: nobody expects this)")
+
+
+def test_a_layout_is_saved(board: Open) -> None:
+    status, content = board.request("save", board.own)
+    assert status == 200
+    assert [Path(file).name for file in json.loads(content)] == ["scenario.toml", "plan.toml"]
+    assert board.folder.exists()
+    shutil.rmtree(board.folder)  # other tests look whether they have saved

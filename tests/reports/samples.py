@@ -1,0 +1,235 @@
+"""Data for the report's tests: an adjusted network, and folders as the commands write them."""
+
+from __future__ import annotations
+
+import json
+from functools import cache
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from pyarrow import parquet as pq
+
+from ltsim.adjustment import Adjustment, adjust
+from ltsim.adjustment.remedies.next_measurement import next_measurement
+from ltsim.calibration.calibration import Calibration, residuals_table
+from ltsim.calibration.files import write_calibration
+from ltsim.calibration.history import History
+from ltsim.calibration.history_file import history_file
+from ltsim.calibration.network import calibrate_network
+from ltsim.core.randomness import stream
+from ltsim.physics.model.construction import misalignment
+from ltsim.planning.files import next_file
+from ltsim.recordings import write
+from ltsim.recordings.recording import Recording
+from ltsim.recordings.setup import Station
+from ltsim.simulation.builtin import builtin_text
+from ltsim.simulation.scenario import load_scenario
+from tests.networks import STATIONS, YAWS, drawn, network
+
+
+@cache
+def recording() -> Recording:
+    """The test network in two faces with noise, instrument errors and a floor plan."""
+    made, _ = network(faces=2, seed=4, values=drawn(misalignment(), 7))
+    plan = {
+        name: Station(position_mm=place, yaw_deg=float(np.degrees(yaw)))
+        for name, place, yaw in zip(made.stations, (1e3 * STATIONS).tolist(), YAWS, strict=True)
+    }
+    return made.replace(setup=made.setup.model_copy(update={"stations": plan}))
+
+
+@cache
+def before() -> Adjustment:
+    """The network adjusted without instrument parameters."""
+    return adjust(recording())
+
+
+@cache
+def after() -> Adjustment:
+    """The network adjusted with them."""
+    return adjust(recording(), misalignment())
+
+
+@cache
+def _calibrated() -> Calibration:
+    return calibrate_network(recording())
+
+
+def calibration_folder(folder: Path) -> Path:
+    """A folder as `ltsim calibrate` leaves it, the recording in `recording/` beside it."""
+    write_calibration(_calibrated(), folder / "calibration")
+    write(recording(), folder / "recording")
+    return folder / "calibration"
+
+
+def diagnosis_folder(folder: Path) -> Path:
+    """A folder with a diagnosis of the form of the interface, own-made, its residuals and the recording beside it."""
+    target = folder / "diagnosis"
+    target.mkdir(parents=True)
+    (target / "diagnosis.json").write_text(json.dumps(DIAGNOSIS))
+    (target / "residuals.csv").write_text(residuals_table(after()).csv())
+    (target / "residuals_before.csv").write_text(residuals_table(before()).csv())
+    write(recording(), folder / "recording")
+    return target
+
+
+DIAGNOSIS: dict[str, Any] = {
+    "format": "ltsim-diagnosis/1",
+    "verdict": "mismatch",
+    "summary": "Station S3 leans by 12 +- 2 urad with a time constant of 9 +- 2 min after set-up.",
+    "global_test": {"statistic": 1391.0, "dof": 1136, "p_value": 2.1e-7},
+    "findings": [
+        {
+            "effect": "station-settling",
+            "known": True,
+            "where": {
+                "observables": ["azimuth", "elevation"], "stations": ["S3"], "targets": [], "covariates": ["time"],
+            },
+            "parameters": [{"name": "tilt-x", "value": 12.1, "sigma": 1.8, "unit": "urad"}],
+            "evidence": {"chi2_drop": 251.0, "parameters": 3, "p_value": 1e-9, "probability": 0.97},
+            "equivalents": [{"effect": "index-drift", "probability": 0.02}],
+            "separate_by": "measure the first three targets again before leaving the station",
+        }
+    ],
+    "fit": {
+        "before": {"chi2": 1391.0, "dof": 1136, "held_out_rms": 1.11},
+        "after": {"chi2": 1130.0, "dof": 1133, "held_out_rms": 1.00},
+    },
+    "undetectable": [{"effect": "air-gradient", "reason": "absorbed by poses and targets", "cure": "other heights"}],
+}  # fmt: skip
+
+
+def campaign_folder(folder: Path, trials: int = 60) -> Path:
+    """A campaign of two settings and two methods, own-made rows in the form of the campaign's files."""
+    manifest = {
+        "format": "ltsim-campaign-rows/1", "title": "Own-made", "seed": 11, "trials": trials,
+        "methods": ["network", "distance"],
+        "factors": [{"name": "noise_factor", "keys": ["instrument.noise_factor"], "unit": "", "kind": "integer"}],
+        "cells": [{"cell": c, "label": "", "levels": {"noise_factor": c + 1}} for c in range(2)],
+        "versions": {"numpy": "2.0"}, "commit": None, "settings": {"scenario": "paper-workshop"}, "scenarios": [],
+    }  # fmt: skip
+    folder.mkdir(parents=True)
+    (folder / "manifest.json").write_text(json.dumps(manifest))
+    for cell in range(2):
+        parts = [
+            _rows(cell, method, trials).append_column("noise_factor", pa.array([cell + 1] * trials))
+            for method in ("network", "distance")
+        ]
+        place = folder / "rows" / f"cell-{cell:04d}"
+        place.mkdir(parents=True)
+        pq.write_table(pa.concat_tables(parts), place / "shard-000000.parquet")
+    return folder
+
+
+def sweep_folder(folder: Path, trials: int = 20) -> Path:
+    """A campaign of three by three by three settings, own-made rows in the form of the campaign's files."""
+    noise = "instrument.noise.azimuth_arcsec"
+    factors = [
+        {"name": "targets", "keys": ["work.targets"], "unit": "", "kind": "integer"},
+        {"name": "angle_noise_arcsec", "keys": [noise], "unit": "arcsec", "kind": "number"},
+        {"name": "repeats", "keys": ["work.repeats"], "unit": "", "kind": "integer"},
+    ]
+    names = [factor["name"] for factor in factors]
+    levels = [dict(zip(names, own, strict=True)) for own in product((8, 14, 24), (0.2, 0.4, 0.8), (1, 2, 4))]
+    manifest = {
+        "format": "ltsim-campaign-rows/1", "title": "Swept", "seed": 11, "trials": trials, "methods": ["network"],
+        "factors": factors, "cells": [{"cell": c, "label": "", "levels": own} for c, own in enumerate(levels)],
+        "settings": {"scenario": "paper-workshop"},
+    }  # fmt: skip
+    for cell, own in enumerate(levels):
+        rows = _rows(cell, "network", trials)
+        size = own["angle_noise_arcsec"] * 100 / np.sqrt(own["targets"] * own["repeats"])
+        error = size * (1 + 0.1 * stream(3, "sweep", cell).standard_normal(trials))
+        rows = rows.append_column("target_error_um", pa.array(error, pa.float32()))
+        for name, value in own.items():
+            rows = rows.append_column(name, pa.array([value] * trials))
+        place = folder / "rows" / f"cell-{cell:04d}"
+        place.mkdir(parents=True)
+        pq.write_table(rows, place / "shard-000000.parquet")
+    (folder / "manifest.json").write_text(json.dumps(manifest))
+    return folder
+
+
+def _rows(cell: int, method: str, trials: int) -> pa.Table:
+    """Rows of one cell and method."""
+    draw = stream(3, "rows", cell, method)
+    columns: dict[str, Any] = {
+        "cell": pa.array([cell] * trials, pa.int32()), "method": pa.array([method] * trials),
+        "trial": pa.array(range(trials), pa.int64()), "status": pa.array(["converged"] * trials),
+    }  # fmt: skip
+    after = {"network": 14.5, "distance": 17.0}[method]
+    for name, mean in (("before_mean", 29.0), ("before_max", 60.0), ("after_mean", after), ("after_max", 39.0)):
+        columns[f"distance_{name}_um"] = pa.array(mean * (1 + 0.1 * draw.standard_normal(trials)), pa.float32())
+    for name in ("beam-tilt", "range-offset"):
+        columns[f"z:{name}"] = pa.array(draw.standard_normal(trials), pa.float32())
+    columns["full_difference_sigma"] = pa.array([1e-5] + [None] * (trials - 1), pa.float32())
+    return pa.table(columns)
+
+
+REFLECTOR_CHANGES = [
+    {"do": "move", "reflector": "T01", "place": "walls-17", "position_mm": [40, 3100, 2600], "gain_um": 0.412,
+     "quality": 0.953, "serves": "elevation-eccentricity-cos", "serves_factor": 0.81},
+    {"do": "add", "place": "milling machine-8", "position_mm": [2800, 900, 1100], "gain_um": 0.31, "quality": 0.97,
+     "serves": "T09", "serves_factor": 0.9},
+    {"do": "remove", "reflector": "T05", "gain_um": -0.004, "quality": 1.001,
+     "serves": "beam-tilt", "serves_factor": 1.02},
+]  # fmt: skip
+
+
+def plan_folder(folder: Path) -> Path:
+    """A plan in the form of the planner's files, own-made, with the paper's workshop as its scenario."""
+    scenario = load_scenario("paper-workshop")
+    own = {
+        "broken_rules": [], "hours": 2.25, "pointings": 140, "quality": {"instrument": 0.2},
+        "stations": [
+            {"name": name, "position_mm": s.position_mm, "yaw_deg": s.yaw_deg, "sigma_position_um": [1, 2, 3]}
+            for name, s in scenario.stations.items()
+        ],
+        "parameters": [{"name": "beam-tilt", "unit": "urad", "sigma": 3.2, "prior_sigma": 9.7}],
+    }  # fmt: skip
+    ways = [(3, 1, 1.35, 0.14, True), (4, 1, 1.8, 0.12, True), (5, 1, 2.25, 0.1, True), (3, 2, 2.0, 0.13, False)]
+    content = own | {
+        "format": "ltsim-plan-result/1", "title": "Own-made plan",
+        "summary": "5 stations determine the instrument twice as well as the scenario's own.",
+        "reasons": ["S1 at (1.78, 1.02) m: without it the quality is 14 % worse."], "quality": {"instrument": 0.1},
+        "parameters": [{"name": "beam-tilt", "unit": "urad", "sigma": 1.1, "prior_sigma": 9.7}],
+        "reference": own,
+        "tradeoff": [
+            {"stations": n, "faces": f, "repeats": 1, "pointings": 28 * n * f, "hours": h, "value": q,
+             "quality": {"instrument": q}, "efficient": best}
+            for n, f, h, q, best in ways
+        ],
+        "silent": ["dead-path"], "settings": {}, "seed": 5, "reflector_changes": REFLECTOR_CHANGES,
+    }  # fmt: skip
+    folder.mkdir(parents=True)
+    (folder / "plan.json").write_text(json.dumps(content))
+    (folder / "scenario.toml").write_text(builtin_text("paper-workshop"))
+    return folder
+
+
+@cache
+def _history() -> History:
+    named = []
+    for number, label in enumerate(("tracker_jan", "tracker_may", "tracker_sep")):
+        values = drawn(misalignment(), 7 if number < 2 else 8)
+        made, _ = network(faces=2, seed=1 + number, values=values)
+        named.append((label, calibrate_network(made, advise=False)))
+    return History.of(named)
+
+
+def history_folder(folder: Path) -> Path:
+    """A folder as `ltsim history` leaves it: three calibrations, the instrument changed before the last."""
+    folder.mkdir(parents=True)
+    (folder / "history.json").write_text(history_file(_history()).text())
+    return folder
+
+
+def next_folder(folder: Path, *, between: tuple[str, ...] = ()) -> Path:
+    """A folder as `ltsim plan --after` leaves it."""
+    made = next_measurement(recording(), between=between)
+    folder.mkdir(parents=True)
+    (folder / "next.json").write_text(next_file(made, "The recording agrees with the model.").text())
+    return folder

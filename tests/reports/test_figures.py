@@ -1,0 +1,447 @@
+"""Every figure shows its data, reads in print and gives the same bytes twice."""
+
+from __future__ import annotations
+
+import io
+import itertools
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from matplotlib import image
+from matplotlib.figure import Figure
+from matplotlib.text import Text
+
+from ltsim.acceptance.files import AcceptanceFile
+from ltsim.adjustment.evaluation.criteria import CRITERIA
+from ltsim.adjustment.fieldcheck.check import check as check_of
+from ltsim.calibration.history_schema import ChiSquareEntry, CourseEntry
+from ltsim.calibration.schema import ParameterEntry
+from ltsim.campaigns.statistics import Scores
+from ltsim.core.notation import fixed, number, with_sigma
+from ltsim.core.randomness import stream
+from ltsim.diagnosis.schema import Curve, Where
+from ltsim.measurands.comparison import Comparison
+from ltsim.planning.result import PlanResult
+from ltsim.planning.schema import PlanChange, PlannedParameterEntry as PlannedEntry
+from ltsim.recordings.specification import sheet
+from ltsim.reports import style
+from ltsim.reports.figures import (
+    campaign as sweeps,
+    floor_plan as floors,
+    parameters as estimates,
+    points as points,
+    residuals as misfits,
+)
+from ltsim.reports.residuals import Residuals
+from ltsim.reports.sections.campaign import coverage_words
+from ltsim.reports.words import distinct_labels, typeset
+from ltsim.reports.workshop import from_adjustment, from_scenario
+from ltsim.simulation.scenario import load_scenario
+from tests.reports import samples
+
+DEFAULT = {colour.lower() for colour in mpl.colors.TABLEAU_COLORS.values()}
+"""What matplotlib takes by itself: a red and a green among them that one man in twelve cannot tell apart."""
+MARKUP = "<b>$x_1$&</b>"
+
+
+def residuals() -> tuple[Residuals, Residuals]:
+    return Residuals.from_adjustment(samples.before()), Residuals.from_adjustment(samples.after())
+
+
+def parameters() -> list[ParameterEntry]:
+    adjusted = samples.after()
+    sigma = np.sqrt(np.diag(adjusted.instrument_covariance))
+    return [
+        ParameterEntry(
+            name=p.name, value=v / p.factor, sigma=s / p.factor, unit=p.unit, prior_sigma=p.prior_sigma / p.factor
+        )
+        for p, v, s in zip(adjusted.construction.parameters, adjusted.state.instrument[0], sigma, strict=True)
+    ]
+
+
+def correlation_figure() -> Figure:
+    return estimates.correlation_figure(parameters(), samples.after().instrument_covariance)
+
+
+def by_setting() -> Figure:
+    rows = [
+        sweeps.Swept(f"noise {s} {MARKUP}", method, "", 40.0 + s, 39.0 + s, 41.0 + s, 20.0 + s, 60.0 + s)
+        for s in range(3)
+        for method in ("network", "distance")
+    ]
+    return sweeps.by_setting(rows, label="improvement [%]", published=40.1)
+
+
+def by_factor() -> Figure:
+    rows = [
+        sweeps.Swept(x, method, f"faces {panel} {MARKUP}", x + m, x + m - 0.2, x + m + 0.2, x + m - 2, x + m + 2)
+        for x in (1.0, 2.0, 4.0, 10.0)
+        for m, method in enumerate(("network", "distance"))
+        for panel in (1, 2)
+    ]
+    return sweeps.by_factor(rows, label="error [µm]", axis="noise factor", published=3.0)
+
+
+def sigma_figure() -> Figure:
+    rows = [PlannedEntry(name=f"parameter-{i}", unit="urad", sigma=1.0 + i, prior_sigma=15.0) for i in range(6)]
+    alone = PlannedEntry(name="alone", unit="um", sigma=3.0, prior_sigma=20.0)
+    return estimates.sigma_figure([*rows, alone], {f"parameter-{i}": 2.0 + i for i in range(6)})
+
+
+def history_figure() -> Figure:
+    labels = ("2021-09", "2021-10", MARKUP)
+    values = np.array([1.0, 2.0, 1.5])
+    test = ChiSquareEntry(chi2=1.0, dof=2, p_value=0.6)
+    told = {"unit": "urad", "sigmas": (0.3, 0.3, 0.3), "mean": 1.5, "spread": 0.5, "constant": test}
+    courses = [CourseEntry(name=f"parameter-{i}", values=tuple(values * (i + 1)), **told) for i in range(3)]
+    return estimates.history_figure(labels, courses)
+
+
+def shares_of_limits() -> Figure:
+    groups = ("bar", MARKUP)
+    tests = [
+        {
+            "name": f"{g} {i}",
+            "group": g,
+            "limit_um": 40.0,
+            "error_um": 15.0 * i,
+            "expanded_um": 8.0,
+            "passes": float(i < 3),
+        }
+        for g in groups
+        for i in range(4)
+    ]
+    content = AcceptanceFile.model_validate(
+        {
+            "kind": "measured",
+            "plan": "mine",
+            "specification": sheet("leica-at500"),
+            "passes": 0,
+            "sentence": "",
+            "groups": [{"name": g, "tests": 4, "passes": 0, "largest_share": 1.1} for g in groups],
+            "tests": tests,
+        }
+    )
+    return points.shares_of_limits(content)
+
+
+def criteria_figure() -> Figure:
+    rows = [("distance", 29, 60, 17, 39, 40.1), ("worse", 3.26, 39, 29, 60, -70.6)]
+    return estimates.criteria_figure(CRITERIA.filled(rows))
+
+
+def distributions() -> Figure:
+    draws = stream(1, "figure").normal(29, 4, (4, 500))
+    names = ("coordinate, improvement", "distance, mean after", "coordinate, largest before", MARKUP)
+    rows = [sweeps.TrialDistribution(name, v, "um", 30.0) for name, v in zip(names, draws, strict=True)]
+    return sweeps.distributions(rows)
+
+
+def floor_plan() -> Figure:
+    return floors.floor_plan(from_adjustment(samples.after()))
+
+
+def parameter_figure() -> Figure:
+    return estimates.parameter_figure(parameters(), [0.0] * len(parameters()))
+
+
+def reflector_changes() -> Figure:
+    changes = [PlanChange.model_validate(change) for change in samples.REFLECTOR_CHANGES]
+    return floors.reflector_changes(from_scenario(load_scenario("paper-workshop")), changes)
+
+
+def residuals_by_covariate() -> Figure:
+    return misfits.residuals_by_covariate(residuals()[1])
+
+
+def residuals_by_station() -> Figure:
+    first, second = residuals()
+    return misfits.residuals_by_station(second, first)
+
+
+def signature_figure() -> Figure:
+    first, second = residuals()
+    return misfits.signature_figure(first, second, "elevation", Where(observables=("elevation",), stations=("S2",)))
+
+
+def trade_off() -> Figure:
+    tried = [{"stations": 2 + i, "hours": 0.3 + i / 60, "quality": {MARKUP: 9.0 - 0.2 * i}} for i in range(12)]
+    best = {"stations": 3, "hours": 0.4, "quality": {MARKUP: 5.0}, "efficient": True}
+    plan = {"summary": "", "stations": [], "hours": 0.7, "quality": {MARKUP: 3.0}, "tradeoff": [*tried, best]}
+    return estimates.trade_off(PlanResult.model_validate(plan), MARKUP)
+
+
+def budget_figure() -> Figure:
+    return estimates.budget_figure(
+        ["length", MARKUP], {"readings": [0.7, 0.2], "weather": [0.3, 0.5], MARKUP: [0.0, 0.3]}
+    )
+
+
+def check_figure() -> Figure:
+    return points.check_figure(check_of(samples.recording()))
+
+
+def displacement_figure() -> Figure:
+    draws = stream(3, "figure").standard_normal((2, 6, 3))
+    names = ["T1", "T1", "T1", "T1", "T1", MARKUP]
+    told = {"sigma_um": (1, 1, 1), "covariance_um2": np.eye(3).tolist(), "p_value": 0.5, "visible_um": (1, 2)}
+    displacements = [
+        {"target": name, "moved": i in (0, 5), "place_mm": (1e3 * place).tolist(), "shift_um": (20 * shift).tolist(),
+         "semi_axes_um": (15, 15, 15), **told}
+        for i, (name, place, shift) in enumerate(zip(names, *draws, strict=True))
+    ]  # fmt: skip
+    whole = {"second": None, "sentence": "", "level": 0.05, "statistic": 1, "dof": 1, "p_value": 1, "p_value_after": 1}
+    return points.displacement_figure(Comparison.model_validate({**whole, "displacements": displacements}))
+
+
+def driver_curve() -> Figure:
+    at = np.linspace(-0.6, 0.9, 40)
+    value, sigma = (3.0 * np.sin(3 * at)).tolist(), [0.4] * 40
+    curve = Curve(covariate="elevation", unit="um", at=at.tolist(), value=value, sigma=sigma)
+    return misfits.driver_curve(curve, "distance", residuals()[0])
+
+
+def scores(z: np.ndarray) -> list[Scores]:
+    shares = (np.abs(z) <= 1.96).mean(axis=1)
+    return [Scores(0, "network", f"parameter-{i}", z.shape[1], 0.0, 1.0, float(s)) for i, s in enumerate(shares)]
+
+
+def coverage() -> Figure:
+    return sweeps.coverage(scores(stream(2, "figure").standard_normal((5, 400))))
+
+
+def hidden_and_found() -> Figure:
+    at = np.linspace(0, 30, 40)
+    return misfits.hidden_and_found(at, np.sin(at), 1.1 * np.sin(at), axis="time [min]", label="change [µm]")
+
+
+def values_figure() -> Figure:
+    rows = {"add station S6 at (1.17, 1.08, 1.56) m, and measure all targets": (2.0, 1.0, 3.5), MARKUP: (0.5, 0.5, 0.5)}
+    return estimates.values_figure(rows, "error of a new point [um]", marks={"as read": [4.0], "limits": [0.0, 3.0]})
+
+
+def lines_figure() -> Figure:
+    lines = {"found": [(0.2, 0.0, 0.6), (1.0, 0.6, 1.0)], "named": [(0.0, 0.0, 0.4), (0.8, 0.4, 1.0)]}
+    return estimates.lines_figure([25.0, 400.0], lines, "noncentrality", "share, 95 % interval")
+
+
+def whereabouts() -> Figure:
+    names = samples.recording().targets[:2]
+    return floors.whereabouts(from_adjustment(samples.after()), names, [names])
+
+
+DRAWINGS = {
+    f.__name__: f
+    for f in (
+        shares_of_limits, budget_figure, by_factor, by_setting, check_figure, correlation_figure, coverage,
+        criteria_figure, displacement_figure, distributions, driver_curve, floor_plan, hidden_and_found,
+        history_figure, lines_figure, parameter_figure, reflector_changes, residuals_by_covariate,
+        residuals_by_station, sigma_figure, signature_figure, trade_off, values_figure, whereabouts,
+    )
+}  # fmt: skip
+
+
+def pixels(figure: Figure) -> np.ndarray:
+    stream_ = io.BytesIO()
+    figure.savefig(stream_, format="png", dpi=80)
+    stream_.seek(0)
+    return np.asarray(image.imread(stream_, format="png"))[:, :, :3]
+
+
+def test_every_figure_is_drawn_here() -> None:
+    modules = (estimates, floors, misfits, points, sweeps)
+    drawn = [one for module in modules for one in vars(module).values() if hasattr(one, "__wrapped__")]
+    assert {one.__name__ for one in drawn} <= set(DRAWINGS)
+
+
+@pytest.mark.parametrize("draw", DRAWINGS.values(), ids=DRAWINGS)
+def test_figure_shows_something_in_every_panel(draw: Callable[[], Figure]) -> None:
+    figure = draw()
+    picture = pixels(figure)
+    inked = (picture < 0.97).any(axis=2)
+    height, width = inked.shape
+    assert inked.mean() > 0.01
+    for ax in (a for a in figure.axes if a.axison):
+        box = ax.get_window_extent()
+        scale = 80 / figure.dpi
+        x0, x1 = int(box.x0 * scale), int(box.x1 * scale)
+        y0, y1 = int(height - box.y1 * scale), int(height - box.y0 * scale)
+        inside = inked[y0 + 3 : y1 - 3, x0 + 3 : x1 - 3]
+        assert inside.size > 100, f"{ax.get_title()} has no room"
+        assert inside.mean() > 0.002, f"{ax.get_title()} is empty"
+    border = np.concatenate([inked[0], inked[-1], inked[:, 0], inked[:, width - 1]])
+    assert not border.any(), "something is cut off at the edge"
+
+
+@pytest.mark.parametrize("draw", DRAWINGS.values(), ids=DRAWINGS)
+def test_figure_is_the_same_twice_and_holds_no_script(draw: Callable[[], Figure]) -> None:
+    first, second = style.svg(draw()), style.svg(draw())
+    assert first == second
+    assert "<b>" not in first
+    assert "<script" not in first
+    assert not DEFAULT & set(re.findall(r"#[0-9a-f]{6}", first))
+
+
+def many_correlations() -> Figure:
+    """Of a chain with more parameters than a picture has room for names."""
+    matrix = np.corrcoef(stream(4, "figure").standard_normal((70, 90)))
+    rows = [ParameterEntry(name=f"J{i % 3}.eX_cos{i}", value=0.0, unit="um") for i in range(70)]
+    return estimates.correlation_figure(rows, matrix)
+
+
+@pytest.mark.parametrize("draw", [*DRAWINGS.values(), many_correlations], ids=[*DRAWINGS, "many"])
+def test_words_stand_apart_and_inside(draw: Callable[[], Figure]) -> None:
+    """Titles, names of axes and of ticks neither run over each other nor over the edge of the picture."""
+    figure = draw()
+    figure.draw_without_rendering()
+    edge = figure.bbox.padded(1.0)
+    titles, ticks = [], []
+    for ax in (a for a in figure.axes if a.axison):
+        beside = [t.label1 for t in ax.yaxis.get_major_ticks() if t.label1.get_text()]
+        written = [t for t in ax.texts if t.get_text() and t.get_visible()]
+        over = [t.get_text() for t in written for b in beside if t.get_window_extent().overlaps(b.get_window_extent())]
+        assert not over, f"{over} in the names of the axis"
+        headings = [t for t in ax.get_children() if isinstance(t, Text) and t not in ax.texts]
+        titles += [t for t in (*headings, ax.xaxis.label, ax.yaxis.label) if t.get_text() and t.get_visible()]
+        for axis in (ax.xaxis, ax.yaxis):
+            low, high = sorted(axis.get_view_interval())
+            labels = [t.label1 for t in axis.get_major_ticks() if low <= t.get_loc() <= high and t.label1.get_visible()]
+            ticks.append([label for label in labels if label.get_text()])
+    for group in (titles, *ticks):
+        boxes = [(t.get_text(), t.get_window_extent()) for t in group if t.get_rotation() % 90 == 0]
+        for i, (text, box) in enumerate(boxes):
+            assert edge.x0 <= box.x0 and box.x1 <= edge.x1 and edge.y0 <= box.y0 and box.y1 <= edge.y1, text
+            over = [other for other, its in boxes[i + 1 :] if box.overlaps(its)]
+            assert not over, f"{text} runs over {over}"
+
+
+def test_axes_carry_units() -> None:
+    assert any("[µm]" in ax.get_ylabel() for ax in residuals_by_station().axes)
+    assert any("[°]" in ax.get_xlabel() for ax in residuals_by_covariate().axes)
+    assert all("[m]" in text for text in (floor_plan().axes[0].get_xlabel(), floor_plan().axes[0].get_ylabel()))
+
+
+def test_a_plan_lists_where_each_tripod_goes() -> None:
+    workshop = from_adjustment(samples.after())
+    words = [text.get_text() for text in floors.floor_plan(workshop, coordinates=True).legends[0].get_texts()]
+    x, y, z = workshop.position[1]
+    assert f"S2: {x:.3f}, {y:.3f}, {z:.3f} m, {np.degrees(workshop.yaw[1]) % 360:.0f}°" in words
+    others = len(floor_plan().legends[0].get_texts())
+    assert len(words) == 2 * max(others, 1 + len(workshop.stations))  # two columns: what is drawn, and the places
+    assert words[len(words) // 2] == "station: x, y, z, azimuth 0"
+
+
+def test_labels_lose_what_they_share() -> None:
+    assert distinct_labels(["tracker_20Sep", "tracker_22Sep"]) == ("20Sep", "22Sep")
+    assert distinct_labels(["one", "two"]) == ("one", "two")
+    assert distinct_labels(["same", "same"]) == ("same", "same")
+    assert distinct_labels(["a-b-", "a-b-1"]) == ("a-b-", "a-b-1")
+
+
+def test_drawing_changes_no_global_setting() -> None:
+    kept = dict(mpl.rcParams)
+    criteria_figure()
+    assert dict(mpl.rcParams) == kept
+
+
+def test_numbers_read_like_numbers() -> None:
+    assert typeset(with_sigma(-13.66, 3.7, "um")) == "−13.7 ± 3.7 µm"
+    assert typeset(with_sigma(-0.001, 0.9)) == "0.00 ± 0.90"
+    assert [typeset(number(v)) for v in (0.0, 1234.5, -0.25, float("nan"))] == ["0", "1234", "−0.250", "–"]
+    assert [typeset(fixed(v, 1)) for v in (-0.26, None)] == ["−0.3", "–"]
+
+
+def test_coverage_interval_is_wilsons() -> None:
+    row = Scores(0, "network", "a", 100, 0.0, 1.0, 0.95)
+    assert sweeps.interval(row) == pytest.approx((0.8882, 0.9785), abs=1e-4)  # Wilson 1927 for 95 of 100
+
+
+def test_coverage_is_red_exactly_where_its_caption_says() -> None:
+    z = stream(4, "figure").standard_normal((6, 1000)) * np.array([1.0, 1.2, 1.0, 0.7, 1.0, 1.03])[:, None]
+    rows = scores(z)
+    (drawn,) = (line for line in sweeps.coverage(rows).axes[0].lines if line.get_color() == style.RED)
+    assert sweeps.uncovered(rows) == [i in drawn.get_ydata() for i in range(6)] == [i in (1, 3) for i in range(6)]
+    words = coverage_words(rows)
+    assert words.endswith("Red, since that lies outside the allowed band of 93.5 to 96.5 %: parameter-1, parameter-3.")
+    assert "None is red" in coverage_words(rows[:1])
+
+
+def test_factors_with_words_and_designs_have_axes_that_read() -> None:
+    rows = [sweeps.Swept(x, "network", "", 1.0, 0.9, 1.1, 0.5, 1.5) for x in ("no", "yes")]
+    ax = sweeps.by_factor(rows, label="error [µm]", axis="corrected").axes[0]
+    assert [t.get_text() for t in ax.get_xticklabels()] == ["no", "yes"]
+    spread = [sweeps.Swept(x, "network", "noise", 1.0, 0.9, 1.1, 0.5, 1.5) for x in np.geomspace(0.1, 3, 20)]
+    ax = sweeps.by_factor(spread, label="error [µm]", axis="", joined=False).axes[0]
+    assert [t.get_text() for t in ax.get_xticklabels()] == ["0.1", "0.2", "0.5", "1", "2"]
+    assert ax.get_xlabel() == "noise"
+
+
+def test_panels_above_nothing_have_ticks_and_nothing_is_shaded_where_nothing_spreads() -> None:
+    rows = [sweeps.Swept(x, "network", panel, 1.0, 0.9, 1.1, 1.0, 1.0) for x in (1.0, 2.0) for panel in "abc"]
+    figure = sweeps.by_factor(rows, label="error [µm]", axis="noise")
+    figure.draw_without_rendering()
+    seen = [any(t.get_visible() and t.get_text() for t in ax.get_xticklabels()) for ax in figure.axes[:3]]
+    assert seen == [False, True, True]
+    assert sweeps.NINETY not in [t.get_text() for t in figure.legends[0].get_texts()]
+
+
+@pytest.mark.parametrize("turn", [0.0, np.pi / 4, 1.0, 5.0])
+def test_a_place_with_room_around_it_has_its_name_whichever_way_it_is_turned(turn: float) -> None:
+    figure = style.new_figure(3.0)
+    ax = figure.subplots()
+    ax.set(xlim=(-1, 1), ylim=(-1, 1))
+    place = np.zeros(2)
+    floors.place_labels(figure, ax, [floors.Label("S1", place, 9.0, away=turn)], place[None])
+    assert [text.get_text() for text in ax.texts] == ["S1"]
+
+
+def test_a_legend_of_long_names_of_stations_leaves_room_for_the_axes() -> None:
+    made = samples.recording()
+    names = {s: f"HALL-7.NORTH.TRIPOD.{s}" for s in made.stations}
+    setup = made.setup.model_copy(update={"stations": {names[k]: v for k, v in made.setup.stations.items()}})
+    figure = points.check_figure(check_of(made.replace(stations=tuple(names.values()), setup=setup)))
+    style.svg(figure)  # matplotlib warns where a layout leaves no axes
+    assert all(ax.get_position().width > 0.7 for ax in figure.axes)
+
+
+def lightness_and_hue(colour: str, sight: np.ndarray) -> np.ndarray:
+    """CIE Lab of a colour as an eye with a deficiency sees it."""
+    rgb = np.array(mpl.colors.to_rgb(colour))
+    linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
+    xyz = np.array([[0.4125, 0.3576, 0.1805], [0.2127, 0.7152, 0.0722], [0.0193, 0.1192, 0.9503]])
+    white = np.array([0.95047, 1.0, 1.08883])
+    f = np.cbrt(np.maximum(xyz @ np.clip(sight @ linear, 0, 1) / white, 0.008856))
+    return np.array([116 * f[1] - 16, 500 * (f[0] - f[1]), 200 * (f[1] - f[2])])
+
+
+SIGHTS = {
+    "full": np.eye(3),
+    "no red cones": [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]],
+    "no green cones": [
+        [0.367322, 0.860646, -0.227968],
+        [0.280085, 0.672501, 0.047413],
+        [-0.011820, 0.042940, 0.968881],
+    ],
+    "no blue cones": [
+        [1.255528, -0.076749, -0.178779],
+        [-0.078411, 0.930809, 0.147602],
+        [0.004733, 0.691367, 0.303900],
+    ],
+}
+"""Machado, Oliveira and Fernandes 2009, whole deficiency."""
+
+
+@pytest.mark.parametrize("sight", SIGHTS)
+def test_every_pair_of_colours_is_told_apart_by_every_eye(sight: str) -> None:
+    seen = {c: lightness_and_hue(c, np.array(SIGHTS[sight])) for c in style.CYCLE}
+    for one, other in itertools.combinations(style.CYCLE, 2):
+        assert np.linalg.norm(seen[one] - seen[other]) > 14, f"{one} and {other}"
+
+
+def test_no_figure_of_the_results_has_other_line_colours_than_the_common_ones(root: Path) -> None:
+    for file in [*root.glob("results/**/*.svg"), *root.glob("docs/**/*.svg")]:
+        assert not DEFAULT & set(re.findall(r"#[0-9a-f]{6}", file.read_text())), file

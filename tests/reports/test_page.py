@@ -1,0 +1,377 @@
+"""The page: the answer first, nothing from outside, names escaped, one sentence for broken input."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+from html.parser import HTMLParser
+from pathlib import Path
+from urllib.request import urlopen
+from xml.etree.ElementTree import fromstring
+
+import numpy as np
+import pytest
+
+from ltsim.adjustment.fieldcheck import check_file, write_check
+from ltsim.adjustment.fieldcheck.check import check
+from ltsim.calibration.files import write_calibration
+from ltsim.calibration.network import calibrate_network
+from ltsim.cli.main import run
+from ltsim.core.errors import LtsimError, RecordError
+from ltsim.recordings import write
+from ltsim.reports.document import Document
+from ltsim.reports.page import document, render
+from ltsim.reports.sections.network import targets_in_words
+from ltsim.reports.verbs import report
+from tests.reports import samples
+
+PLACES = ("diagnosis", ".")
+MARKUP = '<img src=x onerror="alert(1)">&amp;'
+
+
+class Reader(HTMLParser):
+    """Collects what a browser would load, and the text in order."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.loads: list[str] = []
+        self.tags: list[str] = []
+        self.handlers: list[str] = []
+        self.text: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+        for name, value in attrs:
+            if name in ("src", "href", "action", "data", "poster", "srcset"):
+                self.loads.append(value or "")
+            if name.startswith("on"):
+                self.handlers.append(name)
+
+    def handle_data(self, data: str) -> None:
+        self.text.append(data)
+
+
+def parsed(html: str) -> Reader:
+    reader = Reader()
+    reader.feed(html)
+    return reader
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    top = tmp_path_factory.mktemp("demo")
+    samples.calibration_folder(top)
+    shutil.rmtree(top / "recording")
+    samples.diagnosis_folder(top)
+    return top
+
+
+@pytest.fixture(scope="module")
+def contents(folder: Path) -> dict[str, Document]:
+    return {name: document(folder / name) for name in PLACES}
+
+
+@pytest.mark.parametrize("name", PLACES)
+def test_page_loads_nothing_from_outside(name: str, contents: dict[str, Document]) -> None:
+    reader = parsed(render(contents[name]))
+    assert reader.loads
+    assert [load for load in reader.loads if not load.startswith(("data:", "#"))] == []
+    assert reader.handlers == []
+    assert "img" in reader.tags
+
+
+def test_answer_stands_first(contents: dict[str, Document]) -> None:
+    content = contents["diagnosis"]
+    assert content.answer == "Station S3 leans by 12 +- 2 urad with a time constant of 9 +- 2 min after set-up."
+    text = " ".join(" ".join(parsed(render(content)).text).split())
+    printed = "Station S3 leans by 12 ± 2 µrad with a time constant of 9 ± 2 min after set-up."
+    assert text.index(printed) < text.index("station-settling")
+
+
+def test_calibration_says_what_changed(contents: dict[str, Document]) -> None:
+    content = next(s for s in contents["."].sections if s.kind.startswith("Calibration"))
+    assert "calibrated from 5 stations" in content.answer
+    assert "readings agree with the model" in content.answer
+    assert "% better than before" in content.answer
+    assert content.mood == "good"
+    titles = [block.title for block in content.blocks]
+    assert {"Instrument parameters", "Targets"} <= set(titles)
+    every = [block.title for section in contents["."].sections for block in section.blocks]
+    assert every.count("Residuals against what they might depend on") == 1  # in the diagnosis, which explains them
+
+
+def test_demo_tells_everything_once(contents: dict[str, Document]) -> None:
+    content = contents["."]
+    assert [section.kind for section in content.sections] == ["Diagnosis", "Calibration (network)", "Recording"]
+    scenes = [block for section in content.sections for block in section.blocks if block.kind == "scene"]
+    assert len(scenes) == 1  # one recording, one view
+    assert content.answer == "Station S3 leans by 12 +- 2 urad with a time constant of 9 +- 2 min after set-up."
+    assert content.title == "Diagnosis: test network"  # what it is, not the folder's name
+
+
+def test_a_recording_that_lies_in_two_folders_is_told_once(tmp_path: Path) -> None:
+    """As `ltsim convert` leaves one, and `ltsim diagnose` another beside its result."""
+    samples.calibration_folder(tmp_path)
+    shutil.copytree(tmp_path / "recording", tmp_path / "calibration" / "recording")
+    shutil.move(tmp_path / "recording", tmp_path / "converted")
+    blocks = [block for section in document(tmp_path).sections for block in section.blocks]
+    titles = [block.title for block in blocks]
+    assert titles.count("The workshop in 3D") == titles.count("Floor plan") == titles.count("Residuals by station") == 1
+    pictures = [block for block in blocks if block.kind == "picture"]
+    for picture in pictures:
+        assert not {'"', "\n"} & set(picture.uri)  # safe between quotation marks
+        with urlopen(picture.uri) as stream:
+            assert fromstring(stream.read()).tag.endswith("svg")
+
+
+def test_signature_shows_the_finding(contents: dict[str, Document]) -> None:
+    titles = [block.title for block in contents["diagnosis"].sections[0].blocks]
+    assert {"What finding 1 does", "Finding 1 in figures", "Fit before and after"} <= set(titles)
+
+
+def test_a_swap_is_shown_as_who_stands_for_whom_and_says_what_to_do(tmp_path: Path) -> None:
+    target = samples.diagnosis_folder(tmp_path)
+    shutil.copy(target / "residuals.csv", target / "residuals_before.csv")  # written with the names put right
+    told = json.loads((target / "diagnosis.json").read_text())
+    first, second = samples.recording().targets[:2]
+    where = {"observables": [], "stations": ["S3"], "targets": [first, second], "covariates": []}
+    told["findings"][0] |= {"effect": "target-swap", "where": where, "separate_by": ""}
+    (target / "diagnosis.json").write_text(json.dumps(told))
+    shown = document(target)
+    titles = [block.title for block in shown.sections[0].blocks]
+    assert "Where finding 1 is" in titles and "What finding 1 does" not in titles
+    assert shown.actions[0].startswith(f"Exchange the names {first}, {second} at S3")
+
+
+def test_report_of_a_folder_without_recording_still_tells(folder: Path, tmp_path: Path) -> None:
+    alone = shutil.copytree(folder / "calibration", tmp_path / "alone")
+    titles = [block.title for block in document(alone).sections[0].blocks]
+    assert {"Floor plan", "The workshop in 3D", "Residuals by station"} <= set(titles)
+
+
+@pytest.mark.parametrize(("p", "shown"), [(0.0, "< 1e-6"), (0.03, "0.06"), (None, "–")])
+def test_a_p_value_of_nothing_is_shown_as_small_and_none_as_a_dash(p: float | None, shown: str, tmp_path: Path) -> None:
+    target = samples.diagnosis_folder(tmp_path)
+    told = json.loads((target / "diagnosis.json").read_text())
+    told["global_test"]["p_value"] = p
+    (target / "diagnosis.json").write_text(json.dumps(told))
+    facts = {fact.name: fact.value for section in document(target).sections for fact in section.facts}
+    assert facts["global test, two-sided p"] == shown
+
+
+def test_names_are_escaped_everywhere(tmp_path: Path) -> None:
+    made = samples.recording()
+    setup = made.setup.model_copy(update={"title": MARKUP})
+    write(made.replace(setup=setup), tmp_path / "recording")
+    target = samples.diagnosis_folder(tmp_path / "other")
+    broken = json.loads((target / "diagnosis.json").read_text())
+    broken["summary"] = broken["findings"][0]["effect"] = broken["findings"][0]["separate_by"] = MARKUP
+    broken["findings"][0]["where"]["stations"] = [MARKUP]
+    (target / "diagnosis.json").write_text(json.dumps(broken))
+    for place in (tmp_path / "recording", target):
+        html = report(place).read_text()
+        reader = parsed(html)
+        assert reader.handlers == []
+        assert "x" not in reader.loads
+        assert "<img src=x" not in html
+        assert any(MARKUP.replace("&amp;", "&") in text or MARKUP in text for text in reader.text)
+
+
+def test_page_is_the_same_twice(folder: Path, contents: dict[str, Document]) -> None:
+    page = report(folder / "diagnosis")
+    assert page.read_text() == render(contents["diagnosis"])
+    page.unlink()
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "words"),
+    [
+        ("diagnosis.json", "{", "not JSON"),
+        ("diagnosis.json", '{"format": "ltsim-diagnosis/9"}', "ltsim-diagnosis/1"),
+        ("diagnosis.json", '{"format": "ltsim-diagnosis/1"}', "verdict"),
+        ("calibration.json", '{"format": "ltsim-calibration/1"}', "construction"),
+        ("calibration.json", "[1]", "no JSON object"),
+        ("observations.csv", "station,target\n", "observations.csv"),
+    ],
+)
+def test_broken_input_gets_a_sentence_and_no_page(name: str, text: str, words: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_text(text)
+    with pytest.raises(RecordError, match=words):
+        report(tmp_path)
+    assert sorted(p.name for p in tmp_path.iterdir()) == [name]
+
+
+def test_nothing_to_report_is_said(tmp_path: Path) -> None:
+    with pytest.raises(RecordError, match="nothing to report"):
+        report(tmp_path)
+    with pytest.raises(RecordError, match="no such folder"):
+        report(tmp_path / "missing")
+
+
+def test_campaign_tells_improvement_and_coverage(tmp_path: Path) -> None:
+    content = document(samples.campaign_folder(tmp_path / "campaign"))
+    assert content.answer.startswith(
+        "Over 60 trials in each of 2 settings of noise factor, calibration improves the distance"
+    )
+    titles = [block.title for block in content.sections[0].blocks]
+    assert {"Distance criterion, improvement", "How the trials ended", "z-scores of the parameters"} <= set(titles)
+    assert any(title.startswith("Coverage: network") for title in titles)
+    html = render(content)
+    assert "Seed 11." in html
+    assert parsed(html).handlers == []
+
+
+def test_a_sweep_reads_without_its_maker(tmp_path: Path) -> None:
+    """Short names with units, lines over a factor, where it is best, and the paper's figures in sentences."""
+    section = document(samples.sweep_folder(tmp_path / "sweep")).sections[0]
+    assert "in each of 27 settings of targets, angle noise and repeats," in section.answer
+    assert (
+        "Targets err least with" in section.answer
+        and "(targets 24, angle noise 0.2 arcsec, repeats 4)" in section.answer
+    )
+    pictures = {block.title: block for block in section.blocks if block.kind == "picture"}
+    words = pictures["Distance criterion, improvement"].caption
+    assert "The paper's 40.1 (dashed)" in words and "90 % of trials" in words
+    assert "Error of the targets" in pictures
+    tables = {block.title: block for block in section.blocks if block.kind == "table"}
+    varied = tables["What was varied"].rows
+    assert varied[1][:2] == ["angle noise [arcsec]", "0.2, 0.4, 0.8"]
+    assert varied[2][2:] == ["work.repeats", "How many rounds."]
+    ends = tables["How the trials ended"]
+    assert list(ends.header[:4]) == ["targets", "angle noise [arcsec]", "repeats", "method"]
+    assert len({tuple(row[:3]) for row in ends.rows}) == 27
+
+
+def test_damaged_campaign_is_refused(tmp_path: Path) -> None:
+    folder = samples.campaign_folder(tmp_path / "campaign")
+    shard = next(folder.glob("rows/*/*.parquet"))
+    shard.write_bytes(shard.read_bytes()[:200])
+    with pytest.raises(LtsimError, match="shard"):
+        report(folder)
+    assert not (folder / "report.html").exists()
+
+
+def test_plan_shows_where_the_tripod_goes(tmp_path: Path) -> None:
+    content = document(samples.plan_folder(tmp_path / "plan"))
+    blocks = {block.title: block for block in content.sections[0].blocks}
+    table = blocks["Where to put the tripod"]
+    assert table.kind == "table"
+    assert [row[0] for row in table.rows] == ["S1", "S2", "S3", "S4", "S5"]
+    wanted = {"Floor plan", "The workshop in 3D", "Cost against quality: instrument", "Why this plan"}
+    assert wanted <= set(blocks)
+    assert "Seed 5." in render(content)
+
+
+def test_history_says_whether_the_instrument_has_changed(tmp_path: Path) -> None:
+    content = document(samples.history_folder(tmp_path / "history"))
+    assert content.answer.startswith("Over 3 calibrations from jan to sep the instrument has changed since the first")
+    assert content.mood == "bad"
+    blocks = {block.title: block for block in content.sections[0].blocks}
+    assert {"Course of the parameters", "Parameters", "Has it changed?", "Fits of the calibrations"} == set(blocks)
+    changes = blocks["Has it changed?"]
+    assert changes.kind == "table"
+    assert [row[:2] for row in changes.rows] == [["jan", "may"], ["may", "sep"], ["jan", "sep"]]
+    assert changes.marked == {1, 2}
+    reader = parsed(render(content))
+    assert reader.handlers == []
+    assert any(load.startswith("data:image/svg") for load in reader.loads)
+
+
+def test_next_measurement_stands_first(tmp_path: Path) -> None:
+    content = document(samples.next_folder(tmp_path / "next"))
+    proposals = json.loads((tmp_path / "next" / "next.json").read_text())["proposals"]
+    assert content.answer.startswith(f"Measure next: {proposals[0]['do']} (")
+    table = next(block for block in content.sections[0].blocks if block.kind == "table")
+    assert [row[0] for row in table.rows] == [p["do"] for p in proposals]
+    assert all(f"{100 * (1 - p['sharper']):.0f} %" == row[2] for p, row in zip(proposals, table.rows, strict=True))
+
+
+def test_next_measurement_says_what_it_decides(tmp_path: Path) -> None:
+    content = document(samples.next_folder(tmp_path / "next", between=("range-step", "station-weather")))
+    best = json.loads((tmp_path / "next" / "next.json").read_text())["proposals"][0]
+    begin = best["do"] if best["tells_apart"] else "nothing that was tried tells range-step from station-weather"
+    assert content.answer.lower().startswith(begin.lower())
+    assert "What would decide" in [block.title for block in content.sections[0].blocks]
+
+
+def test_damaged_history_and_proposals_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "history.json").write_text('{"format": "ltsim-history/1", "calibrations": []}')
+    with pytest.raises(RecordError, match="since_first"):
+        report(tmp_path)
+    (tmp_path / "history.json").unlink()
+    (tmp_path / "next.json").write_text('{"format": "ltsim-next/1", "proposals": []}')
+    with pytest.raises(RecordError, match="proposals"):
+        report(tmp_path)
+    assert not (tmp_path / "report.html").exists()
+
+
+def test_calibration_says_what_was_left_out_and_which_noise_was_found(tmp_path: Path) -> None:
+    made = samples.recording()
+    readings = made.readings.copy()
+    readings[20, 0] += 3e-4
+    found = calibrate_network(made.with_readings(readings), advise=False, robust=True, noise_from_data=True)
+    write_calibration(found, tmp_path / "cal")
+    content = document(tmp_path / "cal")
+    assert "the noise was estimated from the same readings" in content.answer
+    assert "1 reading did not fit and were left out" not in content.answer
+    assert "1 reading did not fit and was left out" in content.answer
+    blocks = {block.title: block for block in content.sections[0].blocks}
+    noise, gone = blocks["Noise found from the readings"], blocks["Readings that do not belong"]
+    assert noise.kind == gone.kind == "table"
+    assert [row[0] for row in noise.rows] == ["distance", "azimuth", "elevation"]
+    assert [row[-1] for row in gone.rows] == ["yes"]
+    plain = calibrate_network(made.with_readings(readings), advise=False)
+    write_calibration(plain, tmp_path / "plain")
+    note = next(b for b in document(tmp_path / "plain").sections[0].blocks if b.title == "Which test to trust")
+    assert note.kind == "note"
+    assert note.text.startswith("Trust the ")
+
+
+def test_a_predicted_acceptance_test_is_not_called_kept(tmp_path: Path) -> None:
+    specification = {"format": "ltsim-acceptance/1", "standard": "asme-b89.4.19-2006", "instrument": "leica-at500"}
+    (tmp_path / "my.toml").write_text("\n".join(f'{key} = "{value}"' for key, value in specification.items()))
+    assert run(["accept", str(tmp_path / "my.toml"), "--out", str(tmp_path / "out"), "-q"]) == 0
+    shown = document(tmp_path / "out")
+    assert shown.verdict == "More likely than not all tests are passed." and "chance of" in shown.answer
+    assert dict(shown.about)["instrument"] == "Leica Absolute Tracker AT500"
+
+
+def test_a_check_has_its_tests_in_a_table(tmp_path: Path) -> None:
+    write_check(check(samples.recording()), tmp_path, {})
+    (section,) = document(tmp_path).sections
+    (table,) = (block for block in section.blocks if block.kind == "table")
+    assert list(table.header)[:3] == ["station", "test", "what was found"]
+    assert len(table.rows) == int(section.facts[0].value)
+    assert (
+        section.title.startswith("Check in the field: ") and section.answer.startswith("Go: ") and not section.actions
+    )
+    content = check_file(check(samples.recording()))
+    failed = content.items[0].model_copy(update={"passed": False, "kind": "network"})
+    content = content.model_copy(update={"passed": False, "items": (failed, *content.items[1:])})
+    (tmp_path / "check.json").write_text(content.text())
+    (section,) = document(tmp_path).sections
+    assert section.actions == [
+        "Find out why the stations disagree: ltsim diagnose names what is missing from the model."
+    ]
+
+
+def test_the_page_of_a_diagnosis_needs_no_3d(folder: Path, tmp_path: Path) -> None:
+    """It opens in a few seconds and takes 200 MB; what draws 3D takes 300 more."""
+    alone = shutil.copytree(folder / "diagnosis", tmp_path / "diagnosis")
+    write(samples.recording(), alone / "recording")
+    code = f"import sys, ltsim as lt; lt.report({str(alone)!r}); print('pyvista' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "False\n"
+    assert "Floor plan" in {block.title for section in document(alone).sections for block in section.blocks}
+
+
+def test_targets_without_a_height_are_told_in_plan() -> None:
+    known, open_ = [1e-6, 2e-6, 2e-6], [3e-3, 4e-3, np.nan]
+    assert targets_in_words(np.array([known, known])) == (
+        "A target is known to U = 6.0 um (k = 2) in space, the worst to 6.0 um."
+    )
+    said = targets_in_words(np.array([known, open_, open_]))
+    assert said == "A target is known to U = 10000 um (k = 2) in plan, the worst to 10000 um."
+    assert not targets_in_words(np.full((2, 3), np.nan))

@@ -1,0 +1,131 @@
+"""The 3D view: every part of the workshop is in it, sizes are stated, the page carries everything it needs."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from matplotlib import image
+
+from ltsim.reports import scene3d, workshop
+from ltsim.reports.document import POLICY
+from ltsim.reports.figures.floor_plan import floor_plan
+from ltsim.reports.scene_page import scene_page
+from ltsim.simulation.scenario import load_scenario
+from ltsim.simulation.sections import Obstacle
+from tests.reports import samples
+
+
+@pytest.fixture(scope="module")
+def scene() -> workshop.PlacedWorkshop:
+    return workshop.from_recording(samples.recording())
+
+
+def test_everything_stands_in_the_scene(scene: workshop.PlacedWorkshop) -> None:
+    plotter, legend = scene3d.build(scene)
+    names = set(plotter.actors)
+    expected = {"floor", "wall-0", "wall-1", "sights", "cone-0", "shadow-4", "targets", "gauge", "gauge-lengths"}
+    assert expected | {"tripods", "heads", "ellipsoids", "corrections", "rims-0", "rims-1"} <= names
+    assert legend.bar is not None
+    plotter.close()
+
+
+def test_cone_ends_on_its_shadow(scene: workshop.PlacedWorkshop) -> None:
+    plotter, _ = scene3d.build(scene)
+    bounds = plotter.actors["cone-0"].bounds
+    radius = scene.shadow_radius(scene.openings[0])[0]
+    assert bounds[1] - bounds[0] == pytest.approx(2 * radius, rel=1e-3)
+    assert bounds[4] == pytest.approx(0.0, abs=0.02)
+    assert bounds[5] == pytest.approx(scene.position[0, 2], abs=1e-3)
+    plotter.close()
+
+
+def test_ellipsoids_have_the_stated_magnification(scene: workshop.PlacedWorkshop) -> None:
+    assert scene.covariance is not None
+    one = replace(scene, targets=scene.targets[:1], points=scene.points[:1], covariance=scene.covariance[:1])
+    one = replace(one, nest_normal=one.nest_normal[:1], gauge=(), sights=None, correction=None)
+    plotter, legend = scene3d.build(one)
+    stated = next(line for line in legend.lines if "sigma" in line)
+    factor = float("".join(c for c in stated.split("enlarged")[1] if c.isdigit()))
+    bounds = np.array(plotter.actors["ellipsoids"].bounds)
+    half = 0.5 * (bounds[1::2] - bounds[::2])
+    sigma = np.sqrt(np.diag(scene.covariance[0]))
+    assert half == pytest.approx(factor * sigma, rel=0.05)
+    plotter.close()
+
+
+@pytest.mark.parametrize(
+    ("length", "shown", "factor"), [(1e-5, 0.3, 2e4), (3e-6, 0.3, 1e5), (1.0, 0.1, 1.0), (0.0, 1.0, 1.0)]
+)
+def test_magnification_is_round(length: float, shown: float, factor: float) -> None:
+    assert scene3d.round_magnification(length, shown) == pytest.approx(factor)
+
+
+def test_picture_is_drawn(scene: workshop.PlacedWorkshop) -> None:
+    pixels = np.asarray(image.imread(io.BytesIO(scene3d.picture(scene, window_size=(500, 400)))))
+    assert pixels.shape[:2] == (400, 500)
+    assert (pixels[:, :, :3] < 0.97).any(axis=2).mean() > 0.2
+    assert len(np.unique(pixels.reshape(-1, pixels.shape[2]), axis=0)) > 500
+
+
+def test_page_escapes_the_title_and_names_no_server(scene: workshop.PlacedWorkshop) -> None:
+    html = scene_page(replace(scene, title='<script>alert("x")</script>'))
+    assert "<script>alert" not in html
+    assert "&lt;script&gt;" in html
+    assert "kitware.github.io/vtk-js/icon" not in html
+    assert "enlarged" in html
+
+
+def test_page_has_the_policy_of_the_report(scene: workshop.PlacedWorkshop) -> None:
+    head = scene_page(scene).partition("</head>")[0]
+    assert f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">' in head
+
+
+def test_station_names_may_be_long_or_foreign(scene: workshop.PlacedWorkshop) -> None:
+    names = ("漢字", "a" * 60, "S 3", "é", "-")
+    html = scene_page(replace(scene, stations=names))
+    assert len(html) > 1e6
+
+
+def test_a_name_that_would_cover_another_is_left_out_and_that_is_said(scene: workshop.PlacedWorkshop) -> None:
+    places = scene.points.copy()
+    places[1] = places[0]
+    words = {}
+    for points in (scene.points, places):
+        plotter, legend = scene3d.build(replace(scene, points=points))
+        words[points is places] = next((line for line in legend.lines if line.startswith("names left out")), "")
+        plotter.close()
+    assert scene.targets[1] in words[True]
+    assert scene.targets[0] not in words[True]
+    assert scene.targets[1] not in words[False]
+
+
+def test_scenario_stands_as_planned() -> None:
+    scenario = load_scenario("paper-workshop")
+    shown = workshop.from_scenario(scenario)
+    assert shown.position[0] == pytest.approx(np.array(scenario.stations["S1"].position_mm) / 1e3)
+    assert shown.sights is not None
+    assert len(shown.sights.station) == 5 * 28
+    assert len(shown.gauge) == 6
+
+
+def test_obstacle_hides_and_is_drawn() -> None:
+    scenario = load_scenario("paper-workshop")
+    press = Obstacle(name="press", box_mm=(1200, 800, 2600), position_mm=(1500, 1500, 0))
+    room = scenario.workshop.model_copy(update={"obstacles": (press,)})
+    shown = workshop.from_scenario(scenario.model_copy(update={"workshop": room}))
+    assert shown.sights is not None
+    assert len(shown.sights.station) < 140
+    assert shown.notes
+    assert len(shown.hidden) == 140 - len(shown.sights.station)
+    drawn = floor_plan(shown)
+    assert any("slices are" in text.get_text() for text in drawn.legends[0].get_texts())
+    seen = [len(dots.get_offsets()) for dots in drawn.axes[0].collections if len(dots.get_paths()[0]) == 26]
+    _circles, *slices = seen
+    assert slices == np.bincount(shown.sights.station, minlength=5).tolist()
+    plotter, _ = scene3d.build(shown)
+    bounds = plotter.actors["obstacles"].bounds
+    assert bounds == pytest.approx((0.9, 2.1, 1.1, 1.9, 0.0, 2.6))
+    plotter.close()

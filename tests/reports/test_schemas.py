@@ -1,0 +1,159 @@
+"""One model a result file: what is written is what the models say, and wrong files get one sentence."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ltsim.adjustment import adjust
+from ltsim.calibration.calibration import residuals_table, targets_table
+from ltsim.calibration.files import read_targets
+from ltsim.core.errors import LtsimError, RecordError
+from ltsim.recordings import write
+from ltsim.recordings.result_file import digest_of, read_result
+from ltsim.recordings.setup import Setup
+from ltsim.reports.residuals import Residuals
+from ltsim.reports.schemas import RESULTS, main, schemas, tables
+from ltsim.reports.verbs import report
+from tests.reports import samples
+
+FOLDERS = {
+    "calibration.json": samples.calibration_folder,
+    "history.json": samples.history_folder,
+    "next.json": samples.next_folder,
+    "diagnosis.json": samples.diagnosis_folder,
+    "plan.json": samples.plan_folder,
+    "manifest.json": samples.campaign_folder,
+}
+
+
+@pytest.mark.parametrize("model", RESULTS, ids=lambda model: model.FILE)
+def test_every_format_is_said_once_and_has_a_schema(model: Any) -> None:
+    schema = schemas()[model.FILE]
+    assert schema["properties"]["format"]["const"] == model.model_fields["format"].default
+    assert schema["description"].startswith(f"`{model.FILE}`")
+
+
+@pytest.mark.parametrize("name", FOLDERS)
+def test_a_file_holds_nothing_that_its_model_does_not_say(name: str, tmp_path: Path) -> None:
+    FOLDERS[name](tmp_path / "made")
+    (file,) = (tmp_path / "made").rglob(name)
+    model = next(m for m in RESULTS if name == m.FILE)
+    written = json.loads(file.read_text())
+    assert read_result(file, model).content() == written
+    assert read_result(file.parent, model) == read_result(file, model)
+
+
+def test_schemas_are_written_for_the_documentation(tmp_path: Path) -> None:
+    main(tmp_path)
+    assert {p.name for p in tmp_path.iterdir()} == {f"{name}.schema.json" for name in schemas()} | {"tables.json"}
+    listed = json.loads((tmp_path / "tables.json").read_text())
+    assert listed == tables()
+    assert all(column["about"] for beside in listed.values() for table in beside for column in table["columns"])
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda c: c["covariance"][2].pop(), "the covariance is not a square of 16 x 16 numbers"),
+        (lambda c: c["covariance"].pop(), "the covariance is not a square of 16 x 16 numbers"),
+        (lambda c: c["covariance"][2].__setitem__(1, float("inf")), "the number Infinity, expected at most"),
+        (lambda c: c["fit"].update(chi2=float("nan")), "the number NaN, expected at most"),
+        (lambda c: c["stations"][0].update(position_mm=[1.0, 2.0]), "stations.0.position_mm"),
+        (lambda c: c["outliers"].append({"row": 1}), "outliers.0.station: Field required"),
+    ],
+)
+def test_a_damaged_calibration_gets_one_sentence(change: Any, words: str, tmp_path: Path) -> None:
+    file = samples.calibration_folder(tmp_path) / "calibration.json"
+    content = json.loads(file.read_text())
+    change(content)
+    file.write_text(json.dumps(content))
+    with pytest.raises(RecordError, match=words):
+        report(file.parent)
+    assert not (file.parent / "report.html").exists()
+
+
+@pytest.mark.parametrize("name", ["history.json", "manifest.json"])
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("1e999", "the number 1e999"),
+        ("Infinity", "the number Infinity"),
+        ("[]", "since_first|cells"),
+        ("7", "cells|sin"),
+    ],
+)
+def test_other_damaged_files_get_one_sentence(name: str, text: str, words: str, tmp_path: Path) -> None:
+    FOLDERS[name](tmp_path / "made")
+    file = tmp_path / "made" / name
+    content = json.loads(file.read_text())
+    key = "since_first" if name == "history.json" else "cells"
+    whole = json.dumps(content)
+    file.write_text(whole.replace(json.dumps(content[key]), text))
+    with pytest.raises(LtsimError, match=words) as caught:
+        report(file.parent)
+    assert "\n" not in str(caught.value)
+
+
+def test_ragged_history_gets_one_sentence(tmp_path: Path) -> None:
+    file = samples.history_folder(tmp_path / "made") / "history.json"
+    content = json.loads(file.read_text())
+    content["parameters"][3]["values"].pop()
+    file.write_text(json.dumps(content))
+    with pytest.raises(RecordError, match="has not one value and one sigma a calibration"):
+        report(file.parent)
+
+
+def test_tables_of_another_run_are_refused(tmp_path: Path) -> None:
+    """As after a kill between two renames: the table is of the new run, the JSON of the old one."""
+    folder = samples.calibration_folder(tmp_path)
+    (folder / "residuals.csv").write_text(residuals_table(samples.before()).csv())
+    with pytest.raises(RecordError, match=r"residuals\.csv: does not belong to the calibration\.json beside it"):
+        report(folder)
+    assert not (folder / "report.html").exists()
+
+
+def test_another_recording_is_refused(tmp_path: Path) -> None:
+    folder = samples.calibration_folder(tmp_path)
+    made = samples.recording()
+    moved = made.with_readings(made.readings + [[1e-5, 0.0, 0.0]])
+    write(moved, tmp_path / "other")
+    with pytest.raises(RecordError, match=f"the result of another recording .*{len(made)} pointings"):
+        report(folder, recording=tmp_path / "other")
+
+
+def test_a_recording_keeps_its_digest_through_a_file(tmp_path: Path) -> None:
+    from ltsim.recordings import read
+
+    made = samples.recording()
+    write(made, tmp_path / "copy")
+    assert digest_of(read(tmp_path / "copy")) == digest_of(made)
+    nudged = made.readings * (1 + 3e-16)
+    assert digest_of(made.with_readings(nudged)) == digest_of(made)
+    swapped = made.select(np.arange(len(made))[::-1])
+    assert digest_of(swapped) != digest_of(made)
+
+
+NAMES = ("=1+1", "+7", "-T1", "@x", "'=quoted", "a,b", 'say "x"', "plain")
+
+
+def test_names_that_a_spreadsheet_would_compute_are_text_and_come_back(tmp_path: Path) -> None:
+    points = np.arange(24.0).reshape(8, 3)
+    text = targets_table(NAMES, points, np.tile(1e-10 * np.eye(3), (8, 1, 1))).csv()
+    assert [line[0] for line in text.splitlines()[1:6]] == ["'"] * 5
+    (tmp_path / "targets.csv").write_text(text)
+    names, found, _ = read_targets(tmp_path / "targets.csv")
+    assert names == NAMES
+    assert np.allclose(found, points)
+
+
+def test_residuals_of_such_names_come_back(tmp_path: Path) -> None:
+    made = samples.recording()
+    names = (*NAMES, *made.targets[len(NAMES) :])
+    (tmp_path / "residuals.csv").write_text(residuals_table(adjust(made.replace(targets=names, setup=Setup()))).csv())
+    found = Residuals.read(tmp_path / "residuals.csv")
+    assert set(found.target.tolist()) == set(names)

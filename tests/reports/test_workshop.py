@@ -1,0 +1,103 @@
+"""The workshop that is drawn stands where the floor plan says."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ltsim.reports import workshop
+from tests.networks import STATIONS, YAWS, mesh
+from tests.reports import samples
+
+
+@pytest.fixture(scope="module")
+def scene() -> workshop.PlacedWorkshop:
+    return workshop.from_recording(samples.recording())
+
+
+def test_network_is_brought_to_the_floor_plan(scene: workshop.PlacedWorkshop) -> None:
+    assert scene.position == pytest.approx(STATIONS, abs=1e-3)
+    assert scene.points == pytest.approx(mesh(), abs=1e-3)
+    assert np.exp(1j * scene.yaw) == pytest.approx(np.exp(1j * YAWS), abs=1e-3)
+    assert scene.floor_height == 0.0
+
+
+def test_walls_stand_behind_the_nests(scene: workshop.PlacedWorkshop) -> None:
+    assert scene.walls.shape == (2, 4, 3)
+    assert scene.walls[0, :, 0] == pytest.approx(-0.05, abs=2e-3)
+    assert scene.walls[1, :, 1] == pytest.approx(-0.05, abs=2e-3)
+
+
+def test_walls_stand_behind_nests_that_are_aimed_at_the_stations() -> None:
+    from ltsim.simulation.scenario import load_scenario
+    from ltsim.simulation.simulator import simulate
+
+    walls = workshop.from_recording(simulate(load_scenario("paper-workshop"), 7)[0]).walls
+    assert walls.shape == (2, 4, 3)
+    for axis in range(2):
+        assert np.abs(walls[axis, :, axis]).max() < 0.1
+
+
+def test_shadow_is_a_cone_under_the_elevation_limit(scene: workshop.PlacedWorkshop) -> None:
+    narrow, wide = scene.openings
+    assert np.degrees([narrow, wide]) == pytest.approx([70.0, 110.0])
+    assert scene.shadow_radius(narrow)[0] == pytest.approx(1.9 * np.tan(np.radians(35.0)), rel=1e-3)
+    assert scene.shadow_radius(wide)[0] == pytest.approx(1.9 / np.tan(np.radians(35.0)), rel=1e-3)
+
+
+def test_incidence_is_measured_on_the_walls(scene: workshop.PlacedWorkshop) -> None:
+    sights = scene.coloured("incidence").sights
+    assert sights is not None
+    first = (sights.station == 0) & (sights.target == 0)
+    beam = STATIONS[0] - mesh()[0]
+    expected = np.degrees(np.arccos(beam[0] / np.linalg.norm(beam)))
+    assert sights.value[first] == pytest.approx(expected, abs=0.1)
+    assert sights.value.max() < 90.0
+
+
+def test_corrections_are_the_change_by_calibration(scene: workshop.PlacedWorkshop) -> None:
+    assert scene.correction is not None
+    change = samples.after().state.points - samples.before().state.points
+    assert np.linalg.norm(scene.correction, axis=1) == pytest.approx(np.linalg.norm(change, axis=1))
+
+
+def test_a_plan_whose_zero_lies_far_below_tells_no_floor() -> None:
+    made = samples.recording()
+    stations = {
+        name: one.model_copy(update={"position_mm": (*one.position_mm[:2], one.position_mm[2] + 360e3)})
+        for name, one in made.setup.stations.items()
+    }
+    scene = workshop.from_recording(made.replace(setup=made.setup.model_copy(update={"stations": stations})))
+    assert scene.floor_height == pytest.approx(scene.points[:, 2].min())
+    assert scene.floor_height > 359.0
+    assert scene.shadow_radius(scene.openings[0]).max() < 10.0
+
+
+def test_without_a_plan_the_floor_is_at_the_lowest_target() -> None:
+    made = samples.recording()
+    bare = made.replace(setup=made.setup.model_copy(update={"stations": {}}))
+    scene = workshop.from_recording(bare)
+    assert scene.floor_height == pytest.approx(scene.points[:, 2].min())
+    assert scene.notes
+    assert scene.walls.shape == (0, 4, 3)
+
+
+def test_gauge_lengths_join_the_gauge_targets(scene: workshop.PlacedWorkshop) -> None:
+    assert len(scene.gauge) == 6
+    assert scene.gauge_targets == (24, 25, 26, 27)
+
+
+def test_a_target_without_a_place_is_not_drawn() -> None:
+    recording = samples.recording()
+    recording = recording.select((recording.target != 5) | (recording.station == 0))
+    readings = recording.readings.copy()
+    readings[recording.target == 5, 1] = np.nan
+    shown = workshop.from_recording(recording.with_readings(readings))
+    assert "T06" not in shown.targets
+    assert len(shown.points) == len(recording.targets) - 1
+    assert shown.covariance is not None
+    assert np.isfinite(shown.covariance).all()
+    assert shown.sights is not None
+    names = [shown.targets[t] for t in shown.sights.target]
+    wanted = [recording.targets[t] for t in recording.target if recording.targets[t] != "T06"]
+    assert names == wanted
