@@ -280,6 +280,10 @@ class Fit:
         """What an omitted reference value (q,) misses the network by [m, rad]."""
         model = replace(self.problem.model, recording=self.network.recording)
         declared = NetworkProblem.of(model, use=self.problem.use)
+        if value.kind == "mark":
+            station = self.recording.stations.index(value.name)
+            over = declared.marks.on_marks(self.state.position, self.state.points)
+            return np.asarray(self.state.position[station] - over[station])
         every = (*known_values(declared, self.state), *common_scale(declared, self.state))
         return next(v.residual for v in every if (v.kind, v.name) == (value.kind, value.name))
 

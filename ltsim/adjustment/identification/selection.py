@@ -228,8 +228,13 @@ def refitted(fit: Fit, hypothesis: Hypothesis, promised: float) -> Fit | None:
 
 
 def _without_needless(fit: Fit, least: float, first: int) -> Fit:
-    """The fit without hypotheses, from the `first` to the last but one, that the last one leaves nothing to explain."""
-    for h in fit.hypotheses[first:-1]:
+    """The fit without hypotheses that the last one leaves nothing to explain.
+
+    Of the `first`, with which the fit began, only omitted reference values are tried: without the others is no network.
+    """
+    for i, h in enumerate(fit.hypotheses[:-1]):
+        if i < first and not isinstance(h.change, Omission):
+            continue
         rest = _less(fit, h) if h.competes(fit.hypotheses[-1]) else None
         if rest is not None and rest.log_evidence > fit.log_evidence - least:
             fit = rest
