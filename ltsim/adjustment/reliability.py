@@ -139,11 +139,8 @@ def noncentrality(dof: int = 1, *, level: float = SINGLE_LEVEL, hypotheses: int 
     ----------
     Baarda, A testing procedure for use in geodetic networks (1968); Teunissen, Testing theory (2006), chapter 4.
     """
-    from scipy.optimize import brentq
-    from scipy.stats import ncx2  # half a second to load, and most adjustments ask for no power
-
     limit = special.chdtri(dof, single_level(hypotheses, level))
-    return float(brentq(lambda size: ncx2.sf(limit, dof, size) - POWER, 1e-3, 200.0 + 2 * limit))
+    return float(special.chndtrinc(limit, dof, 1.0 - POWER))
 
 
 def surprise(drop: Floats | float, rank: Ints | int) -> Floats:

@@ -13,7 +13,7 @@ import typer
 import ltsim as lt
 from ltsim.cli import streams
 from ltsim.cli.examples import example_text
-from ltsim.cli.options import ReadingOptions, Source
+from ltsim.cli.options import ControlledReading, ReadingOptions, Source
 from ltsim.cli.terminal import ResultTerminal, Terminal
 from ltsim.core.errors import NetworkError, RecordError, SetupError
 from ltsim.core.notation import aligned
@@ -48,7 +48,7 @@ def check(
     mpe: MpeOption = None,
     watch: Watch = False,
     *,
-    reading: ReadingOptions,
+    reading: ControlledReading,
     terminal: ResultTerminal,
     **options: Any,
 ) -> int:

@@ -118,20 +118,31 @@ class ReadingOptions:
 
 
 @dataclass(frozen=True)
-class FramedReading(ReadingOptions):
-    """The same, with the axes of the results."""
+class ControlledReading(ReadingOptions):
+    """The same, with control points."""
 
-    frame: FrameFile = None
     control: ControlFile = None
 
     def of(self, path: Path, *, growing: bool = False) -> Recording:
-        """The recording, in the axes of `frame` or with the points of `control` if given; raises RecordError."""
-        found = super().of(path, growing=growing)
-        if self.control is not None:
-            from ltsim.adjustment.axes import with_control
+        """The recording, with the points of `control` if given; raises RecordError."""
+        recording = super().of(path, growing=growing)
+        if self.control is None:
+            return recording
+        from ltsim.adjustment.axes import with_control
 
-            found = with_control(found, self.control)
-        return found if self.frame is None else in_axes(found, self.frame)
+        return with_control(recording, self.control)
+
+
+@dataclass(frozen=True)
+class FramedReading(ControlledReading):
+    """The same, with the axes of the results."""
+
+    frame: FrameFile = None
+
+    def of(self, path: Path, *, growing: bool = False) -> Recording:
+        """The recording, in the axes of `frame` if given; raises RecordError."""
+        recording = super().of(path, growing=growing)
+        return recording if self.frame is None else in_axes(recording, self.frame)
 
 
 def command_of(name: str, verb: Callable[..., Any]) -> Callable[..., Any]:
