@@ -73,7 +73,7 @@ def _result_file(place: Path) -> Path | None:
 
 
 def _read_result(file: Path) -> Any:
-    """What a command wrote: a calibration or a truth whole, of others what their file says."""
+    """Result in a file of a command: a calibration or a truth as an object, of the others the content of the file."""
     from ltsim.calibration.files import read_calibration
     from ltsim.calibration.schema import CalibrationFile
     from ltsim.reports.schemas import RESULTS
@@ -130,7 +130,7 @@ def write(
 
 
 def _write_result(result: Truth | Calibration | Diagnosis | Plan, path: Path, recording: Recording | None) -> None:
-    """What is no recording; its room is loaded already, since the result came from it."""
+    """Writer of results other than recordings; the package is loaded already, since the result came from it."""
     from ltsim.calibration.calibration import Calibration
     from ltsim.calibration.files import write_calibration
     from ltsim.diagnosis.diagnosis import Diagnosis

@@ -106,7 +106,7 @@ def evaluate(
     reading: ReadingOptions,
     terminal: ResultTerminal,
 ) -> None:
-    """How far the stations disagree about distances and coordinates, before and after a calibration.
+    """Disagreement of the stations in distances and coordinates, before and after a calibration.
 
     Writes criteria.json to --out. Without a calibration there is no "after".
 

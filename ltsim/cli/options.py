@@ -97,7 +97,7 @@ def hints_of(pairs: list[str] | None, columns: str | None = None, *, growing: bo
 
 @dataclass(frozen=True)
 class ReadingOptions:
-    """How a recording is read whose content does not tell."""
+    """Options for reading a recording whose content does not identify its format."""
 
     format_name: FormatName = None
     hint: HintList = None
@@ -254,27 +254,27 @@ class Public:
 
     @property
     def choices(self) -> list[str]:
-        """What it can be, where the docstring lists that: {`mm`, `m`}."""
+        """Allowed values, where the docstring lists them: {`mm`, `m`}."""
         return re.findall(r"`([^`]+)`", self.of) if self.of.startswith("{") else []
 
     @property
     def flag(self) -> str:
-        """As it is written: `--noise-from-data`."""
+        """Flag of the command line: `--noise-from-data`."""
         return SPECIAL.get(self.name, "--set" if self.name == "changes" else "--" + self.name.replace("_", "-"))
 
     @property
     def several(self) -> bool:
-        """Whether it can be repeated; a list of names is written with commas."""
+        """True where the option can be repeated; a list of names is written with commas."""
         return self.name in PAIRS or "Effect" in self.kind or self.kind.startswith("Sequence")
 
     @property
     def names(self) -> bool:
-        """Whether it is a list of names with commas."""
+        """True where the value is a list of names with commas."""
         return not self.several and "Sequence[str]" in self.kind
 
     @property
     def parameter(self) -> inspect.Parameter:
-        """For Typer."""
+        """Parameter of the command for Typer."""
         words = [self.flag, *([SHORT[self.name]] if self.name in SHORT else [])]
         kind: Any = float if "float" in self.kind else int if "int" in self.kind else str
         metavar = PAIRS[self.name][0] if self.name in PAIRS else METAVARS.get(self.name)
@@ -297,7 +297,7 @@ class Public:
         return _option(self.name, Annotated[kind, option], default)
 
     def value(self, given: Any) -> Any:
-        """What the function is called with; raises SetupError for what cannot be read."""
+        """Argument of the function from the value on the command line; raises SetupError where that cannot be read."""
         if given is None or given == []:
             return self.default
         if self.name in BOUNDS:

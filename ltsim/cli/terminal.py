@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 File = TypeVar("File", bound="ResultFile")
 SILENCE = 10.0
-"""[s] after which a pipe is told that the work goes on."""
+"""[s] after which a pipe receives a sign that the work goes on."""
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
 
 
@@ -37,7 +37,7 @@ class Terminal:
 
     @property
     def silent(self) -> bool:
-        """Whether there is nobody to say a line to."""
+        """True where no line for a person is printed."""
         return self.quiet or self.as_json
 
     def say(self, text: str = "") -> None:
@@ -62,7 +62,7 @@ class Terminal:
             streams.write(text, sys.stderr)
 
     def notes(self, notes: Iterable[str]) -> None:
-        """What was decided where the input did not say, or what it lacks."""
+        """Notes on standard error: decisions of the reader where the input leaves a choice, and missing data."""
         for note in notes:
             self.note(f"note: {note}")
 
@@ -77,7 +77,7 @@ class Terminal:
         self.written(out)
 
     def written(self, out: Path | None) -> None:
-        """Where the results are, and how to look at them."""
+        """Line with the folder of the results and the command that shows them."""
         if out is not None:
             self.say(f"\nwritten to {out}; for a page with pictures: ltsim report {out}")
 

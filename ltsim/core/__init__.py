@@ -1,1 +1,1 @@
-"""What every package uses: errors, units, randomness, text, results, storage, limits, processes."""
+"""Foundations of every package: errors, units, randomness, text, results, storage, limits, processes."""

@@ -53,7 +53,7 @@ class SetupError(LtsimError):
 
 @contextmanager
 def as_setup_error(where: str = "") -> Iterator[None]:
-    """What is wrong is told as a set-up that cannot be: the same sentence of a file that a person wrote, or of a place.
+    """Context in which an error in a file that a person wrote, or in a place, becomes a SetupError with its sentence.
 
     `where` stands before it.
     """
@@ -98,7 +98,7 @@ SPECIAL = {"with_effects": "--with", "scaled": "--scale", "hints": "--hint", "ca
 
 @contextmanager
 def options_are_flags() -> Iterator[None]:
-    """What `option` gives is spelled for the command line."""
+    """Context in which `option` spells names as flags of the command line."""
     before, _SPELLED["flags"] = _SPELLED["flags"], True
     try:
         yield
@@ -125,7 +125,7 @@ def require(packages: Sequence[str], what: str, extra: str) -> None:
 
 
 def installed(package: str) -> bool:
-    """Whether a package can be imported."""
+    """True where a package can be imported."""
     try:
         return find_spec(package) is not None
     except ValueError:  # it was hidden from this process

@@ -1,4 +1,4 @@
-"""How a number is written: one rule for value and sigma, one for an expanded uncertainty, everywhere.
+"""Notation of numbers: one rule for value and sigma, one for an expanded uncertainty, everywhere.
 
 `a +- b` is always a value and **one standard deviation** (sigma, JCGM 100 standard uncertainty). What covers 95 % is
 written as an expanded uncertainty with its factor, `U = b (k = 2)`, or as an interval that says so. Pages turn `+-` and
@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from ltsim.core.errors import ModelError
 
 NONE = "-"
-"""What stands for a number that does not exist; never `nan`."""
+"""Placeholder for a number that does not exist; never `nan`."""
 MOST_DECIMALS = 12
 
 

@@ -161,7 +161,7 @@ class Table(Valued):
     """
 
     file: str
-    """Of the CSV file; without its ending the table's name."""
+    """Name of the CSV file; without its ending the table's name."""
     about: str
     columns: tuple[Column, ...]
     rows: tuple[tuple[Any, ...], ...] = ()
@@ -187,7 +187,7 @@ class Table(Valued):
 
     @property
     def name(self) -> str:
-        """What the table is called."""
+        """Name of the table."""
         return Path(self.file).stem
 
     @property
@@ -272,7 +272,7 @@ class Table(Valued):
 
     @property
     def meanings(self) -> dict[str, str]:
-        """What each column that a person reads holds, by its head; those that say nothing are left out."""
+        """Meanings of the columns that a person reads, by heading; columns without a meaning are left out."""
         return {column.heading: column.meaning for column in self._read if column.meaning}
 
     def cells(self) -> list[list[str]]:
@@ -306,7 +306,7 @@ class Table(Valued):
 
 
 class Result(Valued):
-    """What a verb gives: `_lines` and `_tables` are what each kind of result says; all else is here.
+    """Base class of the results of verbs: `_lines` and `_tables` are defined by each kind of result; all else is here.
 
     It is equal to another of its kind where all values are, arrays among them; it can be copied and pickled.
     """

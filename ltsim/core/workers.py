@@ -81,7 +81,7 @@ def _safe_path() -> Iterator[None]:
 
 @dataclass(frozen=True)
 class ProgressNotes:
-    """How far pieces of work are, each written by the process that does it."""
+    """Progress of pieces of work, each written by the process that does it."""
 
     path: Path
     """A file of shares."""

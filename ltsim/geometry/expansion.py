@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Expansion:
-    """How much longer a body is than at its reference temperature."""
+    """Thermal expansion of a body relative to its length at the reference temperature."""
 
     factor: float = 1.0
     """1 + a (T - T_0)."""
@@ -31,5 +31,5 @@ class Expansion:
         sigma_coefficient: float | None = None,
         sigma_kelvin: float | None = None,
     ) -> Expansion:
-        """Of a body `kelvin` above its reference temperature with `coefficient` [1/K]; no sigma means no error."""
+        """Expansion of a body `kelvin` above its reference temperature, with `coefficient` [1/K]; no sigma: exact."""
         return cls(1.0 + coefficient * kelvin, kelvin * (sigma_coefficient or 0.0), coefficient * (sigma_kelvin or 0.0))

@@ -39,7 +39,7 @@ def pose_design(by_target: Floats, arm: Floats) -> Floats:
 
 
 def holds_pose(points: Floats, seen: Bools, vertical: Floats | None = None, *, flat: float = ON_A_LINE) -> Bools:
-    """Whether (...) the targets that each station sees hold its six motions, as geometry alone decides.
+    """Flags (...): the targets that each station sees hold its six motions, as geometry alone decides.
 
     Three targets off one line do; a levelled station needs two that are not above one another.
 

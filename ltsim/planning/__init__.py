@@ -1,1 +1,1 @@
-"""Planning: what a layout of stations and reflectors would tell, before anybody carries an instrument."""
+"""Planning: precision and reliability of a layout of stations and reflectors, before anybody carries an instrument."""

@@ -1,4 +1,4 @@
-"""What a layout would tell, without any data: standard deviations, undetermined combinations, the paper's criteria.
+"""Expected precision of a layout, without data: standard deviations, undetermined combinations, the paper's criteria.
 
 The calibrator's own problem is linearised at the nominal state, a perfect instrument at the planned places; a
 covariance does not depend on readings.
@@ -36,7 +36,7 @@ class LayoutInformation:
 
     survey: Survey
     adjustment: Adjustment
-    """At the nominal state; everything that an adjustment knows of precision holds here too."""
+    """Adjustment at the nominal state; everything that an adjustment knows of precision holds here too."""
 
     @classmethod
     def of(cls, survey: Survey, construction: Construction | None = None) -> LayoutInformation:
@@ -179,7 +179,7 @@ class ExpectedErrors:
 
 @dataclass(frozen=True)
 class Predictor:
-    """What each group of errors, at its stated size, adds to the criteria."""
+    """Contribution of each group of errors, at its nominal size, to the paper's criteria."""
 
     groups: tuple[str, ...]
     """Noise, gauge lengths, instrument parameters by kind, and the effects that were left out."""
@@ -209,7 +209,7 @@ class Predictor:
         return cls(names, distance, coordinate)
 
     def expected(self, sizes: Mapping[str, Floats | float] | None = None) -> ExpectedErrors:
-        """The criteria when groups have `sizes` times their stated size (default 1), each (k,) or a number."""
+        """The criteria when groups have `sizes` times their nominal size (default 1), each (k,) or a number."""
         wanted = dict(sizes or {})
         for name in wanted:
             if name not in self.groups:

@@ -80,7 +80,7 @@ def _near(name: str, known: Sequence[str]) -> str:
 
 
 def _given(made: PlanFile, path: Path) -> dict[str, Any]:
-    """What the file leaves to others: the points of its list, and defaults that follow from other keys."""
+    """Values that the file leaves open: the points of its list, and defaults that follow from other keys."""
     points = read_points(path.parent / made.points) if isinstance(made.points, str) else made.points
     changes: dict[str, Any] = {"points": points}
     if made.workshop is not None and made.floor.height_mm is None:

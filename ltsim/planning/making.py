@@ -38,13 +38,13 @@ STOPPED = "the search was stopped before it had found a layout"
 
 @dataclass(frozen=True)
 class Follower:
-    """Whoever follows the making of a plan."""
+    """Callbacks for the progress of making a plan."""
 
     progress: Progress = quiet
     say: Callable[[str], None] = quiet
-    """Hears sentences: how long it may take, the best layout so far."""
+    """Callback for sentences: the expected duration, the best layout so far."""
     keep: Callable[[Survey], None] = quiet
-    """Is given the best layout so far."""
+    """Callback for the best layout so far."""
 
 
 def make_plan(file: PlanFile, scenario: Scenario, *, jobs: int = 1, follower: Follower | None = None) -> Plan:
@@ -95,7 +95,7 @@ class _Search:
         return ways(self.file, self.problem.scenario)
 
     def _gather(self, tasks: Sequence[SearchTask], share: Callable[[float], float]) -> Layouts:
-        """What searches found; who follows hears of the best so far."""
+        """Layouts of the searches; the follower receives the best so far."""
         goal = self.file.goal
 
         def keep(survey: Survey, value: float) -> None:
@@ -113,7 +113,7 @@ class _Search:
         return made
 
     def at_count(self) -> Option:
-        """The best for a stated number of stations, or what the hours pay for."""
+        """The best layout for a given number of stations, or for the working hours of the budget."""
         scenario = self.problem.scenario
         count, work = self.file.stations.count or len(scenario.stations), scenario.work
         site = site_of(self.file, scenario, stations=count, faces=work.faces)
@@ -185,7 +185,7 @@ class _Search:
         return min(judgements, key=lambda one: (one[0], one[1].hours))[1]
 
     def _nearest(self, found: list[tuple[float, int, Survey]], demands: Demands) -> list[tuple[float, int, Survey]]:
-        """Of the layouts of several starts the one that comes nearest to the tolerances."""
+        """The layout that comes nearest to the tolerances, of those of several starts."""
         if len(found) == 1:
             return found
         return [min(found, key=lambda one: (holds(one[2], demands, self.problem.built)[1], one[0], one[1]))]
@@ -306,7 +306,7 @@ def with_reachable_sights(file: PlanFile, site: Site) -> PlanFile:
 
 
 def check_in_sight(site: Site, file: PlanFile) -> Placement:
-    """Where stations may stand; SetupError, with their names, where points are in sight from nowhere."""
+    """Candidate places of stations; SetupError, with their names, where points are in sight from no place."""
     placement = site.placement(grid_step(site.areas, file.search.grid_mm), file.search.heights)
     if not placement.seen.any(axis=0).all():
         raise SetupError(site.out_of_sight(np.flatnonzero(~placement.seen.any(axis=0))))

@@ -1,4 +1,4 @@
-"""What a layout is good for, as one number: smaller is better.
+"""Objective of a layout: one number, smaller is better.
 
 The criteria are standard deviations of one covariance or of many at once, (..., p, p) in units of the prior sigmas, so
 that micrometres and microradians can be averaged; one means that the readings told nothing. The letters of the
@@ -60,15 +60,15 @@ class Objective:
     """A weighted geometric mean of up to three qualities."""
 
     weights: Mapping[str, float] = field(default_factory=lambda: {INSTRUMENT: 1.0})
-    """Of `instrument` (a criterion of the parameters, in prior sigmas), `targets` (root mean square point error [m])
-    and `diagnosis` (geometric mean of the minimal detectable sizes of effects over their plausible sizes).
+    """Weights of `instrument` (a criterion of the parameters, in prior sigmas), `targets` (root mean square point error
+    [m]) and `diagnosis` (geometric mean of the minimal detectable sizes of effects over their plausible sizes).
     """
     criterion: CriterionName = "D"
-    """Of the instrument parameters: "D", "A" or "E"."""
+    """Optimality criterion of the instrument parameters: "D", "A" or "E"."""
     effects: tuple[Effect, ...] = ()
-    """Those that a diagnosis should see."""
+    """Effects that a diagnosis should detect."""
     places: Mapping[str, int] = field(default_factory=dict)
-    """At how many places and with how many shapes a diagnosis looks for an effect; default those of `effects`."""
+    """Number of places and shapes that a diagnosis searches, by name of the effect; default the number in `effects`."""
 
     @property
     def wants_targets(self) -> bool:

@@ -1,4 +1,4 @@
-"""What a plan is, and everything that is known of a layout before anything is measured."""
+"""Planned networks: layouts with their expected precision, before anything is measured."""
 
 from dataclasses import dataclass, replace
 
@@ -59,7 +59,7 @@ class Evaluated(Valued):
 
 @dataclass(frozen=True)
 class Tried:
-    """What came of searches for a number of stations."""
+    """Outcome of the searches for one number of stations."""
 
     stations: int
     ratio: float | None
@@ -67,7 +67,7 @@ class Tried:
     found: bool
     """Some layout keeps points in sight."""
     lacking: str = ""
-    """Points that the nearest one has not, in words."""
+    """Points that the nearest layout does not see, in words."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -77,7 +77,7 @@ class PlannedNetwork(Valued):
     file: PlanFile
     scenario: Scenario
     site: Site
-    """Of the chosen way of working."""
+    """Site for the chosen way of working."""
     reference: Evaluated | None
     """The scenario's own layout, worked in the chosen way; None where it determines nothing."""
     chosen: Evaluated
@@ -86,17 +86,17 @@ class PlannedNetwork(Valued):
     demands: Demands
     """Tolerances of points."""
     kept: Kept | None = None
-    """How the chosen layout stands to them; None without any."""
+    """Chosen layout against the tolerances; None without any."""
     losses: tuple[Kept, ...] = ()
-    """How it stands to them without each station, then without each sight of such a point."""
+    """The layout against the tolerances without each station, then without each sight of a point with a tolerance."""
     options: tuple[Option, ...] = ()
     """The curve, cheapest first."""
     spread: tuple[float, ...] = ()
     """Values that the starts of the chosen way ended at, best first."""
     tried: tuple[Tried, ...] = ()
-    """What came of each number of stations, where the fewest were looked for."""
+    """Outcome for each number of stations, where the fewest are searched for."""
     stopped: bool = False
-    """Somebody ended the search."""
+    """True where somebody ended the search."""
 
     @property
     def verdict(self) -> PlanVerdict | None:

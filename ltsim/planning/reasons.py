@@ -56,7 +56,7 @@ def _tolerances(plan: PlannedNetwork) -> list[str]:
 
 
 def _numbers(plan: PlannedNetwork) -> list[str]:
-    """Which numbers of stations were searched, and what came of each."""
+    """Numbers of stations that were searched, with the outcome of each."""
     if not plan.tried:
         return []
     *fewer, last = plan.tried
@@ -76,7 +76,7 @@ def _numbers(plan: PlannedNetwork) -> list[str]:
 
 
 def _came_of(tried: Sequence[Tried], least: int) -> list[str]:
-    """What came of numbers of stations, those with the same outcome together."""
+    """Outcomes for numbers of stations, equal outcomes joined."""
 
     def words(one: Tried) -> str:
         if one.ratio is not None and np.isfinite(one.ratio):
@@ -93,7 +93,7 @@ def _came_of(tried: Sequence[Tried], least: int) -> list[str]:
 
 
 def _air(plan: PlannedNetwork) -> list[str]:
-    """What the figures hold of the air."""
+    """Uncertainty of the air that the figures include."""
     survey = plan.chosen.survey
     if survey.air is None:
         return []
@@ -145,7 +145,7 @@ def _parameters(reference: Evaluated, chosen: Evaluated) -> list[str]:
 
 
 def _what_each_station_does(plan: PlannedNetwork) -> list[str]:
-    """What is lost without a station, and which parameter it serves most."""
+    """Loss without each station, and the parameter that it serves most."""
     survey, now, qualities = plan.chosen.survey, plan.chosen.information, plan.chosen.qualities
     objective, found = Objective({INSTRUMENT: 1.0}, plan.file.goal.criterion), []
     for s, name in enumerate(survey.station_names):

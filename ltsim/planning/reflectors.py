@@ -122,7 +122,7 @@ class Movable:
     """(P, 3) [m]."""
     names: tuple[str, ...]
     own: int
-    """How many of them are reflectors' own."""
+    """Number of places that are the present ones of reflectors."""
     seen: Bools
     """(S, k + P): of the k targets that stay, then the places."""
     table: PlaceTable
@@ -221,11 +221,11 @@ def _exchange(table: PlaceTable, objective: Objective, places: Floats, chosen: I
 
 
 MATERIAL = 0.002
-"""Least improvement of the quality, relative, that a change is told for."""
+"""Least improvement of the quality, relative, from which on a change is reported."""
 NOTHING = 5e-4
 """Change of the quality, relative, that is none."""
 SHOWN = 3
-"""Changes of each sort that are told."""
+"""Number of changes of each sort that are reported."""
 
 What = Literal["move", "add", "remove"]
 SORTS: tuple[What, ...] = get_args(What)
@@ -240,13 +240,13 @@ class Changes:
     told: tuple[PlanChange, ...]
     """Moves and additions that help, the best first, then what can be left out at the least cost."""
     tried: dict[What, int]
-    """How many of each sort."""
+    """Number of changes tried, by sort."""
     helped: dict[What, int]
-    """How many of each made the quality better by more than `MATERIAL`."""
+    """Number of changes that improve the quality by more than `MATERIAL`, by sort."""
 
     @property
     def summary(self) -> str:
-        """What was tried, and how much of it helps, as a sentence."""
+        """Numbers of changes tried and of those that help, as a sentence."""
         if not self.tried["move"] + self.tried["add"]:
             return (
                 "No other place for a reflector was tried: give candidates as reflectors.on, reflectors.places or "
@@ -361,7 +361,7 @@ class _Trial:
 
 
 def _words(change: PlanChange) -> str:
-    """What to do and what it brings, as a sentence without a stop."""
+    """Change and its benefit, as a sentence without a full stop."""
     if abs(1 - change.quality) < NOTHING:
         return f"{change.deed}: makes no difference"
     better = f"{100 * abs(1 - change.quality):.1f} % {'better' if change.quality <= 1 else 'worse'}"

@@ -25,15 +25,15 @@ class PlanResult(ResultFile, LayoutEntry, Result):
 
     FILE: ClassVar[str] = "plan.json"
     format: Literal["ltsim-plan-result/1"] = "ltsim-plan-result/1"
-    """Which format and version this file is in."""
+    """Format and version of this file."""
     title: str = ""
     """Free text."""
     summary: str
-    """The answer in a sentence."""
+    """The plan in one sentence."""
     reasons: tuple[str, ...] = ()
-    """Why."""
+    """Reasons for the layout, a sentence each."""
     frame: str = ""
-    """Of all coordinates."""
+    """Coordinate system of all coordinates, in words."""
     reference: LayoutEntry | None = None
     """The scenario's own layout."""
     fewest_stations: OptionEntry | None = None
@@ -41,30 +41,30 @@ class PlanResult(ResultFile, LayoutEntry, Result):
     tradeoff: tuple[OptionEntry, ...] = ()
     """All ways of working that were tried, the cheapest first."""
     starts: tuple[Known, ...] = ()
-    """Value that each independent search found."""
+    """Value of the objective of each independent search, the best first; smaller is better."""
     reflector_changes: tuple[PlanChange, ...] = ()
-    """One reflector moved, added or left out, the best first."""
+    """Changes of one reflector that help, the best first, then reflectors that can be left out."""
     changes_tried: str = ""
-    """How many such changes were tried, and how many help."""
+    """Numbers of reflector changes tried and of those that help, as a sentence."""
     bodies: tuple[str, ...] = ()
-    """What stands in the hall: what its file was taken for, its size and its place."""
+    """Bodies in the hall, a sentence each: type of the file, size and place."""
     reached: bool | None = None
     """The goal is reached: no rule is broken and tolerances are kept, after any one loss too where that is asked for;
     null without any."""
     tolerances_kept: bool | None = None
     """All points keep their tolerances while nothing is lost; null without any."""
     losses: tuple[LossEntry, ...] = ()
-    """What remains of the tolerances without each station, and without each sight of such a point."""
+    """Tolerances after the loss of each station, and of each sight of a point with a tolerance."""
     settings: dict[str, Any] = Field(default_factory=dict)
-    """The plan file."""
+    """Content of the plan file."""
     seed: int | None = None
     """Root of the search."""
     detectable: tuple[DetectableSize, ...] = ()
-    """How small effects may be and still be found."""
+    """Minimal detectable sizes of effects."""
     alike: tuple[AlikeEntry, ...] = ()
-    """Pairs that it could not tell apart."""
+    """Pairs of effects that the layout cannot distinguish."""
     silent: tuple[str, ...] = ()
-    """Effects that leave no trace."""
+    """Effects that leave no trace in the residuals."""
 
     __repr__ = __str__ = Result.__repr__
 
@@ -139,14 +139,14 @@ class NextFile(ResultFile):
 
     FILE: ClassVar[str] = "next.json"
     format: Literal["ltsim-next/1"] = "ltsim-next/1"
-    """Which format and version this file is in."""
+    """Format and version of this file."""
     diagnosis: str = ""
-    """What the diagnosis said."""
+    """Result of the diagnosis, as a sentence."""
     between: tuple[str, ...] = ()
     """The explanations to decide between."""
     evidence_now: dict[str, Finite] = Field(default_factory=dict)
-    """Chi-square between them as it is."""
+    """Difference of chi-square between the first explanation and each other one, in the recording as it is."""
     advice: str = ""
-    """What to do first, in a sentence."""
+    """First action to take, as a sentence."""
     proposals: tuple[ProposalEntry, ...] = Field(min_length=1)
-    """The best first."""
+    """Proposals of further measurements, the best first."""

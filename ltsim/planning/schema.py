@@ -22,53 +22,53 @@ class StationEntry(Entry):
     """A place for a tripod."""
 
     name: str
-    """Its name."""
+    """Name of the station."""
     position_mm: Vector
     """Centre of the head, in the workshop's frame."""
     yaw_deg: Finite
     """Direction of azimuth zero, counter-clockwise from x."""
     sigma_position_um: tuple[Known, ...] = ()
-    """Expected, of each coordinate."""
+    """Expected standard deviation of x, y and z."""
     reflectors_seen: int = 0
-    """How many."""
+    """Number of reflectors that the station sees."""
 
 
 class ReflectorEntry(Entry):
-    """A reflector and how well it becomes known."""
+    """A reflector with its expected precision."""
 
     name: str
-    """Its name."""
+    """Name of the reflector."""
     position_mm: Vector
-    """Its place."""
+    """Centre of the reflector, in the workshop's frame."""
     sigma_um: Known
-    """Expected error of the point."""
+    """Expected standard deviation of the point: square root of the trace of its covariance."""
     u_um: tuple[Known, ...] = Field(default=(), alias="U_um")
     """Expanded uncertainty (k = 2) of x, y and z, datum the mean of all points."""
     stations_seeing: int = 0
-    """How many."""
+    """Number of stations that see the reflector."""
     seen_from: tuple[str, ...] = ()
-    """Which."""
+    """Names of the stations that see the reflector."""
     within_mm: Known = None
-    """Distance that its error keeps at the goal's level; of points with a tolerance."""
+    """Distance that the point error does not exceed at the confidence level of the goal; of points with a tolerance."""
     tolerance_mm: Known = None
-    """What it may be."""
+    """Tolerance of the point error."""
     used: Known = None
-    """The first over the second."""
+    """Point error over its tolerance: `within_mm` / `tolerance_mm`; 1 at the limit."""
     kept: bool | None = None
-    """The tolerance is kept; null without any."""
+    """True where the tolerance is kept; null without any."""
 
 
 class PlannedParameterEntry(Entry):
-    """How well an instrument parameter becomes known."""
+    """An instrument parameter with its expected precision."""
 
     name: str
-    """Its name."""
+    """Name of the parameter."""
     unit: str = ""
-    """Of both sigmas."""
+    """Unit of both standard deviations."""
     sigma: Finite
-    """Expected."""
+    """Expected standard deviation after calibration."""
     prior_sigma: Finite
-    """What is known before."""
+    """Standard deviation before any reading."""
     gain: Known = None
     """Share of the prior variance that the readings would remove."""
 
@@ -77,107 +77,107 @@ class ImprovementEntry(Entry):
     """One of the paper's criteria, expected."""
 
     before_um: Finite
-    """Mean."""
+    """Expected mean before calibration."""
     after_um: Finite
-    """Mean."""
+    """Expected mean after calibration."""
     improvement_percent: Finite
-    """Of the mean."""
+    """Reduction of the mean by the calibration."""
 
 
 class WorkEntry(Entry):
     """A way of working."""
 
     faces: int = 1
-    """One face or both."""
+    """Number of faces: 1 or 2."""
     repeats: int = 1
-    """How many rounds."""
+    """Number of rounds."""
     pointings: int = 0
-    """How many."""
+    """Number of pointings."""
     hours: Finite
-    """What the work takes."""
+    """Duration of the whole work [h]."""
     quality: Qualities = Field(default_factory=dict)
-    """Each that the goal weighs; smaller is better."""
+    """Qualities that the goal weighs, by name; smaller is better."""
 
 
 class LayoutEntry(WorkEntry):
-    """A layout with what is known of it before measuring."""
+    """A layout with its expected precision, before measuring."""
 
     broken_rules: tuple[str, ...] = ()
     """Rules of the plan that it breaks, a sentence each."""
     stations: tuple[StationEntry, ...]
-    """Where the tripods go."""
+    """Places of the tripods."""
     reflectors: tuple[ReflectorEntry, ...] = ()
-    """The mesh."""
+    """Reflectors of the mesh."""
     parameters: tuple[PlannedParameterEntry, ...] = ()
-    """Of the instrument."""
+    """Instrument parameters with their expected precision."""
     undetermined: tuple[Combination, ...] = ()
-    """What it would not tell."""
+    """Undetermined combinations of instrument parameters."""
     expected_improvement: dict[str, ImprovementEntry] | None = None
-    """By the paper's criteria."""
+    """Expected improvement, by the paper's criteria."""
     not_seen: tuple[str, ...] = ()
-    """Which station does not see which reflector, and why."""
+    """Sights that are not possible: station, reflector and reason, a sentence each."""
 
 
 class OptionEntry(WorkEntry):
-    """One way of working and the best layout found for it."""
+    """A way of working with the best layout found for it."""
 
     stations: int
-    """How many."""
+    """Number of stations."""
     value: Known = None
-    """Its quality as one number; smaller is better."""
+    """Objective of the layout; smaller is better."""
     efficient: bool = False
-    """Nothing cheaper is as good."""
+    """True where no cheaper way of working is as good."""
     layout: tuple[StationEntry, ...] = ()
-    """Where the tripods go."""
+    """Places of the tripods."""
 
 
 class DetectableSize(Entry):
-    """Smallest size of an effect that a layout would show, at its best and its worst place."""
+    """Minimal detectable size of an effect in a layout, at its best and its worst place."""
 
     effect: str
-    """Id of the catalogue."""
+    """Identifier of the effect in the catalogue."""
     parameter: str = ""
     """Name of the parameter."""
     unit: str = ""
-    """Of the sizes."""
+    """Unit of the sizes."""
     best: Known = None
-    """Smallest size found, at the best place or shape."""
+    """Minimal detectable size at the best place or shape."""
     typical: Known = None
-    """At the median one."""
+    """Minimal detectable size at the median place or shape."""
     worst: Known = None
-    """At the worst one."""
+    """Minimal detectable size at the worst place or shape."""
     worst_at: str = ""
-    """Which that is."""
+    """Worst place or shape: station, target or shape."""
     plausible: Finite = 0.0
-    """A bad but plausible size."""
+    """A large but plausible size of the effect."""
     visible: Known = None
-    """Median share of its signature that the adjustment leaves."""
+    """Median share of the effect's signature that remains in the residuals."""
 
 
 class AlikeEntry(Entry):
-    """Two effects that a layout can hardly tell apart; `share` of the first's trace is explained by the second."""
+    """Two effects that a layout can hardly distinguish; `share` of the first's signature is explained by the second."""
 
     effect: str
-    """Id of the catalogue."""
+    """Identifier of the effect in the catalogue."""
     taken_for: str
-    """The effect that explains it too."""
+    """Identifier of the effect that explains its signature too."""
     share: Finite
-    """Of the trace that is explained."""
+    """Share of the signature that the second effect explains; 1 for all of it."""
 
 
 class PlanChange(Entry):
     """One reflector moved, added or left out; `quality` is a factor on the plan's objective."""
 
     do: Literal["move", "add", "remove"]
-    """What is done."""
+    """Type of the change."""
     words: str = ""
-    """What to do and what it brings, for a person."""
+    """Change and its benefit, as a sentence."""
     reflector: str = ""
-    """Which is moved or left out."""
+    """Name of the reflector that is moved or left out."""
     place: str = ""
-    """Where it goes."""
+    """Name of the new place."""
     position_mm: Vector | None = None
-    """Of that place."""
+    """Coordinates of the new place."""
     gain_um: Finite
     """Fall of the point error of all other targets, root mean square, inner constraints; negative: it rises."""
     quality: Finite
@@ -186,11 +186,11 @@ class PlanChange(Entry):
     serves: str = ""
     """The parameter, or the target, that gains most, or loses most where a reflector is left out."""
     serves_factor: Finite = 1.0
-    """Factor on that one's standard deviation."""
+    """Factor on the standard deviation of that parameter or target; below 1: it falls."""
 
     @property
     def deed(self) -> str:
-        """What to do, with the place in metres."""
+        """Change in words, with the place in metres."""
         if self.position_mm is None:
             return f"leave out {self.reflector}"
         place = f"{self.place} ({', '.join(f'{v / 1000:.2f}' for v in self.position_mm)}) m"
@@ -198,42 +198,42 @@ class PlanChange(Entry):
 
 
 class LossEntry(Entry):
-    """What remains of the tolerances when a station or a sight is lost."""
+    """Tolerances after the loss of a station or a sight."""
 
     lost: str
-    """The station, or the sight, in words."""
+    """Lost station or sight, in words."""
     kept: bool
-    """All tolerances hold."""
+    """True where all tolerances hold after the loss."""
     ratio: Known = None
-    """Largest error over its tolerance; null where a point has no place any more."""
+    """Largest point error over its tolerance; null where a point is no longer determined."""
     worst: str = ""
     """The point with that ratio."""
     unseen: tuple[str, ...] = ()
-    """Points with a tolerance that nobody sees any more."""
+    """Points with a tolerance that no station sees any more."""
 
 
 class ProposalEntry(Entry):
     """One further measurement; factors are on standard deviations, `evidence` is chi-square between explanations."""
 
     do: str
-    """What to do, for a person."""
+    """Action in words."""
     kind: str = ""
-    """What sort of addition it is."""
+    """Kind of measurement: pointings, return, station, survey, length or reflectors."""
     minutes: Finite
-    """What it takes."""
+    """Duration of the work [min]."""
     sharper: Finite
-    """Factor on the standard deviations of the instrument's parameters."""
+    """Factor on the mean standard deviation of the instrument's parameters (geometric mean); below 1 is better."""
     serves: str = ""
     """The parameter that gains most."""
     serves_factor: Finite = 1.0
-    """Factor on that one's standard deviation."""
+    """Factor on the standard deviation of that parameter; below 1 is better."""
     evidence: dict[str, Finite] = Field(default_factory=dict)
-    """Expected chi-square against each other explanation."""
+    """Expected difference of chi-square between the first explanation and each other one, by name."""
     tells_apart: tuple[str, ...] = ()
-    """Explanations that it would tell apart."""
+    """Explanations that the measurement would distinguish from the first."""
     decides: bool = False
-    """It tells all of them apart."""
+    """True where it would distinguish all of them from the first."""
     position_mm: Vector | None = None
-    """Of a further station."""
+    """Position of the head at a new set-up, in the workshop's frame; null for other measurements."""
     yaw_deg: Known = None
-    """Of a further station."""
+    """Direction of azimuth zero at a new set-up; null for other measurements."""

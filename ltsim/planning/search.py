@@ -24,7 +24,7 @@ CHUNK = 64
 SWEEPS = 12
 TRIES = 12
 PACE = 0.985
-"""What a step leaves of the way to the end, for somebody who watches: how many steps it takes is not known before."""
+"""Factor on the remaining share of the progress bar for each step; the number of steps is not known before."""
 FINEST = 0.004
 """[m] of the last moves off the grid."""
 
@@ -56,7 +56,7 @@ class LayoutSearcher:
     tell: Callable[[float], None] = quiet
     """Hears the share of a start that is done."""
     keep: Callable[[PlannedLayout], None] = quiet
-    """Is given each better layout."""
+    """Callback for each better layout."""
 
     def __post_init__(self) -> None:
         self.reducer = Reducer(self.site.survey, self.construction, self.objective.effects)
@@ -92,7 +92,7 @@ class LayoutSearcher:
 
     @cached_property
     def placement(self) -> Placement:
-        """Where stations may stand on the grid, and what is in sight from there."""
+        """Candidate places of stations on the grid, with the targets in sight from each."""
         return self.site.placement(self.step, self.heights)
 
     def _nowhere(self) -> str:
@@ -231,7 +231,7 @@ class LayoutSearcher:
         )
 
     def _bound(self, layout: StationBlocks) -> StationBlocks:
-        """A layout that falls apart with stations exchanged for those that bind most of them, until it holds."""
+        """A layout with stations exchanged for those that connect most of the network, until it is determined."""
         for slot in self._free * 2:
             table = self.table(slot)
             position, seen = _with_each(layout, slot, table)

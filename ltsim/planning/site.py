@@ -1,4 +1,4 @@
-"""Where stations may stand and reflectors may sit: floor, heights, obstacles, sight, spacing."""
+"""Candidate places of stations and reflectors: floor, heights, obstacles, sight, spacing."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ MOST_NAMED = 8
 DRAWS = 24
 """Places that are looked at for a station of a random placement."""
 NODES = 3000
-"""Of the branch-and-bound tree; a few are enough in the halls that were tried."""
+"""Limit on the nodes of the branch-and-bound tree; a few are enough in the halls that were tried."""
 TIE = 1e-4
-"""Random costs of places beside a missing sight: another answer for each draw."""
+"""Random costs of places, small against that of a missing sight: another answer for each draw."""
 
 
 @dataclass(frozen=True)
@@ -38,13 +38,13 @@ class Site(Valued):
     survey: Survey
     """The layout to start from: targets, gauge, noise, order of work."""
     areas: tuple[Area, ...]
-    """Where tripods may stand: in one of them."""
+    """Allowed areas of tripods; each stands in one of them."""
     limits: SightLimits
     aimed: Bools
     """(T,): targets in fixed nests, which are aimed anew for every layout and must serve all its stations."""
     obstacles: Obstacles | None = None
     keep_outs: tuple[KeepOut, ...] = ()
-    """Where none may stand, whatever the areas say."""
+    """Areas forbidden for tripods, even inside `areas`."""
     spacing: float = 1.0
     """[m]: least distance between stations."""
     play: float = 0.0
@@ -185,7 +185,7 @@ class Site(Valued):
 
 @dataclass(frozen=True)
 class Placement:
-    """Places for stations, beside those that stand already."""
+    """Candidate places of stations, with those that stand already."""
 
     position: Floats
     """(N, 3) [m]: where a station may stand."""
@@ -215,7 +215,7 @@ class Placement:
         return np.asarray(np.maximum(wanted - self.counted - self.seen[chosen].sum(axis=0), 0))
 
     def _best(self, others: list[int], wanted: int, rng: np.random.Generator | None) -> int:
-        """The place that brings most beside others, further sights a little; -1 where none may stand."""
+        """The place that adds most to the others, further sights counted a little; -1 where none is allowed."""
         count = len(self.position)
         rows = np.arange(count) if rng is None else rng.integers(count, size=min(DRAWS, count))
         had = self.counted + self.seen[others].sum(axis=0)

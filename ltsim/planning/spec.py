@@ -12,7 +12,7 @@ from ltsim.scene.floor import Floor
 from ltsim.simulation.sections import ScenarioInstrument, Smr, Work, Workshop
 
 WALLS = "walls"
-"""Names the walls of the room among the bodies that can hold nests."""
+"""Name of the walls of the room among the bodies that can hold nests."""
 Few = Annotated[int, Field(ge=2, le=40)]
 
 
@@ -23,29 +23,29 @@ class Point(TomlSection):
     """
 
     name: str
-    """Its name."""
+    """Name of the point."""
     x_mm: Finite
-    """Place in the hall's axes."""
+    """x coordinate in the hall's axes."""
     y_mm: Finite
-    """As x_mm."""
+    """y coordinate in the hall's axes."""
     z_mm: Finite
-    """As x_mm."""
+    """z coordinate in the hall's axes."""
     group: str = ""
-    """Points that a tolerance names together."""
+    """Group of the point, by which a tolerance names it."""
     weight: NonNegative = 1.0
-    """How much its squared error counts among those of the others."""
+    """Weight of the squared point error in the quality of the targets."""
     tolerance_mm: Positive | None = None
-    """Largest error that it may have, at the goal's level."""
+    """Largest allowed point error, at the confidence level of the goal."""
 
 
 class Stations(TomlSection):
-    """How many stations; `tries` are the numbers of the trade-off curve, `fixed` ones stay where they are.
+    """Number of stations; `tries` are the numbers of the trade-off curve, `fixed` ones stay where they are.
 
     Every sight holds when an instrument stands up to `play_mm` off its place: nobody sets up to the millimetre.
     """
 
     count: Few | None = None
-    """How many; the scenario's number where it is not given."""
+    """Number of stations; the scenario's number where it is not given."""
     most: Few = 8
     """The largest number that is tried for the goal's tolerances, where no count is given."""
     tries: tuple[Few, ...] = ()
@@ -55,13 +55,13 @@ class Stations(TomlSection):
     spacing_mm: NonNegative = 1000.0
     """Smallest distance between two stations, seen from above."""
     play_mm: NonNegative = 50.0
-    """How far off its place an instrument may stand without losing a sight."""
+    """Largest distance of an instrument from its place at which every sight must still be free."""
     seen_from: Literal["all"] | Annotated[int, Field(ge=1, le=40)] = "all"
-    """How many stations must see each reflector; without it all of them, or as many as some layout allows."""
+    """Least number of stations that see each reflector; without it all of them, or as many as some layout allows."""
 
 
 class Surface(TomlSection):
-    """A flat surface with candidate places in rows and columns: origin, its two sides, how many along each."""
+    """A flat surface with candidate places in rows and columns: origin, its two sides, numbers along each."""
 
     name: str
     """Places are called NAME-ROW-COLUMN."""
@@ -81,9 +81,9 @@ class CandidatePlace(TomlSection):
     """One candidate place."""
 
     name: str
-    """Of the reflector that goes there."""
+    """Name of the reflector that goes there."""
     position_mm: Vector
-    """The place."""
+    """Coordinates of the place."""
 
 
 class Reflectors(TomlSection):
@@ -101,7 +101,7 @@ class Reflectors(TomlSection):
     """Height of a reflector's centre over such a surface."""
     movable: tuple[str, ...] = ()
     """Points of the list, or groups of them, that may go elsewhere: the search leaves them where they are, and what a
-    move of each would bring is told."""
+    move of each would bring is reported."""
     keep: tuple[str, ...] = ()
     """Reflectors of the scenario that stay; the points of a list do in any case."""
     spacing_mm: NonNegative = 300.0
@@ -109,7 +109,7 @@ class Reflectors(TomlSection):
 
 
 class Budget(TomlSection):
-    """What the work may cost and which settings of it are tried; times default to the scenario's."""
+    """Cost of the work, and the settings of it that are tried; times default to the scenario's."""
 
     faces: Annotated[tuple[Literal[1, 2], ...], Field(min_length=1)] | None = None
     """To choose from, with `hours` or with tolerances to keep: one face, both, or both ways tried (the default)."""
@@ -120,33 +120,33 @@ class Budget(TomlSection):
     minutes_per_move: NonNegative | None = None
     """Time to carry the instrument to the next station."""
     hours: Positive | None = None
-    """What the whole work may take; without it, and without tolerances to keep, the scenario's way of working stays."""
+    """Longest duration of the whole work [h]; without it and tolerances, the scenario's way of working stays."""
 
 
 class PointTolerance(TomlSection):
     """A demand on points: all of a group within a distance, at the level of the goal."""
 
     group: str = ""
-    """As the list of points names it; without it all points of the list."""
+    """Group in the list of points; without it all points of the list."""
     within_mm: Positive
-    """Largest distance of a point from where it truly is, in the datum of all reflectors."""
+    """Largest distance of a point from its true place, in the datum of all reflectors."""
 
 
 class Goal(TomlSection):
-    """What a layout is for: weights of its qualities (0: of no interest), and tolerances that points must keep.
+    """Goal of a layout: weights of its qualities (0: of no interest), and tolerances that points must keep.
 
     With tolerances and no number of stations, the fewest stations that keep them are looked for. With a list of points
     the targets are weighed alone unless the file says otherwise.
     """
 
     instrument: NonNegative = 1.0
-    """Weight of how well the instrument's parameters become known."""
+    """Weight of the precision of the instrument's parameters."""
     targets: NonNegative = 0.0
     """Weight of the reflectors' point errors."""
     diagnosis: NonNegative = 0.0
-    """Weight of how small an effect of `effects` can be seen."""
+    """Weight of the minimal detectable sizes of `effects`."""
     criterion: Literal["D", "A", "E"] = "D"
-    """Of the instrument's parameters. D: geometric mean; A: root mean square; E: the worst combination."""
+    """Criterion of the instrument's parameters. D: geometric mean; A: root mean square; E: the worst combination."""
     effects: tuple[str, ...] = (
         "station-weather",
         "range-step",
@@ -155,7 +155,7 @@ class Goal(TomlSection):
         "bearing-wobble",
         "mesh-expansion",
     )
-    """What a diagnosis should see."""
+    """Effects that a diagnosis should detect."""
     tolerances: tuple[PointTolerance, ...] = ()
     """Tables `[[goal.tolerances]]`; one of a point's own, in the list of points, goes before them."""
     level_pct: Annotated[float, Field(ge=50, le=99.9)] = 95.0
@@ -171,7 +171,7 @@ class Goal(TomlSection):
 
 
 class Search(TomlSection):
-    """How hard to look."""
+    """Extent of the search."""
 
     starts: Annotated[int, Field(ge=1, le=1000)] = 4
     """Independent searches for the plan itself."""
@@ -192,13 +192,13 @@ class PlanFile(TomlSection):
     """The whole file."""
 
     format: Literal["ltsim-plan/1"] = "ltsim-plan/1"
-    """Which format and version this file is in."""
+    """Format and version of this file."""
     title: str = ""
     """Free text."""
     scenario: str = "paper-workshop"
-    """A built-in scenario, or a file beside this one; not with a `[workshop]` of the plan's own."""
+    """A built-in scenario, or a file in the same folder; not with a `[workshop]` of the plan itself."""
     points: str | tuple[Point, ...] = ()
-    """Points to measure: the name of a CSV file beside this one, or tables `[[points]]`."""
+    """Points to measure: the name of a CSV file in the same folder, or tables `[[points]]`."""
     workshop: Workshop | None = None
     """The hall, in place of a scenario, as in a scenario file; heads stand at 1400 to 1800 mm unless
     the floor says so."""
@@ -209,19 +209,19 @@ class PlanFile(TomlSection):
     work: Work | None = None
     """Order and clock of the work there, as in a scenario file; points as listed unless it says so."""
     air: Air = Air()
-    """What is not known of the air, where ranges are long: in every figure of the plan."""
+    """Uncertainty of the air, where ranges are long: included in every figure of the plan."""
     floor: Floor = Floor()
-    """Where tripods may stand."""
+    """Allowed and forbidden areas of tripods."""
     stations: Stations = Stations()
-    """How many, and what they must keep."""
+    """Number of stations, and the rules that they must keep."""
     reflectors: Reflectors = Reflectors()
     """Candidate places of reflectors."""
     budget: Budget = Budget()
-    """What it may cost."""
+    """Limits on the cost of the work."""
     goal: Goal = Goal()
-    """What a layout is for."""
+    """Goal of the layout: weights of qualities, tolerances of points."""
     search: Search = Search()
-    """How hard to look."""
+    """Extent of the search."""
 
     def with_seen_from(self, least: int) -> PlanFile:
         """The file that asks for `least` stations in sight of each reflector."""

@@ -53,7 +53,7 @@ class SearchTask:
 
 @dataclass(frozen=True)
 class PlanningProblem:
-    """What is searched: a plan file with its scenario."""
+    """Search problem: a plan file with its scenario."""
 
     file: PlanFile
     scenario: Scenario
@@ -92,7 +92,7 @@ def gathered(
     stopped, told, last = False, np.inf, -np.inf
 
     def best_so_far(notes: ProgressNotes) -> dict[int, Found]:
-        """Of each search that goes on, as its process noted it."""
+        """Best layout of each running search, from the notes of its process."""
         rows = {number: np.load(path) for number in range(len(tasks)) if (path := _note(notes, number)).is_file()}
         return {
             k: (float(row[0, 0]), _moved(problem.site(tasks[k]), row[1:, :3], row[1:, 3])) for k, row in rows.items()
@@ -176,7 +176,7 @@ def _moved(site: Site, position: Floats, yaw: Floats) -> Survey:
 
 
 def expected_seconds(problem: PlanningProblem, tasks: Sequence[SearchTask]) -> float:
-    """How long searches will take, one after the other, from a sample of what they do."""
+    """Expected duration [s] of searches, one after the other, from timing a sample of their steps."""
     ways = Counter((task.stations, task.faces) for task in tasks)
     return sum(count * _seconds_of_one(problem, SearchTask(*way, 0)) for way, count in ways.items())
 

@@ -25,7 +25,7 @@ class Survey:
     """Upright stations, targets, and the pointings between them."""
 
     setup: Setup
-    """Noise, priors, gauge, nests: what a recording of this survey would state."""
+    """Noise, priors, gauge, nests: the declarations of a recording of this survey."""
     station_names: tuple[str, ...]
     target_names: tuple[str, ...]
     position: Floats
@@ -48,12 +48,12 @@ class Survey:
     face_by_face: bool = True
     """All targets on one face, then on the other; else both faces of each target at once."""
     observables: tuple[str, ...] = OBSERVABLES
-    """What is recorded of each pointing: everything, or the distance alone."""
+    """Observables of each pointing: range and both angles, or the distance alone."""
     importance: Mapping[str, float] = field(default_factory=dict)
     """Weight of targets by name in the root mean square of point errors; one where not named."""
 
     air: Air | None = None
-    """What is not known of the air; none where ranges are short."""
+    """Uncertainty of the air; none where ranges are short."""
 
     def __post_init__(self) -> None:
         stations, targets = len(self.station_names), len(self.target_names)
@@ -66,7 +66,7 @@ class Survey:
             raise SetupError(f"faces are {list(self.faces)}, expected [1], [2] or [1, 2]")
 
     def noise(self, sightings: Sightings) -> Floats:
-        """Stated standard deviations (n, 3) [m, rad, rad] of the readings, the air's apart."""
+        """Nominal standard deviations (n, 3) [m, rad, rad] of the readings, without that of the air."""
         stated = [self.setup.instrument.noise]
         return noise_sigma(stated, sightings.instrument, sightings.range_, sightings.elevation)
 
@@ -82,7 +82,7 @@ class Survey:
 
     @property
     def words(self) -> str:
-        """What is to be done and how long it takes, in a line."""
+        """Extent and duration of the work, in a line."""
         faces = "both faces" if len(self.faces) == 2 else f"face {self.faces[0]}"
         rounds = "once" if self.repeats == 1 else f"{self.repeats} times"
         return (

@@ -1,4 +1,4 @@
-"""Tolerances of points: how far each may be off, whether a layout keeps that, what remains after a loss."""
+"""Tolerances of points: limits of their errors, layouts that keep them, and those that remain after a loss."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ LOOSE = 10.0
 LEAST_WEIGHT = 1e-6
 MOST_NAMED = 5
 SIGHT = "the sight"
-"""How the name of a lost sight begins."""
+"""First words of the name of a lost sight."""
 APART = "the network falls apart"
-"""What is left of one that no longer determines its points."""
+"""Description of a network that no longer determines its points."""
 
 
 def keeps(ratio: float) -> bool:
@@ -46,7 +46,7 @@ def percent(ratio: float) -> str:
 
 @dataclass(frozen=True)
 class Demands:
-    """What is asked of points."""
+    """Tolerances that points must keep."""
 
     tolerance: Mapping[str, float]
     """[m]: by point."""
@@ -57,7 +57,7 @@ class Demands:
 
     @classmethod
     def of(cls, file: PlanFile) -> Demands:
-        """Those of a plan file: a point's own tolerance, else the tightest that names its group or all."""
+        """Demands of a plan file: a point's own tolerance, else the tightest that names its group or all."""
         found = {}
         for point in file.listed:
             named = [t.within_mm for t in file.goal.tolerances if t.group in ("", point.group)]
@@ -96,10 +96,10 @@ def radius(covariance: Floats, level: float) -> Floats:
 
 @dataclass(frozen=True)
 class Kept:
-    """How a layout stands to the demands."""
+    """A layout against its demands."""
 
     lost: str
-    """What is lost; empty for the whole layout."""
+    """Lost station or sight; empty for the whole layout."""
     tolerance: Mapping[str, float]
     """[m]: by point."""
     radius: Mapping[str, float]
@@ -145,7 +145,7 @@ class Kept:
 
     @property
     def remains(self) -> str:
-        """What remains of the tolerances."""
+        """Tolerances that remain, in words."""
         if self.good:
             return f"all tolerances hold; {self.worst_words} comes nearest"
         verb, named = "is" if len(self.unseen) == 1 else "are", listing(self.unseen, MOST_NAMED)
@@ -165,7 +165,7 @@ class Kept:
 
 
 def judged(survey: Survey, demands: Demands, built: Construction, lost: str = "") -> Kept:
-    """How a survey stands to the demands; points that nobody sees are left out of the network and named."""
+    """Survey against its demands; points that no station sees are left out of the network and named."""
     seen: Bools = np.asarray(survey.seen.any(axis=0))
     unseen = tuple(n for n, s in zip(survey.target_names, seen, strict=True) if not s and n in demands.tolerance)
     try:
@@ -183,7 +183,7 @@ def judged(survey: Survey, demands: Demands, built: Construction, lost: str = ""
 
 
 def after_losses(survey: Survey, demands: Demands, built: Construction, kind: str) -> Iterator[Kept]:
-    """How the survey stands without each station in turn (`station`), or each sight of a point (`sight`)."""
+    """Survey against its demands without each station in turn (`station`), or each sight of a point (`sight`)."""
     if kind == "station":
         for s, name in enumerate(survey.station_names):
             yield judged(survey.without(s), demands, built, name)
@@ -198,19 +198,19 @@ def after_losses(survey: Survey, demands: Demands, built: Construction, kind: st
 
 
 def every_loss(survey: Survey, demands: Demands, built: Construction) -> tuple[Kept, ...]:
-    """How the survey stands without each station, then without each sight of a point with a tolerance."""
+    """Survey against its demands without each station, then without each sight of a point with a tolerance."""
     kinds = ("station", "sight") if demands else ()
     return tuple(kept for kind in kinds for kept in after_losses(survey, demands, built, kind))
 
 
 def losses_of(survey: Survey, demands: Demands, built: Construction) -> list[Kept]:
-    """How the survey stands without each station, and without each sight where that is asked for: of a verdict."""
+    """Survey without each station, and without each sight where the demands are robust to that: input of a verdict."""
     kinds = ("station", "sight") if demands.robust == "sight" else ("station",)
     return [loss for kind in kinds for loss in after_losses(survey, demands, built, kind)]
 
 
 def holds(survey: Survey, demands: Demands, built: Construction) -> tuple[bool, float]:
-    """Whether a survey keeps its demands, after any one loss too where they ask so; and the largest ratio."""
+    """True where a survey keeps its demands, after any one loss too where they ask so; and the largest ratio."""
     own = judged(survey, demands, built)
     if not own.good or demands.robust == "no":
         return own.good, own.ratio
@@ -244,7 +244,7 @@ def verdict(demands: Demands, kept: Kept, losses: Sequence[Kept], broken: Sequen
 
 
 def sentences(losses: Sequence[Kept]) -> list[str]:
-    """What remains when a station or a sight is lost."""
+    """Sentences on the tolerances that remain when a station or a sight is lost."""
     found = [f"Without {loss.lost} {loss.remains}." for loss in losses if not loss.of_sight]
     sights = [loss for loss in losses if loss.of_sight]
     broken = sorted((loss for loss in sights if not loss.good), key=lambda loss: -loss.ratio)

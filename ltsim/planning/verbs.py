@@ -1,4 +1,4 @@
-"""Where to put the tripod, what if it cannot stand there, and what to measure next."""
+"""Layouts of stations: the search, alternatives to a station that cannot stand there, the next measurement."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -87,10 +87,10 @@ class Alternative:
     """A place for a station, all others as they are; or the layout without it."""
 
     words: str
-    """What it is."""
+    """Place of the station, in words."""
     survey: Survey
     verdict: str
-    """What it is worth."""
+    """Verdict on the layout, as a sentence."""
     worth: float
     """Largest error over its tolerance, after the losses that matter too; without tolerances the largest sigma [m]."""
     good: bool
@@ -100,7 +100,7 @@ class Alternative:
 
 
 def without_station(source: str | Path, station: str) -> tuple[Alternative, ...]:
-    """What a layout is worth without a station, then with it at the best other places, all others as they are.
+    """Alternatives to a station: the layout without it, then with it at the best other places, all others as they are.
 
     Parameters
     ----------

@@ -20,7 +20,7 @@ TAPE = 15.0
 MOST_MARKS = 16
 """Marks of a station that are looked at."""
 STRAIGHT = 0.1
-"""What a distance straight to a reflector must gain in it over one along the floor."""
+"""Least gain in firmness of a distance straight to a reflector over one along the floor."""
 READ, PLAY, CLEAR = 0.01, 0.03, 0.1
 """[m] to which a tape is read, by how much three may leave the place open, and must miss every other place."""
 NEAR = 0.3
@@ -28,7 +28,7 @@ NEAR = 0.3
 ANKLE = 0.1
 """[m] above the floor at which the tape must have a free way."""
 BORED = 0.03
-"""What a metre more of tape must gain in the firmness of three distances."""
+"""Least gain in firmness of three distances for one more metre of tape."""
 TRUST = 3.0
 """Sigmas beyond which a repeated point is taken to have moved."""
 COMMON = 3
@@ -62,15 +62,15 @@ class Setting:
     tapes: tuple[Tape, ...]
     """Three, which meet in one point unless `lacking` says otherwise."""
     lacking: str
-    """What the tapes lack to fix the place; empty where they do."""
+    """Deficiency of the tapes in fixing the place, as a sentence; empty where they fix it."""
     towards: str
-    """Where azimuth zero looks, in words."""
+    """Direction of azimuth zero, in words."""
     order: tuple[str, ...]
     """Targets in the order of their first pointing."""
     again: dict[str, float]
     """[m]: targets to measure again at the end, and how far they may be off then."""
     minutes: float
-    """Of pointing."""
+    """Duration of the pointings [min]."""
 
 
 def settings_of(plan: PlannedNetwork) -> tuple[Setting, ...]:
@@ -106,7 +106,7 @@ def settings_of(plan: PlannedNetwork) -> tuple[Setting, ...]:
 
 
 def _marks(plan: PlannedNetwork, place: Floats, seen: Bools) -> list[Tape]:
-    """What a station can be taped to: in reach of a tape first, then along the floor, then the nearest.
+    """Marks that a station can be taped to: in reach of a tape first, then along the floor, then the nearest.
 
     Along the floor: points that can be plumbed and corners of the room, if the way is free; else straight to any
     other reflector in sight.
@@ -145,7 +145,7 @@ def firmness(three: Sequence[Tape], place: Floats) -> float:
 
 
 def lacking(tapes: Sequence[Tape], place: Floats) -> str:
-    """What distances, read within `READ`, lack to give the place and no other one, as a sentence; empty for nothing."""
+    """Deficiency of distances, read within `READ`, in giving one place and no other, as a sentence; empty for none."""
     if len(tapes) < 3:
         return "Fewer than three points can be taped to: mark its place by another way."
     if (firm := firmness(tapes, place)) * PLAY < READ:
@@ -164,7 +164,7 @@ def lacking(tapes: Sequence[Tape], place: Floats) -> str:
 
 
 def _towards(plan: PlannedNetwork, place: Floats, yaw: float, seen: Bools) -> str:
-    """Where azimuth zero looks: the target in sight that is nearest to it, and how far beside."""
+    """Direction of azimuth zero: the target in sight that is nearest to it, and the angle between them."""
     survey = plan.chosen.survey
     way = survey.points[seen] - place
     off = np.angle(np.exp(1j * (np.arctan2(way[:, 1], way[:, 0]) - yaw)))
@@ -175,7 +175,7 @@ def _towards(plan: PlannedNetwork, place: Floats, yaw: float, seen: Bools) -> st
 
 
 def checks(plan: PlannedNetwork) -> list[str]:
-    """What to check and when, in the order of the work."""
+    """Checks in the order of the work, a sentence each."""
     survey, file = plan.chosen.survey, plan.file
     found = [
         f"Before the first pointing: the tracker is warm, its own checks are passed, the air has the planned "

@@ -204,7 +204,7 @@ def _kept(plan: PlanFile, scenario: Scenario, names: Sequence[str], listed: Sequ
 
 
 def objective_of(plan: PlanFile, survey: Survey) -> Objective:
-    """What the plan asks of a layout; an effect of one station is looked for at each of them."""
+    """Objective of the plan; an effect of one station is looked for at each of them."""
     goal = plan.goal
     weights = {INSTRUMENT: goal.instrument, TARGETS: goal.targets, DIAGNOSIS: goal.diagnosis}
     effects: list[Effect] = []
