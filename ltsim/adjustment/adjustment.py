@@ -73,7 +73,7 @@ class Adjustment(Result):
     wrong: tuple[KnownTest, ...] = ()
     """Known values that contradict the rest: they were left out, and `recording` states them no more."""
     axes: tuple[KnownTest, ...] = ()
-    """How the coordinates fit that only give axes; those left out of the datum too."""
+    """Tests of the coordinates that only define the axes, including those excluded from the datum."""
     copies: int = 0
     """Rows that repeat others to the last digit: their readings are not counted again."""
     causes: tuple[str, ...] = ()
@@ -206,7 +206,7 @@ class Adjustment(Result):
 
     @cached_property
     def projection(self) -> Projection:
-        """What the adjustment leaves of any errors of its rows (readings, known lengths, priors, datum)."""
+        """Projector of errors of the rows (readings, known lengths, priors, datum) onto the residual space."""
         return projection_of(self.solution.system, self.solution.factor)
 
     @cached_property
@@ -236,7 +236,7 @@ class Adjustment(Result):
 
     @cached_property
     def known(self) -> tuple[KnownTest, ...]:
-        """What the rest says about each known value; those left out first."""
+        """Tests of the known values, each against the rest of the network; those left out come first."""
         return (*self.wrong, *known_tests(self.problem, self.solution), *self.axes)
 
     @property

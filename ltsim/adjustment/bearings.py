@@ -1,4 +1,4 @@
-"""What beams say of places where no distance does: the point in which they meet, and the plan that they make up."""
+"""Places determined by directions without distances: the point where beams intersect, and the plan that they form."""
 
 from dataclasses import dataclass
 

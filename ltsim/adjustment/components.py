@@ -33,7 +33,7 @@ class Component:
     sigma: float
     """One standard deviation of `factor`; infinite where it could not be estimated."""
     redundancy: float
-    """Of the group's readings together."""
+    """Sum of the redundancy numbers of the group's readings."""
 
 
 def estimated_components(

@@ -158,9 +158,9 @@ class InnerDatum:
 
 
 def _growth(problem: NetworkProblem) -> Callable[[Floats], Floats]:
-    """What a change of scale does to places (k, 3) from the centre, as (3 k, 1), or (3 k, 0) where the scale is told.
+    """Displacements of places by a unit change of scale, as a function of their arms (k, 3) from the centre.
 
-    Of a network in plan the heights stay.
+    Their shape is (3 k, 1), or (3 k, 0) where the scale is determined. The heights of a network in plan do not change.
     """
     axes = np.array([1.0, 1.0, float(problem.use[:, 2].any())])
     return lambda arm: np.tile((arm * axes).reshape(-1, 1), (1, len(problem.structure.scale)))

@@ -1,4 +1,4 @@
-"""What makes an adjusted network no result, and what in it is in doubt: said before any figure."""
+"""Conditions under which an adjusted network is no result, and doubts about parts of it, reported before any figure."""
 
 from collections.abc import Iterator
 
@@ -46,7 +46,7 @@ SLIPS = (
     *(slip for slip in UNIT_SLIPS if slip.name in ("gon", "metre", "inch", "clockwise", "zenith")),
     Slip("degree", "degrees", "gon", ((1, 1.0 / GON, 0.0), (2, 1.0 / GON, 0.0))),
 )
-"""What a whole file may be read as by mistake; none that shrinks lengths, for then any network seems to fit."""
+"""Mistakes of unit or convention in a whole file; none that shrinks lengths, for then any network seems to fit."""
 
 
 def require_result(adjustment: Adjustment) -> None:

@@ -33,7 +33,7 @@ ROWS = 12
 MOST_STARTS = 400
 ROUND = np.arange(8) * np.pi / 4
 GUESSES = np.geomspace(0.3, 300.0, 12), ROUND, np.array([-1.0, -0.3, 0.3, 1.0])
-"""Where a point is sought along what was not read of it: range [m], azimuth, elevation [rad]."""
+"""Search grids for the coordinates of a point that were not read: range [m], azimuth, elevation [rad]."""
 LEAST_RANGES = 10
 
 Evaluate = Callable[[Floats, Floats], tuple[Floats, Floats]]
@@ -181,7 +181,7 @@ def _choose(better: Bools, new: Floats, old: Floats) -> Floats:
 
 
 def _places(points: Floats) -> Floats:
-    """Where a station may stand: among the points and around them."""
+    """Candidate positions of a station: among the points and around them."""
     centre = points.mean(axis=0)
     reach = max(float(np.linalg.norm(points - centre, axis=1).max()), 1.0)
     across = reach * np.stack([np.cos(ROUND), np.sin(ROUND), np.zeros(len(ROUND))], axis=1)

@@ -1,4 +1,4 @@
-"""What a network is put together from: the frame that levels and known points define, and what stations measured whole.
+"""Frame of a network from levels and known points, and list of the points that each station measured completely.
 
 A tunnel of 2,000 set-ups that see 50 targets each has 100,000 pairs of a station and a target: a list, for the table
 would have 100 million places.
@@ -30,7 +30,7 @@ NOWHERE = (np.nan, np.nan, np.nan)
 
 @dataclass(frozen=True)
 class Frame:
-    """What is known of the network's frame beforehand; NaN where nothing is stated."""
+    """Prior knowledge of the network's frame; NaN where nothing is declared."""
 
     points: Floats
     """(T, 3) [m]: targets that define it: known ones, and approximate ones that were chosen for the datum."""
@@ -216,7 +216,7 @@ def _metres(places: list[tuple[float, ...]]) -> Floats:
 
 
 def _thickness(points: Floats) -> float:
-    """How far points (k, 3) reach from their plane [m], root mean square."""
+    """Root-mean-square distance [m] of points (k, 3) from their best-fit plane."""
     return float(np.linalg.svd(points - points.mean(axis=0), compute_uv=False)[2] / np.sqrt(len(points)))
 
 
@@ -227,7 +227,7 @@ def on_a_line(points: Floats) -> bool:
 
 
 def misses(source: Floats, goal: Floats, motion: tuple[Floats, Floats]) -> Floats:
-    """How far (k,) [m] points (k, 3) end from their goals after a motion: rotation, then translation."""
+    """Distances (k,) [m] of points (k, 3) from their goals after a motion: rotation, then translation."""
     return np.asarray(np.linalg.norm(source @ motion[0].T + motion[1] - goal, axis=1))
 
 

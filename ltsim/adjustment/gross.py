@@ -49,7 +49,7 @@ class GrossFinding:
     """Displacement [m], or the reading's error for an outlier."""
     sentence: str
     sigma: float = 0.0
-    """Of the size, where the network tells it [m]."""
+    """Standard deviation of the size [m], where the network determines it; else 0."""
 
 
 Mend = tuple[GrossFinding, Floats, Ints]
@@ -109,7 +109,7 @@ def _placed(adjustment: Adjustment, readings: Floats, rows: Ints) -> Floats:
 
 
 def _misses(adjustment: Adjustment, readings: Floats, rows: Ints) -> Floats:
-    """How far (k,) [m] such points lie from their targets."""
+    """Distances (k,) [m] from the targets of the points that these readings (k, 3) give."""
     goal = adjustment.state.points[adjustment.recording.target[rows]]
     return np.asarray(np.linalg.norm(_placed(adjustment, readings, rows) - goal, axis=1))
 
@@ -239,7 +239,7 @@ def mend_stations(recording: Recording) -> tuple[Recording, list[GrossFinding]]:
 
 
 def _mirrored_pair(recording: Recording) -> list[GrossFinding]:
-    """Of two stations that see each other's targets in a mirror nobody can tell which has its azimuths clockwise."""
+    """Finding for two stations whose networks are mirror images: either of them may have its azimuths clockwise."""
     readings = recording.readings.copy()
     rows = np.flatnonzero(recording.station == 1)
     readings[rows, 1] *= -1.0

@@ -41,10 +41,10 @@ WORDS: dict[Kind, str] = {
     "scale": "the scale of",
 }
 UNITS = {"level": ("arcsec", ARCSECOND), "yaw": ("arcsec", ARCSECOND), "scale": ("ppm", 1e-6)}
-"""Of an error; millimetres where nothing is said."""
+"""Units of errors by kind of known value, and their sizes in SI units; millimetres for all other kinds."""
 KINDS: tuple[Kind, ...] = ("point", "difference", "length", "level", "yaw", "mark", "scale")
 SCALED: tuple[Kind, ...] = KINDS[:-1]
-"""What is left out where lengths give the ranges their scale: that all of them contradict it is told."""
+"""Kinds left out where lengths give the ranges their scale: a contradiction of all lengths is only reported."""
 SIGMAS = 5.0
 """Standard deviations of what the rest says from which a known value is left out."""
 CHECKED = 1e-3
@@ -64,7 +64,7 @@ PLAIN = 20.0
 USUAL = 3
 """Known values of a kind that tell by how much such values are usually off; fewer may be wrong, each by itself."""
 RIVAL = 100.0
-"""How many times likelier than another the error of one known value must be before it alone is blamed."""
+"""Factor by which the error of one known value must be likelier than that of any other before it alone is blamed."""
 BY_FAR = 1e-6
 """Share of chi-square that known values of another order of error leave: they are wrong, whatever is said of others."""
 MOST_OUT = 1 / 3
@@ -73,7 +73,7 @@ MOST_OUT = 1 / 3
 
 @dataclass(frozen=True)
 class KnownTest(KnownValue):
-    """What the rest of a network says about a known value."""
+    """Test of a known value against the rest of a network."""
 
     error: Floats
     """Estimated error: stated less what the rest says."""
@@ -82,7 +82,7 @@ class KnownTest(KnownValue):
     drop: float
     """Fall of chi-square if it were left out."""
     rank: int
-    """How many components the rest checks."""
+    """Number of components that the rest of the network checks."""
     left_out: bool = False
     critical: float = SIGMAS
     """Limit of `w`."""
@@ -96,7 +96,7 @@ class KnownTest(KnownValue):
 
     @property
     def is_height(self) -> bool:
-        """Whether its error is one of the height alone."""
+        """True where its error is one of the height alone."""
         *plan, height = np.abs(self.error).tolist()
         small = [max(SIGMAS * sigma, UPRIGHT * height) for sigma in self.sigma_error[:-1]]
         return bool(plan) and height > SIGMAS * self.sigma_error[-1] and all(map(float.__lt__, plan, small))
@@ -112,7 +112,7 @@ class KnownTest(KnownValue):
 
     @property
     def sentence(self) -> str:
-        """What is to be said of a known value that contradicts the rest."""
+        """Sentence on a known value that contradicts the rest of the network."""
         what = f"{WORDS[self.kind]} {self.name}"
         if self.kind == "mark":
             mark = f"the mark of {', '.join(self.rivals)}" if self.rivals else "its mark"
@@ -279,7 +279,7 @@ def _each_other(wrong: Sequence[KnownTest], every: Sequence[KnownTest]) -> tuple
 
 
 def _usual(tests: Sequence[KnownTest]) -> float:
-    """How many stated standard deviations known values of a kind are off usually; 1 at least."""
+    """Usual size of the errors of known values of a kind, in declared standard deviations; at least 1."""
     return float(np.sqrt(max(1.0, sum(t.drop for t in tests) / max(sum(t.rank for t in tests), 1))))
 
 

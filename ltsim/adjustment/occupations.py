@@ -27,12 +27,12 @@ DISAGREES = 0.05
 """Level of the global test: a network that agrees has no tripod that stood elsewhere."""
 MOST = 6
 MOVED = "target-moved"
-"""What a tripod that stood elsewhere is of the catalogue: what stood on a mark moved."""
+"""Catalogue effect of a tripod that stood elsewhere: the equipment on a mark moved."""
 
 
 @dataclass(frozen=True)
 class Occupation:
-    """What stood over a mark on one day.
+    """Instrument or target over a mark on one day.
 
     `sign` (n,): +1 for pointings to it, -1 for those from it, which see the contrary shift.
     """
@@ -63,7 +63,7 @@ class Shifts:
 
     @property
     def sizes(self) -> list[tuple[float, float]]:
-        """How far each stood beside where it stood otherwise, and the standard deviation of that [m]."""
+        """Size of each shift from the usual place, and its standard deviation [m]."""
         lengths = np.linalg.norm(self.values, axis=1)
         sigma = np.sqrt(np.einsum("ki,kij,kj->k", self.values, self.covariance, self.values)) / lengths
         return list(zip(lengths.tolist(), sigma.tolist(), strict=True))

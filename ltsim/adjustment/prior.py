@@ -1,4 +1,4 @@
-"""What is known of the instrument parameters before the readings: a normal prior, or a value that is held."""
+"""Prior of the instrument parameters: a normal distribution, or a value that is held."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from ltsim.physics.model.construction import Construction
 from ltsim.recordings.recording import Recording
 
 LEFT = 0.3
-"""What a correction leaves of a constant, in the maker's guarantees; nobody states it, and none is exact. Between the
-share to which an ordinary calibration knows it on the day (0.1: a beam tilt of 10 urad to about 1), and all of it: the
-constants of instruments that are said to be corrected scatter in real halls by half a guarantee and more."""
+"""Prior sigma of a corrected constant, in the maker's guarantees; nobody declares it, and no correction is exact. It
+is between the share to which an ordinary calibration determines it on the day (0.1: a beam tilt of 10 urad to about 1)
+and all of it: the constants of instruments reported as corrected scatter in real halls by half a guarantee and more."""
 FREED = 100.0
 """Stated sigmas that a parameter may be off once the readings contradict its prior; no instrument's are off more."""
 

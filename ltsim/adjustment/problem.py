@@ -46,7 +46,7 @@ class NetworkProblem(NetworkRows):
     sigma: Floats
     """(n, 3): standard deviations of the readings."""
     prior: ParameterPrior
-    """Of the instrument parameters."""
+    """Prior of the instrument parameters."""
     extra_sigma: Floats
     """(q,): of the further effects' parameters; infinite for none."""
     free: Floats
@@ -171,7 +171,7 @@ class NetworkProblem(NetworkRows):
 
     @cached_property
     def _pattern(self) -> Pattern:
-        """Where the entries of the design are: the same at every state."""
+        """Sparsity pattern of the design matrix: the same at every state."""
         return Pattern(self._columns(), self.unknowns.size)
 
     def _columns(self) -> list[Ints]:

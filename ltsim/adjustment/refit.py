@@ -20,7 +20,7 @@ ITERATIONS = 4
 LINEAR = 1e-5
 """Relative change of a constant over which readings change linearly: a range of 20 m has a thousand short waves."""
 HALVINGS = 4
-"""How often a step that fits worse is halved, for constants that begin far off."""
+"""Maximum number of halvings of a step that fits worse, for constants that begin far off."""
 NO_WORSE = 1e-3
 """Rise of chi-square that counts as none: that of a constant 0.03 standard deviations off its best value."""
 FELT = 1e-3
@@ -29,7 +29,7 @@ FELT = 1e-3
 
 @dataclass(frozen=True)
 class ShapeDirection(Signature):
-    """How an effect's readings change with one of its shape constants: lets a refit estimate the constant.
+    """Signature of a change of one of an effect's shape constants, with which a refit estimates the constant.
 
     The parameter is the change of the constant relative to its size.
     """

@@ -1,4 +1,4 @@
-"""What single readings tell: redundancy, normalised residuals, and how large an error of each would be found."""
+"""Reliability of single readings: redundancy, normalised residuals, outlier tests and minimal detectable errors."""
 
 from functools import lru_cache
 
@@ -13,7 +13,7 @@ from ltsim.solve.design import median_deviation
 FAMILY_LEVEL = 0.01
 """Chance that a clean recording shows any outlier at all (Sidak over all readings)."""
 SINGLE_LEVEL = 0.001
-"""Of a test of one thing that was named beforehand."""
+"""Significance level of a test of one hypothesis that was chosen beforehand."""
 POWER = 0.8
 """Share of recordings in which what is called detectable is found."""
 BELIEVED = 1.25
@@ -46,9 +46,9 @@ def normalised(problem: NetworkProblem, residuals: Floats, redundancy: Floats) -
 
 
 def scale_of(w: Floats, redundancy: Floats) -> float:
-    """What the stated noise is multiplied with: never less than one, more where the residuals show more.
+    """Factor on the declared noise: never less than one, more where the residuals show more.
 
-    Noise smaller than stated makes no reading an outlier that the stated noise allows.
+    Noise smaller than declared makes no reading an outlier that the declared noise allows.
     """
     shown = median_deviation(w[np.nan_to_num(redundancy) > CHECKED])
     return shown if shown > BELIEVED else 1.0
@@ -98,10 +98,10 @@ def chance_of_tau(tau: Floats, dof: Floats, count: int) -> Floats:
 def one_after_another(
     gap: Floats, shown: Floats, scale: Floats, dof: Floats, count: int, level: float
 ) -> list[tuple[int, float, float, float]]:
-    """Of k readings those that do not belong: which, its error in sigmas, its w, and its chance; the surest first.
+    """Outliers among k readings, the surest first: index, error in sigmas, w, and p-value of each.
 
-    `gap` (k,) are their residuals in sigmas, `shown` (k, k) what an error of each does to these. What one of them
-    explains is no reason to blame another; readings that it is not told from stand beside it.
+    `gap` (k,) holds their residuals in sigmas, `shown` (k, k) the effect of an error of each on these. The residuals
+    that one outlier explains do not count against another; readings that cannot be distinguished from it follow it.
     """
     found, seen = list[tuple[int, float, float, float]](), np.diag(shown).copy()
     while (seen > UNCHECKED).any():

@@ -88,7 +88,7 @@ class ResidualSpace:
         return self.whiten(law.design(self.sightings), lengths)
 
     def project(self, rows: Floats) -> Floats:
-        """What the adjustment leaves of signatures (m, q), or of one vector (m,)."""
+        """Residual part of signatures (m, q), or of one vector (m,), after the adjustment."""
         return self.projection.project(rows if rows.ndim > 1 else rows[:, None]).reshape(rows.shape)
 
     def explained(self, signature: Floats) -> tuple[float, int]:

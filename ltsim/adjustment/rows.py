@@ -186,7 +186,7 @@ class DifferenceRows(ControlRows):
         return np.stack([self.start, self.target])
 
     def some(self, chosen: Bools) -> DifferenceRows:
-        """Those that are `chosen` (k,)."""
+        """Rows of the differences `chosen` (k,)."""
         return DifferenceRows(
             self.target[chosen],
             self.points[chosen],
@@ -208,16 +208,16 @@ class DifferenceRows(ControlRows):
         return np.concatenate([*(signs * self.root)], axis=2)[self.axes]
 
     def told(self, open_: Bools) -> Bools:
-        """Which heights (T + S + 1,) of open ones no difference tells either: it tells one end by the other."""
+        """Flags (T + S + 1,) of open heights that no difference determines: it determines one end from the other."""
         open_, ends = open_.copy(), self.ends[:, self.axes[:, 2]]
         while (half := open_[ends[0]] != open_[ends[1]]).any():
             open_[ends[:, half]] = False
         return open_
 
     def motion(self, centre: Floats, reach: float) -> Floats:
-        """What unit translations and rotations do to the known coordinates (count, 6), as `free_motions` counts.
+        """Derivatives (count, 6) of the known coordinates by translation and rotation, in the units of `free_motions`.
 
-        A difference to the origin is a known place; of two places that move it feels the turn alone.
+        A difference to the origin is a known place; a difference of two moving places changes with the rotation alone.
         """
         tied, size = (self.ends == self.last).any(axis=0), np.linalg.norm(self.points, axis=1, keepdims=True)
         place = np.where(self.start == self.last, 1.0, -1.0)[:, None] * self.points
@@ -341,7 +341,7 @@ def free_motions(
 
 @dataclass(frozen=True)
 class Marks:
-    """Where the set-ups of a recording stand."""
+    """Marks over which the set-ups of a recording stand."""
 
     target: Ints
     """(S,): the target whose mark a set-up stands on, -1 for none."""
@@ -368,7 +368,7 @@ class Marks:
         return cls(target, np.array(first, dtype=np.int64), names, vertical, vertical * height[:, None])
 
     def place(self, station: int, position: Floats, points: Floats) -> Floats:
-        """Where a set-up (3,) should be by its mark, as the target there or another set-up on it shows; else NaN.
+        """Position (3,) [m] of a set-up by its mark, from the target there or another set-up on it; NaN without either.
 
         `position` (S, 3) and `points` (T, 3) [m] are NaN where nothing has a place yet.
         """

@@ -15,8 +15,8 @@ from ltsim.physics.model.measurement import lift_of
 from ltsim.recordings.recording import Recording
 
 BEGINNINGS = ("frame", "cloud", "ranges", "places", "bearings")
-"""How a network can begin: with known points, with what one station measured whole, with ranges alone, with all that is
-stated roughly, with a plan of directions between known points."""
+"""Methods to begin a network: from known points, from points that one station measured completely, from ranges alone,
+from all roughly declared places, from a plan of directions between known points."""
 
 
 def reached_network(recording: Recording) -> tuple[tuple[Floats, Floats, Floats], Bools]:
@@ -95,7 +95,7 @@ class Growth:
 
     @property
     def reach(self) -> int:
-        """How many stations and targets have a place."""
+        """Number of stations and targets that have a place."""
         return int(self._joined.sum() + self._have.sum())
 
     # --- what is known ---------------------------------------------------------------------------------------------
@@ -112,11 +112,11 @@ class Growth:
         return self._covered | np.isfinite(self._located[:, 0])
 
     def _shared(self) -> Ints:
-        """How many of the known targets (S,) each station measured whole."""
+        """Number (S,) of targets with a place that each station measured completely."""
         return np.bincount(self._pairs.station[self._have[self._pairs.target]], minlength=len(self._joined))
 
     def _stand(self, station: int) -> Floats | None:
-        """Where an unjoined station stands, if its mark has a place already."""
+        """Position (3,) [m] of an unjoined station whose mark has a place already; else None."""
         place = self._frame.marks.place(station, self._position, self._known())
         return place if np.isfinite(place).all() else None
 

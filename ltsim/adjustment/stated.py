@@ -1,4 +1,4 @@
-"""What the set-up of a network states, in the rows of its adjustment: each known value, its gap, its error's effect."""
+"""Declared values of a network's set-up in the rows of its adjustment: known value, misclosure, effect of its error."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -19,7 +19,7 @@ UNSAID: dict[str, dict[str, object]] = {
     "yaw": {"yaw_sigma_arcsec": None},
     "mark": {"over": None},
 }
-"""What the set-up of a station states no more without a known value of a kind."""
+"""Settings of a station's set-up that are cleared, by kind of the known value that is left out."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ def known_values(problem: NetworkProblem, state: State) -> Iterator[KnownInRows]
 
 
 def common_scale(problem: NetworkProblem, state: State) -> Iterator[KnownInRows]:
-    """What all known lengths share, if there are several: their temperature, and what they are measured against."""
+    """Common scale of all known lengths, if there are several: their temperature, and their reference standard."""
     gauge, felt = problem.gauge, np.isfinite(problem.gauge.sigma)
     if felt.sum() > 1:
         shown = gauge.whitened(np.where(felt, gauge.length, 0.0)[:, None])

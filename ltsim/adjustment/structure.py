@@ -1,4 +1,4 @@
-"""What of a network was read and is known, and what that leaves open wherever things stand."""
+"""Structure of a network: readings, known values, and the unknowns that these leave undetermined in any geometry."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class NetworkRows:
 
     @cached_property
     def structure(self) -> Structure:
-        """What these readings and the set-up leave open."""
+        """Unknowns that these readings and the set-up leave undetermined."""
         return Structure.of(self)
 
     @property
@@ -46,7 +46,7 @@ class NetworkRows:
 
 @dataclass(frozen=True)
 class Structure:
-    """What no reading in use determines, wherever things stand: it is held where it is."""
+    """Unknowns that no reading in use determines in any geometry: they are held at their present values."""
 
     unknowns: Unknowns
     yaw: Ints

@@ -1,4 +1,4 @@
-"""Where each unknown of a network stands among the columns of its design."""
+"""Columns of the unknowns of a network in its design matrix."""
 
 from __future__ import annotations
 

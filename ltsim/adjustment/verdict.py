@@ -1,4 +1,4 @@
-"""Which verdict to trust where the global test, snooping and the two sigma0 disagree."""
+"""Verdict on an adjustment where the global test, data snooping and the two sigma0 disagree."""
 
 from dataclasses import dataclass, replace
 from enum import Enum
@@ -26,7 +26,7 @@ NOISE_KEYS = {
 
 
 class Agreement(Enum):
-    """How the tests agree or disagree."""
+    """Agreement or disagreement of the tests."""
 
     CLEAN = "clean"
     SINGLE_ERRORS = "single errors"
@@ -39,7 +39,7 @@ class Agreement(Enum):
 
 @dataclass(frozen=True)
 class Verdict:
-    """What to believe."""
+    """Verdict on an adjustment: its case, the reasons, and the use of the estimated sigma0."""
 
     case: Agreement
     sentence: str
@@ -102,7 +102,7 @@ def _by_tests(adjustment: Adjustment, level: float) -> Verdict:
 
 
 def noise_to_state(adjustment: Adjustment, level: float = LEVEL) -> str:
-    """What to write for the noise where readings scatter less than it says, in a sentence; empty where nothing is.
+    """Advice on the noise to declare where readings scatter less than declared, in a sentence; empty where none do.
 
     Observables are taken one by one: their residuals' sum of squares over their redundancy, below what chance leaves.
     """

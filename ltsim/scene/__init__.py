@@ -1,1 +1,1 @@
-"""What stands where and who looks at whom."""
+"""Scene geometry: places, bodies, and visibility between instruments and targets."""

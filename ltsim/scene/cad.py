@@ -27,7 +27,7 @@ halls are planned to the millimetre, and sights pass bodies at a few centimetres
 SINGLE = (".stl", *GLTF)
 """Suffixes of files whose coordinates may be in single precision."""
 SMALL = FACTOR["mm"] / FACTOR["in"]
-"""Of the room's length: a body that is shorter may be one whose numbers are inches."""
+"""Share of the room's length: a body that is shorter may be one whose numbers are inches."""
 BEYOND = 0.05
 """[m] that a body may reach beyond the room or below its floor."""
 PER_METRE = 1e5
@@ -52,7 +52,7 @@ class Cad:
 
     @property
     def read_as(self) -> str:
-        """What the file was taken for, in words."""
+        """Description of the unit and the vertical axis that the file was read with."""
         kind = self.file.suffix[1:].upper()
         unit = f"numbers taken for {WORDS[self.unit]}" if self.unit else f"in the unit that {kind} states"
         return f"{unit}, {self.up} up"
@@ -134,7 +134,7 @@ def extent(triangles: Floats) -> str:
 
 
 def size_question(cad: Cad, room: Floats) -> str:
-    """What has to be asked about the size of a body in a room (3,) [m]; empty for nothing."""
+    """Question about the size of a body in a room (3,) [m]; empty where there is none."""
     length, least, most = np.ptp(cad.triangles, axis=(0, 1)), SMALL * room.max(), 1.5 * room.max()
     if cad.sure or least <= length.max() <= most:
         return ""

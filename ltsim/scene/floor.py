@@ -1,4 +1,4 @@
-"""Where tripods may stand: the table [floor] of a plan file, and outlines seen from above."""
+"""Floor areas for tripods: the table [floor] of a plan file, and outlines seen from above."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class FloorArea(TomlSection):
     """One area where tripods may stand."""
 
     name: str = ""
-    """What pictures and messages call it."""
+    """Name of the area in pictures and messages."""
     corners_mm: Corners
     """x and y of its corners, in order round it."""
     holes_mm: tuple[Corners, ...] = ()
@@ -47,7 +47,7 @@ class FreePlace(TomlSection):
     """A place that stays free of tripods, such as the way of a crane."""
 
     name: str = ""
-    """What pictures call it."""
+    """Name of the place in pictures."""
     corners_mm: Corners
     """x and y of its corners, in order round it."""
     clear_mm: NonNegative = 0.0
@@ -58,7 +58,7 @@ class Door(TomlSection):
     """A door, before which no tripod stands."""
 
     name: str = ""
-    """What pictures call it."""
+    """Name of the door in pictures."""
     from_mm: Corner
     """x and y of one side of the opening."""
     to_mm: Corner
@@ -68,7 +68,7 @@ class Door(TomlSection):
 
 
 class Floor(TomlSection):
-    """Where tripods may stand; by default the whole floor but a margin along the walls."""
+    """Floor on which tripods may stand; by default all of it but a margin along the walls."""
 
     corners_mm: Corners | None = None
     """Corners of the floor, x and y, in order round it; the room's without it."""
@@ -200,7 +200,7 @@ def inside(outline: Floats, places: Floats) -> Bools:
 
 
 def fault(outline: Floats) -> str:
-    """What keeps corners (k, 2) from being an outline, in words; empty for one that is simple and has an area."""
+    """Reason why corners (k, 2) are no outline, in words; empty for an outline that is simple and has an area."""
     count, then = len(outline), np.roll(outline, -1, axis=0)
     same = np.flatnonzero(np.linalg.norm(outline - np.roll(outline, 1, axis=0), axis=1) < EDGE)
     if len(same):

@@ -25,7 +25,7 @@ SKY = np.array([0.01234567, 0.02345678, 1.0]) / np.linalg.norm([0.01234567, 0.02
 SMOOTH = np.radians(35.0)
 """Angle under which two triangles are taken for parts of one curved surface."""
 SIDES = 64
-"""Of a cylinder: 0.1 % more than its diameter at the corners."""
+"""Number of sides of a cylinder: 0.1 % more than its diameter at the corners."""
 FOOT = 0.025
 """[m] from the middle of a nest to the rim of its foot."""
 UNEVEN = 0.002
@@ -150,7 +150,7 @@ class Obstacles:
 
     @cached_property
     def _put(self) -> dict[bytes, Floats]:
-        """What `over_skin` found; sights of the same points are looked for many times."""
+        """Cache of `over_skin` by the bytes of its points: sights of the same points are computed many times."""
         return {}
 
     def over_skin(self, points: Floats) -> Floats:
@@ -226,7 +226,7 @@ def nearest_points(triangles: Floats, point: Floats) -> Floats:
 
 
 def _from_sky(points: Floats) -> Floats:
-    """Where points (..., 3) are seen (..., 2) along `SKY`."""
+    """Horizontal projection (..., 2) of points (..., 3) along `SKY`."""
     return points[..., :2] - points[..., 2:] * SKY[:2] / SKY[2]
 
 
@@ -310,7 +310,7 @@ def _flat(own: Obstacles, places: Floats, normal: Floats, reach: float) -> Bools
 
 
 def _spread(places: Floats, apart: float) -> Floats:
-    """Those that keep their distance from the ones before them."""
+    """Places at least `apart` [m] from each retained place before them."""
     kept: list[int] = []
     for i, place in enumerate(places):
         if not kept or np.linalg.norm(places[kept] - place, axis=1).min() >= apart:

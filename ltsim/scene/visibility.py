@@ -44,12 +44,12 @@ WORDS = (
     "turned beyond the reflector's acceptance",
     "hidden by an obstacle",
 )
-"""Of each reason; empty for a pair that sees each other."""
+"""Words for each reason; empty for a pair that sees each other."""
 
 
 @dataclass(frozen=True)
 class SightLimits:
-    """What an instrument and its reflectors allow; radians and metres."""
+    """Limits of an instrument and its reflectors [rad, m]."""
 
     elevation_min: float = -55.0 * DEGREE
     elevation_max: float = 77.0 * DEGREE
@@ -205,10 +205,10 @@ def _add_obstacles(reason: NDArray[np.int8], position: Floats, points: Floats, o
 
 
 def aimed_normals(position: Floats, points: Floats) -> tuple[Floats, Floats]:
-    """Where fixed reflectors should look to serve all stations (T, 3), and the half-angle (T,) [rad] around them.
+    """Directions (T, 3) in which fixed reflectors serve all stations, and the half-angle (T,) [rad] around them.
 
-    That is the axis of the narrowest cone around the stations; a target can serve all of them when the reflector's
-    acceptance is larger.
+    The direction is the axis of the narrowest cone around the stations; a target can serve all of them when the
+    reflector's acceptance is larger.
     """
     back = position - points[:, None, :]
     back /= np.linalg.norm(back, axis=2, keepdims=True)

@@ -19,7 +19,7 @@ Design: TypeAlias = Floats | sp.csr_array
 
 
 class Pattern:
-    """Where the entries of a design are, whatever their values.
+    """Sparsity pattern of a design matrix: the places of its entries, whatever their values.
 
     Parameters
     ----------

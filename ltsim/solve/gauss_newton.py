@@ -24,7 +24,7 @@ ROUNDED = 1e-4
 
 
 class Problem(Protocol[X]):
-    """What the loop needs to know of a problem; a point X may be any object (a state with rotations)."""
+    """Interface of a problem to the Gauss-Newton loop; a point X may be any object (a state with rotations)."""
 
     def linearise(self, x: X) -> BlockSystem:
         """The whitened linear system at x."""
@@ -37,7 +37,7 @@ class Problem(Protocol[X]):
 
 
 class Status(Enum):
-    """How an iteration ended, in a sentence for the user."""
+    """Termination status of an iteration, in a sentence for the user."""
 
     CONVERGED = "the last step was far below one standard deviation"
     STALLED = "no step, however damped, lowers the sum of squares further"
@@ -49,7 +49,7 @@ class Status(Enum):
 
 @dataclass(frozen=True)
 class Solution(Generic[X]):
-    """Where the loop ended."""
+    """Result of the Gauss-Newton loop: the last point and its linear system."""
 
     x: X
     cost: float

@@ -1,4 +1,4 @@
-"""What a least-squares adjustment leaves of any vector of observations: the projector off its design.
+"""Projector onto the residual space of a least-squares adjustment, for any vector of observations.
 
 With A the whitened design and N = A' A, the hat matrix is H = A N^-1 A' and the projector P = 1 - H. Small systems are
 worked on with an orthonormal basis of A, large ones with the factor that the adjustment has anyway: cost and memory
@@ -22,7 +22,7 @@ from ltsim.solve.design import Design, as_dense, column_scale
 DENSE = 4_000_000
 """Designs with fewer entries get a basis: dense products are so much faster than sparse ones."""
 ORTHOGONAL = 1e-10
-"""What is left of unit vectors overlaps unit columns of the design by no more than this, or is projected once more."""
+"""Largest overlap of projected unit vectors with unit columns of the design; above it they are projected once more."""
 NOTHING = 1e-12
 """Eigenvalues of a block of the hat matrix below this are zero."""
 
@@ -39,7 +39,7 @@ class BasisProjection:
         return cls(np.linalg.qr(as_dense(design) * column_scale(design))[0])
 
     def project(self, rows: Floats) -> Floats:
-        """What is left of vectors (m, q)."""
+        """Residual part of vectors (m, q)."""
         return rows - self.basis @ (self.basis.T @ rows)
 
     def grams(self, columns: Floats, edges: Ints, rows: Ints | slice) -> list[Floats]:
@@ -83,7 +83,7 @@ class FactorProjection:
         return cls(design, factor, np.zeros((design.shape[0], 0)), sp.csr_array(design.T), column_scale(design))
 
     def project(self, rows: Floats) -> Floats:
-        """What is left of vectors (m, q); repeated once where the factor's rounding shows."""
+        """Residual part of vectors (m, q); projected again once where the factor's rounding shows."""
         return self._left(rows, slice(None))
 
     def grams(self, columns: Floats, edges: Ints, rows: Ints | slice) -> list[Floats]:
@@ -91,7 +91,7 @@ class FactorProjection:
         return _squares(self._left(columns, rows), edges)
 
     def _left(self, columns: Floats, rows: Ints | slice) -> Floats:
-        """What is left (m, q) of vectors that are zero on all but some rows."""
+        """Residual part (m, q) of vectors that are zero on all but some rows."""
         inside = (self._transposed if len(columns) == len(self.added) else self.design[rows].T) @ columns
         left: Floats = self.design @ -self.factor.covariance_columns(inside)
         left[rows] += columns

@@ -81,7 +81,7 @@ class BenchFile(ResultFile, Result):
 
     FILE: ClassVar[str] = "bench.json"
     format: Literal["ltsim-bench/1"] = "ltsim-bench/1"
-    """Which format and version this file is in."""
+    """Format and version of this file."""
     eccentricity_forward: EstimateEntry
     """Sphere's centre off the table's axis at 0 deg, towards the interferometer."""
     eccentricity_side: EstimateEntry
@@ -123,7 +123,7 @@ class BenchFile(ResultFile, Result):
 
 @dataclass(frozen=True)
 class BenchRecord:
-    """What is written down on the bench: angles [rad], lengths (a,) [m], displacements of the surface (k,) [m]."""
+    """Readings taken on the bench: angles [rad], lengths (a,) [m], displacements of the surface (k,) [m]."""
 
     angles: Floats
     lengths: Floats
@@ -135,7 +135,7 @@ class BenchRecord:
 
 @dataclass(frozen=True)
 class BenchResult:
-    """What the record says; SI."""
+    """Estimates from the bench readings; SI units."""
 
     eccentricity: Floats
     """(2,) [m]."""

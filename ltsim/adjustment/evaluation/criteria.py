@@ -1,4 +1,4 @@
-"""How far stations disagree about distances and coordinates, and how far from nominal points: the paper's criteria.
+"""Disagreement of stations in distances and coordinates, and deviations from nominal points: the paper's criteria.
 
 Without nominal data (Sensors 2021, 21, 7479, sections 2.3.4 and 3.2.1): equation 11 lacks an absolute value and takes
 station 1, while section 3.2.1 takes deviations from the mean over stations; both are here, named apart: `distance` is
@@ -128,7 +128,7 @@ class Criteria(Result):
 
 
 class SpreadEntry(Entry):
-    """How far stations disagree [um]."""
+    """Disagreement between stations [um]."""
 
     mean_um: Known = None
     """Mean over pairs or targets."""
@@ -144,7 +144,7 @@ class CriterionEntry(Entry):
     after: SpreadEntry = SpreadEntry()
     """Readings corrected."""
     improvement_percent: Known = None
-    """Of the mean."""
+    """Decrease of the mean by the calibration, in percent of the mean before."""
 
 
 class CriteriaFile(ResultFile):
@@ -152,7 +152,7 @@ class CriteriaFile(ResultFile):
 
     FILE: ClassVar[str] = "criteria.json"
     format: Literal["ltsim-criteria/1"] = "ltsim-criteria/1"
-    """Which format and version this file is in."""
+    """Format and version of this file."""
     distance: CriterionEntry
     """Deviations of distances from their mean over stations."""
     coordinate: CriterionEntry

@@ -69,7 +69,7 @@ class SetUp(Valued):
     visit: StationOccupation | None
     rows: Ints
     motions: tuple[StationMotion, ...] = ()
-    """How the station moved meanwhile."""
+    """Motions of the station during the occupation."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -102,7 +102,7 @@ class Check(Result):
 
     @property
     def passed(self) -> bool:
-        """Whether it is a go."""
+        """True where every item passed (go)."""
         return all(item.passed for item in self.items)
 
     @property
@@ -241,7 +241,7 @@ def _set_up(
 
 @dataclass(frozen=True)
 class _Judged:
-    """What a visit says of single pointings and motions, what is left of it, and its readings without the motions."""
+    """Items on pointings and motions of an occupation, the occupation without these, readings without motions."""
 
     items: tuple[Item, ...]
     left: StationOccupation
@@ -323,14 +323,14 @@ def best_bump(visit: StationOccupation) -> tuple[StationBump | None, ColumnsFit,
 
 
 def _witnesses(visit: StationOccupation, bump: StationBump) -> int:
-    """How many targets were measured both before and after."""
+    """Number of targets measured both before and after the bump."""
     after = visit.sightings.time >= bump.time
     target = visit.recording.target
     return len(np.intersect1d(target[visit.use & after], target[visit.use & ~after]))
 
 
 def _surprise(explained: ColumnsFit) -> float:
-    """How unlikely such a fall of chi-square is by the stated noise."""
+    """Negative log p-value of the fall of chi-square under the declared noise."""
     return float(surprise(explained.drop, explained.rank))
 
 

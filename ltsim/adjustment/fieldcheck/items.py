@@ -1,4 +1,4 @@
-"""What a check says of one thing that it looked at, check.json, and how the price of many looks is paid."""
+"""Items of a field check, the file check.json, and the correction of p-values for the number of tests."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Kind = Literal[
     "cause", "two-face", "gross", "bump", "drift", "instrument-drift", "closure", "network", "level", "mistake"
 ]
 CAUSES = ("cause", "mistake", "bump", "drift")
-"""What is named first: two faces that differ and scatter follow from it."""
+"""Kinds of items that are reported first: two-face differences and scatter follow from them."""
 
 
 class Item(Entry):
@@ -24,9 +24,9 @@ class Item(Entry):
     station: str
     """Empty for what concerns all stations."""
     kind: Kind
-    """Which test."""
+    """Test that the item reports."""
     passed: bool
-    """Whether it is no reason against going on."""
+    """True where the item is no reason against going on."""
     sentence: str
     """For a person, with units."""
     p_value: Known = None
@@ -36,11 +36,11 @@ class Item(Entry):
     rows: tuple[int, ...] = ()
     """Rows of the recording that stand out, from 1."""
     between_s: tuple[Finite, Finite] | None = None
-    """Where something moved: after the first and before the second of these times."""
+    """Time interval of a motion [s]: after the first and before the second of these times; empty for other tests."""
 
     @classmethod
     def of(cls, at: str, kind: Kind, passed: bool, sentence: str, p: float | None = None, **marked: Any) -> Item:
-        """What a test says, with its chance and what it marks."""
+        """Item of a test with its sentence, its p-value and the targets, rows or times that it marks."""
         return cls(station=at, kind=kind, passed=passed, sentence=sentence, p_value=p, **marked)
 
 
@@ -49,7 +49,7 @@ class CheckFile(ResultFile):
 
     FILE: ClassVar[str] = "check.json"
     format: Literal["ltsim-check/1"] = "ltsim-check/1"
-    """Which format and version this file is in."""
+    """Format and version of this file."""
     passed: bool
     """Go."""
     sentence: str

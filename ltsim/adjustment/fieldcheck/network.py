@@ -1,4 +1,4 @@
-"""What the stations of a recording say together: whether they agree on their common targets, and on the vertical."""
+"""Tests of all stations of a recording together: agreement on their common targets and on the vertical."""
 
 from collections.abc import Sequence
 from contextlib import suppress

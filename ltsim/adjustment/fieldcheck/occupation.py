@@ -41,9 +41,9 @@ HELD = 1e-6
 
 @dataclass(frozen=True)
 class ColumnsFit:
-    """What columns explain: fall of chi-square, how many directions, the estimate and its covariance.
+    """Least-squares fit of columns to an occupation: fall of chi-square, rank, estimate and its covariance.
 
-    The covariance is infinite for what no target that was measured again tells.
+    The variance is infinite for a value that no repeatedly measured target determines.
     """
 
     drop: float
@@ -66,7 +66,7 @@ class StationOccupation:
     """A set-up with its readings whitened, and targets and instrument projected out of them."""
 
     recording: Recording
-    """Of this station alone."""
+    """Recording of this station alone."""
     sightings: Sightings
     """Instrument frame."""
     use: Bools
@@ -86,7 +86,7 @@ class StationOccupation:
     def of(
         cls, recording: Recording, construction: Construction, use: Bools | None = None, sigma: Floats | None = None
     ) -> StationOccupation:
-        """That of a recording of one station; `use` (n,) leaves pointings out, `sigma` (n, 3) is not as stated."""
+        """Occupation of a recording's station; `use` (n,) excludes pointings, `sigma` (n, 3) overrides the noise."""
         chosen = np.ones(len(recording), dtype=bool) if use is None else use
         weight = recording.measured & chosen[:, None]
         sigma = recording.sigma() if sigma is None else sigma
@@ -137,7 +137,7 @@ class StationOccupation:
         return np.where(length > 0, columns / np.where(length > 0, length, 1.0), 0.0), length
 
     def explained(self, design: Floats) -> ColumnsFit:
-        """What the columns (n, 3, c) of a suspect, changes of the readings, explain."""
+        """Fit of the columns (n, 3, c) of a suspected cause, which are changes of the readings."""
         unit, length = self._unit_columns(design)
         left, size, right = np.linalg.svd(unit, full_matrices=False)
         good = size > np.sqrt(HELD) * max(float(size.max(initial=0.0)), 1e-12)
@@ -174,7 +174,7 @@ class StationOccupation:
         return np.asarray(sums[0], dtype=np.float64), np.asarray(sums[1], dtype=np.float64)
 
     def miss(self, row: int) -> float:
-        """How far [m] a pointing lands from the mean of the other pointings to its target."""
+        """Distance [m] of a pointing from the mean of the other pointings to its target; NaN without others."""
         points = from_polar(self.recording.readings)
         whole = np.isfinite(points).all(axis=1)
         others: Bools = np.logical_and(whole & self.use, self.recording.target == self.recording.target[row])

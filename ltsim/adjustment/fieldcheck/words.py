@@ -61,7 +61,7 @@ def face_sentence(faces: Faces, recording: Recording, limit: str) -> tuple[str, 
 
 
 def gross_sentence(visit: StationOccupation, gross: Sequence[int], rows: Ints) -> str:
-    """What stands out among the pointings of a set-up."""
+    """Sentence on the outliers among the pointings of a set-up."""
     recording, name = visit.recording, visit.recording.stations[0]
     if not gross:
         return f"{name}: no pointing stands out"
@@ -86,7 +86,7 @@ def bump_sentence(recording: Recording, between: tuple[float, float], rows: tupl
 
 
 def drift_sentence(recording: Recording, explained: ColumnsFit, passed: bool) -> str:
-    """How far a station crept in its visit, its level with a standard deviation."""
+    """Sentence on the drift of a station during its occupation: its level with a standard deviation."""
     name = recording.stations[0]
     minutes = float(np.ptp(recording.time)) / 60
     within = f"in {minutes:.3g} min" if recording.has_clock else f"over {len(recording)} pointings"
@@ -100,7 +100,7 @@ def drift_sentence(recording: Recording, explained: ColumnsFit, passed: bool) ->
 
 
 def instrument_sentence(recording: Recording, explained: ColumnsFit, passed: bool) -> str:
-    """How far the instrument's zeros crept in a visit."""
+    """Sentence on the drift of the instrument's zeros during an occupation."""
     duration = float(np.ptp(recording.time))
     spread = np.sqrt(np.maximum(np.diag(explained.covariance), 0.0))
     parts = [
@@ -113,7 +113,7 @@ def instrument_sentence(recording: Recording, explained: ColumnsFit, passed: boo
 
 
 def target_sentence(visit: StationOccupation, shown: Ints) -> tuple[str, tuple[str, ...]]:
-    """Which targets scatter most and least, of `shown` (k,) from the most to the least, and those of the upper half."""
+    """Sentence on the scatter of targets `shown` (k,), in descending order, and names of the upper half of them."""
     recording = visit.recording
     names = [recording.targets[t] for t in shown]
     sizes = [length(visit.spread(int(t))) for t in shown]

@@ -48,7 +48,7 @@ FREE = 1e6
 
 @dataclass(frozen=True)
 class Network:
-    """What a fit begins with: recording, construction, priors of its parameters, readings (n, 3) that may be used."""
+    """Input of a fit: recording, construction, priors of its parameters, readings (n, 3) that may be used."""
 
     recording: Recording
     construction: Construction
@@ -277,7 +277,7 @@ class Fit:
         return float(np.linalg.norm(self.gap_of(value) / np.where(value.sigma > 0, value.sigma, np.inf)))
 
     def gap_of(self, value: KnownValue) -> Floats:
-        """What an omitted reference value (q,) misses the network by [m, rad]."""
+        """Misclosure (q,) [m, rad] of an omitted reference value in the adjusted network."""
         model = replace(self.problem.model, recording=self.network.recording)
         declared = NetworkProblem.of(model, use=self.problem.use)
         if value.kind == "mark":
@@ -339,7 +339,7 @@ def _arms(sightings: Sightings) -> Floats:
 
 
 def _guesses(hypotheses: Sequence[Hypothesis], size: int, near: Sightings | None) -> Floats:
-    """Where the parameters of the shifts begin (q,)."""
+    """Start values (q,) of the parameters of the shifts."""
     shifts = [h.change for h in hypotheses if isinstance(h.change, Shift)]
     values = [s.guess if near is not None and s.guess else (0.0,) * len(s.effect.parameters) for s in shifts]
     whole = np.zeros(size)

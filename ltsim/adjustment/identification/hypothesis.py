@@ -98,7 +98,7 @@ class Hypothesis:
 
     @property
     def place(self) -> tuple[object, ...]:
-        """What tells two hypotheses about different things apart; moments and guesses do not."""
+        """Key by which hypotheses are distinct; they are equivalent if they differ only in moments and guesses."""
         return self.kind, self.acts_on, self.stations, self.targets, self.rows
 
     def competes(self, other: Hypothesis) -> bool:

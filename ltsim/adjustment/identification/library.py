@@ -121,7 +121,7 @@ class Candidate:
     before: Ints
     """Pointings of the place before it."""
     places: int
-    """How many of the kind there are."""
+    """Number of places at which this kind of hypothesis may act, which share its prior probability."""
 
     def hypothesis(self, guess: Floats) -> Hypothesis:
         """The hypothesis, whose estimate begins at a guess (p,)."""

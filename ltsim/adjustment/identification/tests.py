@@ -20,7 +20,7 @@ from ltsim.recordings.result_file import Entry, Finite, Known
 
 
 class Place(Entry):
-    """What a test is confined to; empty for everything."""
+    """Stations and targets to which a test is confined; empty for all of them."""
 
     stations: tuple[str, ...] = ()
     """Stations."""
@@ -32,7 +32,7 @@ class Alternative(Entry):
     """Another hypothesis that was fitted in the place of an accepted one."""
 
     kind: str
-    """What it is."""
+    """Kind of the hypothesis, as `kind` of a test."""
     where: Place
     """Its place."""
     probability: Finite
@@ -59,13 +59,13 @@ class Test(Entry):
     sigma: Known = None
     """Its standard deviation."""
     unit: str = ""
-    """Of both."""
+    """Unit of the estimate and of its standard deviation."""
     rows: tuple[int, ...] = ()
     """Rows of the recording, from 1, where they are few."""
     probability: Known = None
     """Posterior probability among the alternatives."""
     alternatives: tuple[Alternative, ...] = ()
-    """What was fitted in its place, with a probability above 1 %."""
+    """Alternative hypotheses fitted in its place, those with a posterior probability above 1 %."""
     accepted: bool = True
     """Whether the result has it in its model."""
     sentence: str = ""

@@ -1,1 +1,1 @@
-"""What a network cannot tell, and which further measurement would: undetermined, undecided, undetectable."""
+"""Undetermined, undecided and undetectable quantities of a network, and further measurements that determine them."""

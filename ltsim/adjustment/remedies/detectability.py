@@ -1,4 +1,4 @@
-"""How small an effect may be and still be found: the minimal detectable size of every effect in a network.
+"""Minimal detectable size of every effect in a network.
 
 A test finds what leaves enough: the squared length of what the adjustment leaves of a whitened signature must reach the
 noncentrality that the test needs (`adjust.reliability.noncentrality`). A diagnosis does not test one effect, it looks
@@ -50,7 +50,7 @@ def search_noncentrality(dof: int, places: int) -> float:
 
 @dataclass(frozen=True)
 class MinimalSize:
-    """How small one parameter of an effect may be and still be found in 80 % of recordings."""
+    """Minimal detectable size of one parameter of an effect: the size that is detected in 80 % of recordings."""
 
     effect: str
     parameter: str
@@ -80,7 +80,7 @@ class Seen:
 
     name: str
     parameters: tuple[tuple[Parameter, ...], ...]
-    """Those of each place: an effect with several laws has several sets."""
+    """Parameters of the effect at each place: an effect with several laws has several sets."""
     places: tuple[str, ...]
     sizes: tuple[Floats, ...]
     """(q,) [SI]: minimal detectable sizes at each place; infinite where nothing is left."""
@@ -126,9 +126,9 @@ def _noise_information(space: ResidualSpace, places: Sequence[NoiseEffect]) -> l
 
 
 def examine(space: ResidualSpace, places: Sequence[Effect]) -> Seen | None:
-    """What is left of one effect at all the places where a search would try it; None where the network lacks its needs.
+    """Residual signatures of one effect at all places that a search would try; None where the network lacks its needs.
 
-    At most `MOST_PLACES` of them are looked at.
+    At most `MOST_PLACES` of the places are examined.
     """
     some = thinned(places)
     noises = [effect for effect in some if isinstance(effect, NoiseEffect)]
@@ -146,7 +146,7 @@ def examine(space: ResidualSpace, places: Sequence[Effect]) -> Seen | None:
 
 
 def seen_from(found: Sequence[tuple[Effect, Floats, float, int, Floats]], sought: int) -> Seen:
-    """What is left of one effect from its places: information (q, q), visible share, rank, columns (m, r) of each.
+    """Residual signatures of one effect by place: information (q, q), visible share, rank, columns (m, r) of each.
 
     `sought` is the number of places that a search tries.
     """
@@ -178,7 +178,7 @@ def _smallest(information: Floats, needed: float) -> Floats:
 
 
 def _place(effect: Effect) -> str:
-    """Where an instance acts and with which shape, for a person."""
+    """Description for the user of the place and shape of an instance."""
     parts = [*effect.stations, *effect.targets]
     for shape in type(effect).shape:
         value = getattr(effect, shape.name, None)

@@ -36,7 +36,7 @@ class Network:
     construction: Construction
     """Whose parameters are estimated."""
     prior: ParameterPrior | None = None
-    """Of these; default what the set-up states."""
+    """Prior of these parameters; by default the one that the set-up declares."""
 
     @classmethod
     def of(cls, adjustment: Adjustment, construction: Construction | None = None) -> Network:

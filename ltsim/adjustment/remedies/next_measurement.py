@@ -1,4 +1,4 @@
-"""What to measure next: the remedy that tells most about the instrument, or that decides between explanations.
+"""Next measurement: the remedy that gives most information on the instrument, or that decides between explanations.
 
 The expected evidence between two explanations is what the best instance of the rival, at any of its places and shapes,
 leaves of the true signature: a difference of chi-square. Nobody knows which of the two is true; the smaller counts.
@@ -151,7 +151,7 @@ class Proposal(Valued):
 
     @classmethod
     def of(cls, remedy: Remedy, adjustment: Adjustment, evidence: dict[str, float] | None = None) -> Proposal:
-        """What a remedy tells about the first instrument of a planned network; nothing of one without parameters."""
+        """Proposal by a remedy's gain for a planned network's first instrument; no gain for one without parameters."""
         if not adjustment.construction.size:
             return cls(remedy, 1.0, "", 1.0, evidence or {})
         before, after = adjustment.instrument_covariance, remedy.network.adjustment.instrument_covariance

@@ -97,7 +97,7 @@ class Remedy:
 
     kind: Kind
     words: str
-    """What to do, for a person."""
+    """Instruction to the user."""
     seconds: float
     """[s]."""
     network: Network
@@ -165,7 +165,7 @@ class FloorPlan:
 
 
 def further_pointings(network: Network, suspects: Iterable[str] = ()) -> Iterator[Remedy]:
-    """What can be done from the last station before it is left; `suspects` are targets worth another look."""
+    """Remedies from the last station before it is dismantled; `suspects` are targets worth another measurement."""
     recording = network.recording
     last = int(recording.station[np.argmax(recording.time)])
     station, here = recording.stations[last], _visit(recording, last)

@@ -1,4 +1,4 @@
-"""Which combinations of parameters a recording does not determine, and what further measurement would.
+"""Combinations of parameters that a recording does not determine, and further measurements that would.
 
 In units of the prior sigmas the parameters' covariance has eigenvalues between 0 and 1: one minus an eigenvalue is
 the gain, the share of the prior variance along that combination which the readings removed. A combination with a
@@ -120,7 +120,7 @@ def _gains_along(network: Network, directions: Sequence[Sequence[Direction]]) ->
 
 
 def _sentence(direction: Direction, now: float, tried: Sequence[tuple[str, float]]) -> str:
-    """What determines one direction: remedies with the gains that they reach; `now` is the network's own gain."""
+    """Sentence on what determines one direction: `tried` are remedies with their gains, `now` the gain without them."""
     if now >= DETERMINED > direction.gain:
         return advice("determined already", then=now)
     enough = [pair for pair in tried if pair[1] >= DETERMINED]
