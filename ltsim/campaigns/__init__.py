@@ -5,7 +5,7 @@ import os
 from ltsim.core.errors import require
 
 PACKAGES = ("duckdb", "filelock", "numba", "pyarrow")
-"""What only campaigns need: a third of a whole installation."""
+"""Packages that only campaigns need: a third of a whole installation."""
 
 
 def require_packages() -> None:

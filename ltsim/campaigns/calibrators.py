@@ -80,7 +80,7 @@ class Stack(CellTruth):
         return np.ascontiguousarray(np.stack([a[r] for a, r in zip(each, self.rows.T, strict=True)], axis=-1))
 
     def of_trial(self, together: Floats, trial: int) -> Floats:
-        """What belongs to one trial of a gathered array (n, ..., B), in its own order."""
+        """Array (n, ...) of one trial of a gathered array (n, ..., B), in the trial's order of pointings."""
         own = np.empty(together.shape[:-1])
         own[self.rows[:, trial]] = together[..., trial]
         return own
@@ -163,7 +163,7 @@ class StackCalibrator(Calibrator):
 
     @classmethod
     def of(cls, method: Method, stack: Stack) -> Self:
-        """What a campaign file asks for."""
+        """Calibrator of a stack by a method of the campaign file."""
         first = calibrator_of(method, stack.truths[0])
         return cls(stack, first.construction, first.effects, method.method, method)
 
@@ -206,7 +206,7 @@ class StackCalibrator(Calibrator):
         return np.flatnonzero(doubtful)
 
     def difference(self, block: Block, trial: int, found: Calibrated) -> float:
-        """As of `Calibrator`."""
+        """Difference of a trial from the full solver, as of `Calibrator`."""
         one = slice(trial, trial + 1)
         arrays = found.values[..., one], found.sigma[..., trial], found.points[..., one]
         own = Calibrated(*arrays, found.chi2[one], found.status[one])

@@ -42,7 +42,7 @@ Progress = Callable[[int], None]
 
 @dataclass(frozen=True)
 class Workers:
-    """Where the work is done."""
+    """Workers that compute the shards: local processes, or those of a dask scheduler."""
 
     jobs: int = 1
     """Processes on this machine; with dask the scheduler's workers decide."""
@@ -56,15 +56,15 @@ class Workers:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a run did."""
+    """Outcome of a run: its folder, the numbers of shards, and notes for the user."""
 
     folder: Path
     shards: int
-    """Written now."""
+    """Number of shards that this run computed and wrote."""
     kept: int
-    """Found finished."""
+    """Number of shards that were complete before this run."""
     notes: tuple[str, ...]
-    """What a person should know: damaged shards that were done again, another commit than at the beginning."""
+    """Notes for the user: damaged shards that were computed again, another commit than at the beginning."""
 
 
 def run_campaign(
@@ -133,7 +133,7 @@ def _sources(campaign: Campaign, cells: Sequence[Cell], file: Path, *, as_it_is:
 
 
 def _check(campaign: Campaign, factors: Sequence[Factor], cells: Sequence[Cell], file: Path) -> list[str]:
-    """What would stop every trial is said before the first; gives notes on effects that find nothing to act on."""
+    """Notes on effects without anything to act on; raises SetupError for a fault that would stop every trial."""
     idle = []
     for method in campaign.methods:
         fitted_construction(method)

@@ -228,7 +228,7 @@ def _between(first: Floats, second: Floats, out: Floats) -> None:
 
 @compiled
 def _length_of_pair(gauge: Ints, i: int, j: int) -> int:
-    """Which known length a pair of targets has; -1 for none."""
+    """Index of the known length between a pair of targets; -1 for none."""
     for g in range(len(gauge)):
         if (gauge[g, 0] == i and gauge[g, 1] == j) or (gauge[g, 0] == j and gauge[g, 1] == i):
             return g

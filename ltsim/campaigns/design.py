@@ -1,4 +1,4 @@
-"""What a campaign varies: its factors, points spread over ranges, and the names and values that rows carry."""
+"""Experimental design of a campaign: its factors, points spread over ranges, and the names and values in rows."""
 
 import json
 from collections import Counter
@@ -23,19 +23,19 @@ TAKEN = frozenset(
 )  # fmt: skip
 """Names of columns that every campaign has."""
 DIGITS = 4
-"""Of a value that a design places: enough to tell points apart, few enough to read."""
+"""Significant digits of a value that a design places: enough to distinguish points, few enough to read."""
 MOST_RANGES = 64
 
 
 class Range(TomlSection):
-    """Where the points of a design lie along one key, in the key's unit; whole numbers where the key takes those."""
+    """Range of a design's points along one key, in the key's unit; whole numbers where the key takes those."""
 
     low: Finite
-    """Smallest value."""
+    """Smallest value of the key."""
     high: Finite
-    """Largest value."""
+    """Largest value of the key."""
     scale: Literal["linear", "log"] = "linear"
-    """Evenly in the value, or in its logarithm."""
+    """Spacing of the points: even in the value, or in its logarithm."""
 
     @model_validator(mode="after")
     def _upward(self) -> Self:
@@ -56,9 +56,9 @@ class Design(TomlSection):
     kind: Literal["latin-hypercube", "sobol"]
     """One point in each slice of every range (McKay 1979), or a scrambled Sobol sequence (Owen 1998)."""
     cells: Annotated[int, Field(ge=2)]
-    """How many points; of a Sobol sequence a power of two."""
+    """Number of points; for a Sobol sequence a power of two."""
     ranges: Annotated[dict[str, Range], Field(min_length=1, max_length=MOST_RANGES)]
-    """By dotted key or name of `[link]`, tables `[design.ranges.KEY]`."""
+    """Range of each key, by dotted key or name of `[link]`: tables `[design.ranges.KEY]`."""
 
     @model_validator(mode="after")
     def _balanced(self) -> Self:
@@ -82,16 +82,16 @@ class Design(TomlSection):
 
 
 class Factor(Entry):
-    """Something that a campaign varies."""
+    """Factor of a campaign: a setting that differs between its cells."""
 
     name: str
-    """Its column in rows and summary."""
+    """Name of its column in rows and summary."""
     keys: tuple[str, ...]
     """Dotted keys of the scenario that take its value."""
     unit: str = ""
-    """Of its values."""
+    """Unit of its values."""
     kind: Kind = "number"
-    """Of values; tables stand as JSON."""
+    """Type of its values; tables are written as JSON."""
 
     def level(self, scenario: Mapping[str, Any]) -> Any:
         """Its value in a cell, from the tables of the cell's scenario; tables as JSON, None for what is not there."""
@@ -120,5 +120,5 @@ def short_names(keys: Sequence[str]) -> dict[str, str]:
 
 
 def label(factors: Sequence[Factor], levels: Mapping[str, Any]) -> str:
-    """What a cell is, in a line."""
+    """Description of a cell in a line: the level of each factor."""
     return ", ".join(f"{f.name} = {f.words(levels[f.name])}" for f in factors) or "as the scenario says"

@@ -49,7 +49,7 @@ class BatchDistance(Engine):
 
     @property
     def absolute(self) -> bool:
-        """By least absolute deviations."""
+        """True for an estimate by least absolute deviations."""
         return self.method.endswith("-l1")
 
     @property
@@ -65,7 +65,7 @@ class BatchDistance(Engine):
 
     @cached_property
     def estimate(self) -> Estimates:
-        """What the estimator gives at nominal readings: zero, its covariance, and what it leaves out."""
+        """Estimate at nominal readings: zero, its covariance, and the combinations that it leaves out."""
         if self.as_printed:
             return solve_equation_9(self.problem, "absolute" if self.absolute else "squares")
         return solve_distances(self.problem, METHODS[self.method])

@@ -83,15 +83,15 @@ class Calibrated:
 
 @dataclass(frozen=True)
 class Calibrator:
-    """What a campaign needs of a method."""
+    """Base class of the calibrators that a campaign compares."""
 
     truth: CellTruth
     construction: Construction
-    """Whose parameters are estimated."""
+    """Construction whose parameters are estimated."""
     effects: tuple[Effect, ...] = ()
     """Further effects that are estimated."""
     method: str = "network"
-    """As of `spec.Method`."""
+    """Name of the method, as of `spec.Method`."""
 
     def calibrate(self, block: Block, wanted: Ints) -> Calibrated:
         """Calibrate a block; trials that are not wanted may be left out (NaN)."""
@@ -123,7 +123,7 @@ def placed_on(adjustment: Adjustment, goal: Floats) -> Floats:
 
 
 def members(truth: CellTruth, sets: Ints) -> tuple[Bools, Floats]:
-    """Which set (O, T) of the pointings (n,) saw which target whole, and the share (n,) of each in its set's mean."""
+    """Flags (O, T): True where a set saw a target completely; and weight (n,) of each pointing in its set's mean."""
     recording, targets = truth.recording, len(truth.recording.targets)
     whole = np.asarray(recording.measured.all(axis=1) & truth.recorded.all())
     key = sets * targets + recording.target
@@ -150,7 +150,7 @@ class Single(Calibrator):
     """One recording after the other, by the calibrator that users have."""
 
     applied: bool = False
-    """What is taken out of readings stands in place of the estimates, which keep their sigmas."""
+    """Flag: corrections applied to readings replace the estimates; the sigmas stay those of the estimates."""
 
     def calibrate(self, block: Block, wanted: Ints) -> Calibrated:
         """Calibrate the wanted trials of a block."""

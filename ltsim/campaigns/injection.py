@@ -27,10 +27,10 @@ from ltsim.recordings.exchange import RecordingSource, recording_of
 from ltsim.simulation.inject import Injected, Injection, InjectionCurve, InjectionTruth, Injector
 
 SIZE = "size"
-"""Of a law in words: rms of what its carrier does, in the carrier's unit."""
+"""Name of the amplitude of a law in words: rms of its effect on the response term, in the response's unit."""
 STRENGTHS = (25.0, 50.0, 100.0, 200.0, 400.0, 800.0)
 TRIES = 25
-"""Draws of what was not said until one is seen."""
+"""Largest number of draws of the unspecified values until an injection is detectable."""
 ALIKE = 0.5
 """Share of the targets or stations in common from which several are the right ones."""
 
@@ -101,13 +101,13 @@ def injection_curve(
     injections: int = 5,
     seed: int = 0,
 ) -> InjectionCurve:
-    """How strong a cause must be to be found, placed and named in a recording in hand.
+    """Detection curve: strength at which a cause is detected, located and identified in a given recording.
 
     Parameters
     ----------
     recording : Recording, str or Path
     cause : str
-        As of `inject`; what it does not say, such as the place, is drawn anew for each injection.
+        As of `inject`; unspecified values, such as the place, are drawn anew for each injection.
     strengths : sequence of float
         Noncentralities.
     injections : int
@@ -117,7 +117,7 @@ def injection_curve(
     Returns
     -------
     InjectionCurve
-        What is told of the recording without any injection is no success.
+        Curve of the cause; an effect reported for the recording without any injection is no success.
 
     Raises
     ------
@@ -142,7 +142,7 @@ def _called(cause: str | Tunable | Sized) -> str:
 
 
 def judge(found: Diagnosis, cause: Injected, background: Diagnosis) -> dict[str, bool]:
-    """Whether a cause was found, placed and named by what is told beyond the background."""
+    """Flags: cause detected, located and identified by the findings beyond those of the background."""
     before = {_key(f) for f in background.findings}
     new = [f for f in found.findings if _key(f) not in before]
     placed = [f for f in new if _placed(cause.cause, f)]

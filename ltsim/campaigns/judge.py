@@ -1,4 +1,4 @@
-"""How good a calibration was, for a block of trials: the paper's criteria and the error against the truth.
+"""Quality of a calibration, for a block of trials: the paper's criteria and the error against the truth.
 
 The same quantities as in `ltsim.adjustment.evaluation`, which judges one recording at a time; tests compare the two.
 """
@@ -57,7 +57,7 @@ class Judge:
         return self._fixed(self.seen)
 
     def _fixed(self, use: Bools) -> Bools:
-        """Whether each set of targets (k, T) fixes a frame."""
+        """(k,): True for sets of targets (k, T) that fix a frame."""
         return holds_pose(self._truth(1)[:, :, 0], use, flat=FLAT)
 
     def clouds(

@@ -60,7 +60,7 @@ class Judged(Result):
 
 
 def _alike(readings: Floats, others: Floats) -> bool:
-    """Whether readings [m, rad] are the same but for what a file rounds; some may have been left out."""
+    """True where readings [m, rad] differ by the rounding of a file at most, or where some have been left out."""
     return readings.shape != others.shape or not np.any(np.abs(readings - others) > SAME)
 
 

@@ -367,6 +367,6 @@ def _pull(rotation: Floats, pose: Floats, work: Floats, force: Floats, by_pose: 
 
 
 def compiled_before() -> bool:
-    """Whether machine code of these kernels lies where this installation keeps it."""
+    """True where machine code of these kernels is in this installation's cache."""
     place = getattr(getattr(network_gradient, "stats", None), "cache_path", None)
     return place is not None and any(Path(place).glob(f"kernels.{network_gradient.__name__}*.nbi"))

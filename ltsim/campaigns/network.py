@@ -34,9 +34,9 @@ from ltsim.solve.design import as_dense, cholesky_where_determined, unit_diagona
 
 CAP = 8
 RATE = 1e-3
-"""What a step leaves of the way to the optimum, unless the steps before say more."""
+"""Smallest assumed share of the distance to the optimum that a step leaves; larger where the steps before show it."""
 TOLERANCE = 5e-5
-"""A trial has converged when that is shorter than this many standard deviations (all unknowns together)."""
+"""Largest distance to the optimum of a converged trial, in standard deviations (all unknowns together)."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class BatchFit:
     chi2: Floats
     """(B,)."""
     left: Floats
-    """(B,): what the last step leaves of the way to the optimum, in standard deviations."""
+    """(B,): distance to the optimum after the last step, in standard deviations."""
 
     @property
     def converged(self) -> Bools:
@@ -62,7 +62,7 @@ class BatchFit:
 
 @dataclass(frozen=True)
 class NetworkKnowns:
-    """What a network need not find out again."""
+    """Derivatives and model of a reference network, reused by a network of the same set-up."""
 
     network: BatchNetwork
     """One of the same set-up with the same pointings elsewhere."""
@@ -80,7 +80,7 @@ class BatchNetwork:
     """Its readings are the nominal ones: those of an ideal tracker at `state`."""
     state: State
     construction: Construction
-    """Whose parameters are estimated."""
+    """Construction whose parameters are estimated."""
     program: ChainProgram
     """Its chain around the nominal readings."""
     effects: tuple[Effect, ...] = ()
@@ -119,7 +119,7 @@ class BatchNetwork:
 
     @cached_property
     def sizes(self) -> tuple[int, int, int, int]:
-        """Where poses, targets, parameters and further effects end in the vector of unknowns."""
+        """End indices of poses, targets, parameters and further effects in the vector of unknowns."""
         unknowns = self.problem.unknowns
         pose = unknowns.pose.size
         targets = pose + unknowns.target.size

@@ -23,7 +23,7 @@ Place = tuple[int, str]
 
 @dataclass(frozen=True)
 class Difference:
-    """Of a statistic between two methods or levels on the same draws, trial by trial: `first` less `second`.
+    """Difference of a statistic between two methods or levels on the same draws, trial by trial: `first` less `second`.
 
     `settings` are what both have in common; `low` and `high` bound the difference with 95 %.
     """

@@ -64,7 +64,7 @@ class ChainProgram(NamedTuple):
         )
 
     def spread(self, trials: int) -> Self:
-        """Of rows that are all trials of a pointing after each other: the same with a last index for the trial."""
+        """Program with a last index for the trial, from rows that hold all trials of a pointing one after the other."""
 
         def apart(rows: Floats) -> Floats:
             own = rows.reshape(rows.shape[0], rows.shape[1] // trials, trials, *rows.shape[2:])
@@ -74,7 +74,7 @@ class ChainProgram(NamedTuple):
 
 
 def _driven(motion: Motion) -> int:
-    """Which reading a motion follows; nominal amounts are a constant or a reading plus a constant."""
+    """Index of the reading that a motion follows, -1 for none: amounts are a constant, or a reading plus a constant."""
     if motion.nominal is None:
         return -1
     probe = np.vstack([np.zeros(3), np.eye(3)])

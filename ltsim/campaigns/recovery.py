@@ -59,7 +59,7 @@ fails at once, and the check of convergence fails with the first."""
 
 
 class RecoveryTolerance(NamedTuple):
-    """What an error may be: in the parameter's unit, and as it was given."""
+    """Largest permitted error: in the parameter's unit, and as it was given."""
 
     value: float
     words: str
@@ -72,11 +72,11 @@ class Recovery(Result):
     trials: tuple[Trial | None, ...]
     errors: Errors = "drawn"
     tolerance: Mapping[str, RecoveryTolerance] = field(default_factory=dict)
-    """By parameter; only these are checked, if there are any."""
+    """Tolerance by parameter; only these parameters are checked, if there are any."""
     seconds: float = 0.0
-    """How long the trials took."""
+    """Duration of the trials [s]."""
     problem: str = ""
-    """Why the last trial without a result gave none."""
+    """Reason of the failure of the last trial without a result."""
     allow_unchecked: bool = False
     """Parameters that nothing is checked of do not keep the run from passing."""
 
@@ -127,7 +127,7 @@ class Recovery(Result):
 
     @property
     def what(self) -> str:
-        """Within what everything is to be recovered."""
+        """Limits within which everything is to be recovered."""
         return "the given tolerances" if self.tolerance else "its stated uncertainty"
 
     def _tables(self) -> Mapping[str, Callable[[], Table | Columns]]:
@@ -139,7 +139,7 @@ class Recovery(Result):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the parameters."""
+        """Names of the parameters."""
         return self.converged[0].names if self.converged else ()
 
     @property

@@ -24,21 +24,21 @@ class FailedTrial(NamedTuple):
     """A trial without a result."""
 
     reason: str
-    """A sentence."""
+    """Reason of the failure, as a sentence."""
     foreign: bool
-    """A foreign calibrator was at work."""
+    """True for a failure of a foreign calibrator."""
 
 
 @dataclass(frozen=True)
 class How:
-    """By what a recording is calibrated: ltsim's own method, or a calibrator of one's own beside it."""
+    """Calibration of a recording: ltsim's method, or in addition a calibrator of the user."""
 
     method: str = "network"
     construction: Construction | None = None
     extra_effects: tuple[Wanted, ...] = ()
     calibrator: Calibrator | None = None
     errors: Errors = "drawn"
-    """Whether instruments have errors from the prior, or as the scenario states them."""
+    """Origin of the instruments' errors: drawn from the prior, or declared by the scenario."""
 
 
 def run_trials(

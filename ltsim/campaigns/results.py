@@ -27,7 +27,7 @@ ARGUMENTS = frozenset({CALIBRATOR, "indexers", "method", "tolerance", "drop"})
 
 
 class Results(Statistics, Result):
-    """What a campaign gives: the statistics of its rows, and what is made of them."""
+    """Results of a campaign: the statistics of its rows, their paired differences, pictures and arrays."""
 
     def __reduce__(self) -> tuple[type[Results], tuple[Path]]:
         return Results, (self.folder.resolve(),)

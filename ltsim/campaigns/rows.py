@@ -50,11 +50,11 @@ class ShardTask:
     campaign: Campaign
     scenario: Scenario
     mark: str
-    """Of the cell."""
+    """Digest of the cell."""
     cell: int
     shard: int
     judge: Scenario | None = None
-    """That of `judge_in`."""
+    """Scenario of `judge_in`, where methods are judged; None without one."""
     effects: tuple[type[Effect], ...] = field(default_factory=lambda: CATALOGUE.of_session)
     """Classes of the session, which a worker does not know."""
     held: pa.Table | None = None
@@ -62,7 +62,7 @@ class ShardTask:
 
     @property
     def key(self) -> dict[str, str]:
-        """What the shard's file says of itself."""
+        """Metadata of the shard's file: campaign, cell, shard and statistics."""
         held = " ".join(self.campaign.statistics)
         return {"campaign": self.mark, "cell": str(self.cell), "shard": str(self.shard), "statistics": held}
 
@@ -88,12 +88,12 @@ class Prepared:
 
     @cached_property
     def factors(self) -> tuple[Factor, ...]:
-        """What differs between the cells of the campaign."""
+        """Factors of the campaign: the settings that differ between its cells."""
         return self.campaign.factors(self.scenario)
 
     @cached_property
     def levels(self) -> dict[str, Any]:
-        """What the factors are in this cell, by name."""
+        """Levels of the factors in this cell, by name."""
         tables = self.scenario.model_dump(mode="json", by_alias=True)
         return {factor.name: factor.level(tables) for factor in self.factors}
 

@@ -13,7 +13,7 @@ from ltsim.recordings.result_file import Entry, Finite, Known, ResultFile
 
 Whole = Annotated[int, Field(ge=0)]
 LEVELS = (0.025, 0.05, 0.25, 0.5, 0.75, 0.95, 0.975)
-"""Of the quantiles."""
+"""Probabilities of the quantiles."""
 
 SUMMARY = "summary.csv"
 CHECKED = "full_difference_sigma"
@@ -40,7 +40,7 @@ class RowColumn(Column):
     """A result in the rows of a campaign; one whose name ends in `:` stands for a column a parameter."""
 
     group: Statistic | None = None
-    """Which of the statistics of the campaign's file it belongs to; None for what all rows have."""
+    """Statistic of the campaign's file to which the column belongs; None for a column of all rows."""
 
 
 def _columns(group: Statistic | None, unit: str, **about: str) -> list[RowColumn]:
@@ -158,20 +158,20 @@ def summary_table(factors: Mapping[str, str]) -> Table:
 
 
 class RecoveryCheck(Entry):
-    """One number that has to lie between two bounds."""
+    """Check that a number lies between two bounds."""
 
     what: str
-    """Parameter, or chi-square, targets, stations."""
+    """Subject of the check: a parameter, or chi-square, targets, stations."""
     statistic: str
-    """Which number of it."""
+    """Name of the number that is checked, such as the mean z-score."""
     value: Known
-    """What it is."""
+    """Value of the number."""
     low: Finite
-    """What it should not be below."""
+    """Lower bound of the number."""
     high: Finite
-    """What it should not be above."""
+    """Upper bound of the number."""
     passed: bool
-    """It lies between."""
+    """True where the number lies between the bounds."""
 
     @classmethod
     def of(cls, what: str, statistic: str, value: float, low: float, high: float) -> Self:
@@ -207,13 +207,13 @@ class CellEntry(Entry):
     """One cell of the grid."""
 
     cell: Whole
-    """Its number."""
+    """Number of the cell."""
     label: str
-    """What it is, in a line."""
+    """Description of the cell in a line: the level of each factor."""
     levels: dict[str, Any] = Field(default_factory=dict)
     """Value of each factor, by the factor's name."""
     settings: dict[str, Any] = Field(default_factory=dict)
-    """What it changes, by dotted key."""
+    """Values that the cell changes in the scenario, by dotted key."""
     mark: str = ""
     """Digest of all that decides its rows; each of its shards says it too."""
 
@@ -223,31 +223,31 @@ class ManifestFile(ResultFile):
 
     FILE: ClassVar[str] = "manifest.json"
     format: Literal["ltsim-campaign-rows/1"] = "ltsim-campaign-rows/1"
-    """Which format and version this file is in."""
+    """Format and version of this file."""
     title: str = ""
     """Free text."""
     seed: Whole = 0
     """Root of the random draws."""
     trials: Whole
-    """Of each cell, at most."""
+    """Largest number of trials of each cell."""
     shard: Whole | None = None
-    """Trials a file of rows."""
+    """Number of trials in a file of rows."""
     methods: tuple[str, ...] = Field(min_length=1)
     """Names of the calibrators."""
     factors: tuple[Factor, ...] = ()
-    """What differs between cells."""
+    """Settings that differ between cells."""
     cells: tuple[CellEntry, ...] = Field(min_length=1)
-    """Of grid and design."""
+    """Cells of grid and design."""
     versions: dict[str, str] = Field(default_factory=dict)
-    """Of what made the rows."""
+    """Versions of the software that computed the rows, by package."""
     processor: str = "unknown"
-    """Its type: rows are the same bytes on one type."""
+    """Type of the processor: rows are the same bytes on one type."""
     commit: str | None = None
-    """Of ltsim's checkout, where it runs from one."""
+    """Commit of ltsim's checkout, where it runs from one."""
     settings: dict[str, Any] = Field(default_factory=dict)
     """The campaign file."""
     scenarios: tuple[dict[str, Any], ...] = ()
-    """That of each cell."""
+    """Scenario of each cell."""
 
 
 class RecoveryFile(ResultFile):
@@ -255,20 +255,20 @@ class RecoveryFile(ResultFile):
 
     FILE: ClassVar[str] = "recovery.json"
     format: Literal["ltsim-recovery/1"] = "ltsim-recovery/1"
-    """Which format and version this file is in."""
+    """Format and version of this file."""
     passed: bool
     """All checks passed, and no parameter is without one unless that was allowed."""
     errors: Errors = "drawn"
-    """Whether the instrument's errors were drawn from the prior, or as the scenario states them."""
+    """Origin of the instrument's errors: drawn from the prior, or declared by the scenario."""
     trials: Whole
-    """How many."""
+    """Number of trials."""
     converged: Whole
-    """How many gave a result."""
+    """Number of trials that gave a result."""
     seed: Whole
     """Root of the random draws."""
     checks: tuple[RecoveryCheck, ...]
-    """One number each."""
+    """Checks of one number each."""
     unchecked: tuple[str, ...] = ()
     """Parameters that nothing was checked of: neither a sigma in each trial nor a tolerance."""
     problem: str = ""
-    """Why the last trial without a result gave none."""
+    """Reason of the failure of the last trial without a result."""

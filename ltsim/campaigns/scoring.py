@@ -122,7 +122,7 @@ def _checked(given: object, where: str) -> dict[str, ParameterEstimate]:
 
 @dataclass(frozen=True)
 class NetworkScore:
-    """What a trial says of the whole network; NaN where it is not known."""
+    """Scores of a trial for the whole network; NaN where they are unknown."""
 
     targets: float = np.nan
     stations: float = np.nan
@@ -136,13 +136,13 @@ class NetworkScore:
 
 @dataclass(frozen=True)
 class Trial(Valued):
-    """What a calibrator found in one trial; parameters in the units that people read."""
+    """Estimates of a calibrator in one trial, with the truth; parameters in display units."""
 
     names: tuple[str, ...]
     units: tuple[str, ...]
     estimate: Floats
     sigma: Floats
-    """(p,): stated; NaN for none."""
+    """(p,): standard deviations that the calibrator declares; NaN for none."""
     truth: Floats
     standard: Floats
     """(p,): z-scores that are standard normal for the truth as it was made, stated or drawn; NaN where noise has no
@@ -150,13 +150,13 @@ class Trial(Valued):
     """
     network: NetworkScore = NetworkScore()
     foreign: bool = False
-    """By a foreign calibrator, of which no prior is known."""
+    """True for a foreign calibrator, whose prior is unknown."""
     other: Trial | None = None
-    """What ltsim's own calibrator found in the same recording."""
+    """Estimates of ltsim's own calibrator from the same recording."""
 
     @property
     def z(self) -> Floats:
-        """(p,): errors over stated sigmas."""
+        """(p,): errors over declared sigmas."""
         return (self.estimate - self.truth) / self.sigma
 
 
@@ -189,14 +189,14 @@ def check_known(names: Sequence[str], true: Collection[str], truth: Truth) -> No
 
 @dataclass(frozen=True)
 class ExpectedTruth:
-    """What a truth is to an estimator with a prior: P parameters in prior sigmas, of instruments and stated errors."""
+    """Expected truth for an estimator with a prior: P parameters [prior sigma] of instruments and declared errors."""
 
     mean: Floats
-    """(P,): where the truth was drawn; the truth itself where it was not."""
+    """(P,): mean of the draw of the truth; the truth itself where it was not drawn."""
     drawn: Floats
     """(P,): standard deviation of the draw."""
     missed: Floats
-    """(P, P): what the estimates miss of the truth, noise aside: -missed @ truth."""
+    """(P, P): bias of the estimates per unit of the truth, noise aside: the bias is -missed @ truth."""
     columns: Ints
     """(P,): columns of the adjusted network, in the order of these; empty without one."""
     units: Floats
@@ -242,9 +242,9 @@ def _reflector_error(truth: Truth) -> Floats:
 
 
 def score(found: Calibration, truth: Truth, law: Mapping[str, tuple[float, float]]) -> Trial:
-    """What ltsim's calibration says of a truth; raises SetupError where that lacks parameters of the calibration.
+    """Score of ltsim's calibration against a truth; raises SetupError where that lacks parameters of the calibration.
 
-    `law` holds mean and standard deviation [SI] from which each true parameter was drawn; 0 for a stated one.
+    `law` holds mean and standard deviation [SI] from which each true parameter was drawn; 0 for a declared one.
     """
     check_known(found.names, truth.instrument, truth)
     expected, count = ExpectedTruth.of(found, truth, law), len(found.names)

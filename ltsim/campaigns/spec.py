@@ -35,12 +35,12 @@ class Method(TomlSection):
     """
 
     name: str = ""
-    """What the results call it; the method's own name where it is not given."""
+    """Name of the method in the results; that of `method` where it is not given."""
     method: Literal["network", "distance", "distance-l1", "equation-9", "equation-9-l1"] = "network"
     """Network adjustment, or the paper's distance objective by least squares or least absolute deviations: over what
     the readings determine, or its own minimum (`equation-9`)."""
     construction: Literal["misalignment", "dh", "steering-mirror", "ideal"] = "misalignment"
-    """Which parameters are estimated; `ideal` estimates none."""
+    """Construction whose parameters are estimated; `ideal` estimates none."""
     harmonics: Annotated[int, Field(ge=0, le=4)] = 2
     """Harmonics of each joint error of the `dh` chain."""
     degree: Annotated[int, Field(ge=0, le=4)] = 2
@@ -69,7 +69,7 @@ class Method(TomlSection):
 
 
 class Stop(TomlSection):
-    """When a cell needs no further trials, told after each round from the rows so far: half as many again a round.
+    """Stopping rule of a cell, applied after each round to the rows so far: half as many again a round.
 
     A cell stops when the mean of `statistic` is known `within` its bound for every method.
     """
@@ -91,27 +91,27 @@ class Campaign(TomlSection):
     """
 
     format: Literal["ltsim-campaign/1"] = "ltsim-campaign/1"
-    """Which format and version this file is in."""
+    """Format and version of this file."""
     title: str = ""
     """Free text."""
     scenario: str = "paper-workshop"
-    """A built-in scenario, or a file beside this one."""
+    """A built-in scenario, or a file in the folder of this one."""
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
     """Root of all random draws."""
     trials: Annotated[int, Field(ge=1, le=10**9)] = 1000
-    """Of each cell."""
+    """Number of trials of each cell."""
     shard: Annotated[int, Field(ge=1, le=65_536)] = 4096
-    """Trials a file of rows; a kill loses at most one in progress."""
+    """Number of trials in a file of rows; a kill loses at most one file in progress."""
     geometry: Literal["shared", "per-trial"] = "shared"
     """All trials of a cell share one placing of stations and targets, or each has its own."""
     verify: Annotated[int, Field(ge=0, le=1000)] = 2
     """Trials of each shard, its first ones, that the full solver repeats."""
     statistics: tuple[Statistic, ...] = ("criteria", "errors", "z-scores")
-    """What each row holds."""
+    """Groups of results that each row holds."""
     judge_in: str = ""
-    """Where methods are judged by points that they were not calibrated on: a scenario (built-in, or a file beside this
-    one), measured with the cell's instruments as they truly are in each trial; or a table of points
-    (`target,x_mm,y_mm,z_mm` in a file `NAME.csv`), measured from the cell's own stations."""
+    """Held-out points on which methods are judged: a scenario (built-in, or a file in the folder of this one), measured
+    with the cell's instruments as they truly are in each trial; or a table of points (`target,x_mm,y_mm,z_mm` in a
+    file `NAME.csv`), measured from the cell's stations."""
     judge_drift: Annotated[float, Field(ge=0)] = 0.0
     """Until they measure in `judge_in` the instruments' errors but the range scale move by so many of their priors, at
     random."""
@@ -126,7 +126,7 @@ class Campaign(TomlSection):
     cells: tuple[dict[str, Any], ...] = ()
     """Combinations one by one, tables `[[cells]]`."""
     stop: Stop | None = None
-    """When a cell may stop before it has all its trials."""
+    """Stopping rule of a cell before it has all its trials."""
     methods: tuple[Method, ...] = (Method(),)
     """The calibrators to compare, tables `[[methods]]`."""
 
@@ -181,7 +181,7 @@ class Campaign(TomlSection):
         return tuple(dict.fromkeys((*listed, *(self.design.ranges if self.design else ()), *self.grid)))
 
     def factors(self, scenario: Scenario) -> tuple[Factor, ...]:
-        """What differs between cells; `scenario` is that of any cell. A title stands for tables."""
+        """Factors that differ between cells; `scenario` is that of any cell. A title stands for tables."""
         titles, given = short_names(self.varied), {name: self.link.get(name, (name,)) for name in self.varied}
         found = (
             Factor(name=titles[name], keys=keys, unit=unit_of(scenario, keys[0]), kind=kind_of(keys[0]))
@@ -190,7 +190,7 @@ class Campaign(TomlSection):
         return tuple(factor for factor in found if factor.kind != "table" or "title" not in self.varied)
 
     def combinations(self) -> Iterator[dict[str, Any]]:
-        """What each cell changes in the scenario, by dotted key."""
+        """Changes of the scenario for each cell, by dotted key."""
         first = {name: self.link.get(name, (name,))[0] for name in self.varied}
         points = self.design.points(self.seed, first) if self.design else [{}]
         for listed, point in itertools.product(self.cells or ({},), points):
@@ -248,9 +248,9 @@ class Cell:
 
     scenario: Scenario
     judge: Scenario | None
-    """Where it is judged; None for nowhere else."""
+    """Scenario of the held-out points; None without `judge_in`."""
     settings: dict[str, Any]
-    """What it changes, by dotted key."""
+    """Values that it changes in the scenario, by dotted key."""
     levels: dict[str, Any]
     """Value of each factor, by the factor's name."""
     mark: str
@@ -260,7 +260,7 @@ class Cell:
 def cells_of(
     campaign: Campaign, scenarios: Sequence[Scenario], path: Path
 ) -> tuple[tuple[Factor, ...], tuple[Cell, ...]]:
-    """What differs between cells, and the cells; raises SetupError."""
+    """Factors that differ between cells, and the cells; raises SetupError."""
     factors, cells = campaign.factors(scenarios[0]), []
     deciding = {"seed", "shard", "geometry", "verify", "methods", "judge_drift"}
     common = campaign.model_dump_json(include=deciding, by_alias=True)

@@ -1,4 +1,4 @@
-"""What the rows of a campaign say: queries that stream over the shards, a column at a time."""
+"""Statistics of a campaign's rows: queries that stream over the shards, a column at a time."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ class Scores:
 
 @dataclass(frozen=True)
 class Checked:
-    """How the trials of a cell and method ended, and how far the batch is from the full solver."""
+    """Statuses of the trials of a cell and method, and largest difference of the batch from the full solver."""
 
     cell: int
     method: str

@@ -1,4 +1,4 @@
-"""Which trials are still wanted: all of them, or round by round those of cells that are not known well enough.
+"""Trials still required: all of them, or round by round those of cells whose mean is not precise enough.
 
 What a round does is decided by the rows of the rounds before it alone: the same whatever the number of workers, and
 after any stop. Trials are those of the full run, from the first on.
@@ -21,17 +21,17 @@ if TYPE_CHECKING:
     from ltsim.campaigns.spec import Campaign
 
 GROWTH = 1.5
-"""Trials after a round over those before it."""
+"""Ratio of the trials after a round to those before it."""
 LEAST = 64
 """Trials before the first look."""
 LEVEL = 0.05
-"""Two-sided, of every interval."""
+"""Two-sided error rate of all intervals of a cell together; without a stop, of each."""
 Shard = tuple[int, int]
 """Cell and number."""
 
 
 def quantile(count: int, level: float) -> float:
-    """Of t, two-sided, for the mean of so many values at an error rate."""
+    """Two-sided quantile of Student's t, for the mean of so many values at an error rate."""
     return -float(special.stdtrit(count - 1, 0.5 * level)) if count > 1 else math.inf
 
 

@@ -68,11 +68,11 @@ class Store:
     folder: Path
 
     def shard_path(self, cell: int, shard: int) -> Path:
-        """Where a shard lies."""
+        """Path of a shard's file."""
         return self.folder / ROWS / f"cell-{cell:04d}" / f"shard-{shard:06d}.parquet"
 
     def shards(self, below: int | None = None) -> list[Path]:
-        """Where the finished shards lie, in their order; only those `below` a number."""
+        """Paths of the finished shards, in their order; only those `below` a number."""
         found = sorted(self.folder.glob(f"{ROWS}/cell-*/shard-*.parquet"))
         return [path for path in found if below is None or path.name < self.shard_path(0, below).name]
 
@@ -222,7 +222,7 @@ class Store:
 
 
 def statistics_of(table: pa.Table) -> list[str]:
-    """What the rows of a shard hold."""
+    """Statistics in the rows of a shard, from the metadata of its file."""
     return _label(table)["statistics"].split()
 
 

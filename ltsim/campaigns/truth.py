@@ -61,20 +61,20 @@ class Block:
 
 @dataclass(frozen=True)
 class CellTruth:
-    """What is true in a cell."""
+    """True geometry of a cell, and the distributions from which its trials are drawn."""
 
     recording: Recording
     """Its readings are the nominal ones: those of an ideal tracker at `state`."""
     state: State
     """True poses and targets, in the frame in which a calibrator starts (that of the first station)."""
     population: TrialDraws
-    """What is drawn in a trial; its sightings may be in any frame."""
+    """Distributions of the values drawn in a trial; its sightings may be in any frame."""
     step: Floats = field(default_factory=lambda: np.zeros((1, 3)))
     """(I, 3) [m, rad, rad]: resolution of the readings; 0 for none."""
     recorded: Bools = field(default_factory=lambda: np.ones(3, dtype=bool))
-    """(3,): which of range, azimuth and elevation are recorded; the others do not deviate."""
+    """(3,): True for those of range, azimuth and elevation that are recorded; the others do not deviate."""
     work: Fieldwork | None = None
-    """Where blunders are made: trials with them are simulated one by one."""
+    """Fieldwork in which blunders are made: trials with blunders are simulated one by one."""
 
     @property
     def sightings(self) -> Sightings:
@@ -83,7 +83,7 @@ class CellTruth:
 
     @property
     def construction(self) -> Construction:
-        """Of the true instrument."""
+        """Construction of the true instrument."""
         return self.population.construction
 
     @property

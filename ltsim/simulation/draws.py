@@ -1,4 +1,4 @@
-"""What is drawn in a trial, and from which distributions: one sampler for recordings and campaigns.
+"""Random values of a trial and their distributions: one sampler for recordings and campaigns.
 
 A draw is keyed by the seed, what it is for, and the number of its trial. Adding an effect, a station's twin, a method
 or a worker changes no other draw.
@@ -75,14 +75,14 @@ class Normal:
         return trials_normal(self.seed, self.trials, size, *what)
 
     def one_by_one(self) -> list[Normal]:
-        """Those of each trial by itself; what they have in common is drawn once."""
+        """Numbers of each trial separately; those in common are drawn once."""
         together = lru_cache(maxsize=None)(self.__call__)
         return [_Column(self.seed, self.trials[[k]], together, k) for k in range(len(self.trials))]
 
 
 @dataclass(frozen=True)
 class _Column(Normal):
-    """Those of one trial."""
+    """Standard normal numbers of one trial."""
 
     together: Callable[..., Floats] = trials_normal
     place: int = 0
@@ -93,7 +93,7 @@ class _Column(Normal):
 
 @dataclass(frozen=True)
 class Draw:
-    """What was drawn of B trials; the last index is the trial."""
+    """Values drawn for B trials; the last index is the trial."""
 
     trials: Ints
     """(B,): their numbers."""
@@ -121,12 +121,12 @@ class TrialDraws:
     noise: Floats
     """(n, 3) [m, rad, rad]: standard deviations of the readings, without what effects on the noise add."""
     lengths: KnownLengths
-    """As they truly are, with the sigmas of their certificates."""
+    """True lengths, with the sigmas of their certificates."""
     names: tuple[str, ...]
-    """Of the targets between which the lengths are."""
+    """Names of the targets between which the lengths are."""
     effects: tuple[EffectLaw, ...] = ()
     certificate_factor: float = 1.0
-    """How many times its stated sigma a certificate errs."""
+    """Ratio of the true standard deviation of a certificate's error to the declared one."""
 
     def draw(self, numbers: Normal, values: Floats | None = None, *, apart: str = "") -> Draw:
         """Draw trials; `values` (I, p, B) [SI] are those of instruments that are given.

@@ -1,4 +1,4 @@
-"""Where everything truly stands, and the pointings in the order of the work: the part of a trial that may be kept."""
+"""True places, and the pointings in the order of the work: the part of a trial that may be reused."""
 
 from collections import Counter
 from dataclasses import dataclass, replace
@@ -38,11 +38,11 @@ class Fieldwork:
     """The pointings, at the true geometry, of the targets that are seen; covariates are the air readings."""
     effects: tuple[Effect, ...]
     notes: tuple[str, ...]
-    """Which station does not see which target, and why; of many pairs, how many and why."""
+    """Pairs of station and target without a line of sight, each with its reason; for many pairs, counts by reason."""
 
     @cached_property
     def construction(self) -> Construction:
-        """That of the scenario's instruments."""
+        """Construction of the scenario's instruments."""
         return construction_of(self.scenario)
 
 
@@ -171,7 +171,7 @@ def _levels(heights: Floats) -> Floats:
 
 
 def _air(scenario: Scenario, time: Floats) -> dict[str, Floats]:
-    """What the instrument's sensors read: to 0.1 of their units."""
+    """Readings of the instrument's air sensors, by covariate: rounded to 0.1 of their units."""
     room = scenario.workshop
     temperature = room.temperature_c + room.temperature_rise_c_per_h * time / 3600.0
     return {
@@ -190,10 +190,10 @@ def smrs_of(scenario: Scenario, sightings: Sightings) -> tuple[str, ...]:
 
 
 def true_lift(scenario: Scenario, sightings: Sightings, seed: int, *key: str | int) -> Floats | None:
-    """Where (n, 3) [m] each SMR's centre stands from its target; None in a scenario of one SMR.
+    """Displacement (n, 3) [m] of each SMR's centre from its target; None in a scenario of one SMR.
 
     Raises SetupError when a pointing uses an SMR without a table, one of another radius has no normal to lie along, or
-    the reference is not stated.
+    the reference is not declared.
     """
     reflectors = scenario.reflectors
     if not reflectors:

@@ -36,10 +36,10 @@ class Injected(Result):
 
     cause: Tunable
     words: str
-    """As a person asked for it."""
+    """Request of the user for the cause."""
     values: Floats
     noncentrality: float
-    """What the adjustment leaves of it; for noise the expected drop of minus twice the log likelihood."""
+    """Noncentrality of the cause after adjustment; for noise the expected drop of minus twice the log likelihood."""
     largest: dict[str, float]
     """Largest change of a distance [um], azimuth and elevation [urad]; of noise its largest deviation."""
 
@@ -63,7 +63,7 @@ class Injected(Result):
         }
 
     def to_json(self) -> dict[str, Any]:
-        """What a truth file says of it."""
+        """Entry of the cause in a truth file."""
         cause = self.cause
         shape = shape_of(cause) if isinstance(cause, Effect) else {}
         return {
@@ -75,7 +75,7 @@ class Injected(Result):
 
 @dataclass(frozen=True, repr=False)
 class InjectionTruth(Result):
-    """What was put into a recording."""
+    """True causes and their values injected into a recording."""
 
     seed: int
     causes: tuple[Injected, ...]
@@ -118,7 +118,7 @@ class InjectionCurve(Result):
 
     words: str
     background: tuple[str, ...]
-    """What is told of the recording as it is."""
+    """Effects reported for the recording without an injection."""
     rows: tuple[Mapping[str, float], ...]
 
     def _lines(self) -> list[str]:
@@ -143,7 +143,7 @@ class Injector:
 
     @property
     def state(self) -> State:
-        """Where the adjustment has stations and targets."""
+        """Adjusted state: poses of the stations, positions of the targets."""
         return self.space.adjustment.state
 
     def change(self, cause: Tunable, values: Floats) -> Floats:
@@ -172,7 +172,7 @@ class Injector:
         return np.sqrt(np.maximum(np.nan_to_num(added), 0.0))
 
     def noncentrality(self, cause: Tunable, values: Floats) -> float:
-        """What the adjustment leaves of a cause; 0 where the network hides it."""
+        """Noncentrality of a cause after the adjustment; 0 where the network absorbs it."""
         space = self.space
         if isinstance(cause, NoiseEffect):
             used = np.flatnonzero(space.use)

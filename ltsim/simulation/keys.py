@@ -21,7 +21,7 @@ def kind_of(key: str) -> Kind:
 
 
 def meaning_of(key: str) -> str:
-    """What the reference says of a dotted key; empty for a name that a person gave, such as a parameter's."""
+    """Meaning of a dotted key in the reference; empty for a name that a user gave, such as a parameter's."""
     nodes = (node for node, _ in schemas_at(Scenario, key.split(".")))
     return next((node["description"].replace("\n", " ") for node in nodes if "description" in node), "")
 

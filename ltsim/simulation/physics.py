@@ -1,4 +1,4 @@
-"""What is wrong with the instrument and the surroundings of a scenario: constructions, effects, and their laws."""
+"""Errors of the instrument and the surroundings of a scenario: constructions, effects, and their laws."""
 
 import numpy as np
 

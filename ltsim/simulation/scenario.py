@@ -44,7 +44,7 @@ SPELLED_OUT = (
     "format", "title", "reference_radius_mm", "workshop", "placing", "instrument", "smr", "cmm", "work", "instruments",
     "gauge",
 )  # fmt: skip
-"""What a scenario's file states with all defaults."""
+"""Keys that a scenario's file holds with all their defaults."""
 NONE = "none"
 """As a changed value it takes a key of the scenario out: ``gauge = "none"``."""
 
@@ -53,7 +53,7 @@ class Scenario(TomlSection, Result):
     """The whole file."""
 
     format: Literal["ltsim-scenario/1"] = "ltsim-scenario/1"
-    """Which format and version this file is in."""
+    """Format and version of this file."""
     title: str = ""
     """Free text."""
     base: str | None = None
@@ -61,7 +61,7 @@ class Scenario(TomlSection, Result):
     workshop: Workshop = Workshop()
     """The room, its air, what stands in it."""
     placing: Placing = Placing()
-    """How far the truth is from the plan."""
+    """Standard deviations of the true places about the plan."""
     instrument: ScenarioInstrument = ScenarioInstrument()
     """The tracker of every station that names no other."""
     instruments: dict[str, ScenarioInstrument] = Field(default_factory=dict)

@@ -63,21 +63,21 @@ class Obstacle(TomlSection):
     """Something that stands in the workshop: a CAD file, or a box or an upright cylinder on its place."""
 
     name: str = ""
-    """What messages and pictures call it."""
+    """Name in messages and pictures."""
     file: str | None = None
     """STL, OBJ, PLY, GLB, glTF, STEP or IGES file, named from the scenario's folder."""
     unit: Literal["mm", "m", "in"] | None = None
     """Unit of the file's coordinates; without it metres for glTF, their own for STEP and IGES, else millimetres."""
     up: Literal["y", "z"] | None = None
-    """Which of the file's axes points up; without it y for glTF, else z."""
+    """Axis of the file that points up; without it y for glTF, else z."""
     beyond_room: bool = False
-    """It may reach beyond the room or below its floor; else that is asked about."""
+    """Flag: it may reach beyond the room or below its floor; otherwise that is an error for a CAD file."""
     box_mm: tuple[Positive, Positive, Positive] | None = None
     """Width, depth and height of a box, in place of a file."""
     cylinder_mm: tuple[Positive, Positive] | None = None
     """Diameter and height of an upright cylinder, in place of a file."""
     position_mm: Vector = (0.0, 0.0, 0.0)
-    """Where its origin goes; of a box or a cylinder, the middle of its base."""
+    """Position of the file's origin; of a box or a cylinder, that of the middle of its base."""
     yaw_deg: Angle = 0.0
     """Turn about the vertical."""
 
@@ -94,46 +94,46 @@ class Workshop(TomlSection):
     size_mm: tuple[Positive, Positive, Positive] = (6000.0, 6000.0, 6000.0)
     """Width, depth and height; the corner is the origin, z is up."""
     temperature_c: Celsius = 20.0
-    """Of the air, at the start."""
+    """Temperature of the air at the start."""
     temperature_rise_c_per_h: Finite = 0.0
-    """How fast the air warms."""
+    """Rate at which the temperature of the air rises."""
     pressure_hpa: Annotated[float, Field(ge=300, le=1200)] = 1013.2
-    """Of the air."""
+    """Pressure of the air."""
     humidity_pct: Fraction = 50.0
     """Relative humidity of the air."""
     shadow_cone_deg: Annotated[float, Field(gt=0, lt=180)] | None = None
     """Opening of the cone under each station where nothing may stand; without it, the cone that the elevation limit
     hides."""
     obstacles: tuple[Obstacle, ...] = ()
-    """Tables `[[workshop.obstacles]]`."""
+    """Obstacles in the workshop, tables `[[workshop.obstacles]]`."""
 
 
 class Placing(TomlSection):
-    """How far things truly stand from the plan, one standard deviation, and how finely the plan is read."""
+    """Standard deviations of the true places about the plan, and steps to which the recording rounds the plan."""
 
     station_mm: NonNegative = 15.0
-    """Of each coordinate of a station."""
+    """Standard deviation of each coordinate of a station."""
     yaw_deg: NonNegative = 0.4
-    """Of a station's turn about the vertical, and of the gauge's turn."""
+    """Standard deviation of a station's rotation about the vertical, and of the gauge's rotation."""
     tilt_deg: NonNegative = 0.05
-    """Of a station's lean about each horizontal axis."""
+    """Standard deviation of a station's tilt about each horizontal axis."""
     target_mm: NonNegative = 4.0
-    """Of each coordinate of a reflector."""
+    """Standard deviation of each coordinate of a reflector."""
     gauge_mm: NonNegative = 10.0
-    """Of each coordinate of the gauge, which moves as one body."""
+    """Standard deviation of each coordinate of the gauge, which moves as a rigid body."""
     plan_step_mm: Positive = 100.0
-    """To what the recording's floor plan rounds positions."""
+    """Step to which the recording's floor plan rounds positions."""
     plan_step_deg: Positive = 1.0
-    """To what it rounds yaws."""
+    """Step to which the recording's floor plan rounds yaws."""
 
 
 class Resolution(TomlSection):
     """Smallest steps of the readings; 0 for none, by default the paper's (section 2.1.1)."""
 
     distance_um: NonNegative = 0.1
-    """Of a range."""
+    """Smallest step of a range."""
     angle_arcsec: NonNegative = 0.018
-    """Of both angles."""
+    """Smallest step of both angles."""
 
 
 class PointingLimits(Limits):
@@ -142,7 +142,7 @@ class PointingLimits(Limits):
     range_min_mm: NonNegative = 500.0
     """Shortest range that can be measured."""
     range_max_mm: Positive = 20_000.0
-    """Longest one."""
+    """Longest range that can be measured."""
 
     @model_validator(mode="after")
     def _outward(self) -> Self:
@@ -152,40 +152,40 @@ class PointingLimits(Limits):
 
 
 class ScenarioInstrument(TomlSection):
-    """The tracker: construction, what its maker states, and the errors it truly has."""
+    """The tracker: construction, its maker's specifications, and its true errors."""
 
     preset: Annotated[str, AfterValidator(_known_preset)] = "paper"
-    """Where all that is not given comes from: `paper`, `modern`, `after-transport`, or a built-in data sheet."""
+    """Source of all values that are not given: `paper`, `modern`, `after-transport`, or a built-in data sheet."""
     construction: Literal["misalignment", "dh", "steering-mirror"] = "misalignment"
-    """Which chain makes the readings: geometric misalignments, or the paper's Denavit-Hartenberg chain."""
+    """Kinematic chain that makes the readings: geometric misalignments, or the paper's Denavit-Hartenberg chain."""
     harmonics: Annotated[int, Field(ge=0, le=4)] = 2
     """Harmonics of each joint error of the `dh` chain."""
     degree: Annotated[int, Field(ge=0, le=4)] = 2
     """Degree of its polynomials in the range."""
     corrected: bool = False
-    """What the recording says: the instrument's own corrections are in the readings."""
+    """Flag of the recording: the instrument's own corrections are in the readings."""
     noise: Noise = Noise()
-    """What the maker states, and the recording repeats."""
+    """Standard deviations of the readings that the maker specifies and the recording repeats."""
     noise_factor: NonNegative = 1.0
-    """How many times the stated noise the true one is."""
+    """Ratio of the true noise to the specified one."""
     resolution: Resolution = Resolution()
     """Smallest steps of the readings."""
     prior: Prior = PAPER_PRIOR
-    """What the maker guarantees; errors are drawn from it."""
+    """Prior standard deviations of the instrument's errors, guaranteed by the maker; errors are drawn from them."""
     limits: PointingLimits = PointingLimits()
-    """What can be pointed at."""
+    """Limits of elevation and range within which the tracker can point."""
     observables: Annotated[tuple[Literal["distance", "azimuth", "elevation"], ...], Field(min_length=1)] = (
         "distance",
         "azimuth",
         "elevation",
     )
-    """What is recorded of each pointing: `["distance"]` alone is multilateration."""
+    """Observables recorded for each pointing: `["distance"]` alone is multilateration."""
     errors: dict[str, StrictBool | Finite] = Field(default_factory=dict)
     """True errors by parameter name, in display units (`ltsim effects`); `draw = true` draws the others."""
     error_factor: NonNegative = 1.0
-    """How many times the prior the drawn errors are."""
+    """Ratio of the drawn errors' standard deviations to the prior's."""
     prior_factor: Positive = 1.0
-    """How many times the prior the recording states: a maker's figures that are wrong."""
+    """Ratio of the prior that the recording declares to the prior: not 1 for a maker's figures that are wrong."""
 
     @model_validator(mode="after")
     def _draw_is_a_switch(self) -> Self:
@@ -204,19 +204,19 @@ class Smr(TomlSection):
     """The reflectors: how their nests are used, and their error against incidence."""
 
     nests: Literal["re-aimed", "fixed"] = "re-aimed"
-    """Turned toward each station before it points, or left as they are."""
+    """Orientation of the nests: turned toward each station before it points, or fixed."""
     acceptance_deg: Annotated[float, Field(gt=0, le=90)] = 30.0
     """Largest angle of incidence that returns the beam."""
     reflector: str | None = None
     """Name of the SMR, where station and target name no other."""
     incidence_error: bool = False
-    """The reflectors have the error of `table_um`."""
+    """Flag: the reflectors have the incidence error of `table_um`."""
     table_um: Annotated[tuple[Finite, ...], Field(min_length=len(TABLE_ANGLES), max_length=len(TABLE_ANGLES))] = tuple(
         round(x / MICROMETRE, 6) for x in PAPER_TABLE
     )
     """Range error at -30, -22.5, ... +30 deg of incidence."""
     direction_deg: Angle = 0.0
-    """Where around the nest the table's positive side looks, 0 along the horizontal."""
+    """Direction of the table's positive side about the nest's normal, 0 along the horizontal."""
 
 
 class Cmm(TomlSection):
@@ -229,26 +229,26 @@ class Cmm(TomlSection):
     coverage: Positive = 2.0
     """Largest permitted error over standard deviation."""
     noise_factor: NonNegative = 1.0
-    """How many times the stated error the true one is."""
+    """Ratio of the true error to the specified one."""
     nominal: bool = False
-    """It measured the targets too: `ltsim simulate --nominal FILE` writes them for `ltsim verify`."""
+    """Flag: it measured the targets too, and `ltsim simulate --nominal FILE` writes them for `ltsim verify`."""
 
 
 class Work(TomlSection):
-    """How many stations and reflectors are used of those below, the order and the clock of the measurements."""
+    """Numbers of stations and reflectors that are used of those below, order and clock of the measurements."""
 
     stations: Annotated[int, Field(ge=1)] | None = None
-    """How many of the stations are set up, the first of the file; all where it is not given."""
+    """Number of stations that are set up, the first of the file; all where it is not given."""
     targets: Annotated[int, Field(ge=0)] | None = None
-    """How many of the reflectors are measured besides the gauge's, spread as widely as they can be and the same for
-    every larger number; all where it is not given."""
+    """Number of reflectors that are measured in addition to the gauge's, spread as widely as they can be; those of a
+    smaller number are among those of every larger one; all where it is not given."""
 
     order: Literal["by-station-random", "level-by-level", "as-listed"] = "by-station-random"
-    """In which order each station points at the reflectors; levels go from the highest to the lowest."""
+    """Order in which each station points at the reflectors; levels go from the highest to the lowest."""
     faces: Literal[1, 2] = 1
-    """One face, or both."""
+    """Number of faces in which each target is measured."""
     face_order: Literal["per-target", "per-station"] = "per-target"
-    """Both faces target by target, or all targets in one face and then in the other."""
+    """Order of the faces: both target by target, or all targets in one face and then in the other."""
     repeats: Annotated[int, Field(ge=1, le=100)] = 1
     """How many rounds."""
     seconds_per_pointing: Positive = 15.0
@@ -265,7 +265,7 @@ class GaugeLength(TomlSection):
     to: str
     """Target at the other end."""
     length_mm: Positive
-    """The length."""
+    """Length between the two targets."""
 
 
 class ScenarioGauge(TomlSection):
@@ -278,11 +278,11 @@ class ScenarioGauge(TomlSection):
     targets: tuple[str, ...] = ("T25", "T26", "T27", "T28")
     """Names of its reflectors."""
     reading: Literal["columns", "rows"] = "columns"
-    """How to read the paper's Table 2, which lost its alignment in print."""
+    """Reading direction of the paper's Table 2, which lost its alignment in print."""
     distance: tuple[GaugeLength, ...] = ()
     """Lengths of another gauge, tables `[[gauge.distance]]`: all that fix its shape."""
     position_mm: Vector
-    """Where its middle stands."""
+    """Position of its middle."""
     yaw_deg: Angle = 0.0
     """Turn about z."""
     pitch_deg: Angle = 0.0
@@ -290,17 +290,17 @@ class ScenarioGauge(TomlSection):
     roll_deg: Angle = 0.0
     """Turn about x."""
     nest_normal: Vector | None = None
-    """Where its fixed nests look."""
+    """Direction in which its fixed nests face."""
     calibrated_at_c: Celsius = 20.0
     """Temperature of its calibration."""
     measured_at_c: Celsius | None = None
-    """Temperature that the recording states; the air's where it is not given."""
+    """Temperature that the recording declares; the air's where it is not given."""
     expansion_per_k: Finite = 23.2e-6
-    """Coefficient of thermal expansion that the recording states."""
+    """Coefficient of thermal expansion that the recording declares."""
     sigma_expansion_per_k: NonNegative | None = None
     """Standard deviation of the coefficient: the true one is drawn."""
     sigma_temperature_k: NonNegative | None = None
-    """Standard deviation of the stated temperature: the true one is drawn."""
+    """Standard deviation of the declared temperature: the true one is drawn."""
     sigma_um: Positive | None = None
     """Standard deviation of each length; by the measuring machine's where it is not given."""
 
@@ -313,7 +313,7 @@ class Length(LengthUse):
     to: str
     """Reflector at the other end."""
     sigma_um: Positive
-    """Standard deviation of the stated length."""
+    """Standard deviation of the declared length."""
 
 
 class PlannedStation(TomlSection):
@@ -328,7 +328,7 @@ class PlannedStation(TomlSection):
     pitch_deg: Angle = 0.0
     """Planned turn about y."""
     levelled: bool = False
-    """The standing axis follows a level."""
+    """Flag: a level aligns the standing axis with the vertical."""
     levelling_sigma_arcsec: Positive = 1.0
     """Standard deviation of the level."""
     instrument: str | None = None
@@ -344,9 +344,9 @@ class PlannedTarget(TomlSection):
     position_mm: Vector
     """Planned place."""
     nest_normal: Vector | None = None
-    """Where its fixed nest looks."""
+    """Direction in which its fixed nest faces."""
     reaimed: bool | None = None
-    """Turned toward each station; as `smr.nests` says where it is not given."""
+    """Flag: turned toward each station; as declared by `smr.nests` where it is not given."""
     reflector: str | None = None
     """Name of the SMR."""
 
@@ -355,11 +355,11 @@ class PlacedEffect(TomlSection):
     """An effect of the catalogue: its place and constants."""
 
     name: str
-    """As `ltsim effects` lists it."""
+    """Name of the effect, as listed by `ltsim effects`."""
     stations: tuple[str, ...] = ()
-    """Where it acts; empty for all."""
+    """Stations where it acts; empty for all."""
     targets: tuple[str, ...] = ()
-    """Where it acts; empty for all."""
+    """Targets where it acts; empty for all."""
     shape: dict[str, Finite | str | tuple[Finite, ...]] = Field(default_factory=dict)
     """Constants by name, in display units where the effect declares one and in SI otherwise."""
 

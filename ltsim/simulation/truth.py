@@ -38,16 +38,16 @@ class TrackerTruth(TomlSection):
     """An instrument with a name."""
 
     name: str
-    """As the set-up names it."""
+    """Name of the instrument in the set-up."""
     stations: tuple[str, ...] = ()
-    """Where it stood."""
+    """Stations where it stood."""
     noise_factor: Finite = 1.0
-    """How many times the stated noise its true one is."""
+    """Ratio of its true noise to the declared noise."""
 
 
 @dataclass(frozen=True, repr=False)
 class Truth(Result):
-    """What a recording was made from; SI units, the workshop's frame."""
+    """True values from which a recording was simulated; SI units, the workshop's frame."""
 
     title: str
     seed: int
@@ -58,22 +58,22 @@ class Truth(Result):
     """(S, 3, 3): instrument frame to workshop."""
     targets: tuple[str, ...]
     points: Floats
-    """(T, 3) [m]: where no effect moves them."""
+    """(T, 3) [m]: positions without the displacements of effects."""
     construction: str
     instrument: Mapping[str, float]
     """[SI]: true values of the construction's parameters, ``beam-tilt@NAME`` where there are several instruments."""
     units: Mapping[str, str]
-    """The unit each is shown in."""
+    """Display unit of each parameter."""
     effects: tuple[AppliedEffect, ...] = field(default_factory=tuple)
     """Everything beyond the instrument's parameters."""
     noise_factor: float = 1.0
-    """Drawn noise over stated noise, of an instrument without a name."""
+    """Ratio of the drawn noise to the declared noise, of an instrument without a name."""
     trackers: tuple[TrackerTruth, ...] = ()
-    """Where instruments have names."""
+    """Named instruments; empty for an instrument without a name."""
     nominal: Floats | None = None
     """(T, 3) [m]: the targets as a measuring machine gave them."""
     trial: int = 0
-    """Which of those of its seed."""
+    """Number of the trial among those of its seed."""
 
     def _lines(self) -> list[str]:
         title = f"{self.title}: " if self.title else ""
@@ -152,20 +152,20 @@ class _Number(TomlSection):
     name: str
     """Its name."""
     value: Finite
-    """What it truly is."""
+    """True value."""
     unit: str
-    """Of the value."""
+    """Unit of the value."""
 
 
 class _InstrumentNumber(_Number):
     """A parameter of an instrument."""
 
     instrument: str = ""
-    """Whose it is, where there are several."""
+    """Name of the instrument, where there are several."""
 
     @property
     def flat_name(self) -> str:
-        """As of `Construction.names_of`."""
+        """Name of the parameter with its instrument, as of `Construction.names_of`."""
         return f"{self.name}@{self.instrument}" if self.instrument else self.name
 
 
@@ -173,9 +173,9 @@ class _Effect(PlacedEffect):
     """An effect of the catalogue."""
 
     name: str = Field(alias="effect")
-    """Id of the catalogue."""
+    """Name of the effect in the catalogue."""
     parameters: tuple[_Number, ...] = ()
-    """True values."""
+    """True values of its parameters."""
 
 
 class _TruePoint(TomlSection):
@@ -184,43 +184,43 @@ class _TruePoint(TomlSection):
     name: str
     """Its name."""
     position_mm: Vector
-    """Where it truly stands, in the workshop's frame."""
+    """True position in the workshop's frame."""
 
 
 class _Pose(_TruePoint):
     """A station."""
 
     rotation_quaternion: tuple[Finite, Finite, Finite, Finite]
-    """From instrument to workshop; x, y, z, w."""
+    """Rotation from instrument to workshop, as a unit quaternion x, y, z, w."""
 
 
 class TruthFile(TomlSection):
     """`truth.json`: from `simulate --truth`."""
 
     format: Literal["ltsim-truth/1"] = "ltsim-truth/1"
-    """Which format and version this file is in."""
+    """Format and version of this file."""
     title: str = ""
     """Free text."""
     seed: int = 0
     """Root of the random draws."""
     trial: int = 0
-    """Which of those of its seed."""
+    """Number of the trial among those of its seed."""
     construction: str
-    """Which model made the readings."""
+    """Construction whose model made the readings."""
     parameters: tuple[_InstrumentNumber, ...] = ()
     """True errors of the instruments."""
     effects: tuple[_Effect, ...] = ()
-    """Physics beyond them."""
+    """Effects beyond the errors of the instruments."""
     noise_factor: Finite = 1.0
-    """How many times the stated noise the true one is, of an instrument without a name."""
+    """Ratio of the true noise to the declared noise, of an instrument without a name."""
     instruments: tuple[TrackerTruth, ...] = ()
     """The instruments, where they have names."""
     stations: tuple[_Pose, ...] = Field(min_length=1)
-    """True poses."""
+    """True poses of the stations."""
     targets: tuple[_TruePoint, ...] = Field(min_length=1)
-    """True points."""
+    """True positions of the targets."""
     nominal: tuple[_TruePoint, ...] | None = None
-    """Points as a measuring machine gave them."""
+    """Positions of the targets measured by a coordinate measuring machine."""
 
 
 def _number(flat_name: str, value: float, unit: str) -> dict[str, Any]:

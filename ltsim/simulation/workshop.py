@@ -19,7 +19,7 @@ from ltsim.simulation.sections import Obstacle, ScenarioInstrument
 
 @dataclass(frozen=True)
 class Layout:
-    """What stands where; SI units, the workshop's frame."""
+    """Poses of stations and positions of targets; SI units, the workshop's frame."""
 
     stations: tuple[str, ...]
     targets: tuple[str, ...]
@@ -78,7 +78,7 @@ def _nests(scenario: Scenario, position: Floats, points: Floats) -> tuple[Floats
 
 
 def sight_limits(scenario: Scenario, tracker: ScenarioInstrument) -> SightLimits:
-    """What a tracker of the scenario and its reflectors allow."""
+    """Limits of a line of sight for a tracker of the scenario and its reflectors."""
     limits, cone = tracker.limits, scenario.workshop.shadow_cone_deg
     return SightLimits(
         elevation_min=limits.elevation_min_deg * DEGREE,
@@ -108,7 +108,7 @@ class Body:
 
 
 def obstacles_of(scenario: Scenario) -> Obstacles | None:
-    """What stands in the way, or None in an empty workshop; raises SetupError."""
+    """Obstacles of the lines of sight, or None in an empty workshop; raises SetupError."""
     parts = bodies_of(scenario)
     return together(body.triangles for body in parts) if parts else None
 
@@ -144,7 +144,7 @@ def _in_place(entry: Obstacle, triangles: Floats) -> Floats:
 
 
 def _place_question(entry: Obstacle, body: Body, cad: Cad, room: Floats) -> str:
-    """What has to be asked about a body that reaches beyond the room; empty for nothing."""
+    """Question to the user about a body that reaches beyond the room; empty for none."""
     if entry.beyond_room or inside(body.triangles, room):
         return ""
     other = "z" if cad.up == "y" else "y"
