@@ -14,26 +14,26 @@ class TestEntry(Entry):
     __test__ = False
 
     name: str
-    """Of the test."""
+    """Name of the test."""
     group: str
-    """Lengths of one position, two-face tests, ..."""
+    """Group of the test: lengths of one position, two-face tests, ..."""
     limit_um: Finite
-    """What the maker permits."""
+    """Maximum permissible error by the manufacturer's specification [um]."""
     error_um: Finite
-    """Expected or found; of a two-face test the distance across the beam."""
+    """Expected or measured error [um]; of a two-face test the distance across the beam."""
     expanded_um: Known = None
-    """Its uncertainty for 95 %; null where nobody said it."""
+    """Expanded uncertainty of the error for 95 % [um]; null where it was not reported."""
     passes: Finite
-    """Chance to keep the limit; 1 or 0 for an error that was found."""
+    """Probability that the error is within the limit; 1 or 0 for a measured error."""
 
 
 class GroupEntry(Entry):
     """The tests of one group."""
 
     name: str
-    """Of the group."""
+    """Name of the group."""
     tests: int
-    """How many."""
+    """Number of tests in the group."""
     passes: Finite
     """Chance that all keep their limits; 1 or 0 where errors were found."""
     largest_share: Finite
@@ -58,14 +58,14 @@ GROUPS = Table("groups.csv", "tests by group", columns_of(GroupEntry, name={"nam
 
 
 class SensitivityEntry(Entry):
-    """What one constant of the instrument does to the tests, alone."""
+    """Sensitivity of the tests to one constant of the instrument, the others being zero."""
 
     name: str
-    """Of the constant."""
+    """Name of the constant."""
     unit: str
-    """Of both sizes."""
+    """Unit of `prior_sigma` and `smallest_failing`."""
     prior_sigma: Finite
-    """How large it usually is, by the specification."""
+    """Prior standard deviation of the constant by the specification, in `unit`."""
     smallest_failing: Known
     """Size at which it fails a test; null where no test sees it."""
     test: str
@@ -88,17 +88,17 @@ class AcceptanceFile(ResultFile, Result):
 
     FILE: ClassVar[str] = "accept.json"
     format: Literal["ltsim-accept/1"] = "ltsim-accept/1"
-    """Which format and version this file is in."""
+    """Format and version of this file."""
     title: str = ""
     """Free text."""
     kind: Literal["predicted", "measured", "network"]
-    """Whether the tests were predicted, measured, or taken from a network."""
+    """Origin of the test errors: predicted, measured, or taken from a network."""
     plan: str
     """The standard, or the file of tests."""
     specification: Specification
     """The maker's limits."""
     assumption: str = ""
-    """How limits became standard deviations."""
+    """Assumption by which limits were converted to standard deviations."""
     passes: Finite
     """Chance to pass every test; 1 or 0 where errors were found."""
     sentence: str
@@ -108,9 +108,9 @@ class AcceptanceFile(ResultFile, Result):
     tests: tuple[TestEntry, ...]
     """All of them."""
     sensitivities: tuple[SensitivityEntry, ...] = ()
-    """What each constant of the instrument does."""
+    """Sensitivity of the tests to each constant of the instrument."""
     worst_passing: WorstEntry | None = None
-    """What the tests are blind to."""
+    """Worst instrument that passes every test: errors that the tests do not detect."""
 
     __repr__ = __str__ = Result.__repr__
 

@@ -1,4 +1,4 @@
-"""What an instrument's constants and noise do to the tests: errors, sensitivities, chance to pass, blind directions."""
+"""Errors, sensitivities, pass probabilities and blind directions of tests, by an instrument's constants and noise."""
 
 from __future__ import annotations
 
@@ -171,7 +171,7 @@ class AcceptancePlan:
 
 @dataclass(frozen=True)
 class AcceptancePrediction:
-    """What tests will find."""
+    """Predicted outcome of the tests."""
 
     errors: Floats
     sigma: Floats
@@ -207,7 +207,7 @@ def _root(covariance: Floats) -> Floats:
 def predicted(
     plan: AcceptancePlan, found: AcceptancePrediction, prior: Floats, acceptance: Acceptance, *, of: str
 ) -> AcceptanceFile:
-    """What tests will find, for the instrument that `of` names; `prior` (p,) [SI] is what its constants usually are."""
+    """Predicted outcome of the tests of instrument `of`; `prior` (p,) [SI]: standard deviations of its constants."""
     values, rms, largest = plan.worst_passing(prior, envelope())
     size = np.hypot(found.errors[:, 0], found.errors[:, 1])
     signed = np.where(plan.is_length, found.errors[:, 0], size)

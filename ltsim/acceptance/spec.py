@@ -172,7 +172,7 @@ class Acceptance(TomlSection):
     """
 
     format: Literal["ltsim-acceptance/1"] = "ltsim-acceptance/1"
-    """Which format and version this file is in."""
+    """Format and version of this file."""
     title: str = ""
     """Free text."""
     standard: Standard | None = None
@@ -186,13 +186,13 @@ class Acceptance(TomlSection):
     specification: Specification | None = None
     """The maker's limits in place of it; with an `instrument`, what the sheet leaves open or states otherwise."""
     construction: Literal["source-in-head", "steering-mirror"] = "source-in-head"
-    """Where the beam comes from."""
+    """Construction of the instrument: beam source in the head, or a steering mirror."""
     height_mm: Positive = 1500.0
-    """Of the instrument's head above the floor: two-face tests stand on the floor and at twice that height."""
+    """Height of the instrument's head above the floor [mm]; two-face tests: on the floor and at twice that height."""
     ranges_m: Annotated[tuple[Positive, ...], Field(min_length=2)] = (2.0, 6.0, 12.0, 18.0, 24.0, 30.0)
     """Lengths along the line of sight go from the first to each of the others."""
     calibration: str | None = None
-    """What is known of the instrument: a `calibration.json` or its folder."""
+    """Calibration of the instrument: a `calibration.json` or its folder."""
     corrected: bool = False
     """The calibration is applied before the tests, so that its uncertainty remains."""
     recording: str | None = None
@@ -230,7 +230,7 @@ class Acceptance(TomlSection):
 
     @property
     def plan(self) -> str:
-        """What the tests are called: the standard, or the file of tests."""
+        """Name of the plan: the standard, or the file of tests."""
         return self.tests or self.standard or ""
 
     def plan_of(self, folder: Path) -> tuple[Test, ...]:

@@ -77,7 +77,7 @@ def _answer(acceptance: Acceptance, folder: Path) -> AcceptanceFile:
 
 
 def _known(path: Path) -> Calibration:
-    """What is known of the instrument; raises SetupError where it is of several."""
+    """Calibration of the instrument; raises SetupError where the file is of several instruments."""
     known = read_calibration(path)
     if len(known.instruments) > 1:
         raise SetupError(f"{path}: is of {len(known.instruments)} instruments; the tests are of one")

@@ -120,7 +120,7 @@ def name_of(effect: Signature, adjustment: Adjustment) -> str:
 
 
 def _sizes(law: Law, adjustment: Adjustment) -> tuple[FittedParameterEntry, ...]:
-    """What is told of a law among an adjustment's effects."""
+    """Estimated sizes of a law among an adjustment's effects, one entry each."""
     before = adjustment.effects[: adjustment.effects.index(law)]
     first = sum(len(effect.parameters) for effect in before)
     own = slice(first, first + len(law.parameters))
@@ -129,7 +129,7 @@ def _sizes(law: Law, adjustment: Adjustment) -> tuple[FittedParameterEntry, ...]
 
 
 def _rows(effect: Tunable, told: Sequence[Estimated], stated: frozenset[str]) -> tuple[FittedParameterEntry, ...]:
-    """What is told of an effect: its parameters, its kind, the constants that are stated, and those that were found."""
+    """Entries of an effect: its parameters, its kind, the declared constants, and the estimated ones."""
     numbers = [_row(*one) for one in told]
     words = [
         FittedParameterEntry(name=key, value=value if isinstance(value, str) else float(value), unit="")

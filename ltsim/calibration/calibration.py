@@ -103,7 +103,7 @@ class Calibration(Result):
     """None where a single station leaves nothing to compare."""
     outliers: tuple[OutlierRow, ...] = ()
     verdict: Verdict | None = None
-    """Which test to trust where they disagree; None for the distance methods and for what was read from a file."""
+    """Verdict on the test to trust where tests disagree; None for the distance methods and for results from a file."""
     robust: bool = False
     noise: tuple[NoiseRow, ...] = ()
     known: tuple[KnownEntry, ...] = ()
@@ -157,7 +157,7 @@ class Calibration(Result):
         told: Callable[[Sequence[Parameter], Floats, Floats], list[OfOne]],
         seen: Callable[[Sequence[Parameter], Floats, Floats, Floats], tuple[Floats, Floats]] | None = None,
     ) -> tuple[OfOne, ...]:
-        """What is told of each instrument's values and covariance, as `seen`; with its name where there are several."""
+        """Entries of each instrument by its values and covariance, as `seen`; with its name where there are several."""
         several, size = len(self.instruments) > 1, self.construction.size
         found: list[OfOne] = []
         parameters = self.construction.parameters

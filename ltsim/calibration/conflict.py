@@ -1,4 +1,4 @@
-"""Where the readings contradict what was known of a parameter before them."""
+"""Contradictions between the readings and the prior of a parameter."""
 
 from collections.abc import Collection
 
@@ -31,7 +31,7 @@ MOST_TERMS = 6
 
 
 def rest_of(adjustment: Adjustment) -> float:
-    """What is left of the readings, in their noise: the pull of the prior aside."""
+    """Root of chi-square over degrees of freedom, without the contribution of the parameters' prior."""
     gap = adjustment.problem.prior.residual(adjustment.state.instrument)
     return float(np.sqrt(max(adjustment.chi2 - float(gap @ gap), 0.0) / max(adjustment.dof, 1)))
 

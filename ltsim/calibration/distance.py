@@ -134,7 +134,7 @@ def _undetermined(
 
 @dataclass(frozen=True)
 class Propagation:
-    """How the error of parameters that were found beforehand spreads through the adjustment of corrected readings.
+    """Propagation of the error of parameters estimated beforehand through the adjustment of corrected readings.
 
     With e the whitened noise of readings and gauge, A the adjustment, D its design, B the design of the parameters and
     dx their error, the network errs by A e - A B dx and leaves the residuals R e - R B dx, R = 1 - D A. The parameters
@@ -149,7 +149,7 @@ class Propagation:
     """(I, p)."""
     estimate: Estimates
     adjustment: Adjustment
-    """Of the corrected readings, without parameters."""
+    """Adjustment of the corrected readings, without parameters."""
 
     @cached_property
     def _used(self) -> Ints:
@@ -188,7 +188,7 @@ class Propagation:
         return np.concatenate([noise[:, self._used], noise[:, readings:]], axis=1).T
 
     def added_covariance(self) -> Floats:
-        """What the parameters' error adds to the covariance (size, size) of the adjustment."""
+        """Contribution of the parameters' error to the covariance (size, size) of the adjustment."""
         through = self._response @ self._by_parameter
         crossed = (self._response @ self._with_noise) @ through.T
         return through @ self.estimate.covariance @ through.T - crossed - crossed.T

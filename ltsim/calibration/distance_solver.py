@@ -167,7 +167,7 @@ def _require_compared(rows: Separations, free: Bools) -> None:
 def _estimate(
     rows: Separations, norm: Norm, found: tuple[Floats, Floats, tuple[Direction, ...]], iterations: int, converged: bool
 ) -> Estimates:
-    """What was found: unknowns, the combinations (q, k) that were estimated, and those that were left out."""
+    """Estimates by the unknowns, the combinations (q, k) that were estimated, and those that were left out."""
     unknowns, kept, left = found
     covariance, noise = uncertainty(rows, kept, norm)
     prior = np.array([d.vector for d in left]).reshape(len(left), len(unknowns))

@@ -113,4 +113,4 @@ def _scale(difference: Floats, sigma: Floats, shape: Floats) -> float:
 
 
 MOST = 1e6
-"""Where a scale ends that would have to be without end."""
+"""Largest variance that is tried, over the sum of squared steps: the search ends there where no finite one suffices."""

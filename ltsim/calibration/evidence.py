@@ -1,4 +1,4 @@
-"""What estimates and their covariance say without their prior, several together; log evidence of what is missing."""
+"""Evidence of estimates and their covariance without their prior, combined; log evidence of unmodelled causes."""
 
 import re
 from collections.abc import Callable, Collection, Iterator, Sequence
@@ -33,7 +33,7 @@ _COSINE = re.compile(r"^(?P<front>.+[-_])cos(?P<order>\d?)$")
 
 @dataclass(frozen=True)
 class ReadingsEvidence:
-    """What a calibration's readings say without its prior, in units of common prior sigmas."""
+    """Information of a calibration's readings without its prior, in units of common prior sigmas."""
 
     remaining: Floats
     """(p, p): covariance after the calibration."""

@@ -138,7 +138,7 @@ def _calibration(content: CalibrationFile, file: Path) -> Calibration:
 
 
 def _places(content: CalibrationFile, place: dict[tuple[str, str], int], names: Sequence[str], file: Path) -> list[int]:
-    """Where the parameters of the file belong; their names and units are checked."""
+    """Indices of the file's parameters among those of the instruments; their names and units are checked."""
     at: list[int] = []
     for number, row in enumerate(content.parameters, start=1):
         if (row.instrument, row.name) not in place:
@@ -154,7 +154,7 @@ def _places(content: CalibrationFile, place: dict[tuple[str, str], int], names: 
 
 
 def _missing(names: list[str], file: Path) -> tuple[str, ...]:
-    """What to say of parameters that a file lacks."""
+    """Warning about parameters that a file lacks; empty where it lacks none."""
     if not names:
         return ()
     which = "one parameter is" if len(names) == 1 else f"{len(names)} parameters are"

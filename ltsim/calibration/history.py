@@ -36,7 +36,7 @@ LEVEL = 0.01
 
 @dataclass(frozen=True)
 class Population(Valued):
-    """What an instrument's parameters are like from one calibration to the next."""
+    """Mean of an instrument's parameters, and their spread from one calibration to the next."""
 
     mean: Floats
     """(p,) [SI]."""
@@ -158,9 +158,9 @@ class History(Result):
         return {"label": list(self.labels), **{name: column.tolist() for name, column in columns.items()}}
 
     def change(self, first: int, second: int) -> ChangeEntry:
-        """What calibration number `second` says against number `first`: later minus earlier, each by what noise makes.
+        """Change from calibration number `first` to number `second`: later minus earlier, each with its p-value.
 
-        Parameters that changed are told by Holm's procedure at `LEVEL`; nothing of one that neither tells anything of.
+        Parameters that changed are identified by Holm's procedure at `LEVEL`; the p-value of an undetermined one is 1.
         """
         contrast, parameters = np.zeros((1, len(self))), self.construction.parameters
         contrast[0, [first, second]] = -1.0, 1.0

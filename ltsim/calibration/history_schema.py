@@ -29,13 +29,13 @@ class DifferenceEntry(Entry):
     """Later minus earlier estimate of one parameter."""
 
     name: str
-    """Its name."""
+    """Name of the parameter."""
     difference: Finite
-    """Later minus earlier."""
+    """Later minus earlier estimate, in `unit`."""
     sigma: Finite
-    """Of the difference."""
+    """Standard deviation of the difference."""
     unit: str
-    """Of both."""
+    """Unit of the difference and of its standard deviation."""
     p_value: Finite
     """Chance of as much or more in a correct model."""
 
@@ -57,17 +57,17 @@ class CourseEntry(Entry):
     """One parameter over the calibrations, in the unit a person reads."""
 
     name: str
-    """Its name."""
+    """Name of the parameter."""
     unit: str = ""
-    """Of all its numbers."""
+    """Unit of all numbers of the entry."""
     values: tuple[Finite, ...]
-    """One a calibration."""
+    """Estimates, one a calibration."""
     sigmas: tuple[NotNegative, ...]
-    """One a calibration."""
+    """Standard deviations of the estimates, one a calibration."""
     prior_sigma: Known = None
-    """What was known before."""
+    """Prior standard deviation of the parameter."""
     mean: Finite
-    """Weighted."""
+    """Weighted mean of the estimates."""
     spread: Finite
     """Standard deviation over the calibrations."""
     constant: ChiSquareEntry
@@ -82,15 +82,15 @@ class EventEntry(Entry):
     to: str
     """The later one."""
     name: str
-    """Of the parameter."""
+    """Name of the parameter."""
     difference: Finite
     """Later minus earlier."""
     sigma: NotNegative
-    """Of the difference."""
+    """Standard deviation of the difference."""
     usual: NotNegative
-    """How far it moves from one calibration to the next otherwise."""
+    """Standard deviation of its other steps from one calibration to the next, without that of the estimates."""
     unit: str
-    """Of all three."""
+    """Unit of `difference`, `sigma` and `usual`."""
     p_value: Finite
     """Chance of as much without a step."""
 
@@ -99,7 +99,7 @@ class CalibrationOf(Entry):
     """One calibration of a history."""
 
     label: str
-    """What the report calls it."""
+    """Name of the calibration in the report."""
     fit: Fit
     """Agreement of readings and model."""
 
@@ -109,15 +109,15 @@ class HistoryFile(ResultFile):
 
     FILE: ClassVar[str] = "history.json"
     format: Literal["ltsim-history/1"] = "ltsim-history/1"
-    """Which format and version this file is in."""
+    """Format and version of this file."""
     construction: str = ""
-    """Which model of the instrument."""
+    """Model of the instrument: `misalignment`, `dh` or `ideal`."""
     calibrations: tuple[CalibrationOf, ...]
     """In the order of time."""
     parameters: tuple[CourseEntry, ...] = ()
     """Each over the calibrations."""
     mean_covariance: tuple[tuple[Finite, ...], ...] = ()
-    """Of the means, in the parameters' units; combinations that no calibration tells stay as the prior has them."""
+    """Covariance of the means, in the parameters' units; combinations that no calibration determines keep the prior."""
     constant: ChiSquareEntry | None = None
     """Test that nothing changed."""
     changes: tuple[ChangeEntry, ...] = ()

@@ -1,4 +1,4 @@
-"""What is known before a calibration: what a person decides about its parameters, and what earlier ones found."""
+"""Prior information of a calibration: a person's decisions about its parameters, results of earlier calibrations."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Known:
 
     @classmethod
     def of(cls, source: Calibration | History | Known | str | Path) -> Known:
-        """What a calibration, a history, or the file of one says; raises RecordError."""
+        """Prior information from a calibration, a history, or the file of one; raises RecordError."""
         if isinstance(source, Known):
             return source
         if isinstance(source, Calibration):
@@ -112,7 +112,7 @@ class Known:
 
 @dataclass(frozen=True)
 class Choice:
-    """What is estimated, and from what prior; without arguments everything, from what the set-up states.
+    """Choice of the parameters to estimate and of their prior; by default all of them, with the prior of the set-up.
 
     A name is that of a parameter (`beam-tilt`), of several by their common beginning (`azimuth-eccentricity`, `J1.eX`),
     or of one instrument's alone (`beam-tilt@TRACKER`).
@@ -125,7 +125,7 @@ class Choice:
     hold: Mapping[str, float] = field(default_factory=dict)
     """Parameters to hold at a value, in the parameter's unit."""
     prior: Known | None = None
-    """What earlier calibrations say, in place of the set-up's prior."""
+    """Result of earlier calibrations, in place of the set-up's prior."""
     free: bool = False
     """Without a prior: parameters may be `WIDE` times as large as the set-up says, which no instrument's are."""
 

@@ -32,7 +32,7 @@ UP = np.array([False, False, True])
 
 
 def fit_of(adjustment: Adjustment) -> Fit:
-    """How the adjustment ended."""
+    """Fit statistics of an adjustment, with its status of convergence."""
     redundant = adjustment.dof > 0
     status = adjustment.solution.status
     return Fit(
@@ -97,7 +97,7 @@ def _has_size(adjustment: Adjustment, scaled: Floats) -> Bools:
 
 
 def verdict_of(adjustment: Adjustment) -> Verdict:
-    """Which test to trust, the global one at the level at which fits are said to agree."""
+    """Verdict on the test to trust, with the global test at the level at which fits are said to agree."""
     return verdict(adjustment, level=AGREES)
 
 
@@ -172,13 +172,13 @@ def axes_of(adjustment: Adjustment) -> AxesEntry | None:
 
 
 def notes_on(adjustment: Adjustment) -> tuple[str, ...]:
-    """What a reader should know of an adjusted network: its axes, its range zeros, whether it is a mirror image."""
+    """Notes on an adjusted network for its reader: its axes, its range zeros, whether it may be a mirror image."""
     kinds = (_notes_on_axes, notes_on_modes, _notes_on_hand, _notes_on_plan)
     return tuple(note for notes_of in kinds for note in notes_of(adjustment))
 
 
 def _notes_on_axes(adjustment: Adjustment) -> tuple[str, ...]:
-    """How the coordinates fit that only give the axes."""
+    """Note on the fit of the coordinates that only define the axes; empty without such coordinates."""
     kept = [test for test in adjustment.axes if not test.left_out]
     fitted = axes_of(adjustment)
     if fitted is None:
@@ -223,7 +223,7 @@ def frame_of(adjustment: Adjustment) -> str:
 
 
 def _free_axes(adjustment: Adjustment, first: str) -> str:
-    """What stands for the motions that no observation determines."""
+    """Description of the frame that fixes the motions which no observation determines."""
     state, frame = adjustment.state, Frame.of(adjustment.recording)
     if adjustment.datum is not None and _stated(adjustment):
         source = adjustment.recording.setup.axes
@@ -295,7 +295,7 @@ def _one_smr(recording: Recording, adjustment: Adjustment) -> Recording:
 
 
 def _notes_on_hand(adjustment: Adjustment) -> tuple[str, ...]:
-    """What is to be said of a network of ranges alone: whether it may be the mirror image of the hall."""
+    """Note on the chirality of a network of ranges alone, where it may be the mirror image of the hall."""
     recording, state = adjustment.recording, adjustment.state
     if recording.measured[:, 1:].any() or adjustment.problem.free.shape[1] == 0:
         return ()
@@ -308,7 +308,7 @@ def _notes_on_hand(adjustment: Adjustment) -> tuple[str, ...]:
 
 
 def _notes_on_plan(adjustment: Adjustment) -> tuple[str, ...]:
-    """Which targets have no height."""
+    """Note on the targets whose height is undetermined."""
     names = [adjustment.recording.targets[t] for t in np.flatnonzero(adjustment.open_heights)]
     if not names:
         return ()
@@ -316,7 +316,7 @@ def _notes_on_plan(adjustment: Adjustment) -> tuple[str, ...]:
 
 
 def notes_on_modes(adjustment: Adjustment) -> tuple[str, ...]:
-    """What is to be said of the range zeros where both distance meters were used."""
+    """Note on the range zeros where both distance meters were used."""
     if MODE_COLUMN not in adjustment.recording.circumstances:
         return ()
     if not any(isinstance(effect, RangeMode) for effect in adjustment.effects):

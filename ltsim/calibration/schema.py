@@ -62,23 +62,23 @@ class ParameterEntry(Entry):
     """One estimate in the unit a person reads."""
 
     name: str
-    """As `ltsim effects` and the construction name it."""
+    """Name of the parameter, as in `ltsim effects` and the construction."""
     value: Finite
     """Correction, truth minus reading."""
     sigma: Sigma = None
     """Its standard deviation."""
     unit: str
-    """Of value and sigmas."""
+    """Unit of value and standard deviations."""
     prior_sigma: Positive | None = None
-    """What was known before, one standard deviation."""
+    """Prior standard deviation of the parameter, in `unit`."""
     held: bool = False
     """Not estimated: held at this value."""
     beyond_prior: bool = False
     """The readings contradict the prior, and the estimate follows them."""
     applied: Known = None
-    """What to take out of readings, where that is not the value."""
+    """Correction to apply to readings, in `unit`, where it differs from `value`."""
     instrument: str = ""
-    """Where there are several."""
+    """Name of the instrument, where there are several."""
 
 
 class HarmonicEntry(Entry):
@@ -87,17 +87,17 @@ class HarmonicEntry(Entry):
     name: str
     """Its name."""
     amplitude: Finite
-    """Its size."""
+    """Amplitude of the harmonic, in `unit`."""
     sigma: Sigma
-    """Of the amplitude."""
+    """Standard deviation of the amplitude."""
     unit: str
-    """Of the amplitude."""
+    """Unit of the amplitude and of its standard deviation."""
     phase_deg: Known = None
-    """Where its maximum is."""
+    """Phase of the harmonic [deg]: argument at which it has its maximum."""
     sigma_phase_deg: Known = None
-    """Of the phase."""
+    """Standard deviation of the phase [deg]."""
     instrument: str = ""
-    """Where there are several."""
+    """Name of the instrument, where there are several."""
 
 
 class Terms(Entry):
@@ -129,9 +129,9 @@ class DeterminedEntry(Terms):
     sigma: Known = None
     """Its standard deviation."""
     unit: str = ""
-    """Of both."""
+    """Unit of value and standard deviation."""
     instrument: str = ""
-    """Where there are several."""
+    """Name of the instrument, where there are several."""
 
 
 class StationPose(Entry):
@@ -144,9 +144,9 @@ class StationPose(Entry):
     rotation_quaternion: tuple[Finite, Finite, Finite, Finite] = (0.0, 0.0, 0.0, 1.0)
     """From instrument to network."""
     sigma_position_mm: tuple[Known, Known, Known] | None = None
-    """Of each coordinate."""
+    """Standard deviation of each coordinate [mm]."""
     sigma_rotation_arcsec: tuple[Known, Known, Known] | None = None
-    """About each axis."""
+    """Standard deviation of the rotation about each axis [arcsec]."""
 
     @property
     def position(self) -> Floats:
@@ -170,21 +170,21 @@ class StationPose(Entry):
 
 
 class AxesEntry(Entry):
-    """How well the axes are known that stated coordinates give, by how these fit the network."""
+    """Standard deviations of axes that declared coordinates define, by the misfit of these to the network."""
 
     targets: tuple[str, ...]
-    """Whose coordinates give them."""
+    """Names of the targets whose coordinates define the axes."""
     sigma_position_mm: Vector
-    """Standard deviation of their place, at the middle of these targets."""
+    """Standard deviation of the position of the axes [mm], at the centroid of these targets."""
     sigma_rotation_arcsec: Vector
-    """Of their turn about x, y and z; 0 where levels hold it."""
+    """Standard deviation of the rotation about x, y and z [arcsec]; 0 where levels fix it."""
 
 
 class OutlierRow(Entry):
     """A reading that does not belong; `gross`: the largest of a whole pointing that was left out."""
 
     row: int
-    """Of the recording's table, from 1."""
+    """Row of the recording's table, from 1."""
     station: str
     """Name of the station."""
     target: str
@@ -192,9 +192,9 @@ class OutlierRow(Entry):
     observable: str
     """`distance`, `azimuth` or `elevation`."""
     size: Finite
-    """How far the reading is off."""
+    """Estimated gross error of the reading, in `unit`."""
     unit: str
-    """Of the size."""
+    """Unit of the size."""
     w: Finite
     """Normalised residual."""
     p_value: Known = None
@@ -209,7 +209,7 @@ class KnownEntry(Entry):
     """A component of a known value, tested like a reading; what gives only axes has the kind `axes`."""
 
     kind: Literal["point", "difference", "length", "level", "yaw", "mark", "axes", "scale"]
-    """What is known."""
+    """Kind of reference value."""
     name: str
     """Target, both ends of a length or a difference, station, or what `scale` is of."""
     component: str = ""
@@ -223,7 +223,7 @@ class KnownEntry(Entry):
     minimal_detectable: Known = None
     """Smallest error that the test finds with 80 %."""
     unit: str
-    """Of residual, error and what follows them."""
+    """Unit of residual, error, its standard deviation and `minimal_detectable`."""
     redundancy: Finite
     """Share of an error that the residual shows."""
     w: Finite
@@ -238,32 +238,32 @@ class NoiseRow(Entry):
     observable: str
     """`distance`, `azimuth`, `elevation` or `level`."""
     instrument: str = ""
-    """Where there are several."""
+    """Name of the instrument, where there are several."""
     factor: Finite
-    """On the stated standard deviations."""
+    """Factor on the declared standard deviations."""
     factor_sigma: Known = None
-    """Of the factor."""
+    """Standard deviation of the factor."""
     redundancy: Finite
-    """Of the group's readings together."""
+    """Redundancy of the group's readings together."""
     typical: Finite
     """Median standard deviation of a reading."""
     unit: str = ""
-    """Of `typical`."""
+    """Unit of `typical`."""
 
 
 class VerdictEntry(Entry):
-    """Which test to trust where they disagree."""
+    """Verdict on the test to trust where tests disagree."""
 
     case: str = ""
-    """Which of the tests agree."""
+    """Agreement or disagreement of the tests, in words."""
     sentence: str = ""
     """The same for a person."""
     scale_by_sigma0: bool = False
-    """Whether to scale standard deviations by sigma0."""
+    """True where standard deviations should be scaled by sigma0."""
 
 
 class Correction(Entry):
-    """What of the estimates is applied, and what is expected of it."""
+    """Correction that is worth applying, and the error of new points that is expected with it."""
 
     prior_scale: Positive
     """Most likely size of the parameters, in prior sigmas."""
@@ -341,11 +341,11 @@ class CalibrationFile(ResultFile):
 
     FILE: ClassVar[str] = "calibration.json"
     format: Literal["ltsim-calibration/1"] = "ltsim-calibration/1"
-    """Which format and version this file is in."""
+    """Format and version of this file."""
     method: str = "network"
     """`network`, `distance`, `distance-l1`, `equation-9` or `equation-9-l1`."""
     construction: str
-    """Which model of the instrument: `misalignment`, `dh` or `ideal`."""
+    """Model of the instrument: `misalignment`, `dh` or `ideal`."""
     fit: Fit = Fit()
     """Agreement of readings and model."""
     frame: str = ""
@@ -353,13 +353,13 @@ class CalibrationFile(ResultFile):
     parameters: tuple[ParameterEntry, ...]
     """Estimates."""
     covariance: tuple[tuple[Finite, ...], ...] = ()
-    """Of the parameters in their order and units."""
+    """Covariance of the parameters, in their order and units."""
     harmonics: tuple[HarmonicEntry, ...] = ()
     """Cosines and sines as amplitude and phase."""
     undetermined: tuple[Combination, ...] = ()
-    """What the recording does not tell."""
+    """Combinations of parameters that the recording does not determine."""
     determined: tuple[DeterminedEntry, ...] = ()
-    """What it tells of several parameters together far better than of each."""
+    """Combinations of parameters that the recording determines far better than each of their members."""
     stations: tuple[StationPose, ...] = ()
     """Poses."""
     criteria: dict[str, CriterionEntry] = Field(default_factory=dict)
@@ -371,25 +371,25 @@ class CalibrationFile(ResultFile):
     robust: bool = False
     """Readings that do not belong were left out."""
     noise: tuple[NoiseRow, ...] = ()
-    """What was found about the noise."""
+    """Noise estimated from the readings, one entry a group."""
     noise_estimated: bool = False
     """The noise was estimated from the readings, and used."""
     verdict: VerdictEntry = VerdictEntry()
-    """Which test to trust."""
+    """Verdict on the test to trust."""
     known: tuple[KnownEntry, ...] = ()
     """Known coordinates, lengths and levels, each tested by the rest."""
     lost_targets: tuple[str, ...] = ()
     """Targets that their readings do not determine."""
     axes: AxesEntry | None = None
-    """Of the coordinates, where stated ones give them (`--frame`)."""
+    """Standard deviations of the axes, where declared coordinates define them (`--frame`)."""
     correction: Correction | None = None
-    """What of the estimates is worth applying; null where that was not asked."""
+    """Correction that is worth applying; null where it was not requested."""
     effects: tuple[FittedEffectEntry, ...] = ()
     """Effects that were estimated beside the parameters (`--with`)."""
     informed: bool = False
     """Earlier calibrations were the prior."""
     notes: tuple[str, ...] = ()
-    """What a reader should know of how this came about."""
+    """Notes on how the result was obtained, one sentence each."""
 
     @model_validator(mode="after")
     def _covariance_is_square(self) -> Self:

@@ -171,7 +171,7 @@ def _named_construction(name: str | None, harmonics: int | None, degree: int | N
 
 
 def evaluate(recording: RecordingSource, calibration: CalibrationSource | None = None) -> Criteria:
-    """How far the stations disagree about distances and coordinates, before and after a calibration.
+    """Disagreement of the stations about distances and coordinates, before and after a calibration.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What of a calibration is worth applying: no correction that is expected to make new points worse.
+"""Correction that is worth applying of a calibration: none that is expected to make new points worse.
 
 The estimates and their covariance are those of the stated prior. What is taken out of readings may be less:
 
@@ -237,7 +237,7 @@ def point_errors(adjustment: Adjustment) -> Floats:
 
 @dataclass(frozen=True)
 class HeldOutTarget:
-    """What one target's readings leave when the others predict them.
+    """Residuals of one target's readings, held out, when the other targets predict them.
 
     They check each other once its place is eliminated. With r their residual (m,) and A (m, K) their design by poses
     and parameters, both so reduced, C the covariance of these from all readings, H = A C A' and S = (1 - H)^-1, the

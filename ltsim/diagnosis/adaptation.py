@@ -31,7 +31,7 @@ EFFECTS = {
     ("unit", "position"): "wrong-unit",
     ("height", "position"): "outlier",
 }
-"""What the catalogue calls a cause, by its kind and what it acts on; `outlier` and `unknown` for the others."""
+"""Catalogue effect of a cause, by its kind and what it acts on; `outlier` and `unknown` for the others."""
 
 
 def gross_causes(selection: Selection | None) -> list[Hypothesis]:

@@ -1,4 +1,4 @@
-"""What a network cannot see: effects that leave no residual, and the smallest size of all others."""
+"""Detectability of effects in a network: those that leave no residual, and the smallest size of all others."""
 
 from collections.abc import Sequence
 
@@ -47,7 +47,7 @@ def sight_of(space: ResidualSpace, cards: Cards) -> Sight:
 
 
 def _seen(space: ResidualSpace, effects: Sequence[Effect]) -> Seen:
-    """What the adjustment leaves of an effect at some of its places, in double precision: it is reported."""
+    """Detectability of an effect at a sample of its places, in double precision, as it is reported."""
     some, found = thinned(effects), []
     step = max(1, AT_ONCE // (space.size * len(some[0].parameters)))
     for batch in (some[i : i + step] for i in range(0, len(some), step)):
@@ -72,7 +72,7 @@ def _undetectable(space: ResidualSpace, effect: Effect, times: float) -> Undetec
 
 
 def distortion(space: ResidualSpace, shift: Floats) -> float:
-    """What a whitened shift (m,) of the readings does to the adjusted targets: rms [um] after the best rigid fit."""
+    """Distortion of the adjusted targets by a whitened shift (m,) of readings: rms [um] after the best rigid fit."""
     moved = space.moved_targets(shift).ravel()
     points = space.adjustment.state.points
     motion = rigid_motion(points, points.mean(axis=0))

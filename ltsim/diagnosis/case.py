@@ -69,7 +69,7 @@ class Case:
 
     @property
     def recording(self) -> Recording:
-        """What was measured, mended."""
+        """Recording as it was measured, with its mistakes corrected."""
         return self.baseline.recording
 
     def refit(self, effects: Sequence[Tunable], sigma: Floats) -> Refit:

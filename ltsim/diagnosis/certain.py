@@ -50,7 +50,7 @@ DATUM = {
     "yaw": "azimuth zero",
     "mark": "place of the stand",
 }
-"""What is called wrong of each kind of known value."""
+"""Name of the erroneous item for each kind of reference value."""
 
 
 def known_finding(test: KnownTest, adjustment: Adjustment) -> Finding:

@@ -39,7 +39,7 @@ class Detection:
 
     @property
     def p_value(self) -> float:
-        """Of the search, corrected for everything that was tried."""
+        """p-value of the search, corrected for everything that was tried."""
         return self.chance(self.statistic)
 
     def threshold(self, level: float) -> float:

@@ -200,9 +200,9 @@ def _noise_alone(case: Case, threshold: float) -> None:
 
 
 def _beside_noise(case: Case, threshold: float) -> Found:
-    """What shifts readings beside a change of the noise, if that gains.
+    """Model of shifts of readings in addition to a change of the noise, if they gain; else the empty model.
 
-    Noise that was settled alone hides a shift: it is settled again beside the best that there is, and both together are
+    Noise estimated alone hides a shift: it is estimated again with the best shifts, and both together are
     compared with noise alone by their restricted likelihood.
     """
     alone, sigma, adjusted = list(case.noise), case.sigma, case.space.adjustment

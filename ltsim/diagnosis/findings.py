@@ -53,14 +53,14 @@ IMPLAUSIBLE = 5.0
 
 @dataclass(frozen=True)
 class Explained:
-    """What explains a recording, searched and refitted: from this its findings are told."""
+    """Explanation of a recording, searched and refitted, from which its findings are reported."""
 
     case: Case
     detection: Detection
     found: Found
     refit: Refit
     besides: bool = False
-    """Whether anything is told beside the members."""
+    """True where findings are reported in addition to the members."""
 
     def _ranking(self, member: int) -> Ranking:
         """All that could stand in a member's place: changes of the noise among it, and a cause that nobody listed."""
@@ -212,7 +212,7 @@ class Explained:
         return self.rankings[member].share(lambda h: seen(h.effect) == own)
 
     def _where(self, effect: Tunable, carried: tuple[str, ...] = ()) -> Where:
-        """Where an effect acts; the set-ups of one of several instruments are that instrument."""
+        """Scope of an effect; the set-ups of one of several instruments are that instrument."""
         where = where_of(effect, carried)
         for tracker in trackers_of(self.case.searcher.space.sightings, self.case.recording.instruments):
             if set(where.stations) == set(tracker.stations) and isinstance(effect, SlotEffect):
@@ -308,7 +308,7 @@ def among(chances: Mapping[str, float], name: str) -> tuple[float, tuple[Equival
 
 
 def where_of(effect: Tunable, carried: tuple[str, ...] = ()) -> Where:
-    """What an effect is confined to; what carries it where a law, or a change of the noise, does not say."""
+    """Scope of an effect; `carried`: observables that a law, or a change of the noise, does not specify."""
     observables, stations = tuple(effect.observables), effect.stations
     if isinstance(effect, NoiseEffect | NoisePattern):
         observables = carried or observables
@@ -338,7 +338,7 @@ def place_of(**confined: tuple[str, ...]) -> Where:
 
 
 def _told(more: Mapping[str, Any]) -> dict[str, Any]:
-    """What there is to say beside the rest."""
+    """Entries with a value, the empty ones left out."""
     return {key: value for key, value in more.items() if value}
 
 

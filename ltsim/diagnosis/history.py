@@ -27,7 +27,7 @@ ALIKE = 4
 
 @dataclass(frozen=True)
 class HistoryExpectation:
-    """What earlier calibrations lead to expect of the constants of a recording's instruments."""
+    """Expectation of the constants of a recording's instruments by earlier calibrations."""
 
     known: Known
     expected: ParameterPrior
@@ -81,7 +81,7 @@ class HistoryExpectation:
         return np.maximum(wider * (1.0 + 1.0 / count), -spread[:, None]), weights
 
     def _words(self, parameter: Parameter) -> str:
-        """What a constant is compared with."""
+        """Name of the reference that a constant is compared with."""
         if self.known.count == 1:
             return "its calibration"
         spread = self.known.spread[self.known.parameters.index(parameter.name)] / parameter.factor

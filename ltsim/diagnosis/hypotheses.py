@@ -49,7 +49,7 @@ class Hypothesis:
 
     @property
     def key(self) -> str:
-        """What tells two findings apart."""
+        """Key that distinguishes two findings."""
         return repr(self.effect)
 
 

@@ -1,4 +1,4 @@
-"""What a recording says of each instrument: its constants, and the combinations of them that are determined."""
+"""Constants of each instrument by a recording, and the combinations of them that are determined."""
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
@@ -34,7 +34,7 @@ ALIKE = 1e-6
 TINY = 1e-12
 """Weight under which nothing is told of a constant."""
 WORDS = {True: "the correction that it is said to have", False: "the other instruments"}
-"""What a constant of a corrected instrument, or of others, is compared with."""
+"""Name of the reference that a constant of a corrected instrument, or of others, is compared with."""
 
 
 def instrument_entries(adjustment: Adjustment) -> tuple[InstrumentEntry, ...]:
@@ -108,7 +108,7 @@ class Change:
 
 @dataclass(frozen=True)
 class Expected:
-    """What is expected of all constants of all instruments, in the makers' guarantees, and what may have changed.
+    """Expected constants of all instruments, in units of the makers' guarantees, and changes that may have occurred.
 
     `mean` (I p,), `covariance` (I p, I p).
     """

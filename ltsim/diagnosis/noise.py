@@ -77,7 +77,7 @@ class NoiseHypothesis:
 
     @property
     def log_prior(self) -> float:
-        """Of its kind among all explanations."""
+        """Log prior probability of its kind among all explanations."""
         return log_share("scatter" if self.family.startswith("unknown") else "noise", 1)
 
 
@@ -343,7 +343,7 @@ def _grown(means: sp.csr_array, factor: Floats) -> Floats:
 def gained_by(
     space: ResidualSpace, stated: Floats, effect: NoiseSignature, residual: Floats, redundancy: Floats
 ) -> Callable[[Floats], Floats]:
-    """What sizes (k,) of an effect gain in log restricted likelihood (k,), each by the readings that follow it.
+    """Gain of sizes (k,) of an effect in log restricted likelihood (k,), each by the readings that follow it.
 
     Each reading follows one size at most. Variances are those of the effect on the `stated` (n, 3) ones; residuals (m,)
     are whitened by the space's own.

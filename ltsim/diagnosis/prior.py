@@ -14,7 +14,7 @@ import numpy as np
 from ltsim.core.chances import CONSTANT
 
 PRIOR = {"named": 0.53, "law": 0.33, "noise": 0.095, "scatter": 0.005, "constant": CONSTANT}
-"""What is missing where something is missing."""
+"""Prior probability of each kind of unmodelled cause, given that there is one."""
 ABOUT = {
     "named": "an effect of the catalogue that shifts readings, all effects alike",
     "law": "a carrier that follows a driver, without a card",
@@ -35,7 +35,7 @@ _NOISE = PRIOR["noise"] + PRIOR["scatter"]
 NOISY = _NOISE / (_NOISE + AS_NOISE * OUTSIDE * (PRIOR["named"] + PRIOR["law"]))
 """Most that is stated of noise that is more than stated: what nobody listed may shift readings, and look like it."""
 PLACES = {"everywhere": 0.5, "set-up": 0.2, "instrument": 0.1, "target": 0.1, "group": 0.1}
-"""Where a law without a card acts."""
+"""Prior probability of each kind of place at which a law outside the catalogue acts."""
 KINDS = {
     "reading": 0.5,
     "instrument": 0.17,

@@ -1,4 +1,4 @@
-"""What a diagnosis says, in the models that stand in diagnosis.json as they are; the tables beside it."""
+"""Models of diagnosis.json as they stand in the file, and the tables that are written with it."""
 
 from dataclasses import replace
 from typing import ClassVar, Literal, Self
@@ -22,31 +22,31 @@ BEFORE = replace(RESIDUALS, file="residuals_before.csv", about="what the ordinar
 
 
 class Where(Entry):
-    """What a finding is confined to; empty means everything."""
+    """Scope of a finding; empty means everything."""
 
     observables: tuple[str, ...] = ()
-    """`distance`, `azimuth`, `elevation`."""
+    """Names of the observables: `distance`, `azimuth`, `elevation`."""
     stations: tuple[str, ...] = ()
-    """Names."""
+    """Names of the stations."""
     targets: tuple[str, ...] = ()
-    """Names."""
+    """Names of the targets."""
     instruments: tuple[str, ...] = ()
-    """Names."""
+    """Names of the instruments."""
     covariates: tuple[str, ...] = ()
-    """What it follows: time, angles, or a further column of the recording."""
+    """Covariates on which it depends: time, angles, or a further column of the recording."""
 
 
 class Evidence(Entry):
-    """How strong a finding is; `p_value` is corrected for everything that was searched."""
+    """Strength of the evidence for a finding; `p_value` is corrected for everything that was searched."""
 
     chi2_drop: Finite
-    """How much chi-square falls."""
+    """Decrease of chi-square with the finding modelled."""
     parameters: int
-    """For how many."""
+    """Number of parameters that this takes."""
     p_value: Known = None
     """Chance of as much in a clean recording, in the whole search: of n simulated ones, never below 1 / (n + 1)."""
     probability: Finite = 1.0
-    """Of this name against all other explanations."""
+    """Posterior probability of this name against all other explanations."""
     shown: Known = None
     """Probability that it acts on this, here, and follows this, whatever the cause is called."""
 
@@ -62,7 +62,7 @@ class Equivalent(Entry):
     effect: str
     """Id of the catalogue."""
     probability: Finite = 0.0
-    """That it is this one."""
+    """Posterior probability of this effect."""
 
 
 class Estimate(Entry):
@@ -75,7 +75,7 @@ class Estimate(Entry):
     sigma: Finite = 0.0
     """Its standard deviation."""
     unit: str = ""
-    """Of both: that in which a person reads it."""
+    """Display unit of value and standard deviation."""
 
     @classmethod
     def of(cls, parameter: Parameter | ShapeParameter, value: float, sigma: float) -> Self:
@@ -85,18 +85,18 @@ class Estimate(Entry):
 
 
 class Curve(Entry):
-    """What a carrier does over a covariate."""
+    """Response of an effect as a function of one covariate."""
 
     covariate: str
-    """What it follows."""
+    """Name of the covariate."""
     unit: str = ""
-    """Of the carrier."""
+    """Unit of the response and of its standard deviation."""
     at: tuple[Finite, ...]
     """Values of the covariate: SI, or in the unit of the recording's own column."""
     value: tuple[Finite, ...]
-    """Of the carrier there."""
+    """Response at these values, in `unit`."""
     sigma: tuple[Finite, ...]
-    """Standard deviations."""
+    """Standard deviations of the response, in `unit`."""
 
 
 class Finding(Entry):
@@ -109,23 +109,23 @@ class Finding(Entry):
     sentence: str = ""
     """The same for a person."""
     where: Where = Where()
-    """What it is confined to."""
+    """Scope of the finding."""
     parameters: tuple[Estimate, ...] = ()
     """Its size."""
     moves_targets_um: Known = None
-    """What it does to the coordinates of the targets where it is not modelled: rms after the best rigid fit."""
+    """Displacement of the targets where it is not modelled [um]: rms after the best rigid fit."""
     evidence: Evidence
-    """How strong it is."""
+    """Strength of the evidence."""
     equivalents: tuple[Equivalent, ...] = ()
-    """What else it may be."""
+    """Other effects that cannot be excluded."""
     separate_by: str = ""
     """The measurement that would tell it from its equivalents."""
     formula: str = ""
     """The proposed term of an unknown effect."""
     carrier: str = ""
-    """What an effect that no card names acts on."""
+    """Response term on which an effect outside the catalogue acts."""
     driver: str = ""
-    """What an effect that no card names follows."""
+    """Regressor: quantity or function on which an effect outside the catalogue depends."""
     curve: Curve | None = None
     """The same as a curve, where it follows one covariate."""
 
@@ -140,7 +140,7 @@ class GlobalTest(Entry):
     p_value: Known
     """Chance of as large a chi-square or larger; pages print the two-sided one, from both tails."""
     search_p_value: Known = None
-    """Of the whole search."""
+    """p-value of the whole search."""
 
 
 class Misfit(Entry):
@@ -174,7 +174,7 @@ class Undetectable(Entry):
     hides_um: Known = None
     """Error of the targets that a bad but plausible size of it hides."""
     shows_at: Known = None
-    """How many times that size would be found; none: it never shows."""
+    """Multiple of a bad but plausible size from which it would be detected; null where it is never detectable."""
     cure: str = ""
     """The measurement that would help."""
 
@@ -187,9 +187,9 @@ class DetectableEntry(Entry):
     parameter: str = ""
     """Name of the parameter."""
     size: Known
-    """Smallest that would be found."""
+    """Smallest detectable size, in `unit`."""
     unit: str = ""
-    """Of the size."""
+    """Unit of the size."""
 
 
 class InstrumentEntry(Entry):
@@ -208,22 +208,22 @@ class DiagnosisFile(ResultFile):
 
     FILE: ClassVar[str] = "diagnosis.json"
     format: Literal["ltsim-diagnosis/1"] = "ltsim-diagnosis/1"
-    """Which format and version this file is in."""
+    """Format and version of this file."""
     verdict: str
     """`consistent`, or `mismatch`."""
     summary: str
     """The answer in a few sentences."""
     global_test: GlobalTest
-    """Of the ordinary model."""
+    """Global test of the ordinary model."""
     findings: tuple[Finding, ...] = ()
-    """What was left out of the model."""
+    """Unmodelled causes that explain the readings."""
     tests: tuple[Test, ...] = ()
     """Simple causes that the readings support, and outliers, as `adjust` and `check` have them."""
     fit: BeforeAfter | None = None
     """Without and with the findings."""
     undetectable: tuple[Undetectable, ...] = ()
-    """What this network cannot see."""
+    """Effects that are not detectable in this network."""
     detectable: tuple[DetectableEntry, ...] = ()
-    """How small everything else may be."""
+    """Smallest detectable sizes of all other effects."""
     instruments: tuple[InstrumentEntry, ...] = ()
     """Their ordinary calibration."""

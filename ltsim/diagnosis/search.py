@@ -52,7 +52,7 @@ KEPT = 16
 MOST_LAWS = 400
 """Laws of all panels that are kept beside the ones computed exactly."""
 WIDER = 1.15
-"""Where shapes leave a parameter so many times less certain than the curvature at the optimum, a posterior is told."""
+"""Ratio of a parameter's sigma over all shapes to that by curvature at the optimum; above it a posterior is shown."""
 
 
 class Screen(NamedTuple):
@@ -248,7 +248,7 @@ class Searcher:
         return self.with_members(found.members[:member] + found.members[member + 1 :])
 
     def _left_of(self, hypothesis: Hypothesis) -> tuple[Floats, Floats]:
-        """What the adjustment leaves of a signature, and the lengths of its columns; the last few are kept."""
+        """Projection of a signature onto the residual space, and lengths of its columns; the last few are cached."""
         key = hypothesis.key
         if key not in self._left:
             whole = self.exact.signature(hypothesis.effect)
@@ -272,7 +272,7 @@ class Searcher:
         return self._renamed(best, threshold)
 
     def first_look(self, threshold: float, rival: float) -> Found:
-        """What a search finds at least: findings added one at a time, none of them examined again.
+        """Lower bound of a search: findings added one at a time, none of them examined again.
 
         It ends where it is beyond the evidence of a `rival`, or would not be if all others gained as much as the last.
         """

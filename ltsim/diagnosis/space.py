@@ -118,7 +118,7 @@ class _Maker:
                 self._asked.setdefault((carriers, tuple(same)), []).append((fit[size], weight / count))
 
     def panels(self) -> list[Panel]:
-        """What was asked for: the same carriers and drivers at all their places in one panel."""
+        """Panels of the requested laws: the same carriers and drivers at all their places in one panel."""
         weights = {c: w for known in self._known.values() for c, w in known}
         whole = sum(
             prior * len(some) * len(carriers) * sum(len(d.spreads) for d in drivers)

@@ -81,7 +81,7 @@ def law_sentence(where: Where, parameters: Sequence[Estimate], shown: float, law
 
 
 def outside_sentence(where: Where, law: str) -> str:
-    """What no card names, in one sentence: where, what it depends on, the law that fits."""
+    """Sentence on an effect outside the catalogue: where it acts, what it depends on, the law that fits."""
     on = f", depending on {listing([COVARIATES.get(c, c) for c in where.covariates])}" if where.covariates else ""
     return f"Physics outside the catalogue{_at(where)}{on}; what fits: {law}."
 
@@ -159,7 +159,7 @@ def summarise(
 
 
 def _course(before: float | None, after: float | None) -> str:
-    """What became of the error on readings that neither fit nor search has seen."""
+    """Sentence on the change of the error on readings that neither fit nor search has seen; empty without a change."""
     if before is None or after is None or before == after:
         return ""
     was, now = f"{before:.2f}", f"{after:.2f}"

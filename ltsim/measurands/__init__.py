@@ -1,1 +1,1 @@
-"""What a measurement is worth: tasks on adjusted points, their uncertainty by the GUM and by Monte Carlo, verdicts."""
+"""Measurands: tasks on adjusted points, their uncertainty by the GUM and by Monte Carlo, and conformity decisions."""

@@ -39,7 +39,7 @@ DISPLACEMENTS = Table(
 )
 MOST_NAMED = 6
 COVERAGE = 0.95
-"""Of the error ellipsoids."""
+"""Coverage probability of the error ellipsoids."""
 
 
 class Displacement(Entry):
@@ -48,23 +48,23 @@ class Displacement(Entry):
     target: str
     """Name of the target."""
     moved: bool
-    """The test says so."""
+    """True where the test finds a displacement."""
     place_mm: Vector
-    """In the first epoch."""
+    """Position in the first epoch [mm]."""
     shift_um: Vector
-    """Second minus first epoch, in the frame that the stable points hold."""
+    """Displacement, second minus first epoch [um], in the frame that the stable points define."""
     sigma_um: Vector
-    """Of each component."""
+    """Standard deviation of each component of the displacement [um]."""
     covariance_um2: tuple[Vector, Vector, Vector]
-    """Of the components together."""
+    """Covariance of the components of the displacement [um^2]."""
     semi_axes_um: Vector
-    """Of its error ellipsoid for 95 %, the largest first."""
+    """Semi-axes of the 95 % error ellipsoid of the displacement [um], the largest first."""
     p_value: Finite
-    """that the point did not move, the other moved ones apart, paid for all points tested"""
+    """p-value of no displacement, with the other displaced points modelled, corrected for all points tested."""
     visible_um: tuple[Finite, Finite]
-    """smallest motion found with 80 %: best and worst direction"""
+    """Smallest displacement that is detected with a probability of 80 % [um]: in the best and the worst direction."""
     own_chi2: Known = None
-    """of the point's own difference between epochs in one frame, whatever the others did"""
+    """Chi-square of the point's separate difference between epochs in one frame, whatever the other points did."""
 
     @property
     def row(self) -> list[Any]:
@@ -78,25 +78,25 @@ class Comparison(ResultFile, Result):
 
     FILE: ClassVar[str] = "comparison.json"
     format: Literal["ltsim-comparison/1"] = "ltsim-comparison/1"
-    """Which format and version this file is in."""
+    """Format and version of this file."""
     second: SourceEntry | None
     """The second epoch."""
     sentence: str
     """The answer for a person."""
     level: Finite
-    """probability that any point is told to have moved when none did"""
+    """Significance level: probability that any point is reported as moved when none did."""
     statistic: Finite
-    """of the global test: no point moved; chi-square"""
+    """Chi-square of the global test that no point moved."""
     dof: int
     """Degrees of freedom of the global test."""
     p_value: Finite
-    """Of the global test."""
+    """p-value of the global test."""
     p_value_after: Finite
-    """of the same test without the points that moved"""
+    """p-value of the same test without the points that moved."""
     scale_ppm: Known = None
-    """of the second epoch, where it was estimated"""
+    """Scale of the second epoch [ppm]; null where it was not estimated."""
     notes: tuple[str, ...] = ()
-    """What was assumed of the epochs: motions that they leave open, names that are exchanged."""
+    """Assumptions about the epochs: motions that they leave undetermined, names that are exchanged."""
     displacements: tuple[Displacement, ...]
     """One a common point, in the order of the first recording."""
 
@@ -226,7 +226,7 @@ def _search(gap: Gap, tested: Ints, level: float) -> list[int]:
 
 
 def _displacement(gap: Gap, i: int, moved: list[int], tested: int, level: float) -> Displacement:
-    """What one point did in the frame that the unmoved ones hold, and its test beside the moved ones."""
+    """Displacement of one point in the frame that the stable points define, and its test with the other moved ones."""
     count, a = max(tested, 1), len(gap.axes)
     others = [p for p in moved if p != i]
     values, joint = gap.estimate([*others, i])

@@ -169,7 +169,7 @@ def _in_common(first: Adjustment, second: Adjustment, same_instrument: bool) -> 
 
 
 def _certificate(gauge: Gauge) -> Gauge:
-    """What was known of the lengths before they were used: not how warm they were then."""
+    """Reference lengths as certified, without their temperatures during the measurement."""
     plain = {"measured_at_c": None, "sigma_temperature_k": None}
     lengths = tuple(line.model_copy(update=plain) for line in gauge.distance)
     return gauge.model_copy(update={"measured_at_c": 0.0, "sigma_temperature_k": None, "distance": lengths})

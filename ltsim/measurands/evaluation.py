@@ -26,7 +26,7 @@ MOST_TOLD = 8
 
 @dataclass(frozen=True, repr=False)
 class Evaluation(Result):
-    """What tasks on a recording are worth."""
+    """Results of tasks on a recording, with their uncertainty."""
 
     tasks: Tasks
     inputs: Inputs
@@ -56,7 +56,7 @@ class Evaluation(Result):
 
     @property
     def warnings(self) -> list[str]:
-        """What makes a figure less than it seems, one sentence each."""
+        """Warnings on figures that are less reliable than they seem, one sentence each."""
         air = self.inputs.air
         told = [f"every budget holds the {air}; other numbers: [air] of the task file"] if air else []
         for i, (task, output) in enumerate(self.results):

@@ -41,28 +41,28 @@ class Distribution(Entry):
     """The distribution of a result: mean, standard uncertainty and coverage intervals in its unit (JCGM 101)."""
 
     mean: float
-    """Of the draws."""
+    """Mean of the draws."""
     standard_uncertainty: float
-    """Of the draws."""
+    """Standard deviation of the draws."""
     symmetric: tuple[float, float]
     """Probabilistically symmetric interval."""
     shortest: tuple[float, float]
     """Shortest interval."""
     stable: bool
-    """whether the figures are stable to the digits asked for"""
+    """True where the figures are stable to the digits requested."""
     agrees: bool
-    """whether the linear interval is that of the distribution (JCGM 101, clause 8)"""
+    """True where the linear interval agrees with that of the distribution (JCGM 101, clause 8)."""
 
 
 class BudgetPart(Entry):
     """One source of a result's uncertainty: its type, its share of the variance, its standard uncertainty."""
 
     source: str
-    """Where it comes from."""
+    """Name of the source."""
     type: Literal["A", "B"]
-    """Of the evaluation, by the GUM."""
+    """Type of the evaluation by the GUM: A by statistics, B by other means."""
     share: float
-    """Of the variance."""
+    """Share of the variance of the result, 0 to 1."""
     standard_uncertainty: float
     """In the result's unit."""
 
@@ -77,13 +77,13 @@ class Conformity(Entry):
     rule: Literal["guarded", "simple"]
     """As the task file says."""
     guard_band: float
-    """Between tolerance and acceptance, inside each limit."""
+    """Width of the guard band inside each limit, between tolerance and acceptance."""
     probability: float
-    """that the true value lies within the tolerance"""
+    """Probability that the true value lies within the tolerance."""
     judgement: Literal["accepted", "rejected", "undecided"]
     """`accepted` within the limits less their guard bands, `rejected` outside them by more, else `undecided`."""
     wrong: float
-    """probability that the judgement is wrong: of a wrong acceptance or of a wrong rejection"""
+    """Probability that the judgement is wrong: of a wrong acceptance or of a wrong rejection."""
 
 
 class TaskResult(Entry):
@@ -94,21 +94,21 @@ class TaskResult(Entry):
     kind: str
     """Its kind."""
     name: str
-    """Which of its numbers."""
+    """Name of the result among those of the task."""
     unit: str
-    """Of all figures."""
+    """Unit of all figures."""
     value: float
     """The estimate."""
     standard_uncertainty: float
     """By the GUM's law of propagation."""
     coverage_factor: float
-    """Of the expanded uncertainty."""
+    """Coverage factor of the expanded uncertainty."""
     expanded_uncertainty: float
     """For the coverage."""
     monte_carlo: Distribution
     """By distributions."""
     curvature: float
-    """gap of the linear adjustment, in standard uncertainties"""
+    """Gap between the exact adjustment and its linear form, in standard uncertainties."""
     budget: tuple[BudgetPart, ...]
     """Sources, the largest first."""
     conformity: Conformity | None = None
@@ -135,25 +135,25 @@ class UncertaintyFile(ResultFile):
 
     FILE: ClassVar[str] = "uncertainty.json"
     format: Literal["ltsim-uncertainty/1"] = "ltsim-uncertainty/1"
-    """Which format and version this file is in."""
+    """Format and version of this file."""
     title: str
     """Free text."""
     source: str
     """The recording or scenario."""
     coverage: float
-    """Of all intervals."""
+    """Coverage probability of all intervals."""
     trials: int
-    """Of the propagation of distributions."""
+    """Number of Monte Carlo trials in the propagation of distributions."""
     frame: str
-    """Of all coordinates."""
+    """Reference frame of all coordinates."""
     sigma0: Known
-    """of the adjustment that the points come from"""
+    """Root of chi-square over degrees of freedom of the adjustment that the points come from; null without one."""
     results: tuple[TaskResult, ...]
     """One a number."""
     correlation: tuple[tuple[Known, ...], ...]
-    """of the results, in their order"""
+    """Correlation of the results, in their order."""
     warnings: tuple[str, ...] = ()
-    """What to know before the numbers are used."""
+    """Warnings to heed before the numbers are used."""
 
     def tables(self) -> Mapping[str, Callable[[], Table]]:
         """The tables of the results and of their budgets."""

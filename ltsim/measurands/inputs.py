@@ -1,4 +1,4 @@
-"""What the results depend on: adjusted points, and every source of their uncertainty with its reach.
+"""Inputs of the results: adjusted points, and every source of their uncertainty with its reach.
 
 To first order an adjusted point moves with the readings by P = N^-1 A' (N the normal matrix, A the whitened design):
 the errors of any group of observations, and any effect that shifts readings, reach the points through the same P. So
@@ -42,7 +42,7 @@ class Source(Valued):
     response: Floats
     """(3 T, q) [m]: displacement of the points for one standard deviation of each independent variate."""
     distribution: str = "normal"
-    """Of the variates."""
+    """Distribution of the variates."""
 
     @property
     def covariance(self) -> Floats:
@@ -64,7 +64,7 @@ class Inputs(Valued):
     """(m, 3 T) [m]: displacement of the points for a unit of each whitened row of the adjustment."""
     sources: tuple[Source, ...]
     air: str = ""
-    """What the sources hold of the air, in words; empty where ranges are short."""
+    """Description of the air in the sources; empty where ranges are short."""
 
     @classmethod
     def of(cls, recording: Recording, tasks: Tasks) -> Self:
@@ -193,7 +193,7 @@ def smr_sources(adjustment: Adjustment, reach: Floats) -> list[Source]:
 
 
 def _air_of(tasks: Tasks, longest: float) -> tuple[Air, str]:
-    """What a budget holds of the air, less what the tasks state themselves, and that in words where ranges are long."""
+    """Air of a budget, less what the tasks declare themselves, and its description where ranges are long."""
     stated = {entry.effect for entry in tasks.type_b}
     known = {"temperature_k": "station-weather", "gradient_k_per_m": "air-gradient"}
     air = tasks.air.model_copy(update={size: 0.0 for size, effect in known.items() if effect in stated})
@@ -201,7 +201,7 @@ def _air_of(tasks: Tasks, longest: float) -> tuple[Air, str]:
 
 
 def air_sources(adjustment: Adjustment, reach: Floats, air: Air) -> list[Source]:
-    """What nobody measured of the air along the beams: temperature and gradient of each station, and turbulence."""
+    """Sources by the unmeasured air along the beams: temperature and gradient of each station, and turbulence."""
     problem, sightings = adjustment.problem, adjustment.sightings
     rows, columns = np.nonzero(problem.use)
     own, sigma = reach[: len(rows)].T, problem.sigma[rows, columns]

@@ -139,7 +139,7 @@ FINE = 5.0
 NORMAL = 1e-9
 """Share of a variance below which variates that are not normal leave a sum normal."""
 STEP, STEPS = 0.05, 40_000
-"""Of the integral over the characteristic function, per standard deviation."""
+"""Step, per standard deviation, and number of steps of the integral over the characteristic function."""
 CHARACTERISTIC: dict[str, Callable[[Floats], Floats]] = {
     "rectangular": lambda t: np.sinc(np.sqrt(3.0) * t / np.pi),
     "triangular": lambda t: np.sinc(np.sqrt(1.5) * t / np.pi) ** 2,

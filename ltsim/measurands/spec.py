@@ -60,9 +60,9 @@ class Task(TomlSection):
     """
 
     name: str
-    """What the results call it."""
+    """Name of the task in the results."""
     kind: Kind
-    """What is made of the targets."""
+    """Kind of measurand that is computed from the targets."""
     targets: Names
     """Names, in the order that the kind asks for."""
     nominal_mm: dict[str, Vector] = Field(default_factory=dict)
@@ -105,19 +105,19 @@ class TypeB(TomlSection):
     effect: str
     """As `ltsim effects` lists it."""
     distribution: Literal["normal", "rectangular", "triangular", "arcsine"] = "normal"
-    """Of the sizes."""
+    """Distribution of the sizes."""
     sizes: dict[str, Positive] = Field(default_factory=dict)
     """Standard deviation or half-width by parameter, in display units."""
     shared: Literal["all", "station", "instrument", "target", "pointing"] = "all"
-    """How far one draw reaches."""
+    """Reach of one draw: all pointings, or those of a station, an instrument, a target, or a single pointing."""
     stations: tuple[str, ...] = ()
-    """Where it acts; empty for all."""
+    """Names of the stations where it acts; empty for all."""
     targets: tuple[str, ...] = ()
-    """Where it acts; empty for all."""
+    """Names of the targets where it acts; empty for all."""
     shape: dict[str, Finite | str | tuple[Finite, ...]] = Field(default_factory=dict)
     """Constants by name, as in a scenario."""
     name: str = ""
-    """What the budget calls it; the effect's own name where it is not given."""
+    """Name in the budget; the effect's name where it is not given."""
 
 
 class PartExpansion(TomlSection):
@@ -136,32 +136,32 @@ class PartExpansion(TomlSection):
 
 
 class MonteCarlo(TomlSection):
-    """How the distributions are propagated (JCGM 101): until every figure is stable to `digits` of its uncertainty."""
+    """Propagation of distributions (JCGM 101), until every figure is stable to `digits` of its uncertainty."""
 
     coverage: Level = 0.95
-    """Of the intervals."""
+    """Coverage probability of the intervals."""
     digits: Annotated[int, Field(ge=1, le=2)] = 2
-    """Of the standard uncertainty that have to be stable."""
+    """Significant digits of the standard uncertainty that have to be stable."""
     most_trials: Annotated[int, Field(ge=10_000, le=5_000_000)] = 100_000
-    """Where it stops in any case."""
+    """Largest number of trials, at which it stops in any case."""
     seed: Annotated[int, Field(ge=0)] = 0
     """Root of the random draws."""
 
 
 class Decision(TomlSection):
-    """How conformity is decided (JCGM 106): `risk` is the probability of a wrong acceptance that is allowed."""
+    """Decision on conformity (JCGM 106): `risk` is the probability of a wrong acceptance that is allowed."""
 
     rule: Literal["guarded", "simple"] = "guarded"
     """With a guard band for the risk, or the limits as they are."""
     risk: Annotated[float, Field(gt=0.0, lt=0.5)] = 0.05
-    """Of a wrong acceptance."""
+    """Probability of a wrong acceptance that is allowed."""
 
 
 class Tasks(TomlSection):
     """The whole file."""
 
     format: Literal["ltsim-tasks/1"] = "ltsim-tasks/1"
-    """Which format and version this file is in."""
+    """Format and version of this file."""
     title: str = ""
     """Free text."""
     source: str
@@ -175,15 +175,15 @@ class Tasks(TomlSection):
     task: Annotated[tuple[Task, ...], Field(min_length=1)]
     """Tables `[[task]]`."""
     type_b: tuple[TypeB, ...] = ()
-    """What the readings do not show, tables `[[type_b]]`."""
+    """Effects that the readings do not show (type B), tables `[[type_b]]`."""
     air: Air = Air()
-    """What is not known of the air, where ranges are long; what `type_b` states itself is not counted again."""
+    """Uncertainty of the air, where ranges are long; what `type_b` declares itself is not counted again."""
     growth: PartExpansion | None = None
     """Expansion of the part."""
     monte_carlo: MonteCarlo = MonteCarlo()
-    """How distributions are propagated."""
+    """Settings of the propagation of distributions."""
     decision: Decision = Decision()
-    """How conformity is decided."""
+    """Rule of the decision on conformity."""
 
     @model_validator(mode="after")
     def _names_once(self) -> Self:
