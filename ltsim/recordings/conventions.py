@@ -131,7 +131,7 @@ def _same_target(table: PolarTable) -> tuple[Ints, Ints]:
 
 
 def _on_two_faces(table: PolarTable, angle: Angle, vertical: Vertical) -> int:
-    """How many pairs of rows are one target on both faces: half a circle apart, vertical angles adding up."""
+    """Number of pairs of rows that are one target on both faces: half a circle apart, vertical angles adding up."""
     one, other = _same_target(table)
     circle = CIRCLE[angle]
     total = circle if vertical == "zenith" else circle / 2

@@ -209,7 +209,7 @@ class _List:
         return where.name(row.cell(self.name.place), "point"), values
 
     def _scales(self, table: Floats) -> tuple[Floats, list[str]]:
-        """What brings each number to metres, and what was decided."""
+        """Factor of each number to metres (square metres for covariances), and notes on decisions."""
         axes = [c for c in self.numbers.values() if c.role in PLACE]
         largest = np.nanmax(np.abs(table[:, [role in PLACE for role in self.numbers]]), initial=0.0)
         stated = next((c.unit for c in axes if c.unit in FACTOR and c.unit), "")

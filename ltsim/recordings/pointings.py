@@ -167,7 +167,7 @@ class Observed:
 
     @property
     def heights(self) -> tuple[float, float]:
-        """Of instrument and target."""
+        """Heights [m] of instrument and target above their marks."""
         return self.instrument_height, self.target_height
 
 

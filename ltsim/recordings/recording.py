@@ -79,7 +79,7 @@ class Recording(Result):
     has_clock: bool = True
     """False where `time` is only the row order."""
     notes: tuple[str, ...] = ()
-    """What a reader decided about an ambiguous file, skipped or left out: one sentence each."""
+    """Decisions of a reader on an ambiguous file, and content that it skipped or left out: one sentence each."""
     sources: tuple[str, ...] = ()
     """File and line that each row was read from; empty for a native recording, whose rows are those of its table."""
 
@@ -98,7 +98,7 @@ class Recording(Result):
 
     @property
     def headline(self) -> str:
-        """How much was measured, in one line."""
+        """Extent of the measurement in one line."""
         faces = np.unique(self.face)
         in_faces = "two faces" if len(faces) == 2 else f"face {faces[0]} only" if len(faces) else "no face"
         title = f"{self.setup.title}: " if self.setup.title else ""
@@ -160,11 +160,11 @@ class Recording(Result):
         return self.setup.instrument_of(station)
 
     def station_setup(self, station: str) -> Station:
-        """What the set-up says of a station (defaults where it says nothing)."""
+        """Entry of a station in the set-up (defaults where there is none)."""
         return self.setup.stations.get(station, _PLAIN_STATION)
 
     def target_setup(self, target: str) -> Target:
-        """What the set-up says of a target (defaults where it says nothing)."""
+        """Entry of a target in the set-up (defaults where there is none)."""
         return self.setup.targets.get(target, _PLAIN_TARGET)
 
     @property

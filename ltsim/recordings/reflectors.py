@@ -27,10 +27,10 @@ def excess_of(
     stated: float | None,
     file: object = None,
 ) -> Floats:
-    """How much farther (n,) [m] than the reference each pointing's SMR's centre stands from the seat of its nest.
+    """Distance (n,) [m] of each pointing's SMR centre from the seat of its nest, less that of the reference.
 
-    A pointing that names no SMR ('' in `names`), such as one that is only thought of, has the reference: what is
-    `stated` as `reference_radius_mm`, else the radius of all, where they have one. Nests of `bare` targets have no
+    A pointing that names no SMR ('' in `names`), such as one that is only planned, has the reference: the declared
+    `reference_radius_mm` in `stated`, else the radius of all, where they have one. Nests of `bare` targets have no
     normal. `file` is named in errors.
 
     Raises RecordError when an SMR has no table, they differ and nothing is stated, or one of another radius sat in a
@@ -63,7 +63,7 @@ def excess_of(
 
 
 def excess_radii(recording: Recording, file: object = "setup.toml") -> Floats | None:
-    """How much farther (n,) [m] than the reference each SMR's centre stood from its seat; None where none did.
+    """Distance (n,) [m] of each pointing's SMR centre from its seat, less that of the reference; None where all are 0.
 
     Raises RecordError as `excess_of`.
     """

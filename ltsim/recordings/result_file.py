@@ -88,7 +88,7 @@ class SourceEntry(Entry):
     title: str = ""
     """Free text of its set-up."""
     pointings: int
-    """How many."""
+    """Number of pointings of the recording."""
     digest: str
     """Digest of the sightings and of the readings."""
     measured: str | None = None
@@ -96,13 +96,13 @@ class SourceEntry(Entry):
 
     @classmethod
     def of(cls, recording: Recording) -> SourceEntry:
-        """What a result says of its recording."""
+        """Entry of a recording in a result."""
         when = {"measured": recording.setup.measured} if recording.setup.measured else {}
         return cls(title=recording.setup.title, pointings=len(recording), digest=digest_of(recording), **when)
 
     @classmethod
     def listed(cls, found: Coordinates) -> SourceEntry:
-        """What a result says of a list of coordinates, behind which no pointing is known."""
+        """Entry of a list of coordinates, whose pointings are unknown, in a result."""
         content = "\t".join((*found.names, found.axes)).encode() + found.points.tobytes() + found.covariance.tobytes()
         return cls(title=found.title, pointings=0, digest=hashlib.sha256(content).hexdigest())
 
@@ -112,14 +112,14 @@ class ResultFile(Entry):
 
     FILE: ClassVar[str]
     format: str
-    """Which format and version this file is in."""
+    """Format and version of this file."""
     recording: SourceEntry | None = None
     """The recording behind the result."""
     files: dict[str, str] = Field(default_factory=dict)
     """Digest (SHA-256) of each file written beside."""
 
     def content(self) -> dict[str, Any]:
-        """What the file says: its format and the fields that were filled in, as JSON has them."""
+        """Content of the file: its format and the fields that were set, as JSON values."""
         said = self.model_dump(mode="json", by_alias=True, exclude_unset=True)
         last = {name: value for name in ("recording", "files") if (value := said.pop(name, None))}
         return {"format": self.format} | said | last

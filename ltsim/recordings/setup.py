@@ -1,6 +1,6 @@
-"""What a person knows about a set-up: the contents of `setup.toml` (recording-format: ltsim-recording/1).
+"""Prior knowledge about a set-up: the contents of `setup.toml` (recording-format: ltsim-recording/1).
 
-Keys carry their units as in the file; whoever needs SI converts at the door.
+Keys carry their units as in the file; code that needs SI converts them.
 """
 
 from __future__ import annotations
@@ -41,9 +41,9 @@ class Noise(TomlSection):
     distance_ppm: NonNegative = 0.3
     """The part that grows with it: sigma = distance_mm + distance_ppm * range."""
     azimuth_arcsec: Sigma = 0.37
-    """Across the beam: the reading's sigma is this over the cosine of the elevation."""
+    """Standard deviation across the beam; that of an azimuth reading is this over the cosine of the elevation."""
     elevation_arcsec: Sigma = 0.37
-    """Of the elevation reading."""
+    """Standard deviation of elevation readings."""
 
     @model_validator(mode="after")
     def _some_range_noise(self) -> Noise:
@@ -53,18 +53,18 @@ class Noise(TomlSection):
 
 
 class Prior(TomlSection):
-    """One standard deviation of what the maker guarantees."""
+    """Prior standard deviations (one sigma) of the instrument's parameters, as the maker guarantees them."""
 
     range_scale_ppm: Positive = 2.0
-    """Of the scale of the ranges: laser frequency and air."""
+    """Standard deviation of the scale of the ranges: laser frequency and air."""
     range_offset_mm: Positive = 0.010
-    """Of the zero of the ranges."""
+    """Standard deviation of the zero of the ranges."""
     angle_arcsec: Positive = 3.0
-    """Of every angular misalignment and every encoder term."""
+    """Standard deviation of every angular misalignment and every encoder term."""
     offset_mm: Positive = 0.020
-    """Of every offset of an axis or the beam."""
+    """Standard deviation of every offset of an axis or the beam."""
     parameters: dict[str, Positive] = Field(default_factory=dict)
-    """Of single parameters by name, each in the parameter's unit; they take the place of the kinds above."""
+    """Standard deviations of single parameters by name, each in the parameter's unit, in place of the kinds above."""
 
 
 class Limits(TomlSection):
@@ -86,7 +86,7 @@ class Instrument(TomlSection):
     """One instrument: construction, noise, what its maker guarantees, its limits."""
 
     construction: Literal["source-in-head", "steering-mirror"] = "source-in-head"
-    """Where the beam comes from: a source in the turning head, or a mirror that steers it."""
+    """Origin of the beam: a source in the turning head, or a mirror that steers it."""
     model: Line | None = None
     """Maker and model, such as "Leica AT960", for the head of a report."""
     serial: Line | None = None
@@ -96,15 +96,15 @@ class Instrument(TomlSection):
     corrected: bool = False
     """The maker's or a former calibration's corrections are already in the readings."""
     noise: Noise = Noise()
-    """What its white noise is."""
+    """Standard deviations of its white noise."""
     prior: Prior = Prior()
-    """What its maker guarantees."""
+    """Prior standard deviations of its parameters, from the maker's guarantees."""
     limits: Limits | None = None
-    """What it can point at."""
+    """Travel limits of its elevation axis."""
 
 
 class Material(TomlSection):
-    """What a gauge or a scale bar is made of; lengths of one material share the error of its coefficient."""
+    """Material of a gauge or a scale bar; lengths of one material share the error of its coefficient."""
 
     expansion_per_k: Finite = 0.0
     """Coefficient of thermal expansion."""
@@ -113,7 +113,7 @@ class Material(TomlSection):
 
 
 class LengthUse(TomlSection):
-    """What a known length is made of, and how warm it was when it was used."""
+    """Material of a known length, and its temperature when it was used."""
 
     measured_at_c: Finite | Line | None = None
     """Temperature of this length: a number, or a column of the recording, whose mean over the pointings at both ends
@@ -162,7 +162,7 @@ class Gauge(TomlSection):
 
 
 class Station(TomlSection):
-    """What is known about one set-up, from the floor plan or a level.
+    """Prior knowledge about one set-up, from the floor plan or a level.
 
     `over` names the target whose mark the instrument stands on, `instrument_height_mm` above it along
     `vertical`: the direction of plumb there in the network frame (z where it is not given; it differs where a
@@ -196,7 +196,7 @@ class Station(TomlSection):
 
 
 class Target(TomlSection):
-    """What is known about one reflector position.
+    """Prior knowledge about one reflector position.
 
     `known_mm` holds with `known_sigma_mm`, or `known_covariance_mm2`, along `known_axes`. `approximate_mm` is a start
     value without weight; where `datum` is set, all such targets together define the frame by inner constraints, each
@@ -204,7 +204,7 @@ class Target(TomlSection):
     """
 
     nest_normal: Direction | None = None
-    """Where the open face of a fixed reflector looks, on the floor plan."""
+    """Direction of the open face of a fixed reflector, on the floor plan."""
     reflector: str | None = None
     """Name of the SMR, where a pointing names no other; targets that share one share its errors."""
     reaimed: bool = True
@@ -216,7 +216,7 @@ class Target(TomlSection):
     known_covariance_mm2: Covariance | None = None
     """Covariance xx, xy, xz, yy, yz, zz of the known coordinates, in place of `known_sigma_mm`."""
     known_axes: Axes = "xyz"
-    """Which of the coordinates are known."""
+    """Axes along which the coordinates are known."""
     in_plan: bool = False
     """Adjusted in plan only: whatever stands for its height means nothing, and none is written."""
     approximate_mm: Vector | None = None
@@ -230,13 +230,13 @@ class Target(TomlSection):
 
 
 class KnownDifference(TomlSection):
-    """How one mark lies from another, as by levelling (along z) or by satellites: a condition with weight.
+    """Known vector from one mark to another, as by levelling (along z) or by satellites: a weighted constraint.
 
     Marks are targets, or those under set-ups; one that nobody measured has to be known, ten times better than this.
     """
 
     name: Line | None = None
-    """What it is called where several join the same marks; their names where it is not given, as `A-B`."""
+    """Name, where several differences join the same marks; the marks' names where it is not given, as `A-B`."""
     from_: str = Field(alias="from")
     """Mark at one end."""
     to: str
@@ -248,7 +248,7 @@ class KnownDifference(TomlSection):
     known_covariance_mm2: Covariance | None = None
     """Covariance xx, xy, xz, yy, yz, zz of the known coordinates, in place of `known_sigma_mm`."""
     known_axes: Axes = "xyz"
-    """Which of the coordinates are known."""
+    """Axes along which the coordinates are known."""
 
     @property
     def called(self) -> str:
@@ -281,7 +281,7 @@ class BenchTest(TomlSection):
     sigma_um: tuple[NonNegative, ...]
     """Standard deviation of each error less that at normal incidence."""
     direction_deg: Finite = 0.0
-    """Where around the nest the positive angles look, 0 along the horizontal, as the mark of the SMR was held."""
+    """Direction of the positive angles around the nest, 0 along the horizontal, as the mark of the SMR was oriented."""
 
     @model_validator(mode="after")
     def _whole(self) -> BenchTest:
@@ -312,16 +312,16 @@ class Setup(TomlSection):
     """The whole file."""
 
     format: Literal["ltsim-recording/1"] = "ltsim-recording/1"
-    """Which format and version this file is in."""
+    """Format and version of this file."""
     title: str = ""
     """Free text."""
     started: str = ""
     """When the time of the recording is 0: date and clock in ISO form, or the clock alone."""
     axes: Line | None = None
-    """Where the coordinates of the datum's targets come from: each is a claim that the others check, and one that they
-    contradict is left out of the datum and named."""
+    """Source of the coordinates of the datum's targets: each target is checked against the others, and one that they
+    contradict is left out of the datum and reported."""
     heads_sigma_mm: Sigma | None = None
-    """How well the height of a head over its mark is known, a standard deviation: the network then corrects that of
+    """Standard deviation of the height of a head over its mark; where it is given, the network corrects the height of
     each occupation, which the columns `instrument_setup` and `target_setup` name."""
     curved: bool = False
     """Plumb lines differ by place, as on a sphere like the earth, where a station does not state its `vertical`."""
@@ -334,9 +334,9 @@ class Setup(TomlSection):
     gauge: Gauge | None = None
     """Lengths known from elsewhere."""
     stations: dict[str, Station] = Field(default_factory=dict)
-    """What is known about set-ups, tables `[stations.NAME]`."""
+    """Prior knowledge about set-ups, tables `[stations.NAME]`."""
     targets: dict[str, Target] = Field(default_factory=dict)
-    """What is known about reflectors, tables `[targets.NAME]`."""
+    """Prior knowledge about reflector positions, tables `[targets.NAME]`."""
     differences: tuple[KnownDifference, ...] = ()
     """Known differences of marks, a table `[[differences]]` each."""
     reflectors: dict[str, Reflector] = Field(default_factory=dict)

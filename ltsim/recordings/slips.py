@@ -39,7 +39,7 @@ class Slip:
         return f"{self.found} for {self.expected}"
 
     def written(self, readings: Floats) -> Floats:
-        """What is written down (n, 3) of raw readings (n, 3)."""
+        """Readings (n, 3) as they are written down, from raw readings (n, 3)."""
         other = readings.copy()
         for column, factor, offset in self.changes:
             other[:, column] = factor * readings[:, column] + offset

@@ -22,7 +22,7 @@ TWO_FACES = 2.0
 LIMITS = ("transverse_um", "transverse_um_per_m", "range_um", "range_um_per_m")
 """Keys of a specification without which no test has a limit."""
 RANGES = ("distance_", "range_")
-"""How keys of noise and prior begin that the limit of a range decides."""
+"""Prefixes of the keys of noise and prior that follow from the limit of a range."""
 
 
 class Specification(TomlSection):
@@ -31,17 +31,17 @@ class Specification(TomlSection):
     name: str = ""
     """The instrument."""
     source: str = ""
-    """Where the figures stand."""
+    """Source of the figures."""
     transverse_um: NonNegative
-    """Across the beam, the part that does not grow with the range (e_T)."""
+    """Limit across the beam, the part that does not grow with the range (e_T)."""
     transverse_um_per_m: NonNegative
-    """Across the beam, the part that does."""
+    """Limit across the beam, the part that grows with the range."""
     range_um: NonNegative
-    """Of a range, the part that does not grow with it (e_ADM or e_IFM)."""
+    """Limit of a range error, the part that does not grow with the range (e_ADM or e_IFM)."""
     range_um_per_m: NonNegative
-    """Of a range, the part that does."""
+    """Limit of a range error, the part that grows with the range."""
     range_offset_um: NonNegative = 0.0
-    """Of the zero of the ranges (e_R0)."""
+    """Limit of the error of the zero of the ranges (e_R0)."""
     noise_share: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.5
     """Share of the variance that is noise; the rest is of the instrument's constants."""
 
@@ -104,7 +104,7 @@ class Specification(TomlSection):
 
     @property
     def assumption(self) -> str:
-        """What `instrument` takes for granted, in a sentence."""
+        """Assumptions of `instrument`, in a sentence."""
         return (
             f"limits are taken as {COVERAGE:g} standard deviations, {100 * self.noise_share:g} % of the variance as "
             "noise and the rest as constants of the instrument"
@@ -116,12 +116,12 @@ def _least(sigma: float) -> float:
 
 
 def sheet_names() -> tuple[str, ...]:
-    """Of the built-in data sheets."""
+    """Names of the built-in data sheets."""
     return tuple(_sheets())
 
 
 def figures(name: str) -> dict[str, Any]:
-    """What a built-in data sheet states, as keys of a `Specification`; those that its text leaves open are missing.
+    """Figures of a built-in data sheet, as keys of a `Specification`; those that its text does not give are missing.
 
     Raises ModelError when there is no such sheet.
     """

@@ -25,10 +25,10 @@ POLICY = (
     "default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; "
     "script-src 'unsafe-inline' blob:; worker-src blob:; connect-src data: blob:; frame-src 'self'"
 )
-"""Of a page: the browser itself refuses whatever is not in the file."""
+"""Content security policy of a page: the browser itself refuses whatever is not in the file."""
 Mood = Literal["good", "bad", "plain"]
 Detail = Literal["turn", "plan", "none"]
-"""How a section shows the workshop: in 3D to turn, from above alone, or not, since another section shows it."""
+"""View of the workshop in a section: in 3D to turn, from above alone, or not, since another section shows it."""
 LONG, ENDLESS = 30, 120
 """Rows of a table from which it is folded, and from which a print leaves it out: three pages."""
 FIRST, WIDEST = 8, 160
@@ -37,7 +37,7 @@ FIRST, WIDEST = 8, 160
 
 @dataclass(frozen=True)
 class Beside:
-    """What lies beside a result: its folder, the recording behind it, and how much of them its section shows.
+    """Context of a result: its folder, the recording behind it, and how much of them its section shows.
 
     A `brief` section leaves residuals to another one.
     """
@@ -78,7 +78,7 @@ class Grid:
     marked: frozenset[int] = frozenset()
     meanings: Sequence[str] = ()
     folds: bool = True
-    """Whether it is folded where it is long: not where it is the product."""
+    """True where the table is folded when it is long; False where the table is the product."""
     kind: Literal["table"] = "table"
 
     @property
@@ -184,7 +184,7 @@ class Section:
     told: int | None = None
 
     def text(self) -> str:
-        """What a terminal says: the answer, the facts, sentences and tables, what to do next."""
+        """Text for a terminal: the answer, the facts, sentences and tables, what to do next."""
         facts = "; ".join(f"{fact.name}: {fact.value}" for fact in self.facts)
         said = [self.answer, facts, *map(_as_text, self.blocks[: self.told])]
         said += ["\n".join(["What to do next:", *(f"- {line}" for line in self.actions)])] if self.actions else []

@@ -64,11 +64,11 @@ class PagePart:
 
 
 KINDS = ("diagnosis.json", "calibration.json", OBSERVATIONS, *(k for k in WRITERS if k not in HEADS), MANIFEST)
-"""What a folder holds, by the file that tells; in the order of the page, the first one's answer heads it."""
+"""Files that identify the content of a folder, in the order of the page; the answer of the first one heads it."""
 
 
 def section(part: PagePart, detail: Detail = "none") -> Section:
-    """What the page says of one folder; raises RecordError, and SetupError where packages for it are missing."""
+    """Section of the page for one folder; raises RecordError, and SetupError where packages for it are missing."""
     if part.kind == OBSERVATIONS:
         return recording_section(part.folder, detail=detail, brief=part.brief)
     if part.kind == MANIFEST:
@@ -85,7 +85,7 @@ def section(part: PagePart, detail: Detail = "none") -> Section:
 def document(
     folder: Path, *, recording: Path | None = None, title: str | None = None, about: About | None = None
 ) -> Document:
-    """What the page will say.
+    """Document of the page.
 
     Raises
     ------

@@ -61,7 +61,7 @@ class Residuals:
 
     @property
     def order(self) -> str:
-        """What tells the order of the work: the time, or the row where the recording is known to have no clock."""
+        """Covariate of the order of the work: the time, or the row where the recording is known to have no clock."""
         return "time" if "time" in self.covariates or "azimuth" not in self.covariates else "row"
 
     @property
@@ -126,7 +126,7 @@ class Residuals:
             return replace(self, w=self.residual / (sigma * np.sqrt(self.redundancy)))
 
     def _places_in(self, other: Residuals) -> Ints:
-        """Where the same observations (n,) stand in `other`; -1 where it lacks one."""
+        """Indices (n,) of the same observations in `other`; -1 where it lacks one."""
         place = {key: i for i, key in enumerate(zip(other.row.tolist(), other.observable.tolist(), strict=True))}
         keys = zip(self.row.tolist(), self.observable.tolist(), strict=True)
         return np.array([place.get(key, -1) for key in keys], dtype=np.int64)

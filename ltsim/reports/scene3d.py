@@ -31,7 +31,7 @@ vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_ERROR)  # else it complains abo
 
 @dataclass(frozen=True)
 class Legend:
-    """What the colours and sizes of a scene mean; pictures and pages print it.
+    """Meaning of the colours and sizes of a scene; pictures and pages print it.
 
     `bar` is label, lowest and highest value of the coloured lines, None where there are none.
     """
@@ -56,7 +56,7 @@ def times(scale: float) -> str:
 
 
 Camera = Sequence[Sequence[float]]
-"""Where it stands, where it looks to, and what is up there [m]."""
+"""Position and focal point of a camera [m], and its up direction."""
 
 
 def build(
@@ -95,7 +95,7 @@ def picture(workshop: PlacedWorkshop, *, window_size: tuple[int, int] = (1400, 1
 
 
 def taken(plotter: pv.Plotter) -> Image.Image:
-    """What a plotter shows; the plotter is closed."""
+    """Image of the scene of a plotter; the plotter is closed."""
     image = plotter.screenshot(return_img=True)
     plotter.close()
     return Image.fromarray(np.asarray(image))

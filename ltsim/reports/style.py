@@ -134,7 +134,7 @@ def webp_uri(picture: Image.Image) -> str:
 
 
 def unit_text(unit: str) -> str:
-    """How a unit is printed."""
+    """Printed form of a unit."""
     return {"arcsec": '"', "deg": "°"}.get(unit, typeset(unit))
 
 

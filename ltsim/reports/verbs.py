@@ -1,4 +1,4 @@
-"""What is drawn: the workshop in 3D, and the page a person reads."""
+"""Drawings: the workshop in 3D, and the page a person reads."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

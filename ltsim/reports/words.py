@@ -14,7 +14,7 @@ QUALITY = {
     "targets": ("targets: rms sigma [um]", 1e6),
     "diagnosis": ("effects: found / plausible size", 1.0),
 }
-"""What a plan's goal is measured by: its name with its unit, and that unit in SI."""
+"""Quality measure of each goal of a plan: its name with its unit, and that unit in SI."""
 
 
 def is_determined(sigma: float | None, prior_sigma: float | None) -> bool:

@@ -1,4 +1,4 @@
-"""What stands in the workshop, ready to be drawn: as measured (a recording, calibrated poses) or as planned."""
+"""Content of the workshop, ready to be drawn: as measured (a recording, calibrated poses) or as planned."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ class PlacedWorkshop(Valued):
     hidden: Ints = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
     """(k, 2): station and target of the sights that these obstacles hide."""
     notes: tuple[str, ...] = ()
-    """What a reader must know, such as an assumed floor."""
+    """Notes for the reader, such as an assumed floor."""
 
     @property
     def yaw(self) -> Floats:

@@ -28,7 +28,7 @@ FILES = {
     "system and gross": "station-levelling timing-lag station-bump target-swap outlier wrong-unit face-confusion",
     "noise": "noise-level station-noise",
 }
-"""What ships, by group: the effect `beam-tilt` is the class of this name in `beam_tilt.py`."""
+"""Built-in effects by group: the effect `beam-tilt` is the class of this name in `beam_tilt.py`."""
 
 
 def _shipped(name: str) -> type[Effect]:
@@ -38,7 +38,7 @@ def _shipped(name: str) -> type[Effect]:
 
 
 GROUPS = {group: tuple(map(_shipped, names.split())) for group, names in FILES.items()}
-"""What ships, by group, in the order of the files."""
+"""Classes of the built-in effects by group, in the order of the files."""
 
 CATALOGUE = Catalogue(GROUPS)
 """Every effect: what ships, then what installed packages add (see `effects.catalogue`)."""

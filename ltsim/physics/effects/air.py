@@ -1,7 +1,7 @@
-"""What nobody measured of the air along the beams: the uncertainty that a budget holds where ranges are long.
+"""Uncertainty of the air along the beams that was not measured; a budget includes it where ranges are long.
 
-Three causes, each by its card: another temperature along the beams of a station (`station-weather`: 0.95 ppm/K of a
-range), a vertical gradient there (`air-gradient`: light bends by beta G d^2 / 2) and turbulence (`turbulence`: a
+Three causes, each a catalogue effect: another temperature along the beams of a station (`station-weather`: 0.95 ppm/K
+of a range), a vertical gradient there (`air-gradient`: light bends by beta G d^2 / 2) and turbulence (`turbulence`: a
 variance of C d^3 across the beam). At 10 m the sizes below are 5 um along and 11 um across the beam, at 40 m 19 um and
 110 um, under what makers guarantee across the beam there (15 um + 6 um/m).
 """
@@ -19,12 +19,12 @@ from ltsim.scene.sightings import Sightings
 
 
 class Air(TomlSection):
-    """What is not known of the air, one standard deviation each; 0 for what is known."""
+    """Standard deviations of the properties of the air that were not measured; 0 for a property that is known."""
 
     temperature_k: NonNegative = 0.5
-    """Of the mean along the beams of a station, against what its weather station says."""
+    """Standard deviation of the mean temperature along the beams of a station, less that at its weather station."""
     gradient_k_per_m: NonNegative = 0.1
-    """Of the vertical gradient around a station; 0.1 in a good hall, 1 to 2 in a heated one."""
+    """Standard deviation of the vertical temperature gradient at a station; 0.1 in good halls, 1 to 2 if heated."""
     turbulence_um2_per_m3: NonNegative = 0.1
     """Variance of a pointing across the beam over the cube of its range."""
     beyond_mm: NonNegative = 10_000.0

@@ -31,20 +31,20 @@ ADDED = "installed"
 """The group of effects that packages add."""
 NAME = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
 PARTS = ("Size", "Like", "Separate by", "Valid", "Source", "Status")
-"""Of a good and of a bad instrument or room; what leaves similar residuals, with two correlations of the residuals in
-the reference workshop, one face and two faces; the measurement that tells it from these; where the law holds;
-literature; how the law was validated.
+"""Parts of a catalogue entry: sizes in a good and in a bad instrument or room; effects that leave similar residuals,
+with two correlations of the residuals in the reference workshop, one face and two faces; the measurement that
+distinguishes it from these; domain in which the law holds; literature; how the law was validated.
 """
 _PART = re.compile(rf"^({'|'.join(PARTS)}): ", re.MULTILINE)
 
 
 @dataclass(frozen=True)
 class Card:
-    """What is known of a physical cause."""
+    """Catalogue entry of a physical cause."""
 
     title: str
     cause: str
-    """What it is called, and what happens."""
+    """Name of the cause (`title`), and description of what happens (`cause`)."""
     law: str
     """The equation with its sign, in lines as they are written; often with what gives it away."""
     told: tuple[str, ...]

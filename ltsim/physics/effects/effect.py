@@ -44,7 +44,7 @@ Scope = Literal["all", "station", "target", "pointing", "reading"]
 
 
 class Stage(IntEnum):
-    """Where on the way of the light an effect acts; the simulator applies them in this order."""
+    """Stage on the path of the light at which an effect acts; the simulator applies effects in this order."""
 
     TARGET = 0
     STATION = 1
@@ -121,11 +121,11 @@ class Mistake(Effect):
         raise NotImplementedError
 
     def done(self, sightings: Sightings) -> Sightings:
-        """What was really measured."""
+        """Sightings that were really measured."""
         return sightings
 
     def written(self, sightings: Sightings, readings: Floats) -> Floats:
-        """What was written down (n, 3) of finished readings (n, 3)."""
+        """Readings (n, 3) as they were written down, from finished readings (n, 3)."""
         return readings
 
 

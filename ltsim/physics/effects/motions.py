@@ -1,4 +1,4 @@
-"""What readings do when targets or stations move: exact, first order, and as bases of the effects that move things."""
+"""Changes of readings when targets or stations move: exact, first order, and as bases of the effects of motion."""
 
 from dataclasses import dataclass
 

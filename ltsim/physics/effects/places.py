@@ -1,4 +1,4 @@
-"""Where and when an effect may act, read from a recording's pointings; and the laws of the clock that drifts share."""
+"""Places and times at which an effect may act, from a recording's pointings; and laws in time shared by drifts."""
 
 from dataclasses import dataclass
 from typing import ClassVar, Literal, Self

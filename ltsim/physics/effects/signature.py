@@ -1,4 +1,4 @@
-"""What has a signature: a law whose parameters an adjustment can estimate beside poses, targets and instrument.
+"""Signatures: laws whose parameters an adjustment can estimate with poses, targets and instrument.
 
 `Signature` is all that `MeasurementModel`, `NetworkProblem` and `ResidualSpace` ask for. A class that inherits from it
 gives `name`, `parameters` and `design`. What a search over laws needs beyond is `Tunable`; laws of the scatter are
@@ -33,7 +33,7 @@ class Parameter:
     prior_sigma: float
     """One standard deviation [SI] where the set-up gives none; also the scale of a plausible size."""
     prior_kind: PriorKind | None = None
-    """Which guarantee of the maker bounds it; None: only `prior_sigma`."""
+    """Kind of the maker's guarantee that gives its prior; None: `prior_sigma` alone."""
     positive: bool = False
     """Never negative: a thickness."""
 
@@ -103,7 +103,7 @@ class Signature(Protocol):
     @property
     @abstractmethod
     def name(self) -> str:
-        """What it is called."""
+        """Name of the law."""
 
     @property
     @abstractmethod
@@ -142,7 +142,7 @@ class Signature(Protocol):
 
     @property
     def place(self) -> str:
-        """Where it acts, in a word; empty for everywhere."""
+        """Names of the stations and targets where it acts, separated by commas; empty for everywhere."""
         return ",".join(self.stations + self.targets)
 
     def mask(self, sightings: Sightings) -> Floats:
@@ -172,12 +172,12 @@ class Tunable(Signature, Protocol):
     @property
     @abstractmethod
     def observables(self) -> tuple[str, ...]:
-        """What it acts on: distance, azimuth, elevation."""
+        """Observables that it acts on: distance, azimuth, elevation."""
 
     @property
     @abstractmethod
     def covariates(self) -> tuple[str, ...]:
-        """What it depends on."""
+        """Covariates that it depends on."""
 
     def finer(self, sightings: Sightings) -> Sequence[Self]:
         """Neighbours that a first search leaves out; tried once this one stands out."""
@@ -243,7 +243,7 @@ def by_displacement(sightings: Sightings, displacement: Floats) -> Floats:
 
 
 def constants_of(effect: Tunable) -> int:
-    """How many numbers say what an effect does: its parameters, and those of its shape and place."""
+    """Number of constants of an effect: its parameters, and those of its shape and place."""
     own = (value for name, value in vars(effect).items() if name != "coarse")
     return len(effect.parameters) + sum(np.size(value) for value in own if _is_number(value))
 

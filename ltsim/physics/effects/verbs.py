@@ -22,7 +22,7 @@ class Sized:
 
     effect: AnyEffect
     sizes: Mapping[str, float]
-    """Of its parameters, in display units."""
+    """Values of its parameters by name, in display units."""
 
 
 S = TypeVar("S", bound=Signature | Sized)

@@ -43,7 +43,7 @@ class WrongUnit(Mistake):
 
     @property
     def slip(self) -> Slip:
-        """What is written for what."""
+        """Slip of this mistake: the unit or convention that is written, and the expected one."""
         return SLIPS[self.mistake]
 
     @classmethod

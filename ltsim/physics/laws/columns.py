@@ -1,4 +1,4 @@
-"""What drivers are made of: columns over the pointings, each of rms about one, and priors of their coefficients.
+"""Columns of regressors (drivers) over the pointings, each of rms about one, and priors of their coefficients.
 
 A smooth curve is a Gaussian process in one covariate, in reduced rank: a linear part and the first eigenfunctions of
 the Laplacian on the covariate's range with the spectral density of a squared-exponential kernel as variances (Solin and
@@ -26,7 +26,7 @@ range ends a curve need not be zero."""
 SCALES = {MODES: (0.9, 0.4, 0.18), LOW: (0.6,), FINE: (0.07,)}
 """Length scales by number of eigenfunctions: in half-widths of the covariate's range, round a circle in radians."""
 MEMORY = ("approach-", "move-", "last-", "work-", "wound-", "lapse")
-"""How the names of covariates begin that tell of the pointing before."""
+"""Prefixes of the names of covariates that depend on preceding pointings."""
 SIMPLE = {
     "power": lambda x, k: x**k,
     "abs": lambda x, k: np.abs(x),

@@ -63,7 +63,7 @@ def words_of(names: Iterable[str]) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Driver:
-    """What a carrier follows.
+    """Regressor (driver) on which a response (carrier) depends.
 
     Attributes
     ----------
@@ -134,7 +134,7 @@ class Driver:
         return self._products(sightings, moving)
 
     def _owners(self, sightings: Sightings) -> tuple[Ints, Ints]:
-        """Which station or target (n,) each amount goes by, and those (k,) that have one."""
+        """Station, instrument or target (n,) whose amount each pointing has, and those (k,) that have an amount."""
         if self.covariates == ("station",):
             return sightings.station, np.unique(sightings.station)
         if self.covariates == ("instrument",):
@@ -205,7 +205,7 @@ class Driver:
 
     @property
     def told(self) -> tuple[str, ...]:
-        """What it depends on, in the words of the interface."""
+        """Quantities that it depends on, in the words of the interface."""
         names = [*self.covariates, *(name for factor in self.factors for name in factor.covariates)]
         return words_of(names)
 

@@ -80,12 +80,12 @@ class Law(Tunable):
 
     @property
     def observables(self) -> tuple[str, ...]:
-        """What the law acts on."""
+        """Observables that the law acts on."""
         return self.carrier.observables or OBSERVABLES
 
     @property
     def covariates(self) -> tuple[str, ...]:
-        """What the law depends on, in the words of the interface."""
+        """Quantities that the law depends on, in the words of the interface."""
         return self.driver.told
 
     def design(self, sightings: Sightings) -> Floats:
@@ -95,7 +95,7 @@ class Law(Tunable):
         return found.reshape(len(sightings), 3, -1)
 
     def columns(self, sightings: Sightings) -> Floats:
-        """What each component of the carrier follows (n, k), zero elsewhere; for each set-up on its own, (n, S k)."""
+        """Regressors (n, k) of each component of the carrier, zero at other places; (n, S k) for separate set-ups."""
         columns = self.driver.columns(sightings, moving=self.carrier.kind == "target")
         columns = columns * self.mask(sightings)[:, None]
         if not self.each:
@@ -144,7 +144,7 @@ class Law(Tunable):
         return [replace(self, driver=Driver("product", factors=factors), scale=0) for factors in product(*options)]
 
     def forms(self, sightings: Sightings) -> dict[str, list[list[Law]]]:
-        """What a law may be a rough sight of, each with its scales: the curve, short formulas, a finer curve."""
+        """Forms that a law may approximate, by kind, each with its scales: the curve, short formulas, a finer curve."""
         driver, found = self.driver, {"curve": [self], "formula": self.formulas(sightings)}
         if driver.kind == "smooth":
             finer = smooth(driver.covariates[0], FINE if driver.constant > LOW else MODES)
@@ -202,7 +202,7 @@ class Law(Tunable):
         return replace(self, stations=stations, each=True) if len(stations) <= MOST_VISITS else None
 
     def along(self, mean: Floats, covariance: Floats, sightings: Sightings) -> tuple[Law, Floats, Floats, Floats]:
-        """Where a law does most: at which set-up, in which direction (c,), coefficients (c, k) and their covariance."""
+        """Law at the set-up of its largest effect, main direction (c,), coefficients (c, k) and their covariance."""
         ways, k = len(self.carrier.ways), self.driver.size
         shape = (ways, len(mean) // (ways * k), k)
         means, spread = mean.reshape(shape), covariance.reshape(*shape, *shape)

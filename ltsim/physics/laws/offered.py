@@ -34,8 +34,9 @@ DRIVES: dict[str, tuple[str, ...]] = {
     "reflector": ("time", "lapse", "last-target", *_SIGNS[3:], *_BALL),
     "air": CLOCKS,
 }
-"""What each kind of carrier can follow beside columns of the recording: a wall does not know where a tracker looks; its
-stand does, for a head is never quite in balance, and the floor gives under whoever holds the reflector."""
+"""Covariates that each kind of carrier can depend on, in addition to columns of the recording: a wall does not depend
+on the pointing of a tracker; its stand does, for a head is never quite in balance, and the floor gives under whoever
+holds the reflector."""
 DECAYS = np.array([0.03, 0.1, 0.3, 1.0])
 """Time constants of decays over a clock's span: what lies between two of them is within a factor of two of one."""
 MEMORIES = (60.0, 300.0, 1000.0, 3000.0)
@@ -73,7 +74,7 @@ def further(sightings: Sightings) -> list[str]:
 
 
 def _varying(sightings: Sightings, names: Iterable[str]) -> list[str]:
-    """What of some quantities varies here."""
+    """Names of the quantities that vary in these sightings."""
     seen, faces = np.isfinite(sightings.incidence).any(), np.ptp(sightings.face) > 0
     asked = [n for n in names if (seen or n not in _BALL) and (faces or n not in _CIRCLES)]
     floor = {n: ROUNDING * (base_of(n) not in sightings.covariates) for n in asked}
@@ -111,14 +112,14 @@ def drivers_of(sightings: Sightings, modes: int = MODES) -> dict[str, list[Drive
 
 
 def local_drivers(sightings: Sightings) -> list[Driver]:
-    """What happens to targets: it goes with the clock, or with what the recording's further columns say."""
+    """Drivers of changes of targets: functions of time, or of the recording's further columns."""
     names = _varying(sightings, ("time", *further(sightings)))
     straight = [simple(name, "power") for name in names]
     return [*straight, *(smooth(name, LOW) for name in names), *lags(sightings, further(sightings))]
 
 
 def group_drivers(sightings: Sightings) -> dict[str, list[Driver]]:
-    """What happens to targets that belong together: they move as one, another way at each set-up, or tilt."""
+    """Drivers of changes of a group of targets: joint motion, another one at each set-up, or a tilt."""
     local, each = local_drivers(sightings), _each_visit(sightings, 2)
     return {
         "constant": [CONSTANT],

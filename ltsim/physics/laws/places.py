@@ -19,7 +19,7 @@ LEAST_GROUP = 3
 
 @dataclass(frozen=True)
 class Place:
-    """Where a law acts: names of set-ups or targets, and their pointings."""
+    """Place of a law: names of set-ups or targets, and their pointings."""
 
     stations: tuple[str, ...]
     targets: tuple[str, ...]

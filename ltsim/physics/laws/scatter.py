@@ -11,7 +11,7 @@ from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 
 REPEATS = EACH_FACE, BOTH_FACES = ("in each face", "in both faces")
-"""How amounts may repeat: what errs on the way to a target is in the ranges of both faces."""
+"""Ways in which amounts repeat: an error on the way to a target is in the ranges of both faces."""
 
 
 def owners_of(sightings: Sightings, each: str) -> tuple[tuple[str, ...], Ints]:
@@ -54,17 +54,17 @@ class NoisePattern(NoiseSignature):
 
     @property
     def carrier(self) -> str:
-        """What errs: a reading whose amounts repeat, the noise otherwise."""
+        """Response (carrier): a reading whose amounts repeat, the noise otherwise."""
         return self.observables[0] if self.repeating and len(self.observables) == 1 else "noise"
 
     @property
     def driver(self) -> str:
-        """What it follows, in words."""
+        """Regressor (driver) that the scatter depends on, in words."""
         return "station and target" if self.repeating else self.each or " ".join(self.covariates)
 
     @property
     def law(self) -> str:
-        """What the noise does, in words."""
+        """Law of the noise in words."""
         if self.repeating:
             again = ", in both faces" if self.repeating == BOTH_FACES else ""
             return f"amounts without a visible law that repeat when a target is measured again{again}"

@@ -1,4 +1,4 @@
-"""What a person asks of a law: how large, how sure, in which unit."""
+"""Sizes of a law as a person reads them: value, standard deviation and unit."""
 
 from typing import NamedTuple
 
@@ -10,7 +10,7 @@ from ltsim.scene.sightings import Sightings
 
 
 class Size(NamedTuple):
-    """One number that is told of a law, in the unit a person reads."""
+    """One number that is reported of a law, in the unit a person reads."""
 
     name: str
     value: float

@@ -26,7 +26,7 @@ SAID = {
     "last-target": "the target before",
 }
 OWNERS = ("station", "target", "last-target")
-"""What may have amounts of its own."""
+"""Kinds of objects that may have separate amounts."""
 PHRASES: dict[tuple[str, str, float | None], str] = {
     ("constant", "", None): "constant",
     ("smooth", "", None): "a smooth function of {x}",
@@ -56,8 +56,8 @@ PHRASES: dict[tuple[str, str, float | None], str] = {
     ("simple", "power", None): "{x}^{k}",
     ("simple", "power", 1.0): "{x}",
 }
-"""What is said of a kind of driver, its function and its constant (None: any): x is a covariate, k the constant, and
-value a constant, or a wave's period, with its unit."""
+"""Phrase for a kind of driver, its function and its constant (None: any): x is a covariate, k the constant, and value
+a constant, or a wave's period, with its unit."""
 UNIT_OF = {"lagging": "time"}
 """Covariates whose unit the constant of such a driver has."""
 LEAST = {"min": 2.0, "m": 1.0}
@@ -112,7 +112,7 @@ EXAMPLES = (
     "a smooth function of circle",
     "face times distance",
 )
-"""What a driver may look like."""
+"""Examples of a driver in words."""
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?"
 _GROUPS = {"x": "(?P<x>.+)", "k": f"(?P<k>{_NUMBER})", "value": f"(?P<value>{_NUMBER}) ?(?P<unit>[a-z]*)"}
 _STEPS = re.compile(r", (?=step\(|ramp\()")

@@ -15,7 +15,7 @@ from ltsim.scene.sightings import Sightings
 
 @dataclass(frozen=True)
 class HeadHeights(Signature):
-    """How much higher than stated instrument and reflector stand over their marks in each of q occupations."""
+    """Heights of instrument and reflector over their marks, less the declared ones, one for each of q occupations."""
 
     sigma: float
     """[m] of each."""
@@ -26,7 +26,7 @@ class HeadHeights(Signature):
 
     @property
     def name(self) -> str:
-        """What it is called."""
+        """Name of the law."""
         return "head-heights"
 
     @property

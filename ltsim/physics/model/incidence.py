@@ -39,7 +39,7 @@ class IncidenceErrors(Signature):
 
     @property
     def name(self) -> str:
-        """What it is called."""
+        """Name of the law."""
         return "incidence-errors"
 
     @property

@@ -197,7 +197,7 @@ class MeasurementModel:
 
     @cached_property
     def _horizontal(self) -> Bools | None:
-        """Which distances are horizontal ones; None where none is."""
+        """Mask of horizontal distances; None where there are none."""
         flat = self.recording.is_horizontal
         return flat if flat.any() else None
 
@@ -207,7 +207,7 @@ class MeasurementModel:
         return self._completed(found, state, self._instrument_readings(found, state))
 
     def _completed(self, found: Sightings, state: State, raw: Floats) -> Sightings:
-        """What effects need beyond the geometry: nest normals in the network frame, the instrument's readings."""
+        """Sightings with the data that effects need: nest normals in the network frame, the instrument's readings."""
         turn = plan_rotation(self.recording, state.position, state.rotation)
         return replace(found, nest_normal=found.nest_normal @ turn.T, encoder=raw)
 
@@ -285,11 +285,11 @@ def reduce_to_horizontal(raw: Floats, derivatives: tuple[Floats, ...], flat: Boo
 
 
 UPRIGHT = 5 * DEGREE
-"""How far the axes of instruments on tripods part, as seen in the length of their mean."""
+"""Largest spread of the axes of instruments on tripods [rad]; its cosine is compared with the length of their mean."""
 PLACES = 3
 """Rough places of stations that turn the floor plan into the network's frame."""
 ROUGH = 3 * DEGREE
-"""How well a floor plan knows directions: frames that agree so well are one frame."""
+"""Accuracy of directions on a floor plan [rad]: frames that agree within it are one frame."""
 
 
 def has_plan(recording: Recording) -> bool:

@@ -27,7 +27,7 @@ class SharedErrors(Signature):
 
     @property
     def name(self) -> str:
-        """What it is called."""
+        """Name of the law."""
         return "shared-errors"
 
     @property

@@ -60,7 +60,7 @@ class Words:
 
 @dataclass(frozen=True)
 class Options:
-    """What stands behind the values of a line."""
+    """Options behind the values of a line, by name."""
 
     said: dict[str, str]
     where: FilePlace

@@ -83,7 +83,7 @@ class _File:
 
 
 def recognises(path: Path, head: str) -> bool:
-    """Whether it begins like an LGC file."""
+    """True where a file begins like an LGC file."""
     return re.search(r"^\s*\*(TITR|RS2K|OLOC|INSTR|CALA|POIN)\b", head, re.MULTILINE) is not None
 
 
@@ -274,7 +274,7 @@ class _Plane:
 
     @classmethod
     def of(cls, points: list[DeclaredPoint], curved: str) -> _Plane:
-        """Of points in use; those at 0, 0 are place-holders."""
+        """Plane around the median of the points in use; those at 0, 0 are place-holders."""
         placed = [point.place[:2] for point in points if not point.is_placeholder]
         return cls(np.median(placed, axis=0) if placed else np.zeros(2), bool(curved))
 
@@ -285,7 +285,7 @@ class _Plane:
         return round(x * 1e3, 6), round(y * 1e3, 6), round((height - drop) * 1e3, 6)
 
     def upright(self, point: DeclaredPoint, *, levelled: bool) -> dict[str, Any]:
-        """What a set-up over a point says of its place and plumb line."""
+        """Keys of a set-up over a point: its place and plumb line."""
         found: dict[str, Any] = {} if point.is_placeholder else {"position_mm": self.place(point.place)}
         if levelled:
             found |= {"levelled": True, "levelling_sigma_arcsec": EXACT_LEVEL_ARCSEC}
@@ -295,7 +295,7 @@ class _Plane:
         return found
 
     def known(self, point: DeclaredPoint) -> dict[str, Any]:
-        """What a target says of its coordinates: known along some axes, approximate along the others."""
+        """Keys of a target's coordinates: known along some axes, approximate along the others."""
         axes = point.axes
         if axes is None:
             return {} if point.is_placeholder else {"approximate_mm": self.place(point.place)}

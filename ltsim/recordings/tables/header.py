@@ -107,7 +107,7 @@ class TableColumn:
     """Places of the columns with minutes and seconds of an angle whose degrees stand here."""
 
     def text(self, row: Row) -> str:
-        """What the column holds in a row: its cell, or degrees, minutes and seconds of several as one angle."""
+        """Text of the column in a row: its cell, or degrees, minutes and seconds of several as one angle."""
         if not self.parts:
             return row.cell(self.place)
         marked = [
@@ -119,7 +119,7 @@ class TableColumn:
 
     @property
     def is_further(self) -> bool:
-        """Whether it is kept beside the pointing: what has a name and is no part of it."""
+        """True where it is retained in addition to the pointing: a column that has a name and is no part of it."""
         return bool(self.title) and (not self.role or "_" in self.role or self.role == "round")
 
 

@@ -54,7 +54,7 @@ TOLD = (
 
 @dataclass(frozen=True)
 class Meaning:
-    """How the printed numbers become raw readings; `notes` says what was decided."""
+    """Conversion of the printed numbers to raw readings; `notes` lists the decisions."""
 
     horizontal_unit: str
     vertical_unit: str

@@ -90,7 +90,7 @@ class Printed:
         return FilePlace(self.file[index], self.line[index])
 
     def of(self, roles: Sequence[str]) -> Digits:
-        """What each row prints in the first of the roles that it holds."""
+        """Printed text of each row in the first of the roles that it holds."""
         digits: Digits = np.zeros(len(self), dtype="S1")
         for role in roles:
             if role in self.numbers:
@@ -165,7 +165,7 @@ class PointingTable:
 
     @property
     def holds_places(self) -> bool:
-        """Whether it holds coordinates in place of readings."""
+        """True where it holds coordinates in place of readings."""
         return {*PLACE} <= {c.role for c in self.columns}
 
     @property

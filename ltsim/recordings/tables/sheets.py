@@ -33,7 +33,7 @@ class Row(NamedTuple):
 
     @property
     def values(self) -> int:
-        """How many fields hold a number or an angle."""
+        """Number of fields that hold a number or an angle."""
         return sum(map(is_value, self.fields))
 
     def cell(self, place: int) -> str:
@@ -79,7 +79,7 @@ class TextRows(Sequence[Row]):
 
     @property
     def mixed(self) -> TextRows:
-        """Those that may hold a field with both a comma and a point."""
+        """Rows that may hold a field with both a comma and a point."""
         whole = self._separator == ","  # fields then hold commas in quotes alone
         mixed = [one for one in self._lines if "," in one[1] and "." in one[1] and ('"' in one[1] or not whole)]
         return TextRows(mixed, self._separator)

@@ -34,11 +34,11 @@ from ltsim.simulation.physics import planned_construction
 from ltsim.simulation.scenario import Scenario, scenario_to_toml
 
 MOST_TRIANGLES = 20_000
-"""Of obstacles seen from above that are drawn, the largest."""
+"""Largest number of triangles of obstacles drawn from above; the largest triangles are retained."""
 FEWEST_STATIONS, MOST_STATIONS = 2, 40
-"""Of a layout, as of a plan file."""
+"""Smallest and largest number of stations of a layout, as of a plan file."""
 NAME = r"\w[\w.\-]{0,39}"
-"""Of a station."""
+"""Pattern of the name of a station."""
 FAR = 1e6
 """[mm] beyond which no station is put."""
 
@@ -64,7 +64,7 @@ class Board:
         return cls(file, scenario, site, planned_construction(scenario), Demands.of(file))
 
     def hall(self) -> dict[str, Any]:
-        """What does not move, for the page: lengths in metres, outlines seen from above; and where stations begin."""
+        """Fixed parts of the hall for the page: lengths in metres, outlines from above, initial places of stations."""
         survey, floor = self.site.survey, self.file.floor
         names = [area.name for area in floor.areas] or [""]
         free = [*(place.name for place in floor.keep_outs), *(door.name for door in floor.doors)]
@@ -128,7 +128,7 @@ class Board:
         return self.site.replace(survey=survey, least=len(survey.position) if asked == "all" else asked)
 
     def judged(self, stations: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-        """What the layout would tell: who sees whom, how well each point becomes known, what breaks a rule."""
+        """Evaluation of a layout: visible sights, uncertainty of each point, and broken rules."""
         survey = self.survey(stations)
         site, places = self._site(survey), self.site.broken_places(survey)
         if _touches(survey):

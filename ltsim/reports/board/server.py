@@ -32,7 +32,7 @@ from ltsim.reports.document import POLICY
 
 HERE = "127.0.0.1"
 MOST_BYTES = 1 << 20
-"""Of a request's body."""
+"""Largest size of a request's body [byte]."""
 MOST_CONNECTIONS = 32
 """At once; a browser opens six."""
 PATIENCE = 10.0
@@ -45,7 +45,7 @@ HEADERS = {
     "Referrer-Policy": "no-referrer",
     "X-Content-Type-Options": "nosniff",
 }
-"""Of every answer: it is for the page alone, and the address is not passed on."""
+"""HTTP headers of every answer: it is for the page alone, and the address is not passed on."""
 Triple = Annotated[list[FiniteFloat], Field(min_length=3, max_length=3)]
 
 
@@ -73,7 +73,7 @@ class Answer(NamedTuple):
 
     status: HTTPStatus
     kind: str = "text/plain"
-    """Of the content."""
+    """Media type of the content."""
     content: bytes = b""
 
 

@@ -24,7 +24,7 @@ from ltsim.reports.words import typeset
 
 MOST_PANELS, MOST_LINES = 12, 8
 LETTERS = 26
-"""Of a name beside a panel."""
+"""Letters of a label per row of panels."""
 NINETY, FLOOR = "90 % of trials", "noise floor"
 PAPER = MappingProxyType(
     {
@@ -185,7 +185,7 @@ def by_factor(
 
 
 def _places(rows: Sequence[Swept], words: Sequence[str], share: float) -> Floats:
-    """Where rows stand on the axis; at words a line has a share of the room of its own."""
+    """Positions of rows on the axis; at words each line has a separate share of the space."""
     place = [words.index(row.x) if isinstance(row.x, str) else row.x for row in rows]
     return np.array(place, dtype=np.float64) + (0.3 * (share - 0.5) if words else 0.0)
 

@@ -47,7 +47,7 @@ def displacement_figure(comparison: Comparison) -> Figure:
 
 
 SPREAD = 0.32
-"""Of a group's tests about its row."""
+"""Half-width of the spread of a group's tests around its row, in row spacings."""
 
 
 @style.styled

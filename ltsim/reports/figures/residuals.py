@@ -103,7 +103,7 @@ def signature_figure(before: Residuals, after: Residuals, covariate: str, where:
 
 @style.styled
 def driver_curve(curve: Curve, carrier: str, residuals: Residuals | None = None) -> Figure:
-    """What a carrier does over its covariate, with the 95 % band.
+    """Curve of a carrier over its covariate, with the 95 % band.
 
     `residuals` without the finding are dots behind the curve of a reading, whose sign is then that of a residual.
     """

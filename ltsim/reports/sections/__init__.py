@@ -1,4 +1,4 @@
-"""What a report says of each kind of result: one function a kind, from the content of its file to a `Section`."""
+"""Sections of a report by kind of result: one function a kind, from the content of its file to a `Section`."""
 
 from importlib import import_module
 from pathlib import Path
@@ -29,7 +29,7 @@ def content_of(folder: Path, file: str) -> ResultFile:
 
 
 def section_of(content: ResultFile, beside: Beside | None = None) -> Section:
-    """What a page, or a terminal, says of a result."""
+    """Section of a result, for a page or a terminal."""
     module, _, function = WRITERS[content.FILE]
     section: Section = getattr(_module(module), function)(content, beside or Beside())
     return section

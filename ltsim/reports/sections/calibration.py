@@ -1,4 +1,4 @@
-"""What a report says of a calibration or an adjustment."""
+"""Section of a calibration or an adjustment in a report."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from ltsim.reports.workshop import PlacedWorkshop, Sights
 
 SETTLED = ("", "converged", "not stated")
-"""How a fit may have ended that nobody need worry about."""
+"""Statuses of a fit that need no warning."""
 
 
 def calibration_section(content: CalibrationFile, beside: Beside) -> Section:
@@ -133,7 +133,7 @@ def _facts(content: CalibrationFile, *, agrees: bool) -> list[Fact]:
 
 
 def _warnings(content: CalibrationFile, *, converged: bool) -> list[Block]:
-    """What a reader must know before the numbers: a fit that failed, readings that do not belong, noise found."""
+    """Warnings before the numbers: a fit that failed, outliers, estimated noise."""
     blocks: list[Block] = []
     if not converged:
         blocks.append(Note("The adjustment did not converge", content.fit.sentence or content.fit.status, "bad"))
@@ -158,7 +158,7 @@ def _known_values(content: CalibrationFile) -> list[Grid]:
 
 
 def _actions(content: CalibrationFile) -> list[str]:
-    """What to do next, the most urgent first."""
+    """Next steps, the most urgent first."""
     said = []
     left = [o for o in content.outliers if not o.left_out]
     if left:

@@ -1,4 +1,4 @@
-"""What a report says of a campaign: what was varied, the improvement with its interval, errors, z-scores, coverage."""
+"""Section of a campaign in a report: factors, the improvement with its interval, errors, z-scores, coverage."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def _mean(s: Spread, level: str = "95 %: ") -> str:
 
 
 def _answer(results: Results, spreads: Mapping[str, list[Spread]], ends: Sequence[Checked]) -> str:
-    """What was varied, what calibration is worth, and where it is best and worst."""
+    """Answer in words: the factors, the improvement by calibration, and its best and worst cells."""
     manifest, factors = results.manifest, varied(results)
     fewest, most = min(e.trials for e in ends), max(e.trials for e in ends)
     size = f"Over {fewest} trials" if fewest == most else f"Over {fewest} to {most} trials"
@@ -232,7 +232,7 @@ def _coverage(results: Results, scores: Sequence[Scores]) -> list[Block]:
 
 
 def coverage_words(rows: Sequence[Scores]) -> str:
-    """Which shares are red, and why."""
+    """Sentence on the shares that are red, with the reason."""
     low, high = (f"{100 * bound:.1f}" for bound in ALLOWED)
     red = [row.parameter for row, out in zip(rows, uncovered(rows), strict=True) if out]
     band = f"the allowed band of {low} to {high} %"
@@ -308,7 +308,7 @@ def varied(results: Results) -> list[Factor]:
 
 
 def cell_words(results: Results) -> dict[int, str]:
-    """What each cell is, in a few words."""
+    """Description of each cell in a few words, by its number."""
     factors = varied(results)
     said = [", ".join(short(f, level[f.name]) for f in factors) for level in results.levels]
     plain = "as the scenario" if len(said) == 1 else ""

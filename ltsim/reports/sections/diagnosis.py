@@ -1,4 +1,4 @@
-"""What a report says of a diagnosis: the sentence, what carries it, and the truth where one lies beside it."""
+"""Section of a diagnosis in a report: the sentence, its evidence, and the truth where there is a file of it."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 MOST_MARKED = 12
 """Targets that can be told apart in one picture."""
 LEAST_UM = 0.1
-"""What an effect hides below this [um] is no matter."""
+"""Threshold [um] below which the error that an undetectable effect causes in targets is negligible."""
 MOST_STEPS = 3
 """Points from which a curve is drawn."""
 
@@ -97,7 +97,7 @@ def diagnosis_section(content: DiagnosisFile, beside: Beside) -> Section:
 
 
 def _actions(content: DiagnosisFile) -> list[str]:
-    """What to do next: what would decide between explanations, then where to look."""
+    """Next steps: measurements that decide between explanations, then places to inspect."""
     said = [sentence(finding.separate_by) for finding in content.findings if finding.separate_by]
     for finding in content.findings:
         where = finding.where
@@ -176,7 +176,7 @@ def _finding(
 
 
 def finding_drawing(finding: Finding, before: Residuals | None, after: Residuals | None) -> Callable[[], Figure] | None:
-    """What a carrier does over its driver, where a finding has a curve; else the residuals without and with it.
+    """Figure of a finding: its carrier over its driver where it has a curve; else the residuals without and with it.
 
     None for mistakes, such as gross errors and names that were exchanged: both sides are without them.
     """
@@ -196,7 +196,7 @@ def finding_drawing(finding: Finding, before: Residuals | None, after: Residuals
 
 
 def _whereabouts(finding: Finding, number_: int, pair: Pair | None) -> list[Block]:
-    """Where it is, seen from above, for what concerns few stations or targets; of a swap who stands for whom."""
+    """Floor plan with the place of a finding on few stations or targets; for a swap, the exchanged targets."""
     from ltsim.reports.workshop import from_adjustment
 
     stations, targets = finding.where.stations, finding.where.targets
@@ -244,7 +244,7 @@ def _fit(content: DiagnosisFile) -> list[Block]:
 
 
 def _hidden(content: DiagnosisFile) -> list[Block]:
-    """What could not be seen, worst first, as far as it matters."""
+    """Effects that are not detectable, worst first, as far as they matter."""
     felt = [u for u in content.undetectable if u.hides_um and u.hides_um >= LEAST_UM]
     worst = sorted(felt, key=lambda u: -(u.hides_um or 0.0))
     rows = [[u.effect, number(u.hides_um, 2), number(u.shows_at, 2) if u.shows_at else "never"] for u in worst]
@@ -256,7 +256,7 @@ def _hidden(content: DiagnosisFile) -> list[Block]:
 
 
 def _detectability(content: DiagnosisFile) -> list[Grid]:
-    """How small an effect may be to be found."""
+    """Smallest sizes of effects that are detected."""
     note = (
         "About 80 % of recordings of this network are told as a mismatch if an effect at a middling place is this "
         "large; to be named it may have to be larger."
@@ -265,7 +265,7 @@ def _detectability(content: DiagnosisFile) -> list[Grid]:
 
 
 def _beside_truth(content: DiagnosisFile, truth: Truth, pair: Pair | None) -> list[Block]:
-    """What was hidden in a simulated recording beside what its diagnosis found: as a curve and in numbers."""
+    """Comparison of the effects hidden in a simulated recording with its diagnosis: as a curve and in numbers."""
     named = {a.effect.name: a for a in truth.effects}
     ordered = [named.get(f.effect) for f in content.findings]
     ordered += [a for name, a in named.items() if name not in {f.effect for f in content.findings}]

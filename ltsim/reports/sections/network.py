@@ -141,7 +141,7 @@ def target_table(file: Path | None, *, note: str) -> list[Grid]:
 
 
 def targets_in_words(sigma: Floats) -> str:
-    """How well targets are known, from their standard deviations (T, 3) [m]: in plan where heights of some are open."""
+    """Uncertainty of targets in words, from standard deviations (T, 3) [m]: in plan where heights are undetermined."""
     told = sigma[np.isfinite(sigma[:, :2]).all(axis=1)]
     flat = bool(np.isnan(told).any())
     known = np.sort(np.sqrt((told[:, : 2 if flat else 3] ** 2).sum(axis=1)))

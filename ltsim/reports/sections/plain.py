@@ -34,7 +34,7 @@ AGAINST = {
     ),
     ("network",): "Find out why the stations disagree: ltsim diagnose names what is missing from the model.",
 }
-"""What to do where a check of these kinds fails."""
+"""Next step where a check of these kinds fails."""
 
 
 def check_section(content: CheckFile, beside: Beside) -> Section:
@@ -56,7 +56,7 @@ def check_section(content: CheckFile, beside: Beside) -> Section:
 
 
 def comparison_section(content: Comparison, _: Beside) -> Section:
-    """Which points moved."""
+    """Section of a comparison of epochs: the points that moved."""
     points = sorted(content.displacements, key=lambda d: (not d.moved, natural(d.target)))
     moved = [d.target for d in points if d.moved]
     caption = "Shift of each point, enlarged; circle: the largest semi-axis of its 95 % ellipsoid."
@@ -126,7 +126,7 @@ def acceptance_section(content: AcceptanceFile, _: Beside) -> Section:
 
 
 def uncertainty_section(content: UncertaintyFile, _: Beside) -> Section:
-    """What tasks are worth."""
+    """Section of the uncertainties of tasks."""
     told = [r for r in content.results if r.conformity is not None]
     results = content.tables()["results"]().only(
         "task result unit value U mc_low mc_high agrees judgement largest_source"
@@ -166,7 +166,7 @@ def budget_of(content: UncertaintyFile) -> Figure:
 
 
 def next_section(content: NextFile, _: Beside) -> Section:
-    """What to measure next."""
+    """Section of proposals of further measurements."""
     best = content.proposals[0]
     decided = mood(best.decides) if content.between else "plain"
     saved = [100 * (1 - factor) for factor in (best.sharper, best.serves_factor)]

@@ -1,4 +1,4 @@
-"""What a report says of a plan: where the tripods go, what it is worth, what it costs, what it cannot see."""
+"""Section of a plan in a report: places of the tripods, quality, cost, and what is not detectable."""
 
 import json
 from functools import partial
@@ -78,7 +78,7 @@ def _tolerances(content: PlanResult) -> list[Block]:
 
 
 def _changes(content: PlanResult) -> list[Block]:
-    """Which reflector to move, to add, to leave out."""
+    """Table of the reflectors to move, to add, to leave out."""
     title, changes = "Reflectors to move, to add, to leave out", content.table("changes")
     if not changes.rows:
         return [Note(title, content.changes_tried)] if content.changes_tried else []
