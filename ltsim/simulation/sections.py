@@ -250,7 +250,7 @@ class Work(TomlSection):
     face_order: Literal["per-target", "per-station"] = "per-target"
     """Order of the faces: both target by target, or all targets in one face and then in the other."""
     repeats: Annotated[int, Field(ge=1, le=100)] = 1
-    """How many rounds."""
+    """Number of rounds."""
     seconds_per_pointing: Positive = 15.0
     """Time from one pointing to the next."""
     minutes_per_move: NonNegative = 20.0

@@ -1,1 +1,1 @@
-"""Least squares on matrices. This room has never heard of a tracker."""
+"""Least squares on matrices. This package knows no tracker."""
