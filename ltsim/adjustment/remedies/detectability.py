@@ -1,9 +1,9 @@
 """Minimal detectable size of every effect in a network.
 
 A test finds what leaves enough: the squared length of what the adjustment leaves of a whitened signature must reach the
-noncentrality that the test needs (`adjustment.reliability.noncentrality`). A diagnosis does not test one effect, it looks
-for every effect of the catalogue at all of its places and with all of its shapes, and a single one has to stand out
-among as many. Its false-alarm rate is shared out: the families of effects have even odds, and so have the members of a
+noncentrality that the test needs (`reliability.noncentrality`). A diagnosis does not test one effect, it looks for
+every effect of the catalogue at all of its places and with all of its shapes, and a single one has to stand out among
+as many. Its false-alarm rate is shared out: the families of effects have even odds, and so have the members of a
 family.
 
 References
