@@ -46,6 +46,7 @@ def variance_factor(squares: Floats, redundancy: Floats) -> tuple[Floats, Floats
     By weighted sums of squares and redundancies, of groups of readings (g,).
     """
     enough = np.asarray(redundancy) > 1.0
-    ratio = np.where(enough, np.maximum(squares, 1e-12) / np.where(enough, redundancy, 1.0), 1.0)
+    ratio = np.where(enough, squares / np.where(enough, redundancy, 1.0), 1.0)
+    ratio = np.maximum(ratio, 10.0 ** (-2.0 * FACTOR_DECADES))  # exact readings have no noise to be estimated
     gain = 0.5 * (squares - redundancy) - 0.5 * redundancy * np.log(ratio)
     return np.sqrt(ratio), np.where(enough, gain, 0.0)

@@ -40,6 +40,8 @@ TRIED = 4
 """Hypotheses that are fitted in a step, in the order of what they promise."""
 LARGE = 1500
 """Pointings from which a network that agrees as a whole is not looked at place by place: 5 s of processor time."""
+COMPUTED = 1e-6
+"""Chi-square over degrees of freedom below which readings are computed: a thousandth of the declared noise."""
 AGREES, FEW = 0.01, 0.01
 """Chance of a larger chi-square above which a large network agrees, and share of outliers below which it does."""
 AFTER_ALL = 0.5
@@ -151,10 +153,12 @@ def _misfit(fit: Fit) -> bool:
 
 
 def _agrees(fit: Fit) -> bool:
-    """Whether a large network agrees with its model as a whole, so that looking at each of its places would cost more.
+    """Whether a large network, or one of computed readings, agrees as a whole: looking at each place would cost more.
 
     In a network of `LARGE` pointings what one place hides is small for all others.
     """
+    if fit.solution.cost < COMPUTED * fit.problem.dof:
+        return True
     if len(fit.recording) < LARGE:
         return False
     return fit.p_value > AGREES and not fit.hypotheses and fit.outliers.sum() < FEW * fit.whole.use.sum()
@@ -191,19 +195,19 @@ def _fitted(fit: Fit, at_least: float = 0.0, instead_of: Hypothesis | None = Non
     Where the first keeps its promise, only what may explain the same readings is fitted beside it: the order in which
     causes at different places are chosen does not matter.
     """
-    first = 0.0
+    first, attempts = 0.0, 0
     tried: list[tuple[Hypothesis, Fit]] = []
     places = {h.place for h in fit.hypotheses if isinstance(h.change, NoiseFactor)}
     places |= {instead_of.place} if instead_of is not None else set()
     for promised, hypothesis in looks(fit):
         best = max((made.log_evidence for _, made in tried), default=-np.inf) - fit.log_evidence
-        if promised <= max(at_least, 0.0) or len(tried) >= TRIED or best > promised:
+        if promised <= max(at_least, 0.0) or attempts >= TRIED or best > promised:
             break
         if hypothesis.place in places or any(hypothesis.place == h.place for h, _ in tried):
             continue
         if tried and best > KEPT_PROMISE * first and not hypothesis.competes(tried[0][0]):
             continue
-        first = promised if not tried else first
+        first, attempts = promised if not attempts else first, attempts + 1
         made = refitted(fit, hypothesis, promised)
         if made is not None:
             tried.append((hypothesis, made))

@@ -45,7 +45,8 @@ class Open:
         ):
             connection.sendall(raw)
             if not half:
-                connection.shutdown(socket.SHUT_WR)
+                with contextlib.suppress(OSError):  # the server may have answered and closed already
+                    connection.shutdown(socket.SHUT_WR)
             while part := connection.recv(1 << 16):
                 parts.append(part)
             return b"".join(parts)
