@@ -92,7 +92,8 @@ class Selection:
         """
         sure = [c.hypothesis for c in self.choices if c.gain > BEYOND_DOUBT]
         shared = [h for h in sure if h.kind in SHARED]
-        far = [h for h in sure if h.kind == "reference-value" and self.fit.displacement(h) > WRONG_PLACE]
+        values = [h for h in sure if h.kind == "reference-value" and h.acts_on != "mark"]
+        far = [h for h in values if self.fit.displacement(h) > WRONG_PLACE]
         gross = any(self.fit.displacement(h) > LARGEST_ERROR for h in shared) or len(far) == 1
         noisy = any(isinstance(c.hypothesis.change, NoiseFactor) for c in self.choices)
         return gross or (bool(shared) and not noisy and self.fit.p_value > AGREES)
