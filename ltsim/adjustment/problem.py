@@ -73,7 +73,7 @@ class NetworkProblem(NetworkRows):
         known_marks, yaws = ControlRows.of_stations(recording, marks), YawRows.of(recording, used)
         differences = DifferenceRows.between(recording, marks)
         plausible = [held_to * size for effect in model.effects for size in effect.spread]
-        plausible += [size for errors in model.stated for size in errors.spread]
+        plausible += [size for errors in model.nuisances for size in errors.spread]
         return cls(
             model=model,
             sigma=recording.sigma() if sigma is None else sigma,
@@ -253,9 +253,9 @@ class NetworkProblem(NetworkRows):
         priors = int(np.isfinite(self.prior.sigma).sum())
         lengths = int(np.isfinite(self.gauge.sigma).sum())
         lengths -= lengths > 0 and not self.gauge.tell_scale
-        stated = sum(len(errors.parameters) for errors in self.model.stated)
+        nuisances = sum(len(errors.parameters) for errors in self.model.nuisances)
         known = self.control.count + self.known_marks.count + self.differences.count
-        known += lengths + 2 * len(self.levels) + len(self.yaws) + priors + stated
+        known += lengths + 2 * len(self.levels) + len(self.yaws) + priors + nuisances
         free = self.free.shape[1] - self.structure.in_plan
         unknown = self.unknowns.size - free - self.structure.held + self.structure.idle
         return int(self.use.sum()) + known - unknown

@@ -95,7 +95,7 @@ class BatchNetwork:
         """The forward model that a single adjustment has."""
         model = MeasurementModel(self.recording, self.construction, self.effects)
         if self.known is not None:
-            vars(model)["stated"] = self.known.network.model.stated
+            vars(model)["nuisances"] = self.known.network.model.nuisances
         return model
 
     @cached_property
@@ -233,7 +233,7 @@ class BatchNetwork:
     @cached_property
     def _expected_shift(self) -> Floats | None:
         """Change (n, 3, 1) of the readings that bench tests of reflectors let expect; None for none."""
-        if not any(isinstance(error, IncidenceErrors) and error.mean.any() for error in self.model.stated):
+        if not any(isinstance(error, IncidenceErrors) and error.mean.any() for error in self.model.nuisances):
             return None
         return self.model.extra_shift(self._extra_sightings, self.nominal.extra)[:, :, None]
 

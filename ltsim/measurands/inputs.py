@@ -171,7 +171,7 @@ def _sources_of_known_size(adjustment: Adjustment, reach: Floats) -> list[Source
     model = adjustment.problem.model
     finite = np.isfinite(adjustment.problem.extra_sigma[: model.effects_size])
     at, reached = int(finite.sum()), dict[str, list[Floats]]()
-    for error in model.stated:
+    for error in model.nuisances:
         count = len(error.parameters)
         reached.setdefault(error.parameters[0].meaning, []).append(reach[at : at + count].T)
         at += count

@@ -218,9 +218,12 @@ def _set_up(
     construction = stated_construction(recording)
     visit = StationOccupation.of(recording, construction)
     judged = _judged(visit, construction, family, rows) if visit.dof > 0 else _Judged((), visit, (), recording)
-    both, still = paired.select(at), judged.still.readings
-    still = np.where(np.isnan(still), both.readings, still)
-    items, faces = list[Item](), Faces.of(both, both.with_readings(still), construction, family.share, mpe)
+    two_faced, motionless = paired.select(at), judged.still.readings
+    motionless = np.where(np.isnan(motionless), two_faced.readings, motionless)
+    items, faces = (
+        list[Item](),
+        Faces.of(two_faced, two_faced.with_readings(motionless), construction, family.share, mpe),
+    )
     if faces is not None:
         limit = "noise and guarantee" if mpe is None else "the limit"
         sentence, targets, worst = face_sentence(faces, recording, limit)

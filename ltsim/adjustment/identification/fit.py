@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy import special
 
 from ltsim.adjustment.adjustment import Adjustment
 from ltsim.adjustment.identification.evidence import occam, occam_of_variance, variance_factor
@@ -32,7 +31,7 @@ from ltsim.scene.sightings import Sightings
 from ltsim.solve.design import median_deviation
 from ltsim.solve.gauss_newton import Solution, solve
 
-TOLD = 4.0
+DETERMINED = 4.0
 """Standard deviations of a shift below which no network supports it: four are exceeded by chance in one of 16,000."""
 FAR = 50.0
 """Residual of a reference value at a robust state, in standard deviations of the readings, that no noise explains."""
@@ -112,7 +111,7 @@ class Fit:
     @property
     def _is_determined(self) -> bool:
         """Whether each shift is told by the readings: one that a place of its own may as well be has no size."""
-        return all(self._length(h) > TOLD for h, _, _ in self.shifts)
+        return all(self.length(h) > DETERMINED for h, _, _ in self.shifts)
 
     @property
     def shifts(self) -> Iterator[tuple[Hypothesis, Shift, slice]]:
@@ -127,7 +126,7 @@ class Fit:
         at = next(at for h, _, at in self.shifts if h is hypothesis)
         return self.state.extra[at], self.adjustment.extra_covariance[at, at]
 
-    def _length(self, hypothesis: Hypothesis) -> float:
+    def length(self, hypothesis: Hypothesis) -> float:
         """Length of the estimate of a shift in its standard deviations."""
         values, covariance = self.estimate(hypothesis)
         return float(np.sqrt(max(float(values @ np.linalg.pinv(covariance) @ values), 0.0)))
@@ -302,11 +301,6 @@ class Fit:
         """(n, 3): readings that miss by more than any error of a tracker."""
         return np.abs(np.nan_to_num(self.residuals)) * _arms(self.adjustment.sightings) > LARGEST_ERROR
 
-    @property
-    def p_value(self) -> float:
-        """Chance of a larger chi-square if the model with its hypotheses holds."""
-        return float(special.chdtrc(max(self.problem.dof, 1), self.solution.cost))
-
     @cached_property
     def outlier_terms(self) -> float:
         """Log of the Occam factors and priors of all outliers."""
@@ -320,7 +314,7 @@ class Fit:
         total += self.outlier_terms
         for h in self.hypotheses:
             if isinstance(h.change, Shift):
-                total += float(occam(self._length(h), len(h.change.effect.parameters)))
+                total += float(occam(self.length(h), len(h.change.effect.parameters)))
             elif isinstance(h.change, NoiseFactor):
                 chosen = h.change.readings & self.problem.use
                 redundancy = np.nansum(self.redundancy[chosen])

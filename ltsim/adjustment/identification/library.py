@@ -138,7 +138,7 @@ class Candidate:
 
 def candidates(sightings: Sightings) -> list[Candidate]:
     """Every shift of every family."""
-    found: list[tuple[Family, str, float, Ints, Ints]] = []
+    shifts: list[tuple[Family, str, float, Ints, Ints]] = []
     for family in families(sightings):
         station = family.place == "station"
         index = sightings.station if station else sightings.target
@@ -149,11 +149,11 @@ def candidates(sightings: Sightings) -> list[Candidate]:
             rows = order[edges[i] : edges[i + 1]]
             for since in family.moments(sightings, rows) if len(rows) else ():
                 late = sightings.time[rows] >= since
-                found.append((family, name, since, rows[late], rows[~late]))
+                shifts.append((family, name, since, rows[late], rows[~late]))
     count: dict[Kind, int] = {}
-    for family, *_ in found:
+    for family, *_ in shifts:
         count[family.kind] = count.get(family.kind, 0) + 1
-    return [Candidate(*one, count[one[0].kind]) for one in found]
+    return [Candidate(*one, count[one[0].kind]) for one in shifts]
 
 
 def omissions(fit: Fit) -> list[Hypothesis]:
@@ -163,7 +163,7 @@ def omissions(fit: Fit) -> list[Hypothesis]:
 
 def omissions_of(recording: Recording, values: Sequence[KnownInRows]) -> list[Hypothesis]:
     """Hypotheses that each of some reference values is wrong."""
-    found = []
+    hypotheses = []
     for v in values:
         ends = (v.name, *v.name.partition("#")[0].split("-")) if v.kind in ("length", "difference") else (v.name,)
         targets = (
@@ -171,8 +171,8 @@ def omissions_of(recording: Recording, values: Sequence[KnownInRows]) -> list[Hy
         )
         stations = tuple(name for name in recording.stations if name in ends) if not targets else ()
         prior = log_prior_of("reference-value", len(values))
-        found.append(Hypothesis("reference-value", v.kind, stations, targets, prior, Omission(v), v.name))
-    return found
+        hypotheses.append(Hypothesis("reference-value", v.kind, stations, targets, prior, Omission(v), v.name))
+    return hypotheses
 
 
 MISTAKES: dict[str, Kind] = {
@@ -185,29 +185,29 @@ MISTAKES: dict[str, Kind] = {
 
 def corrections(fit: Fit) -> list[Hypothesis]:
     """Rows that were written down wrongly, by where outliers would land."""
-    places, found = len(fit.recording.stations) * len(fit.recording.targets), []
+    places, hypotheses = len(fit.recording.stations) * len(fit.recording.targets), []
     for mistake, readings, target in mistakes(fit.adjustment):
         kind = MISTAKES[mistake.effect]
         change = Correction(mistake.rows, readings, target, fit.recording.face[mistake.rows])
         rows = tuple((mistake.rows + 1).tolist())
         prior = log_prior_of(kind, places)
-        found.append(
+        hypotheses.append(
             Hypothesis(kind, "position", mistake.stations, mistake.targets, prior, change, mistake.sentence, rows)
         )
-    return found
+    return hypotheses
 
 
 def conventions(recording: Recording) -> list[Hypothesis]:
     """Set-ups that were recorded in another unit, sense or face: by the shape of what they saw, without a network."""
     converted, slips = mend_stations(recording)
     faced, faces = mend_faces(converted)
-    found = []
+    hypotheses = []
     for mistake in (*slips, *faces) if len(recording.stations) > 2 or faces else ():
         rows = mistake.rows
         change = Correction(rows, converted.readings[rows], recording.target[rows], faced.face[rows])
         prior = log_prior_of("unit", len(recording.stations))
-        found.append(Hypothesis("unit", "position", mistake.stations, (), prior, change, mistake.sentence))
-    return found
+        hypotheses.append(Hypothesis("unit", "position", mistake.stations, (), prior, change, mistake.sentence))
+    return hypotheses
 
 
 def noises(fit: Fit) -> Iterator[tuple[Hypothesis, Bools]]:

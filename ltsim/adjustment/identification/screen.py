@@ -50,19 +50,19 @@ def looks(fit: Fit) -> list[tuple[float, Hypothesis]]:
     if fit.outliers.any():
         local, guesses = _local(fit, every)
         gains = np.maximum(gains, local)
-    found = [(float(gains[i]), i) for i in np.argsort(-gains).tolist() if gains[i] > 0.0]
-    made = [(gain, every[i].hypothesis(guesses[i])) for gain, i in _one_a_place(found, every)]
+    ranked = [(float(gains[i]), i) for i in np.argsort(-gains).tolist() if gains[i] > 0.0]
+    offers = [(gain, every[i].hypothesis(guesses[i])) for gain, i in _one_a_place(ranked, every)]
     for space, behind in spaces:
-        made += [(gain + behind, h) for gain, h in _references(fit, space.adjustment)]
-        made += [(gain + behind, h) for gain, h in _scale_of_lengths(fit, space)]
+        offers += [(gain + behind, h) for gain, h in _references(fit, space.adjustment)]
+        offers += [(gain + behind, h) for gain, h in _scale_of_lengths(fit, space)]
     if fit.outliers.any():
-        made += [(_paid(fit, np.array(h.rows) - 1) + h.log_prior, h) for h in corrections(fit)]
-        made += [(_paid(fit, _rows_of(fit, h)) + h.log_prior, h) for h in omissions(fit) if h.targets]
-    made += _noises(fit)
+        offers += [(_paid(fit, np.array(h.rows) - 1) + h.log_prior, h) for h in corrections(fit)]
+        offers += [(_paid(fit, _rows_of(fit, h)) + h.log_prior, h) for h in omissions(fit) if h.targets]
+    offers += _noises(fit)
     if fit.outliers.sum() > MANY:
-        made += _distances_aside(fit, every)
-    made.sort(key=lambda one: -one[0])
-    return made
+        offers += _distances_aside(fit, every)
+    offers.sort(key=lambda one: -one[0])
+    return offers
 
 
 def _plain(fit: Fit) -> tuple[Adjustment, float] | None:
@@ -76,14 +76,14 @@ def _plain(fit: Fit) -> tuple[Adjustment, float] | None:
     return replace(fit.adjustment, problem=fit.whole, solution=solution), min(behind, 0.0)
 
 
-def _one_a_place(found: Sequence[tuple[float, int]], every: Sequence[Candidate]) -> list[tuple[float, int]]:
+def _one_a_place(ranked: Sequence[tuple[float, int]], every: Sequence[Candidate]) -> list[tuple[float, int]]:
     """The best moment of each kind at each place."""
-    seen, best = set[tuple[str, str, str]](), []
-    for gain, i in found:
+    places, best = set[tuple[str, str, str]](), []
+    for gain, i in ranked:
         candidate = every[i]
         key = candidate.family.kind, candidate.family.acts_on, candidate.name
-        if key not in seen:
-            seen.add(key)
+        if key not in places:
+            places.add(key)
             best.append((gain, i))
     return best
 
@@ -101,20 +101,20 @@ def _exact(space: ResidualSpace, every: Sequence[Candidate]) -> Floats:
         by_rank.setdefault(every[i].family.design.shape[2], []).append(i)
     for rank, group in by_rank.items():
         step = max(1, AT_ONCE // (space.size * rank))
-        for some in (group[k : k + step] for k in range(0, len(group), step)):
-            rows = np.hstack([_signature(space, every[i]) for i in some])
-            left = space.project(rows).reshape(space.size, len(some), rank)
-            size = np.linalg.norm(rows, axis=0).reshape(len(some), rank)
+        for batch in (group[k : k + step] for k in range(0, len(group), step)):
+            rows = np.hstack([_signature(space, every[i]) for i in batch])
+            left = space.project(rows).reshape(space.size, len(batch), rank)
+            size = np.linalg.norm(rows, axis=0).reshape(len(batch), rank)
             unit = left / np.where(size > 0, size, 1.0)
             gram = np.einsum("mhi,mhj->hij", unit, unit)
             score = np.einsum("mhi,m->hi", unit, space.residual)
             strength, turn = np.linalg.eigh(gram)
             along = np.einsum("hij,hi->hj", turn, score)
-            seen = strength > VISIBLE
-            drop = np.sum(np.where(seen, along**2 / np.where(seen, strength, 1.0), 0.0), axis=1)
-            shown = seen.sum(axis=1)
+            visible = strength > VISIBLE
+            drop = np.sum(np.where(visible, along**2 / np.where(visible, strength, 1.0), 0.0), axis=1)
+            shown = visible.sum(axis=1)
             value = np.array([_evidence(d, r) for d, r in zip(drop.tolist(), shown.tolist(), strict=True)])
-            gains[some] = value + [every[i].log_prior for i in some]
+            gains[batch] = value + [every[i].log_prior for i in batch]
     return gains
 
 
@@ -133,7 +133,7 @@ def _rough(space: ResidualSpace, every: Sequence[Candidate]) -> Floats:
     use, count = space.use, int(space.use.sum())
     residual, share = np.zeros(use.shape), np.zeros(use.shape)
     residual[use], share[use] = space.residual[:count], np.maximum(space.redundancy[:count], 1e-3)
-    found = np.empty(len(every))
+    gains = np.empty(len(every))
     weighted = {id(c.family): np.where(use[:, :, None], c.family.design / space.sigma[:, :, None], 0.0) for c in every}
     for i, c in enumerate(every):
         g, r, q = weighted[id(c.family)][c.rows], residual[c.rows], share[c.rows]
@@ -141,10 +141,10 @@ def _rough(space: ResidualSpace, every: Sequence[Candidate]) -> Floats:
         score = np.einsum("nki,nk->i", g, r)
         scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
         strength, turn = np.linalg.eigh(gram / np.outer(scale, scale))
-        seen = strength > 1e-3
-        along = turn[:, seen].T @ (score / scale)
-        found[i] = _evidence(float(np.sum(along**2 / strength[seen])), int(seen.sum())) + c.log_prior
-    return found
+        visible = strength > 1e-3
+        along = turn[:, visible].T @ (score / scale)
+        gains[i] = _evidence(float(np.sum(along**2 / strength[visible])), int(visible.sum())) + c.log_prior
+    return gains
 
 
 def _local(fit: Fit, every: Sequence[Candidate]) -> tuple[Floats, list[Floats]]:
@@ -180,10 +180,10 @@ def _saved(g: Floats, r: Floats, out: Bools, price: float) -> tuple[float, Float
     """Fall of the negative log likelihood in which no reading costs more than an outlier's price, and the shift."""
     before = np.minimum(0.5 * r**2, price).sum()
     size = np.linalg.norm(g, axis=0)
-    found = np.zeros(g.shape[1])
+    shift = np.zeros(g.shape[1])
     unit = g[:, size > 0] / size[size > 0]
     if not unit.shape[1] or not out.any():
-        return -np.inf, found
+        return -np.inf, shift
     if unit.shape[1] == 1:
         ratio = r[out] / np.where(unit[out, 0] != 0.0, unit[out, 0], 1.0)
         a = np.array([np.median(ratio)])
@@ -198,8 +198,8 @@ def _saved(g: Floats, r: Floats, out: Bools, price: float) -> tuple[float, Float
         if fits.sum() <= unit.shape[1]:
             break
         a = np.linalg.lstsq(unit[fits], r[fits], rcond=1e-10)[0]
-    found[size > 0] = a / size[size > 0]
-    return float(before - np.minimum(0.5 * (r - unit @ a) ** 2, price).sum()), found
+    shift[size > 0] = a / size[size > 0]
+    return float(before - np.minimum(0.5 * (r - unit @ a) ** 2, price).sum()), shift
 
 
 def _distances_aside(fit: Fit, every: Sequence[Candidate]) -> list[tuple[float, Hypothesis]]:
@@ -211,7 +211,7 @@ def _distances_aside(fit: Fit, every: Sequence[Candidate]) -> list[tuple[float, 
     tried = [c for c in every if c.family.acts_on == "distance" and np.isneginf(c.since)]
     share = {id(c): float(gross[c.rows].mean()) for c in tried}
     price = -log_prior_of("outlier", int(fit.whole.use.sum())) - float(occam(10.0, 1))
-    found, fits = list[tuple[float, Hypothesis]](), dict[str, Fit | None]()
+    offers, fits = list[tuple[float, Hypothesis]](), dict[str, Fit | None]()
     for c in sorted(tried, key=lambda c: -share[id(c)]):
         if c.name not in fits:
             if len(fits) == PLACES or not share[id(c)] > HALF:
@@ -229,8 +229,8 @@ def _distances_aside(fit: Fit, every: Sequence[Candidate]) -> list[tuple[float, 
         guess = float(np.median(r[acts] / g[acts]))
         rest = float(np.minimum(0.5 * (r - g * guess) ** 2, price).sum())
         gain = aside.log_evidence - rest - fit.log_evidence + float(occam(10.0, 1)) + c.log_prior
-        found.append((gain, c.hypothesis(np.array([guess]))))
-    return found
+        offers.append((gain, c.hypothesis(np.array([guess]))))
+    return offers
 
 
 def _paid(fit: Fit, rows: Ints) -> float:
@@ -252,12 +252,12 @@ def _references(fit: Fit, adjustment: Adjustment) -> list[tuple[float, Hypothesi
     tests: dict[tuple[str, str], KnownTest] = {}
     if solution.factor is not None:
         tests = {(t.kind, t.name): t for t in known_tests(problem, solution)}
-    found = []
+    offers = []
     for h in omissions(fit):
         test = tests.get((h.acts_on, h.name))
         if test is not None and test.rank:
-            found.append((_evidence(test.drop, test.rank) + h.log_prior, h))
-    return found
+            offers.append((_evidence(test.drop, test.rank) + h.log_prior, h))
+    return offers
 
 
 def _scale_of_lengths(fit: Fit, space: ResidualSpace) -> list[tuple[float, Hypothesis]]:
@@ -267,8 +267,8 @@ def _scale_of_lengths(fit: Fit, space: ResidualSpace) -> list[tuple[float, Hypot
         return []
     drop, rank = space.explained(space.signature(scale))
     prior = log_prior_of("reference-scale", 1)
-    found = Hypothesis("reference-scale", "length", (), (), prior, Shift(scale))
-    return [(_evidence(drop, rank) + prior, found)] if rank else []
+    common = Hypothesis("reference-scale", "length", (), (), prior, Shift(scale))
+    return [(_evidence(drop, rank) + prior, common)] if rank else []
 
 
 def _noises(fit: Fit) -> list[tuple[float, Hypothesis]]:

@@ -16,6 +16,7 @@ from ltsim.adjustment.identification.library import conventions, omissions_of
 from ltsim.adjustment.identification.screen import looks
 from ltsim.adjustment.prior import ParameterPrior
 from ltsim.adjustment.snooping import LARGEST_ERROR
+from ltsim.core.arrays import Floats
 from ltsim.core.errors import LtsimError, NetworkError
 from ltsim.physics.model.construction import Construction, stated_construction
 from ltsim.recordings.recording import Recording
@@ -28,6 +29,8 @@ AMONG_MISFIT = 30.0
 
 A misfit of the model varies smoothly, so that its readings count several times: a tenth of this is what they tell.
 """
+LARGEST_GAIN = 1e300
+"""Log evidence in place of an infinite one: of a hypothesis without which there is no network."""
 MOST = 8
 """Hypotheses that are chosen at most: a network with more simple causes is measured again."""
 BEYOND_DOUBT = 7.0
@@ -63,10 +66,10 @@ class Choice:
     alternatives: tuple[tuple[Hypothesis, float], ...]
 
     @property
-    def probability(self) -> float:
-        """Posterior probability among what was fitted in its place and that it is absent."""
-        gains = np.array([self.gain, *(gain for _, gain in self.alternatives), 0.0])
-        return float(np.exp(self.gain - np.logaddexp.reduce(gains)))
+    def probabilities(self) -> Floats:
+        """Posterior probabilities (2 + k,) of the hypothesis, of its k alternatives, and of none of them."""
+        gains = np.minimum([self.gain, *(gain for _, gain in self.alternatives), 0.0], LARGEST_GAIN)
+        return np.asarray(np.exp(gains - np.logaddexp.reduce(gains)))
 
 
 @dataclass(frozen=True)
@@ -96,7 +99,7 @@ class Selection:
         far = [h for h in values if self.fit.displacement(h) > WRONG_PLACE]
         gross = any(self.fit.displacement(h) > LARGEST_ERROR for h in shared) or len(far) == 1
         noisy = any(isinstance(c.hypothesis.change, NoiseFactor) for c in self.choices)
-        return gross or (bool(shared) and not noisy and self.fit.p_value > AGREES)
+        return gross or (bool(shared) and not noisy and self.fit.adjustment.p_value > AGREES)
 
     @property
     def explains(self) -> bool:
@@ -109,10 +112,9 @@ class Selection:
         changes = [c.hypothesis.change for c in self.choices]
         quieter = any(isinstance(change, NoiseFactor) and change.guess < 1.0 for change in changes)
         others = any(isinstance(change, Omission) for change in changes) or any(self.fit.problem.marks.names)
-        if _misfit(self.fit) and self.fit.outliers.any():
-            return False
+        doubtful = quieter or others or (_misfit(self.fit) and bool(self.fit.outliers.any()))
         sure = all(c.gain > BEYOND_DOUBT and c.hypothesis.kind != "unit" for c in self.choices)
-        return bool(changes) and sure and not quieter and not others and self.fit.p_value > AGREES
+        return bool(changes) and sure and not doubtful and self.fit.adjustment.p_value > AGREES
 
 
 Looked = tuple[Fit, list[tuple[Hypothesis, Fit]]]
@@ -162,7 +164,7 @@ def _agrees(fit: Fit) -> bool:
         return True
     if len(fit.recording) < LARGE:
         return False
-    return fit.p_value > AGREES and not fit.hypotheses and fit.outliers.sum() < FEW * fit.whole.use.sum()
+    return fit.adjustment.p_value > AGREES and not fit.hypotheses and fit.outliers.sum() < FEW * fit.whole.use.sum()
 
 
 def identified(
@@ -180,10 +182,10 @@ def _beginning(network: Network) -> Fit:
 
     With these a network bends so far that nothing else of it can be seen.
     """
-    found = conventions(network.recording)
-    far = omissions_of(network.recording, Fit.far_references(network, found))
-    fit = Fit.of(network, (*found, *far))
-    if fit is None and (found or far):
+    units = conventions(network.recording)
+    far = omissions_of(network.recording, Fit.far_references(network, units))
+    fit = Fit.of(network, (*units, *far))
+    if fit is None and (units or far):
         fit = Fit.of(network)
     if fit is None:
         raise NetworkError("the observations contradict each other so far that no network fits them")
@@ -248,9 +250,9 @@ def _without_needless(fit: Fit, least: float, first: int) -> Fit:
 
 def _less(fit: Fit, hypothesis: Hypothesis) -> Fit | None:
     """The fit without one of its hypotheses."""
-    kept = tuple(h for h in fit.hypotheses if h is not hypothesis)
+    others = tuple(h for h in fit.hypotheses if h is not hypothesis)
     try:
-        return Fit.of(fit.network, kept, replace(fit.state, extra=np.zeros(0)))
+        return Fit.of(fit.network, others, replace(fit.state, extra=np.zeros(0)))
     except LtsimError:
         return None
 

@@ -9,7 +9,7 @@ from scipy import special
 
 from ltsim.adjustment.identification.fit import Fit
 from ltsim.adjustment.identification.hypothesis import Correction, Hypothesis, NoiseFactor, Omission, Shift
-from ltsim.adjustment.identification.selection import Choice, Selection
+from ltsim.adjustment.identification.selection import LARGEST_GAIN, Choice, Selection
 from ltsim.adjustment.identification.signatures import ReadingShift
 from ltsim.core.arrays import Floats
 from ltsim.core.notation import with_sigma
@@ -96,26 +96,23 @@ def outcomes(selection: Selection) -> tuple[Test, ...]:
 
 def _accepted(fit: Fit, choice: Choice) -> Test:
     h = choice.hypothesis
-    told: dict[str, Any] = {}
-    drop, rank = max(2.0 * min(choice.gain, 1e300), 0.0), 1
+    size: dict[str, Any] = {}
+    drop, rank = max(2.0 * min(choice.gain, LARGEST_GAIN), 0.0), 1
     if isinstance(h.change, Shift):
         values, covariance = fit.estimate(h)
-        rank = len(values)
-        drop = float(values @ np.linalg.pinv(covariance) @ values)
-        told = _size(h, values, covariance)
+        drop, rank = fit.length(h) ** 2, len(values)
+        size = _size(h, values, covariance)
     elif isinstance(h.change, Omission):
         rank = len(h.change.value.sigma)
-        size, unit, factor = _missed(fit, h)
-        told = {"estimate": size / factor, "unit": unit}
+        miss, unit, factor = _missed(fit, h)
+        size = {"estimate": miss / factor, "unit": unit}
     elif isinstance(h.change, NoiseFactor):
-        told = {"estimate": noise_factor(fit, h)}
+        size = {"estimate": noise_factor(fit, h)}
     p = float(special.chdtrc(rank, drop)) if isinstance(h.change, Shift | Omission) else None
-    others = [(other, gain) for other, gain in choice.alternatives]
-    gains = np.array([choice.gain, *(g for _, g in others), 0.0])
-    share = np.exp(np.minimum(gains, 1e300) - np.logaddexp.reduce(np.minimum(gains, 1e300)))
+    share = choice.probabilities.tolist()
     alternatives = tuple(
-        Alternative(kind=other.kind, where=Place(stations=other.stations, targets=other.targets), probability=float(s))
-        for (other, _), s in zip(others, share[1:-1].tolist(), strict=True)
+        Alternative(kind=other.kind, where=Place(stations=other.stations, targets=other.targets), probability=s)
+        for (other, _), s in zip(choice.alternatives, share[1:-1], strict=True)
         if s > NOT_EXCLUDED
     )
     return Test(
@@ -126,10 +123,10 @@ def _accepted(fit: Fit, choice: Choice) -> Test:
         dof=rank,
         p_value=p,
         rows=h.rows if len(h.rows) <= MOST_OUTLIERS else (),
-        probability=float(share[0]),
+        probability=share[0],
         alternatives=alternatives,
         sentence=sentence_of(fit, h),
-        **told,
+        **size,
     )
 
 
@@ -195,9 +192,9 @@ def sentence_of(fit: Fit, h: Hypothesis) -> str:
         verb, them = ("are", "them") if plural else ("is", "it")
         return f"{REFERENCES[h.change.value.kind]} {h.name} {verb} off by {_plain(miss / factor)} {unit}: check {them}."
     values, covariance = fit.estimate(h)
-    told = _size(h, values, covariance)
-    size = f"{with_sigma(abs(told['estimate']), told['sigma'], told['unit'])}"
-    more = "long" if told["estimate"] > 0 else "short"
+    estimate = _size(h, values, covariance)
+    size = f"{with_sigma(abs(estimate['estimate']), estimate['sigma'], estimate['unit'])}"
+    more = "long" if estimate["estimate"] > 0 else "short"
     effect = h.change.effect
     if h.kind == "constant-offset" and h.acts_on == "distance":
         cause = usual_size(float(values[0]), float(np.sqrt(covariance[0, 0])))
@@ -258,7 +255,7 @@ def usual_size(value: float, sigma: float) -> str:
 
 def _outliers(fit: Fit) -> list[Test]:
     """Single readings that were left out, the largest first."""
-    recording, found = fit.recording, list[Test]()
+    recording, tests = fit.recording, list[Test]()
     at = np.argwhere(fit.outliers)
     size = np.abs(fit.whitened[fit.outliers])
     for i, k in at[np.argsort(-size)][:MOST_OUTLIERS].tolist():
@@ -270,7 +267,7 @@ def _outliers(fit: Fit) -> list[Test]:
             f"The {OBSERVABLES[k]} from {station} to {target} (row {i + 1}) is off by "
             f"{with_sigma(abs(value) / factor, sigma / factor, unit)}: measure it again."
         )
-        found.append(
+        tests.append(
             Test(
                 kind="outlier",
                 acts_on=OBSERVABLES[k],
@@ -285,4 +282,4 @@ def _outliers(fit: Fit) -> list[Test]:
                 sentence=sentence,
             )
         )
-    return found
+    return tests

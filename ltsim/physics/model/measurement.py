@@ -164,14 +164,14 @@ class MeasurementModel:
         return () if free or not has_plan(self.recording) else incidence_errors(self.recording)
 
     @cached_property
-    def stated(self) -> tuple[Signature, ...]:
-        """Errors whose size is known beforehand: of heights of heads, of reflectors, and what readings share."""
+    def nuisances(self) -> tuple[Signature, ...]:
+        """Nuisance errors, whose size is known beforehand: of heights of heads, of reflectors, shared by readings."""
         return *self.heads, *self.incidence, *shared_errors(self.recording)
 
     @property
     def beside(self) -> tuple[Signature, ...]:
         """All that is estimated beside network and instrument: the further effects, then errors of a stated size."""
-        return *self.effects, *self.stated
+        return *self.effects, *self.nuisances
 
     @property
     def extra_size(self) -> int:

@@ -140,21 +140,21 @@ def moments(texts: Sequence[str], order: str | None = None) -> tuple[list[float]
     if clocks is not None:
         return _since([datetime.min + clock for clock in _unwrapped(clocks)], dated=False)
     read = (_all(partial(_stamp, letters=letters, order=order), texts) for letters in _ORDERS)
-    found = [_since(stamps, dated=True) for stamps in read if stamps is not None]
-    if any(seconds != found[0][0] for seconds, _ in found):
+    readings = [_since(stamps, dated=True) for stamps in read if stamps is not None]
+    if any(seconds != readings[0][0] for seconds, _ in readings):
         return None, "?"
-    return found[0] if found else (None, "")
+    return readings[0] if readings else (None, "")
 
 
 def _all(convert: Callable[[str], T | None], texts: Sequence[str]) -> list[T] | None:
     """Every text converted; None at the first that cannot be."""
-    found = []
+    values = []
     for text in texts:
-        converted = convert(text)
-        if converted is None:
+        value_of_text = convert(text)
+        if value_of_text is None:
             return None
-        found.append(converted)
-    return found
+        values.append(value_of_text)
+    return values
 
 
 def is_moment(text: str) -> bool:

@@ -76,12 +76,12 @@ class Meaning:
             return up + FULL if up < -QUARTER else up
 
         scale, lengths = ratio(self.length_unit, "mm"), printed.of(DISTANCE)
-        found = [
+        polar = [
             as_floats(lengths) if scale == 1 else exactly(lengths, partial(operator.mul, scale)),
             exactly(printed.of(HORIZONTAL), azimuth),
             exactly(printed.of(VERTICAL), elevation),
         ]
-        return np.stack(found, axis=1) * [MILLIMETRE, DEGREE, DEGREE]
+        return np.stack(polar, axis=1) * [MILLIMETRE, DEGREE, DEGREE]
 
     def unit_of(self, role: str) -> str:
         """The unit of the readings that a column of sigmas or heights stands beside, where it states none."""
@@ -232,12 +232,11 @@ def sigmas_of_places(table: PointingTable, readings: Floats, length: str) -> dic
     titles = [(c.title, FACTOR[c.unit or length]) for c in columns if c is not None]
     if not table.holds_places or len(titles) < len(PLACE):
         return {}
-    printed, nothing = table.pointings, [""] * len(table.pointings)
-    texts = [printed.further.get(title, nothing) for title, _ in titles]
-    given = [list(map(cells.value, column, printed.grouping)) for column in texts]
+    printed = table.pointings
+    columns_of_numbers = [map(cells.value, printed.texts(title), printed.grouping) for title, _ in titles]
     printed.further = {title: column for title, column in printed.further.items() if title not in dict(titles)}
-    stated = np.stack([[float(s) if s is not None and s > 0 else np.nan for s in column] for column in given], axis=1)
-    variance = (stated * [factor for _, factor in titles]) ** 2
+    sizes = [[float(s) if s is not None and s > 0 else np.nan for s in column] for column in columns_of_numbers]
+    variance = (np.stack(sizes, axis=1) * [factor for _, factor in titles]) ** 2
     range_, azimuth, elevation = readings.T
     ways = np.stack(unit_vectors(azimuth, elevation), axis=1) ** 2
     level = np.maximum(range_ * np.cos(elevation), 1e-9)

@@ -97,6 +97,10 @@ class Printed:
                 digits = np.where(digits == b"", self.numbers[role], digits)
         return digits
 
+    def texts(self, title: str) -> list[str]:
+        """Cells of a further column; '' where the table has none of this title."""
+        return self.further.get(title) or [""] * len(self)
+
     @property
     def lists(self) -> tuple[list[Any], ...]:
         """Columns that every row has, in the order of the fields."""
@@ -129,7 +133,7 @@ def joined(parts: Sequence[Printed]) -> Printed:
         role: np.concatenate([part.numbers.get(role, np.zeros(len(part), dtype="S1")) for part in parts])
         for role in roles
     }
-    further = {title: _chained(part.further.get(title) or [""] * len(part) for part in parts) for title in titles}
+    further = {title: _chained(part.texts(title) for part in parts) for title in titles}
     return Printed(*[*lists, numbers, further])
 
 
@@ -140,8 +144,8 @@ def _chained(columns: Iterable[list[T]]) -> list[T]:
 def codes(values: Iterable[T]) -> tuple[list[T], Ints]:
     """Distinct values in the order in which they appear, and the place of each value among them."""
     places: dict[T, int] = {}
-    found = [places.setdefault(value, len(places)) for value in values]
-    return list(places), np.array(found, dtype=np.int64)
+    indices = [places.setdefault(value, len(places)) for value in values]
+    return list(places), np.array(indices, dtype=np.int64)
 
 
 @dataclass
@@ -174,12 +178,14 @@ class PointingTable:
         return [self.marks.get(station, station) for station in self.pointings.station]
 
     def take(self, columns: Sequence[TableColumn], file: object, row: int | None = None) -> None:
-        """A further header: of the same roles and units, perhaps with more columns that are kept.
+        """A further header: of the same roles and units, perhaps with more columns, which are retained.
 
         Raises RecordError where it holds other readings, or in other units.
         """
-        said = [[(c.role, c.unit, c.face) for c in all_ if c.role in READINGS] for all_ in (self.columns, columns)]
-        if said[0] and said[0] != said[1]:
+        before, here = (
+            [(c.role, c.unit, c.face) for c in all_ if c.role in READINGS] for all_ in (self.columns, columns)
+        )
+        if before and before != here:
             message = "its columns differ from those of the headers before, expected the same roles and units"
             raise FilePlace(file, row).wrong(message)
         titles = {c.title for c in self.columns}

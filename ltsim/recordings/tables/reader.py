@@ -134,8 +134,7 @@ def _setup(path: Path, hints: Hints) -> Setup | None:
 def _faces(table: PointingTable, readings: Floats) -> tuple[list[int], list[str]]:
     """Face of each pointing; readings of face 2 that were reduced to face 1 are turned back in place."""
     beyond = np.abs(readings[:, 2]) > np.pi / 2 + 1e-9
-    stated = table.pointings.face
-    faces = [face or int(b) + 1 for face, b in zip(stated, beyond.tolist(), strict=True)]
+    faces = [face or int(b) + 1 for face, b in zip(table.pointings.face, beyond.tolist(), strict=True)]
     second = np.array(faces) == 2
     if not second.any() or beyond[second].any() or not np.isfinite(readings[second, 2]).any():
         return faces, []
@@ -152,7 +151,8 @@ def _further(table: PointingTable, meaning: Meaning) -> tuple[dict[str, Floats],
     columns = [c for c in table.columns if c.is_further]
     words = {c.title for c in columns if c.role in OCCUPATION_COLUMNS}
     values = [c for c in columns if c.title not in words]
-    numeric = {c.title: found for c in values if (found := _covariate(c, table.pointings, meaning)) is not None}
+    converted = {c.title: _covariate(c, table.pointings, meaning) for c in values}
+    numeric = {title: numbers for title, numbers in converted.items() if numbers is not None}
     named = words | {c.title for c in values if "_" in c.role and c.title in numeric}
     names = {c.title: c.role if c.title in named else c.title for c in columns}
     covariates = {names[title]: column for title, column in numeric.items()}

@@ -153,9 +153,9 @@ class _SheetReader:
     def _other(self, row: Row) -> None:
         """A line that is no pointing: it names the station of a block, or is left out."""
         line = " ".join(field for field in row.fields if field).rstrip(" \t;,")
-        found = _STATION.fullmatch(line) if len(line) <= MAX_TEXT else None
-        if found is not None and role_of(found.group(1)) == "station":
-            self.station = found.group(2)
+        block = _STATION.fullmatch(line) if len(line) <= MAX_TEXT else None
+        if block is not None and role_of(block.group(1)) == "station":
+            self.station = block.group(2)
         elif not row.comment:
             self.table.left_out.append(f"line {row.line} of {self.sheet.file.name} ('{row}')")
 

@@ -49,7 +49,7 @@ class RunReader:
         nothing = ("",) * len(rows)
         named = [name or block for name, block in zip(text.get("station", nothing), stations, strict=True)]
         self.nameless |= "" in named
-        stated = self._faces(text["face"], rows) if "face" in text else [0] * len(rows)
+        faces = self._faces(text["face"], rows) if "face" in text else [0] * len(rows)
         numbers: dict[str, Digits] = {}
         for c in columns:
             if c.role in READINGS:
@@ -64,7 +64,7 @@ class RunReader:
             [row.line for row in rows],
             [intern(name or "S1") for name in named],
             list(map(intern, text.get("target", nothing))),
-            [face] * len(rows) if face else stated,
+            [face] * len(rows) if face else faces,
             _both(text.get("date"), text.get("time")) or [*nothing],
             _both(text.get("date"), text.get("round")) or [*nothing],
             [self.sheet.grouping] * len(rows),
@@ -74,11 +74,11 @@ class RunReader:
 
     def _faces(self, texts: Sequence[str], rows: Sequence[Row]) -> list[int]:
         """Faces as stated; 0 for an empty cell."""
-        found = {text: cells.face(text) if text else 0 for text in {*texts}}
-        for text, row in zip(texts, rows, strict=True) if None in found.values() else ():
-            if found[text] is None:
+        faces = {text: cells.face(text) if text else 0 for text in {*texts}}
+        for text, row in zip(texts, rows, strict=True) if None in faces.values() else ():
+            if faces[text] is None:
                 raise self._place(row).wrong(f"found '{shown(text)}', expected 1 or 2", "face")
-        return [found[text] or 0 for text in texts]
+        return [faces[text] or 0 for text in texts]
 
     def _numbers(self, texts: Sequence[str], column: TableColumn, rows: Sequence[Row]) -> Digits:
         """Digits (n,) of a column of readings: its cells where all are plain numbers, otherwise each cell converted."""
@@ -95,17 +95,17 @@ class RunReader:
     def _number(self, text: str, column: TableColumn, row: Row) -> str:
         """Digits of one cell."""
         packed = column.unit == "dms"
-        found = cells.packed(text) if packed else cells.value(text, self.sheet.grouping)
+        number = cells.packed(text) if packed else cells.value(text, self.sheet.grouping)
         where = self._place(row)
-        if packed and found is None:
+        if packed and number is None:
             what = "degrees, minutes and seconds, such as 33°12'07.5\" or 33.12075"
             raise where.wrong(f"found '{shown(text)}', expected {what}", shown(column.title))
-        if found is None or not abs(found) < LARGEST:
+        if number is None or not abs(number) < LARGEST:
             raise where.wrong(f"found '{shown(text)}', expected a number", shown(column.title))
-        if column.role in DISTANCE and not found > 0:
+        if column.role in DISTANCE and not number > 0:
             what = f"found {shown(text)}, expected a distance above 0, or nothing where none was measured"
             raise where.wrong(what, shown(column.title))
-        return str(found)
+        return str(number)
 
     def _texts(self, texts: Sequence[str], rows: Sequence[Row]) -> list[str]:
         """Cells of a further column; equal ones are one object where many are."""

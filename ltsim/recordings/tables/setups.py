@@ -129,7 +129,7 @@ def _occupations(table: PointingTable) -> list[str]:
     """Occupation of its mark that each pointing belongs to."""
     printed, column = table.pointings, table.column(("instrument_setup",))
     if column is not None:
-        return printed.further.get(column.title) or [""] * len(printed)
+        return printed.texts(column.title)
     if table.column(("date",)) is None:
         return [""] * len(printed)
     days = {moment: "" if cells.has_clock(moment) else moment for moment in {*printed.moment}}
@@ -234,12 +234,12 @@ def heights_not_applied(table: PointingTable, readings: Floats, height: Floats) 
     Lines measured to and fro decide: their height differences cancel with the stated heights (n, 2) [m] of instrument
     and target, or without them.
     """
-    stated = np.nan_to_num(height)
-    if not stated.any():
+    heights = np.nan_to_num(height)
+    if not heights.any():
         return []
     lines: dict[tuple[str, str], list[tuple[float, float]]] = {}
     rise = readings[:, 0] * np.sin(readings[:, 2])
-    with_heights = rise + stated[:, 0] - stated[:, 1]
+    with_heights = rise + heights[:, 0] - heights[:, 1]
     for line, up, other in zip(_lines(table), rise.tolist(), with_heights.tolist(), strict=True):
         if up == up:
             lines.setdefault(line, []).append((up, other))
