@@ -56,28 +56,6 @@ Mend = tuple[GrossFinding, Floats, Ints]
 """A mistake, and what the readings (k, 3) and targets (k,) of its rows should be."""
 
 
-def explain_gross(adjustment: Adjustment) -> tuple[Recording, Bools, list[GrossFinding]]:
-    """Explain the pointings that an adjustment screened out.
-
-    Returns
-    -------
-    recording : Recording
-        With mistakes mended where they are understood.
-    use : (n, 3) bool
-        Readings to use of it.
-    findings : list of GrossFinding
-    """
-    understood, left = mistakes(adjustment), adjustment.gross.copy()
-    recording, findings = mended(adjustment.recording, understood), [finding for finding, *_ in understood]
-    for finding in findings:
-        left[finding.rows] = False
-    use = np.ones((len(recording), 3), dtype=bool)
-    for finding in _outliers(adjustment, left):
-        use[finding.rows[0], [OBSERVABLES.index(o) for o in finding.observables or OBSERVABLES]] = False
-        findings.append(finding)
-    return recording, use, findings
-
-
 def mended(recording: Recording, understood: Sequence[Mend]) -> Recording:
     """The recording with mistakes mended."""
     if not understood:
@@ -192,20 +170,6 @@ def _slips(adjustment: Adjustment, rows: Bools) -> Iterator[Mend]:
             observables = tuple(OBSERVABLES[c] for c in slip.columns)
             finding = GrossFinding(effect, at, stations, targets, observables, size, sentence)
             yield finding, readings[at], recording.target[at]
-
-
-def _outliers(adjustment: Adjustment, rows: Bools) -> Iterator[GrossFinding]:
-    """Pointings that nothing explains: which reading is off, where it is one only."""
-    recording, expected = adjustment.recording, adjustment.problem.model.predict(adjustment.state)
-    arms = np.stack([np.ones(len(rows)), expected[:, 0] * np.cos(expected[:, 2]), expected[:, 0]], axis=1)
-    lengths = np.abs(adjustment.residuals * arms)
-    for row in np.flatnonzero(rows):
-        station, target = recording.stations[recording.station[row]], recording.targets[recording.target[row]]
-        large = np.flatnonzero(np.nan_to_num(lengths[row]) > CLOSE)
-        observables = (OBSERVABLES[large[0]],) if len(large) == 1 else ()
-        size, what = float(np.nanmax(lengths[row])), observables[0] if observables else "pointing"
-        sentence = f"The {what} from {station} to {target} (row {row + 1}) is off by {size * 1e3:.1f} mm."
-        yield GrossFinding("outlier", np.array([row]), (station,), (target,), observables, size, sentence)
 
 
 def mend_stations(recording: Recording) -> tuple[Recording, list[GrossFinding]]:

@@ -1,23 +1,29 @@
-"""Causes that are too large to be compared in first order: they are in the model before anything is searched."""
+"""Mistakes, which no effect explains and which are in the model of the network before an effect is searched for."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from ltsim.adjustment import Adjustment, adjust
 from ltsim.adjustment.identification import Selection, Test, outcomes
-from ltsim.adjustment.identification.hypothesis import Hypothesis, NoiseFactor, Omission, Shift
-from ltsim.adjustment.identification.selection import WRONG_PLACE
+from ltsim.adjustment.identification.fit import Fit, changed_recording
+from ltsim.adjustment.identification.hypothesis import Hypothesis, NoiseFactor, Shift
+from ltsim.adjustment.occupations import mend_tripods
 from ltsim.adjustment.snooping import LARGEST_ERROR
 from ltsim.core.arrays import Bools
+from ltsim.diagnosis.certain import gross_finding, known_finding
 from ltsim.diagnosis.findings import place_of
 from ltsim.diagnosis.schema import Equivalent, Estimate, Evidence, Finding
+from ltsim.physics.effects.signature import Signature
 from ltsim.physics.model.construction import Construction
 from ltsim.recordings.recording import OBSERVABLES, Recording
 
+FAR_OUT = 8.0
+"""Normalised residual that noise does not reach in any recording, even where it is twice the declared one."""
+PATTERN = 2
+"""Outliers of one observable at one station or target up to which they are single errors."""
 EFFECTS = {
     ("constant-offset", "distance"): "range-offset",
     ("constant-offset", "elevation"): "vertical-index",
@@ -34,36 +40,59 @@ EFFECTS = {
 """Catalogue effect of a cause, by its kind and what it acts on; `outlier` and `unknown` for the others."""
 
 
-def gross_causes(selection: Selection | None) -> list[Hypothesis]:
-    """Shifts beyond any error of a tracker, reference values that are far off, and with these all that was chosen."""
-    if selection is None or not selection.leads:
-        return []
+def mistakes_in(selection: Selection) -> list[Hypothesis]:
+    """The hypotheses of a selection with which a network is adjusted before an effect is searched for.
+
+    Rows that were written down wrongly and reference values that contradict the rest. Shifts only where one is beyond
+    any error of a tracker, which no effect in first order reaches: then all of them, since each was judged with it.
+    """
     fit, chosen = selection.fit, [c.hypothesis for c in selection.choices]
-    limits = {Shift: LARGEST_ERROR, Omission: WRONG_PLACE}
-    large = any(fit.displacement(h) > limits[type(h.change)] for h in chosen if type(h.change) in limits)
-    return [h for h in chosen if not isinstance(h.change, NoiseFactor)] if large else []
+    shifts = [h for h in chosen if isinstance(h.change, Shift)]
+    gross = any(fit.displacement(h) > LARGEST_ERROR for h in shifts)
+    return [h for h in chosen if not isinstance(h.change, NoiseFactor) and (gross or not isinstance(h.change, Shift))]
+
+
+def single_errors(fit: Fit) -> Bools:
+    """Outliers (n, 3) that no effect explains: gross ones, and those far out that are alone at their place.
+
+    Several readings of an observable that are off at one station or at one target may follow an effect instead.
+    """
+    far = fit.outliers & (np.abs(fit.whitened) > FAR_OUT)
+    single = fit.outliers & fit.is_gross
+    for place in (fit.recording.station, fit.recording.target):
+        count = np.stack([np.bincount(place, far[:, k], place.max() + 1) for k in range(3)], axis=1)
+        far &= count[place] <= PATTERN
+    return single | far
 
 
 def adapted(
-    recording: Recording, construction: Construction, selection: Selection, causes: Sequence[Hypothesis]
+    recording: Recording, construction: Construction, selection: Selection
 ) -> tuple[Adjustment, Bools, list[Finding]]:
-    """The adjustment with causes in its model, readings (n, 3) to use, and the findings.
+    """The adjustment with the mistakes of a selection in its model, readings (n, 3) to use, and the findings.
 
     The recording of the adjustment is corrected by the estimates; what these are uncertain by is estimated in it.
     """
-    fit = selection.fit
-    corrected = fit.corrected(recording)
-    clean = recording.replace(
-        readings=corrected.readings, target=corrected.target, face=corrected.face, setup=corrected.setup
-    )
-    start = replace(fit.state, extra=np.zeros(sum(len(e.parameters) for e in fit.effects)))
-    use = ~fit.outliers
-    baseline = adjust(clean, construction, effects=fit.effects, sigma=clean.sigma(), use=use, start=start)
-    places = {(h.kind, h.stations, h.targets) for h in causes}
+    fit, mistakes = selection.fit, mistakes_in(selection)
+    clean, effects = changed_recording(recording, mistakes), tuple[Signature, ...]()
+    if any(isinstance(h.change, Shift) for h in mistakes):
+        corrected, effects = fit.corrected(recording, outliers=True), fit.effects
+        clean = clean.with_readings(corrected.readings)
+    errors = single_errors(fit)
+    start = replace(fit.state, extra=np.zeros(sum(len(e.parameters) for e in effects)))
+    baseline = adjust(clean, construction, effects=effects, sigma=clean.sigma(), use=~errors, start=start)
+    rows = {(int(i) + 1, OBSERVABLES[k]) for i, k in np.argwhere(errors)}
+    places = {(h.kind, h.stations, h.targets) for h in mistakes}
     tests = [
-        t for t in outcomes(selection) if t.kind == "outlier" or (t.kind, t.where.stations, t.where.targets) in places
+        test
+        for test in outcomes(selection)
+        if (test.kind, test.where.stations, test.where.targets) in places
+        or (test.kind == "outlier" and (test.rows[0], test.acts_on) in rows)
     ]
-    return baseline, use, [finding_of(test) for test in tests]
+    moved, tripods = mend_tripods(baseline)
+    if tripods:
+        baseline = adjust(moved, construction, effects=effects, sigma=clean.sigma(), use=~errors, start=baseline.state)
+    wrong = [known_finding(test, baseline) for test in baseline.axes if test.left_out]
+    return baseline, ~errors, [*(finding_of(t) for t in tests), *wrong, *(gross_finding(t, baseline) for t in tripods)]
 
 
 def finding_of(test: Test) -> Finding:

@@ -3,42 +3,29 @@
 import numpy as np
 
 from ltsim.adjustment.adjustment import Adjustment
-from ltsim.adjustment.gross import CLOSE, GrossFinding
+from ltsim.adjustment.gross import GrossFinding
 from ltsim.adjustment.known import UNITS, KnownTest
 from ltsim.core.notation import with_sigma
 from ltsim.core.units import MILLIMETRE
 from ltsim.diagnosis.findings import among, place_of
 from ltsim.diagnosis.instruments import Contradiction
 from ltsim.diagnosis.prior import PLAIN
-from ltsim.diagnosis.schema import Equivalent, Estimate, Evidence, Finding
+from ltsim.diagnosis.schema import Estimate, Evidence, Finding
 from ltsim.diagnosis.words import percent
 from ltsim.physics.effects import BASELINE
 from ltsim.physics.effects.signature import Parameter
-from ltsim.physics.effects.target_moved import TargetMoved
-from ltsim.recordings.recording import Recording
 
 
 def gross_finding(gross: GrossFinding, adjustment: Adjustment) -> Finding:
-    """The finding of a gross error, certain by its size; of less than that nobody knows that it has no other cause."""
-    probability = 1.0 if gross.size > CLOSE and not gross.sigma else PLAIN
-    floor = gross.sigma or float(adjustment.recording.sigma()[:, 0].min())
-    moved = probability < 1.0 and _seen_last(gross, adjustment.recording)
+    """The finding of a gross error whose size the network determines."""
     return Finding(
         effect=gross.effect,
         known=True,
         where=place_of(observables=gross.observables, stations=gross.stations, targets=gross.targets),
-        parameters=(Estimate(name="size", value=1e3 * gross.size, sigma=1e3 * floor, unit="mm"),),
-        evidence=Evidence(chi2_drop=(gross.size / floor) ** 2, parameters=3, p_value=None, probability=probability),
+        parameters=(Estimate(name="size", value=1e3 * gross.size, sigma=1e3 * gross.sigma, unit="mm"),),
+        evidence=Evidence(chi2_drop=(gross.size / gross.sigma) ** 2, parameters=3, p_value=None, probability=PLAIN),
         sentence=gross.sentence,
-        equivalents=(Equivalent(effect=TargetMoved.name, probability=1.0 - probability),) if moved else (),
     )
-
-
-def _seen_last(gross: GrossFinding, recording: Recording) -> bool:
-    """Whether a wrong reading is of the last pointing to its target, which may as well have moved before it."""
-    same = np.flatnonzero(recording.target == recording.target[gross.rows[0]])
-    later = same[recording.time[same] >= recording.time[gross.rows[0]]]
-    return gross.effect == "outlier" and np.array_equal(later, gross.rows)
 
 
 DATUM = {

@@ -2,29 +2,23 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import reduce
 from math import ceil
 
 import numpy as np
 
 from ltsim.adjustment import Adjustment, adjust
-from ltsim.adjustment.gross import GrossFinding, explain_gross, mend_faces, mend_stations
 from ltsim.adjustment.identification import Selection, identified, outcomes
-from ltsim.adjustment.known import SCALED, KnownTest
-from ltsim.adjustment.occupations import mend_tripods
 from ltsim.adjustment.refit import Refit
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.adjustment.singular import refusing_singular
-from ltsim.adjustment.stated import without
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.calibration.known import Known
-from ltsim.core.arrays import Bools
 from ltsim.core.errors import RecordError
-from ltsim.diagnosis.adaptation import adapted, gross_causes
+from ltsim.diagnosis.adaptation import adapted
 from ltsim.diagnosis.averaging import averaged_targets
 from ltsim.diagnosis.blind import Sight, sight_of
 from ltsim.diagnosis.case import Case
-from ltsim.diagnosis.certain import gross_finding, instrument_finding, known_finding
+from ltsim.diagnosis.certain import instrument_finding
 from ltsim.diagnosis.detect import detect
 from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.diagnosis.evidence import restricted
@@ -37,13 +31,12 @@ from ltsim.diagnosis.noise import NoiseHypothesis, most_likely
 from ltsim.diagnosis.probe import TRIALS
 from ltsim.diagnosis.schema import Finding, Misfit
 from ltsim.diagnosis.search import MOST_MEMBERS
-from ltsim.diagnosis.stray import stray_readings
 from ltsim.diagnosis.words import LIKELY, summarise
 from ltsim.physics.effects.noise_level import NoiseLevel
 from ltsim.physics.effects.signature import Tunable
 from ltsim.physics.laws.carriers import VARIED, constants_in
 from ltsim.physics.laws.law import Law
-from ltsim.physics.model.construction import Construction, stated_construction
+from ltsim.physics.model.construction import stated_construction
 from ltsim.recordings.recording import Recording
 from ltsim.solve.threads import in_one_thread
 
@@ -103,12 +96,11 @@ def diagnose(
         contradictions if history is None else HistoryExpectation.of(history, recording, construction).contradictions
     )
     selection = identified(recording, construction)
-    large = gross_causes(selection)
-    if selection is not None and large:
-        baseline, use, mistaken = adapted(recording, construction, selection, large)
+    if selection is None:
+        baseline, mistaken = adjust(recording, construction), list[Finding]()
+        use = baseline.problem.use
     else:
-        baseline, use, gross, wrong = _mended(recording, construction)
-        mistaken = [*(gross_finding(slip, baseline) for slip in gross), *(known_finding(t, baseline) for t in wrong)]
+        baseline, use, mistaken = adapted(recording, construction, selection)
     trials = max(TRIALS, ceil(1.0 / level))
     case = Case(baseline, use, seed, trials, ordinary=history is None)
     sight, detection = sight_of(case.space, case.searcher.cards), detect(case.searcher, case.bank)
@@ -123,29 +115,6 @@ def diagnose(
     repeated = not case.searcher.large if held_out is None else held_out
     errors = HeldOut() if case.searcher.large and not repeated else _held_out(explained, threshold, repeated)
     return _told(explained, sight, [*mistaken, *odd], settled, errors, selection, mismatch=mismatch)
-
-
-def _mended(
-    recording: Recording, construction: Construction
-) -> tuple[Adjustment, Bools, list[GrossFinding], list[KnownTest]]:
-    """The ordinary adjustment with mistakes mended, readings (n, 3) to use, wrong readings and wrong known values."""
-    converted, wrong = mend_stations(recording)
-    faced, confused = mend_faces(converted)
-    baseline = adjust(faced, construction, judging=SCALED)
-    known = [test for test in (*baseline.wrong, *baseline.axes) if test.left_out or test.rivals]
-    lengths = [replace(t, name=name) for t in known if t.kind == "length" for name in (t.name, *t.rivals) if t.rivals]
-    if lengths:  # of lengths that contradict each other none is believed: ranges have a scale of their own
-        baseline = adjust(reduce(without, lengths, faced), construction, judging=SCALED)
-    mended, use, gross = explain_gross(baseline)
-    if mistaken := [*wrong, *confused, *gross]:
-        baseline = adjust(mended, construction, sigma=mended.sigma(), use=use, start=baseline.state)
-    use, stray = stray_readings(ResidualSpace.of(baseline), use if mistaken else baseline.problem.use)
-    if stray:
-        baseline = adjust(mended, construction, sigma=mended.sigma(), use=use, start=baseline.state)
-    mended, tripods = mend_tripods(baseline)
-    if tripods:
-        baseline = adjust(mended, construction, sigma=baseline.problem.sigma, use=use, start=baseline.state)
-    return baseline, use, [*mistaken, *stray, *tripods], known
 
 
 def _varies(constant: str, effects: Sequence[Tunable]) -> bool:

@@ -7,7 +7,8 @@ import pytest
 
 from ltsim.adjustment import adjust
 from ltsim.adjustment.doubt import doubts
-from ltsim.adjustment.gross import explain_gross, mend_faces, mend_stations
+from ltsim.adjustment.gross import mend_faces, mend_stations
+from ltsim.adjustment.identification import identified, outcomes
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.slips import UNIT_SLIPS, Slip
 from tests.networks import network
@@ -74,22 +75,24 @@ def test_every_mistake_of_one_recording_is_explained_and_mended() -> None:
     assert "the reflectors T03 and T14" in doubt
     assert "gon for degrees" in doubt
     assert "T20" not in doubt  # an outlier alone is no mistake that anybody can name
-    mended, use, findings = explain_gross(found)
-    told = {finding.effect: finding for finding in findings}
-    assert sorted(told) == ["outlier", "target-swap", "wrong-unit"]
-    assert sorted(told["target-swap"].rows.tolist()) == sorted([first, second])
-    assert told["target-swap"].targets == ("T03", "T14")
-    assert mended.target.tolist() == recording.target.tolist()
-    assert told["wrong-unit"].rows.tolist() == [unit]
-    np.testing.assert_allclose(mended.readings[unit], recording.readings[unit], rtol=0, atol=1e-12)
-    assert (told["outlier"].rows.tolist(), told["outlier"].observables) == ([off], ("distance",))
-    assert told["outlier"].size == pytest.approx(12e-3, abs=0.2e-3)
-    assert np.argwhere(~use).tolist() == [[off, 0]]
+    selection = identified(recording.replace(target=target, readings=readings))
+    assert selection is not None
+    tests = {test.kind: test for test in outcomes(selection)}
+    assert sorted(tests) == ["names", "outlier", "unit"]
+    assert sorted(tests["names"].rows) == sorted([first + 1, second + 1])
+    assert tests["names"].where.targets == ("T03", "T14")
+    assert selection.fit.recording.target.tolist() == recording.target.tolist()
+    assert tests["unit"].rows == (unit + 1,)
+    np.testing.assert_allclose(selection.fit.recording.readings[unit], recording.readings[unit], rtol=0, atol=1e-12)
+    assert (tests["outlier"].rows, tests["outlier"].acts_on) == ((off + 1,), "distance")
+    assert tests["outlier"].estimate == pytest.approx(12.0, abs=0.2)
+    assert np.argwhere(selection.fit.outliers).tolist() == [[off, 0]]
 
 
-def test_a_recording_without_gross_errors_is_given_back() -> None:
-    found = adjust(network(seed=5)[0])
-    same, use, findings = explain_gross(found)
-    assert same is found.recording
-    assert use.all()
-    assert findings == []
+def test_a_recording_without_gross_errors_stays_as_it_is() -> None:
+    recording = network(seed=5)[0]
+    selection = identified(recording)
+    assert selection is not None
+    assert selection.choices == ()
+    np.testing.assert_array_equal(selection.fit.recording.readings, recording.readings)
+    assert not selection.fit.outliers.any()

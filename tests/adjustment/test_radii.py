@@ -11,7 +11,7 @@ import pytest
 
 import ltsim as lt
 from ltsim.adjustment import adjust
-from ltsim.adjustment.gross import explain_gross
+from ltsim.adjustment.identification import identified
 from ltsim.campaigns.truth import truth_of
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import NetworkError, RecordError, SetupError
@@ -230,9 +230,11 @@ def test_a_pointing_in_gon_to_a_small_ball_is_mended() -> None:
     row = recording.labels["reflector"].index("small")
     readings = recording.readings.copy()
     readings[[row]] = next(slip for slip in UNIT_SLIPS if slip.name == "gon").written(readings[[row]])
-    mended, _, (finding,) = explain_gross(adjust(controlled(recording.with_readings(readings), truth)))
-    assert finding.effect == "wrong-unit" and finding.rows.tolist() == [row]
-    np.testing.assert_allclose(mended.readings, recording.readings, rtol=0, atol=1e-12)
+    selection = identified(controlled(recording.with_readings(readings), truth))
+    assert selection is not None
+    (choice,) = selection.choices
+    assert choice.hypothesis.kind == "unit" and choice.hypothesis.rows == (row + 1,)
+    np.testing.assert_allclose(selection.fit.recording.readings, recording.readings, rtol=0, atol=1e-12)
 
 
 def test_a_format_that_knows_no_normals_refuses_them(tmp_path: Path) -> None:

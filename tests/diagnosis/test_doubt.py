@@ -8,8 +8,11 @@ import numpy as np
 import pytest
 
 from ltsim.adjustment import adjust
+from ltsim.adjustment.identification import identified
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.core.randomness import stream
+from ltsim.core.units import ARCSECOND
+from ltsim.diagnosis.adaptation import single_errors
 from ltsim.diagnosis.case import Case
 from ltsim.diagnosis.detect import detect
 from ltsim.diagnosis.diagnose import diagnose
@@ -17,7 +20,6 @@ from ltsim.diagnosis.findings import Explained
 from ltsim.diagnosis.hypotheses import Hypothesis
 from ltsim.diagnosis.noise import NoiseHypothesis
 from ltsim.diagnosis.outside import log_likeness
-from ltsim.diagnosis.stray import stray_readings
 from ltsim.physics.effects import find_effect
 from ltsim.physics.model.construction import misalignment
 from tests.diagnosis.test_diagnose import concealing, workshop
@@ -39,17 +41,20 @@ def space_of(recording):
 def test_one_wrong_reading_is_left_out_and_told_before_any_law(row, column):
     recording = changed(workshop(2)[0], row, column, 15.0)
     space = space_of(recording)
-    use, (found,) = stray_readings(space, space.use)
-    assert list(zip(*np.nonzero(use != space.use), strict=True)) == [(row, column)]
-    assert found.rows == [row]
-    assert found.observables == (("distance", "azimuth", "elevation")[column],)
-    arm = 1.0 if column == 0 else space.sightings.range_[row]
-    assert found.size == pytest.approx(15.0 * recording.sigma()[row, column] * arm, rel=0.25)
-    redundancy = space.redundancy[np.flatnonzero(np.flatnonzero(space.use) == 3 * row + column)]
-    assert found.size / found.sigma == pytest.approx(15.0 * np.sqrt(redundancy), rel=0.25)
+    at = np.flatnonzero(np.flatnonzero(space.use) == 3 * row + column)
+    redundancy = float(space.redundancy[at][0])
+    selection = identified(recording, misalignment())
+    assert selection is not None
+    assert np.argwhere(single_errors(selection.fit)).tolist() == [[row, column]]
     (told,) = diagnose(recording).findings
     assert told.effect == "outlier"
-    assert told.evidence.chi2_drop == pytest.approx((found.size / found.sigma) ** 2)
+    assert told.where.observables == (("distance", "azimuth", "elevation")[column],)
+    (size,) = told.parameters
+    unit = 1e-3 if column == 0 else ARCSECOND
+    assert size.value * unit == pytest.approx(15.0 * recording.sigma()[row, column], rel=0.25)
+    assert size.sigma * unit == pytest.approx(recording.sigma()[row, column] / np.sqrt(redundancy), rel=1e-3)
+    assert told.evidence.chi2_drop == pytest.approx((size.value / size.sigma) ** 2)
+    assert told.evidence.chi2_drop == pytest.approx(float(space.residual[at][0]) ** 2 / redundancy, rel=0.01)
 
 
 @pytest.mark.parametrize("last", [True, False])
@@ -65,10 +70,9 @@ def test_a_wrong_reading_of_a_last_pointing_may_be_a_target_that_moved(last):
 def test_a_target_that_moved_is_no_wrong_reading():
     """Several readings of it are off, however large each is."""
     recording, _ = concealing("target-moved", 3, [1e-5, 1e-5, -1e-5], targets=("T07",), time=2500.0)
-    space = space_of(recording)
-    use, found = stray_readings(space, space.use)
-    assert not found
-    np.testing.assert_array_equal(use, space.use)
+    selection = identified(recording, misalignment())
+    assert selection is not None
+    assert not single_errors(selection.fit).any()
 
 
 def test_noise_that_is_stated_wrong_is_told_as_that_and_nothing_else():
@@ -123,7 +127,7 @@ def test_a_known_length_that_is_wrong_is_told_as_that_and_not_as_physics():
     changed_ = recording.replace(setup=recording.setup.model_copy(update={"gauge": gauge}))
     found = diagnose(changed_)
     assert found.verdict == "mismatch"
-    assert [f.carrier for f in found.findings] == ["known length"]
+    assert [f.carrier for f in found.findings] == ["reference length"]
     assert set(found.findings[0].where.targets) == {first.from_, first.to}
     (size,) = found.findings[0].parameters
     assert size.value == pytest.approx(0.3, abs=4 * size.sigma + 0.02)

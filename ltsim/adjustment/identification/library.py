@@ -7,7 +7,7 @@ made from one array, so that a network of thousands of places is screened at onc
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -186,7 +186,8 @@ MISTAKES: dict[str, Kind] = {
 def corrections(fit: Fit) -> list[Hypothesis]:
     """Rows that were written down wrongly, by where outliers would land."""
     places, hypotheses = len(fit.recording.stations) * len(fit.recording.targets), []
-    for mistake, readings, target in mistakes(fit.adjustment):
+    missed = np.asarray((fit.outliers & fit.is_gross).any(axis=1)) | fit.adjustment.gross
+    for mistake, readings, target in mistakes(replace(fit.adjustment, gross=missed)):
         kind = MISTAKES[mistake.effect]
         change = Correction(mistake.rows, readings, target, fit.recording.face[mistake.rows])
         rows = tuple((mistake.rows + 1).tolist())

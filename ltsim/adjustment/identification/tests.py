@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from scipy import special
 
+from ltsim.adjustment.identification.evidence import occam
 from ltsim.adjustment.identification.fit import Fit
 from ltsim.adjustment.identification.hypothesis import Correction, Hypothesis, NoiseFactor, Omission, Shift
+from ltsim.adjustment.identification.prior import log_prior_of
 from ltsim.adjustment.identification.selection import LARGEST_GAIN, Choice, Selection
 from ltsim.adjustment.identification.signatures import ReadingShift
-from ltsim.core.arrays import Floats
+from ltsim.core.arrays import Floats, Ints
 from ltsim.core.notation import with_sigma
 from ltsim.core.units import ARCSECOND, MICRORADIAN, MILLIMETRE, PPM
 from ltsim.physics.effects.target_moved import TargetMoved
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.recordings.result_file import Entry, Finite, Known
+from ltsim.solve.design import as_dense
 
 
 class Place(Entry):
@@ -254,32 +258,63 @@ def usual_size(value: float, sigma: float) -> str:
 
 
 def _outliers(fit: Fit) -> list[Test]:
-    """Single readings that were left out, the largest first."""
+    """Single readings that were left out, the largest first; each against its prediction by all readings in use."""
     recording, tests = fit.recording, list[Test]()
     at = np.argwhere(fit.outliers)
-    size = np.abs(fit.whitened[fit.outliers])
-    for i, k in at[np.argsort(-size)][:MOST_OUTLIERS].tolist():
+    at = at[np.argsort(-np.abs(fit.whitened[fit.outliers]))][:MOST_OUTLIERS]
+    for (i, k), spread in zip(at.tolist(), _prediction_spread(fit, at).tolist(), strict=True):
         station, target = recording.stations[recording.station[i]], recording.targets[recording.target[i]]
         unit, factor = ("mm", MILLIMETRE) if k == 0 else ("arcsec", ARCSECOND)
-        value, w = float(fit.residuals[i, k]), float(fit.whitened[i, k])
-        sigma = float(fit.problem.sigma[i, k])
+        value, sigma = float(fit.residuals[i, k]), float(fit.problem.sigma[i, k]) * float(np.sqrt(1.0 + spread))
+        drop = (value / sigma) ** 2
         sentence = (
             f"The {OBSERVABLES[k]} from {station} to {target} (row {i + 1}) is off by "
             f"{with_sigma(abs(value) / factor, sigma / factor, unit)}: measure it again."
         )
+        moved = _moved_instead(fit, i, drop)
         tests.append(
             Test(
                 kind="outlier",
                 acts_on=OBSERVABLES[k],
                 where=Place(stations=(station,), targets=(target,)),
-                statistic=w**2,
+                statistic=drop,
                 dof=1,
-                p_value=float(special.chdtrc(1, w**2)),
+                p_value=float(special.chdtrc(1, drop)),
                 estimate=value / factor,
                 sigma=sigma / factor,
                 unit=unit,
                 rows=(i + 1,),
+                probability=1.0 - moved,
+                alternatives=(Alternative(kind="target-moved", where=Place(targets=(target,)), probability=moved),)
+                if moved > NOT_EXCLUDED
+                else (),
                 sentence=sentence,
             )
         )
     return tests
+
+
+def _prediction_spread(fit: Fit, at: Ints) -> Floats:
+    """Variance (k,) of the predictions of some readings that are not in use (k, 2), in their declared variances."""
+    use = np.zeros_like(fit.whole.use)
+    use[tuple(at.T)] = True
+    if not len(at):
+        return np.zeros(0)
+    design = as_dense(replace(fit.whole, use=use).linearise(fit.state).design[: len(at)])
+    order = np.lexsort(at.T[::-1])
+    response = fit.adjustment.factor.covariance_columns(np.ascontiguousarray(design.T))
+    spread = np.empty(len(at))
+    spread[order] = np.einsum("ki,ik->k", design, response)
+    return spread
+
+
+def _moved_instead(fit: Fit, row: int, drop: float) -> float:
+    """Probability that the target of an outlier has moved, which its last pointing alone would show like that."""
+    s = fit.adjustment.sightings
+    same = np.flatnonzero(s.target == s.target[row])
+    if same[np.argmax(s.time[same])] != row or len(same) < 2:
+        return 0.0
+    w = float(np.sqrt(drop))
+    odds = log_prior_of("target-moved", len(s)) - log_prior_of("outlier", int(fit.whole.use.sum()))
+    odds += float(occam(w, 3)) - float(occam(w, 1)) + 0.5 * float(np.nansum(fit.adjustment.w[row] ** 2))
+    return 1.0 / (1.0 + float(np.exp(-odds)))
