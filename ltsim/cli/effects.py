@@ -96,8 +96,8 @@ def card(effect: type[Effect]) -> str:
         lines += textwrap.wrap(f"{name:<{INDENT}}{text}", WIDTH, subsequent_indent=" " * INDENT, break_on_hyphens=False)
     if effect.parameters:
         rows = [[p.name, f"{p.prior_sigma / p.factor:.3g}", p.unit, p.meaning] for p in effect.parameters]
-        lines += ["", aligned(["parameter", "plausible size", "unit", "meaning"], rows, left=4)]
+        lines += ["", aligned(["parameter", "plausible size", "unit", "meaning"], rows, text_columns=4)]
     if effect.shape:
         rows = [[s.name, f"{_shown(s.low, s):.4g} to {_shown(s.high, s):.4g}", s.unit, s.meaning] for s in effect.shape]
-        lines += ["", aligned(["constant", "searched", "unit", "meaning"], rows, left=4)]
+        lines += ["", aligned(["constant", "searched", "unit", "meaning"], rows, text_columns=4)]
     return "\n".join([*lines, "", CONVENTIONS])
