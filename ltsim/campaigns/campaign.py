@@ -313,4 +313,6 @@ def _cluster(workers: Workers) -> Iterator[None]:
         try:
             yield
         except KilledWorker:
-            raise WorkerError("several workers were killed at the same shard, possibly because memory ran out") from None
+            raise WorkerError(
+                "several workers were killed at the same shard, possibly because memory ran out"
+            ) from None
