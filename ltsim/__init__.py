@@ -7,7 +7,7 @@ of `__all__`, each loaded from its package when it is first used. `lt.effects` i
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from ltsim.core.drawing import drawn_by
+from ltsim.core.plotting import register_plotting
 
 if TYPE_CHECKING:
     from ltsim.acceptance.verbs import accept as accept
@@ -70,7 +70,7 @@ _PACKAGES = {"effects": "ltsim.physics.effects", "errors": "ltsim.core.errors"}
 __all__ = sorted([*_HOME, "effects", "errors"])
 
 
-drawn_by(lambda module: import_module(f"ltsim.reports.{module}"))
+register_plotting(lambda module: import_module(f"ltsim.reports.{module}"))
 
 
 def _load(name: str) -> Any:

@@ -17,8 +17,8 @@ from ltsim.adjustment.evaluation.criteria import (
 from ltsim.campaigns.rows import Prepared, TrialBlock
 from ltsim.campaigns.spec import Campaign, Cell
 from ltsim.core.arrays import Floats
+from ltsim.core.parallel import parallel
 from ltsim.core.units import MICROMETRE
-from ltsim.core.workers import parallel
 from ltsim.reports.figures.campaign import PAPER, TrialDistribution, distributions
 from ltsim.simulation.gauge import nominal_points
 

@@ -13,9 +13,9 @@ from ltsim.campaigns.rows import Prepared, TrialBlock
 from ltsim.campaigns.spec import Campaign, Cell
 from ltsim.campaigns.truth import Block, CellTruth
 from ltsim.core.arrays import Ints
+from ltsim.core.parallel import parallel
 from ltsim.core.randomness import stream
 from ltsim.core.units import MICROMETRE
-from ltsim.core.workers import parallel
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.model.construction import Construction, misalignment
 from ltsim.recordings.recording import Recording

@@ -8,9 +8,9 @@ import numpy as np
 from experiments.common import Made, Options, Row, show_table
 from ltsim.adjustment.remedies.next_measurement import next_measurement
 from ltsim.adjustment.remedies.remedy import Remedy
+from ltsim.core.parallel import parallel
 from ltsim.core.randomness import stream
 from ltsim.core.units import MICROMETRE
-from ltsim.core.workers import parallel
 from ltsim.diagnosis.diagnose import diagnose
 from ltsim.diagnosis.diagnosis import Diagnosis
 from ltsim.diagnosis.separate import open_question

@@ -8,8 +8,8 @@ from ltsim.campaigns.cloud_kernels import rigid_fit
 from ltsim.campaigns.spec import Method
 from ltsim.campaigns.truth import truth_of
 from ltsim.core.arrays import Floats
+from ltsim.core.parallel import parallel
 from ltsim.core.units import MICROMETRE
-from ltsim.core.workers import parallel
 from ltsim.planning.files import plan_file, planned_scenario
 from ltsim.planning.loading import load_plan
 from ltsim.planning.making import make_plan

@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 
 from experiments.common import ROOT, Made, Options
-from ltsim.core.workers import parallel
+from ltsim.core.parallel import parallel
 from ltsim.diagnosis.diagnose import diagnose
 from ltsim.diagnosis.files import targets_csv
 from ltsim.recordings import read

@@ -8,7 +8,7 @@ from experiments.common import Made, Options, batches, show_table
 from ltsim.campaigns.engine import Engine
 from ltsim.campaigns.truth import BLOCK, CellTruth, truth_of
 from ltsim.core.arrays import Floats
-from ltsim.core.workers import parallel
+from ltsim.core.parallel import parallel
 from ltsim.measurands.inputs import Inputs
 from ltsim.measurands.measurands import Measurand, best_fit
 from ltsim.measurands.propagation import Propagated, expansion_of, propagate

@@ -22,8 +22,8 @@ import ltsim as lt
 from experiments.common import RECORDINGS as DATA, Made, Options, Row, tell, write_figure, write_table
 from experiments.intervals import share
 from ltsim.core.errors import LtsimError, ModelError
+from ltsim.core.parallel import parallel
 from ltsim.core.units import ARCSECOND, MILLIMETRE
-from ltsim.core.workers import parallel
 from ltsim.diagnosis.schema import Finding
 from ltsim.physics.effects.signature import Tunable
 from ltsim.physics.laws.law import Law

@@ -13,7 +13,7 @@ from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.calibration.evidence import log_sum_exp
 from ltsim.core.arrays import Floats
-from ltsim.core.workers import parallel
+from ltsim.core.parallel import parallel
 from ltsim.diagnosis.cards import Cards, card_hypotheses
 from ltsim.diagnosis.noise import NoiseBank, noise_hypotheses
 from ltsim.diagnosis.prior import log_share

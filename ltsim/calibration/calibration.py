@@ -33,8 +33,8 @@ from ltsim.calibration.schema import (
     StationPose as StationPose,
 )
 from ltsim.core.arrays import Bools, Floats, Ints
-from ltsim.core.chances import p_is, two_sided
 from ltsim.core.errors import RecordError
+from ltsim.core.probability import format_p, two_sided
 from ltsim.core.results import Column, Result, Table, columns_of
 from ltsim.core.units import ARCSECOND, MILLIMETRE
 from ltsim.physics.effects.signature import Parameter
@@ -192,7 +192,7 @@ class Calibration(Result):
     def _lines(self) -> list[str]:
         fit, count = self.fit, len(self.names)
         test = f"chi2/dof {fit.chi2:.1f}/{fit.dof}"
-        test += "" if fit.p_value is None else f", two-sided {p_is(two_sided(fit.p_value))}"
+        test += "" if fit.p_value is None else f", two-sided {format_p(two_sided(fit.p_value))}"
         known = int(((self.sigma < SHARPER * self.prior_sigma) & ~self.held).sum())
         lines = [
             f"Calibration ({self.method}, {self.construction.name}): {fit.status}, {test}",

@@ -12,8 +12,8 @@ from ltsim.adjustment.remedies.undetermined import SILENT, Direction
 from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.evidence import change_seen, changes_found, evidence, log_evidence
 from ltsim.core.arrays import Bools, Floats
-from ltsim.core.chances import CONSTANT
 from ltsim.core.notation import with_sigma
+from ltsim.core.probability import P_CONSTANT
 
 LEVEL = 0.01
 """Chance that any combination under a correct prior is said to contradict it."""
@@ -120,7 +120,7 @@ def log_odds(z: Floats, weight: Floats, count: int) -> Floats:
     As in a diagnosis, averaged over sizes: a constant that the readings hardly see would be off by more than any is.
     """
     weight = np.maximum(weight, 0.0)
-    return log_evidence((z**2 * weight)[:, None], weight[:, None]) + np.log(CONSTANT / count)
+    return log_evidence((z**2 * weight)[:, None], weight[:, None]) + np.log(P_CONSTANT / count)
 
 
 def _normalised(told: Floats, gain: Floats) -> Floats:

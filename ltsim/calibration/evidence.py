@@ -9,7 +9,7 @@ from scipy import linalg
 
 from ltsim.adjustment.remedies.undetermined import SILENT
 from ltsim.calibration.schema import DeterminedEntry, HarmonicEntry
-from ltsim.core import chances
+from ltsim.core import probability
 from ltsim.core.arrays import Floats
 from ltsim.core.units import DEGREE
 from ltsim.physics.effects.signature import Parameter
@@ -22,8 +22,8 @@ ALIKE = 0.9
 """The first member whose weight is more than this share of the largest stands for all."""
 DEFINED = 2.0
 """Least amplitude, in its sigmas, at which a phase is given."""
-SIZES = np.array(list(chances.SIZES))
-LOG_WEIGHTS = np.log(np.array(list(chances.SIZES.values())))
+SIZES = np.array(list(probability.SIZE_PRIOR))
+LOG_WEIGHTS = np.log(np.array(list(probability.SIZE_PRIOR.values())))
 """Sizes t tried, over a plausible one, and their log prior."""
 FEW = 100
 """Values up to which a sum is slower by several fast calls than by a slow one."""

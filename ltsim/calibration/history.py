@@ -21,10 +21,10 @@ from ltsim.calibration.calibration import Calibration
 from ltsim.calibration.evidence import ReadingsEvidence, evidence
 from ltsim.calibration.history_schema import ChangeEntry, ChiSquareEntry, DifferenceEntry
 from ltsim.core.arrays import Floats
-from ltsim.core.chances import p_is
 from ltsim.core.errors import RecordError, option
+from ltsim.core.probability import format_p
 from ltsim.core.results import Columns, Result
-from ltsim.core.values import Valued
+from ltsim.core.values import ValueEquality
 from ltsim.physics.model.construction import Construction
 
 RESOLVED = 1e-12
@@ -35,7 +35,7 @@ LEVEL = 0.01
 
 
 @dataclass(frozen=True)
-class Population(Valued):
+class Population(ValueEquality):
     """Mean of an instrument's parameters, and their spread from one calibration to the next."""
 
     mean: Floats
@@ -146,7 +146,7 @@ class History(Result):
         since = self.change(0, len(self) - 1)
         return [
             f"History: {len(self)} calibrations, {self.labels[0]} to {self.labels[-1]}",
-            f"first to last: chi2 {since.chi2:.1f}/{since.dof}, {p_is(since.p_value)}",
+            f"first to last: chi2 {since.chi2:.1f}/{since.dof}, {format_p(since.p_value)}",
         ]
 
     def _tables(self) -> Mapping[str, Callable[[], Columns]]:

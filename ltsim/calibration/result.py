@@ -14,9 +14,9 @@ from ltsim.adjustment.verdict import Verdict, verdict
 from ltsim.calibration.calibration import SHOWN_UNITS
 from ltsim.calibration.schema import AxesEntry, Combination, Fit, KnownEntry, NoiseRow, OutlierRow, StationPose
 from ltsim.core.arrays import Bools, Floats
-from ltsim.core.chances import AGREES
 from ltsim.core.errors import NetworkError
 from ltsim.core.notation import listing, with_sigma
+from ltsim.core.probability import AGREEMENT_LEVEL
 from ltsim.core.units import ARCSECOND, MICROMETRE, MILLIMETRE
 from ltsim.geometry.rigid import rigid_motion
 from ltsim.geometry.rotations import quaternion
@@ -98,7 +98,7 @@ def _has_size(adjustment: Adjustment, scaled: Floats) -> Bools:
 
 def verdict_of(adjustment: Adjustment) -> Verdict:
     """Verdict on the test to trust, with the global test at the level at which fits are said to agree."""
-    return verdict(adjustment, level=AGREES)
+    return verdict(adjustment, level=AGREEMENT_LEVEL)
 
 
 def noise_of(adjustment: Adjustment) -> tuple[NoiseRow, ...]:

@@ -10,8 +10,8 @@ from scipy import special
 from ltsim.adjustment.evaluation.criteria import CriterionEntry
 from ltsim.adjustment.identification.tests import Test
 from ltsim.core.arrays import Floats
-from ltsim.core.chances import p_is
 from ltsim.core.notation import number, with_sigma
+from ltsim.core.probability import format_p
 from ltsim.core.results import Table, numbers, texts
 from ltsim.core.units import ARCSECOND, MILLIMETRE
 from ltsim.recordings.result_file import Entry, Finite, Known, NotNegative, Positive, ResultFile, Sigma, Vector
@@ -333,7 +333,7 @@ class FittedEffectEntry(Entry):
             for p in self.parameters
         )
         tried = f", the best of {self.tried}" if self.tried > 1 else ""
-        return f"{name}: {shown}; chi-square falls by {self.chi2_drop:.1f} ({p_is(self.p_value)}{tried})"
+        return f"{name}: {shown}; chi-square falls by {self.chi2_drop:.1f} ({format_p(self.p_value)}{tried})"
 
 
 class CalibrationFile(ResultFile):

@@ -28,7 +28,7 @@ from ltsim.campaigns.statistics import Statistics
 from ltsim.campaigns.stopping import Shard, rounds
 from ltsim.campaigns.store import SOURCE, Store
 from ltsim.core.errors import SetupError, WorkerError, as_setup_error
-from ltsim.core.workers import parallel
+from ltsim.core.parallel import parallel
 from ltsim.recordings.settings import to_toml
 from ltsim.simulation.fieldwork import fieldwork
 from ltsim.simulation.simulator import idle_effects
@@ -313,4 +313,6 @@ def _cluster(workers: Workers) -> Iterator[None]:
         try:
             yield
         except KilledWorker:
-            raise WorkerError("several workers ended at the same shard, perhaps for want of memory") from None
+            raise WorkerError(
+                "several workers were killed at the same shard, possibly because memory ran out"
+            ) from None

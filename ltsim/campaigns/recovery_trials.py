@@ -11,7 +11,7 @@ from ltsim.calibration.network import calibrate_network
 from ltsim.campaigns.schema import Errors
 from ltsim.campaigns.scoring import Calibrator, Trial, estimates_by, score, score_estimates
 from ltsim.core.errors import CalibratorError, ConvergenceError, LtsimError
-from ltsim.core.workers import parallel
+from ltsim.core.parallel import parallel
 from ltsim.physics.model.construction import Construction
 from ltsim.recordings import Recording
 from ltsim.simulation.fieldwork import fieldwork

@@ -12,8 +12,8 @@ import numpy as np
 from ltsim.campaigns.paired import Paired, paired
 from ltsim.campaigns.schema import CHECKED, column_of
 from ltsim.campaigns.statistics import Statistics
-from ltsim.core.drawing import pictures
 from ltsim.core.errors import missing_extra
+from ltsim.core.plotting import plotting_module
 from ltsim.core.results import Result
 
 if TYPE_CHECKING:
@@ -70,7 +70,7 @@ class Results(Statistics, Result):
         """
         if not statistic:
             return super().plot()
-        figure: Figure = pictures("figures.campaign").sweep_figure(self, statistic, along, panel=panel, **levels)
+        figure: Figure = plotting_module("figures.campaign").sweep_figure(self, statistic, along, panel=panel, **levels)
         return figure
 
     def to_xarray(self, *statistics: str) -> xr.Dataset:

@@ -30,9 +30,9 @@ from ltsim.calibration.calibration import Calibration
 from ltsim.campaigns.schema import Errors
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import CalibratorError, RecordError, SetupError
+from ltsim.core.parallel import SAFE_PATH
 from ltsim.core.units import FACTOR, same_kind
-from ltsim.core.values import Valued
-from ltsim.core.workers import SAFE_PATH
+from ltsim.core.values import ValueEquality
 from ltsim.physics.effects.smr_incidence import SmrIncidence
 from ltsim.recordings import Recording, write as write_recording
 from ltsim.recordings.files import shown
@@ -135,7 +135,7 @@ class NetworkScore:
 
 
 @dataclass(frozen=True)
-class Trial(Valued):
+class Trial(ValueEquality):
     """Estimates of a calibrator in one trial, with the truth; parameters in display units."""
 
     names: tuple[str, ...]

@@ -1,4 +1,4 @@
-"""Estimates of network and instrument from recordings: `ltsim adjust`, `calibrate`, `diagnose` and so on."""
+"""Commands that estimate networks and instruments: `adjust`, `calibrate`, `correct`, `evaluate`, `verify`, ..."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def calibrate(
     terminal: ResultTerminal,
     **options: Any,
 ) -> None:
-    """Find the instrument's parameters from a recording, with uncertainty, and say what it cannot tell.
+    """Estimate the instrument's parameters from a recording, with uncertainties and the undetermined combinations.
 
     Writes calibration.json, targets.csv, targets.covariance.csv (joint) and residuals.csv to --out.
 
@@ -67,9 +67,9 @@ def correct(
     force: Force = False,
     terminal: Terminal,
 ) -> None:
-    """Write the recording that an ideal tracker would have made, by a calibration of the instrument.
+    """Remove the instrument's errors from a recording, by a calibration.
 
-    Readings stay in the axes of each set-up; with --frame whatever is computed from them later is in those of FILE.
+    Readings stay in the axes of each set-up; --frame sets the axes of later results.
 
     Example: ltsim correct my-recording --calibration my-calibration --out corrected
     """
@@ -79,13 +79,13 @@ def correct(
 
     recording = reading.of(source)
     terminal.notes(recording.notes)
-    found = calibration_of(terminal, calibration)
-    if not found.names:
-        terminal.notes(["this calibration holds no instrument parameters; nothing changes"])
-    if found.effects:
-        beside = ", ".join(effect.effect for effect in found.effects)
-        terminal.notes([f"estimated beside the calibration and not taken out of the readings: {beside}"])
-    corrected = lt.correct(recording, found, again=force)
+    instrument = calibration_of(terminal, calibration)
+    if not instrument.names:
+        terminal.notes(["this calibration contains no instrument parameters; the readings do not change"])
+    if instrument.effects:
+        estimated = ", ".join(effect.effect for effect in instrument.effects)
+        terminal.notes([f"effects estimated with the calibration are not removed from the readings: {estimated}"])
+    corrected = lt.correct(recording, instrument, again=force)
     lt.write(corrected, out)
     change = corrected.readings - recording.readings
     change[:, 1:] = wrap(change[:, 1:])
@@ -115,14 +115,14 @@ def evaluate(
     from ltsim.adjustment.evaluation.criteria import CriteriaFile
     from ltsim.adjustment.snooping import screened
 
-    terminal.claim(CriteriaFile)
+    terminal.check_overwrite(CriteriaFile)
     recording = reading.open(source, terminal)
     gross = screened(recording).gross
     if gross.any():
         rows = ", ".join(str(i + 1) for i in gross.nonzero()[0][:12])
-        terminal.notes([f"{gross.sum()} pointings miss their target by far and are left out (rows {rows})"])
-    found = None if calibration is None else calibration_of(terminal, calibration)
-    _judged(terminal, lt.evaluate(recording, found), recording)
+        terminal.notes([f"{gross.sum()} pointings are gross errors and are not used (rows {rows})"])
+    applied = None if calibration is None else calibration_of(terminal, calibration)
+    _judged(terminal, lt.evaluate(recording, applied), recording)
 
 
 def verify(
@@ -141,10 +141,10 @@ def verify(
     """
     from ltsim.adjustment.evaluation.criteria import CriteriaFile
 
-    terminal.claim(CriteriaFile)
+    terminal.check_overwrite(CriteriaFile)
     recording = reading.open(source, terminal)
-    found = calibration_of(terminal, calibration)
-    _judged(terminal, lt.verify(recording, nominal, found), recording)
+    applied = calibration_of(terminal, calibration)
+    _judged(terminal, lt.verify(recording, nominal, applied), recording)
 
 
 def _fitted(
@@ -154,19 +154,21 @@ def _fitted(
     terminal: ResultTerminal,
     options: dict[str, Any],
 ) -> None:
-    """Fit, write, show; a calibration replaces a calibration alone, an adjustment an adjustment."""
+    """Fit, write and print; a calibration replaces only a calibration, an adjustment only an adjustment."""
     from ltsim.adjustment.joint import COVARIANCE
     from ltsim.calibration.files import calibration_file, write_calibration
     from ltsim.calibration.schema import RESIDUALS, TARGETS, CalibrationFile
 
-    alone = verb is lt.adjust
+    adjust_only = verb is lt.adjust
     names = (TARGETS.file, COVARIANCE, RESIDUALS.file)
-    terminal.claim(CalibrationFile, *names, own=lambda found: (found.method == "adjustment") == alone)
+    terminal.check_overwrite(
+        CalibrationFile, *names, same_verb=lambda result: (result.method == "adjustment") == adjust_only
+    )
     recording = reading.open(source, terminal)
-    with terminal.progress("adjusting" if alone else "calibrating"):
-        found = verb(recording, **options)
-    content = write_calibration(found, terminal.out) if terminal.out else calibration_file(found)
-    terminal.result(content, notes=found.notes)
+    with terminal.progress("adjusting" if adjust_only else "calibrating"):
+        result = verb(recording, **options)
+    content = write_calibration(result, terminal.out) if terminal.out else calibration_file(result)
+    terminal.result(content, notes=result.notes)
 
 
 def _judged(terminal: ResultTerminal, criteria: Criteria, recording: Recording) -> None:
@@ -174,7 +176,7 @@ def _judged(terminal: ResultTerminal, criteria: Criteria, recording: Recording) 
     from ltsim.recordings.result_file import SourceEntry
 
     content = CriteriaFile.model_validate({"recording": SourceEntry.of(recording), **criteria.as_json()})
-    terminal.kept(content)
+    terminal.write(content)
     terminal.answer(content.content())
     terminal.say(criteria.table().text())
     if terminal.out is not None:
@@ -182,22 +184,22 @@ def _judged(terminal: ResultTerminal, criteria: Criteria, recording: Recording) 
 
 
 def calibration_of(terminal: Terminal, path: Path) -> Calibration:
-    """A calibration that was written before, with what it lacks said; raises RecordError."""
+    """The calibration in a file; its notes are printed; raises RecordError."""
     from ltsim.calibration.files import read_calibration
 
-    found = read_calibration(path)
-    terminal.notes(found.notes)
-    return found
+    calibration = read_calibration(path)
+    terminal.notes(calibration.notes)
+    return calibration
 
 
 FailOnMismatch = Annotated[
-    bool, typer.Option("--fail-on-mismatch", help="Exit with status 1 when recording and model differ (for CI).")
+    bool, typer.Option("--fail-on-mismatch", help="Exit with status 1 if recording and model disagree (for CI).")
 ]
 HeldOut = Annotated[
     bool | None,
     typer.Option(
         "--held-out/--no-held-out",
-        help="Repeat the search without each of five parts of the readings and predict them; default: small networks.",
+        help="5-fold cross-validation: search without each fifth of the readings and predict it; default: if small.",
     ),
 ]
 
@@ -211,39 +213,39 @@ def diagnose(
     terminal: ResultTerminal,
     **options: Any,
 ) -> int:
-    """Say whether recording and model agree; where not: where, why, how sure, and what to measure next.
+    """Test whether recording and model agree; if not, report place, cause, probability, and the next measurement.
 
-    Writes diagnosis.json, targets.csv (adjusted with the findings modelled), targets.covariance.csv (joint), residuals
-    and the recording to --out.
+    Writes diagnosis.json, targets.csv (adjusted with the findings in the model), targets.covariance.csv (joint),
+    residuals and the recording to --out.
 
     Example: ltsim diagnose my-recording --out my-diagnosis && ltsim report my-diagnosis
     """
     from ltsim.diagnosis.files import COMPANIONS, write_diagnosis
     from ltsim.diagnosis.schema import DiagnosisFile
 
-    terminal.claim(DiagnosisFile, *COMPANIONS)
+    terminal.check_overwrite(DiagnosisFile, *COMPANIONS)
     recording = reading.open(source, terminal)
     with terminal.progress("diagnosing"):
-        found = lt.diagnose(recording, held_out=held_out, **options)
-    content = write_diagnosis(found, terminal.out, recording) if terminal.out else found.file(recording)
+        diagnosis = lt.diagnose(recording, held_out=held_out, **options)
+    content = write_diagnosis(diagnosis, terminal.out, recording) if terminal.out else diagnosis.file(recording)
     terminal.result(content)
-    return 1 if fail_on_mismatch and found.verdict == "mismatch" else 0
+    return 1 if fail_on_mismatch and diagnosis.verdict == "mismatch" else 0
 
 
 Sources = Annotated[
     list[Path],
     typer.Argument(
         metavar="REC_OR_CALIBRATION...",
-        help="In the order of time: recordings, calibration.json files, or folders that hold either.",
+        help="Recordings, calibration.json files, or folders of either, in the order of time.",
     ),
 ]
-EachSetUp = Annotated[bool, typer.Option("--each-set-up", help="Calibrate every set-up of a recording by itself.")]
+EachSetUp = Annotated[bool, typer.Option("--each-set-up", help="Calibrate each set-up of a recording separately.")]
 FailOnChange = Annotated[
     bool,
     typer.Option(
         "--fail-on-change",
-        help="Exit with status 1 when an event stands out of the day-to-day changes or, with few calibrations, the "
-        "last differs from the first (for CI).",
+        help="Exit with status 1 if an event exceeds the day-to-day changes or, with few calibrations, the last "
+        "differs from the first (for CI).",
     ),
 ]
 
@@ -257,7 +259,7 @@ def history(
     terminal: ResultTerminal,
     **options: Annotated[Any, "history", "adjust robust noise_from_data"],
 ) -> int:
-    """Follow an instrument's parameters over calibrations: course, uncertainty, and whether it has changed since.
+    """Report an instrument's parameters over several calibrations: course, uncertainty, and changes.
 
     Writes history.json and history.svg to --out.
 
@@ -267,22 +269,22 @@ def history(
     from ltsim.calibration.history_schema import HistoryFile
     from ltsim.reports.sections import section_of
 
-    terminal.claim(HistoryFile, "history.svg")
+    terminal.check_overwrite(HistoryFile, "history.svg")
     opened: dict[str, Calibration | Recording] = {}
     for source in sources:
         opened |= _opened(terminal, source, reading, each_set_up=each_set_up)
     with terminal.progress("calibrating"):
-        found = lt.history(opened, **options)
-    content = history_file(found)
+        courses = lt.history(opened, **options)
+    content = history_file(courses)
 
     def drawn() -> dict[str, str]:
         from ltsim.reports.figures.parameters import history_figure
         from ltsim.reports.style import svg
 
-        known = [course for course in content.parameters if course.constant.dof]
-        return {"history.svg": svg(history_figure(found.labels, known))}
+        determined = [course for course in content.parameters if course.constant.dof]
+        return {"history.svg": svg(history_figure(courses.labels, determined))}
 
-    written = terminal.kept(content, drawn)
+    written = terminal.write(content, drawn)
     terminal.result(written)
     return 1 if fail_on_change and section_of(content).mood == "bad" else 0
 
@@ -290,7 +292,7 @@ def history(
 def _opened(
     terminal: Terminal, source: Path, reading: ReadingOptions, *, each_set_up: bool
 ) -> dict[str, Calibration | Recording]:
-    """A calibration that was written before, or a recording, or each of its set-ups, by what it is called."""
+    """A calibration, a recording, or each of its set-ups, by label."""
     from ltsim.calibration.schema import CalibrationFile
 
     file = CalibrationFile.FILE

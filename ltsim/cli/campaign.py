@@ -1,4 +1,4 @@
-"""`ltsim campaign`, `recover`: many trials over a grid of settings, and a check that what is injected is recovered."""
+"""Commands `campaign` and `recover`: trials over a grid of settings; a check that injected errors are recovered."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ if TYPE_CHECKING:
 
 
 AGREED = 1e-3
-"""[sigma] how far the batch may be from the full solver."""
+"""Largest allowed difference [sigma] of the batch solver from the full one."""
 
 
 CampaignFile = Annotated[Path | None, typer.Argument(metavar="FILE", help="A campaign file (ltsim-campaign/1).")]
-Example = Annotated[bool, typer.Option("--show", help="Print a commented campaign file to edit, and do nothing else.")]
+Example = Annotated[bool, typer.Option("--show", help="Print a commented template of a campaign file, and stop.")]
 Rows = Annotated[
     Path | None,
-    typer.Option("--out", metavar="DIR", help="Folder for the rows; default: FILE without its ending."),
+    typer.Option("--out", metavar="DIR", help="Folder for the rows; default: FILE without its suffix."),
     FOLDER,
 ]
 
@@ -48,16 +48,16 @@ def campaign(
     terminal: Terminal,
     **options: Any,
 ) -> int:
-    """Simulate, calibrate and judge many trials, safely: rows are kept whatever stops it, and --resume goes on.
+    """Simulate, calibrate and evaluate many trials; after an interruption --resume continues.
 
     The rows are the same bytes for any number of jobs, any interruption and either backend, on processors of one type
-    (the manifest names it). A cluster needs two commands: `dask scheduler --scheduler-file cluster.json` on one
+    (named in the manifest). A cluster needs two commands: `dask scheduler --scheduler-file cluster.json` on one
     machine, `dask worker --scheduler-file cluster.json` on each that works; then --backend dask
     --scheduler cluster.json.
 
-    A file that has grown since (further levels, trials, statistics) takes with --resume only what is missing.
+    If levels, trials or statistics were added to the file, --resume computes only what is missing.
 
-    Exit status 1: the fast solver was more than 0.001 sigma from the full one on a trial that was verified.
+    Exit status 1 if the batch solver differs from the full one by more than 0.001 sigma on a verified trial.
 
     Example: ltsim campaign --show > mine.toml; ltsim campaign mine.toml --jobs 2
     """
@@ -65,9 +65,9 @@ def campaign(
         terminal.show((files("ltsim.campaigns") / "example.toml").read_text(encoding="utf-8"))
         return 0
     if file is None:
-        raise SetupError("a campaign needs a FILE; ltsim campaign --show prints one to edit")
+        raise SetupError("ltsim campaign needs a FILE; ltsim campaign --show prints a template")
     require_packages()
-    # The compiler, the columns and the queries take a second to load: no other verb should wait for them.
+    # Slow imports, which no other verb should wait for.
     from ltsim.campaigns.campaign import Workers, run_campaign
     from ltsim.campaigns.kernels import compiled_before
     from ltsim.campaigns.results import Results
@@ -81,13 +81,13 @@ def campaign(
     total = settings.trials * len(settings.methods) * len(scenarios)
     workers = Workers(*(options.pop(name) for name in ("jobs", "backend", "scheduler")))
     if not compiled_before():
-        terminal.note("compiling the solver, which takes half a minute: the first campaign of an installation does")
+        terminal.note("First campaign: compiling the solver takes about 30 s.")
     try:
         with terminal.progress("trials", total) as advance:
             outcome = run_campaign(file, folder, progress=advance, workers=workers, force=force, **options)
     except KeyboardInterrupt:
-        kept = len(Store(folder).shards())
-        raise StoppedError(f"{kept} finished shards are kept in {folder}; go on with --resume") from None
+        finished = len(Store(folder).shards())
+        raise StoppedError(f"{finished} finished shards remain in {folder}; continue with --resume") from None
     results = Results(folder)
     summary = results.summary()
     write_text(folder / "summary.csv", results.table("summary").csv())
@@ -106,29 +106,29 @@ def campaign(
 
 
 def disagreement(end: dict[str, Any], results: Results) -> str:
-    """Sentence for status 1: the cell, its deviation and the limit."""
+    """Sentence for exit status 1: cell, difference and limit."""
     cell = results.manifest.cells[end["cell"]].label
     return (
-        f"cell {end['cell'] + 1} ({cell}), {end['method']}: the fast solver differs from the full one by up to "
-        f"{end['largest_difference_sigma']:.2g} sigma on {end['checked']} verified trials, allowed {AGREED:g}; "
-        'solver = "single" for the method calibrates every trial by the full one'
+        f"cell {end['cell'] + 1} ({cell}), {end['method']}: the batch solver differs from the full one by up to "
+        f"{end['largest_difference_sigma']:.2g} sigma on {end['checked']} verified trials, limit {AGREED:g}; "
+        'set solver = "single" for the method to use the full solver'
     )
 
 
 RecoverJobs = Annotated[
     int | None,
     typer.Option(
-        "--jobs", "-j", min=1, max=MOST_JOBS, help="Processes to work with; default all cores, one for few trials."
+        "--jobs", "-j", min=1, max=MOST_JOBS, help="Number of processes; default all cores, one for few trials."
     ),
 ]
 
 
 JunitFile = Annotated[
-    Path | None, typer.Option("--junit", metavar="FILE", help="Write the checks as JUnit XML too, for CI."), FILE
+    Path | None, typer.Option("--junit", metavar="FILE", help="Also write the checks as JUnit XML, for CI."), FILE
 ]
-MODES = {"drawn": "drawn from the prior", "stated": "as the scenario states them"}
+MODES = {"drawn": "drawn from the prior", "stated": "given by the scenario"}
 FEW = 100
-"""Trials that take less time than starting further processes."""
+"""Number of trials below which one process is faster than several."""
 
 
 def recover(
@@ -139,23 +139,23 @@ def recover(
     terminal: ResultTerminal,
     **options: Any,
 ) -> None:
-    """Make an instrument with errors, measure, calibrate, compare with the truth; many times.
+    """Check that injected instrument errors are recovered: simulate, calibrate and compare with the truth, many times.
 
-    Errors are those that the scenario states, or drawn from the prior where it states none. Exit status 1, naming what
-    fails: z-scores of every parameter (with drawn errors standard normal; with stated ones no wider, the value inside
-    its interval as often as promised), chi-square, targets and stations. A parameter of your calibrator without a sigma
-    or a tolerance is not checked, which is status 1 too. Writes recovery.json and trials.csv to --out.
+    Errors are those of the scenario, or drawn from the prior if it gives none. The checks: z-scores of every parameter
+    (standard normal for drawn errors; for given errors not wider, with the nominal coverage), chi-square, targets and
+    stations. Exit status 1 if a check fails, or if a parameter of your calibrator has neither sigma nor tolerance and
+    cannot be checked. Writes recovery.json and trials.csv to --out.
 
     Example: ltsim recover paper-workshop --trials 1000 --jobs 2
     """
     from ltsim.campaigns.recovery_checks import FALSE_ALARM
     from ltsim.campaigns.schema import TRIALS, RecoveryFile
 
-    terminal.claim(RecoveryFile, TRIALS.file)
+    terminal.check_overwrite(RecoveryFile, TRIALS.file)
     workers = jobs or (1 if options["trials"] < FEW else os.cpu_count() or 1)
     with terminal.progress("trials", options["trials"]) as step:
         result = lt.recover(scenario, progress=step, jobs=workers, **options)
-    beside = {TRIALS.file: result.table("trials").csv()}
+    trials = {TRIALS.file: result.table("trials").csv()}
     checks = result.checks()
     content = RecoveryFile(
         passed=result.passed,
@@ -167,11 +167,11 @@ def recover(
         unchecked=result.unchecked(),
         problem=result.problem,
     )
-    content = terminal.kept(content, lambda: beside)
+    content = terminal.write(content, lambda: trials)
     if junit is not None:
         write_text(junit, junit_xml(result, str(scenario)))
     terminal.answer(content.content())
-    terminal.say(result.table("parameters").text() if len(result.converged) > 1 else "hardly a trial gave a result")
+    terminal.say(result.table("parameters").text() if len(result.converged) > 1 else "fewer than two trials converged")
     for sentence in result.problems():
         streams.write(sentence, sys.stderr)
     if not result.passed:
@@ -182,7 +182,7 @@ def recover(
 
 
 def junit_xml(result: Recovery, suite: str) -> str:
-    """The checks as JUnit XML: a test case each, with value and limits; they share the time of all trials."""
+    """The checks as JUnit XML: one test case per check, with value and limits; the run time is divided evenly."""
     checks = result.checks()
     unchecked = result.unchecked()
     failed, each = sum(not check.passed for check in checks), f"{result.seconds / len(checks):.3f}"
@@ -204,5 +204,5 @@ def junit_xml(result: Recovery, suite: str) -> str:
             SubElement(case, "failure", message=check.sentence())
     for name in unchecked:
         case = SubElement(root, "testcase", classname=f"recover.{name}", name="not checked", time="0.000")
-        SubElement(case, "failure" if lost else "skipped", message=f"{name} is not checked: no sigma in every trial")
+        SubElement(case, "failure" if lost else "skipped", message=f"{name} is not checked: some trials have no sigma")
     return tostring(root, encoding="unicode", xml_declaration=True) + "\n"

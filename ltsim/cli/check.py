@@ -1,4 +1,4 @@
-"""Judgement of measurements: `ltsim check`, `accept`, `bench`, `compare`, `uncertainty`."""
+"""Commands that test measurements: `check`, `accept`, `bench`, `compare`, `uncertainty`."""
 
 from __future__ import annotations
 
@@ -31,16 +31,16 @@ MpeOption = Annotated[
     typer.Option(
         "--mpe",
         metavar="A,B",
-        help="Limit of two-face differences as lengths, A um + B um/m of the range; default by the stated noise and "
-        "what the maker guarantees.",
+        help="Limit of two-face differences as lengths, A um + B um/m of the range; default from the noise and the "
+        "specification of the instrument.",
     ),
 ]
-Watch = Annotated[bool, typer.Option("--watch", help="Follow a recording that grows; say at once what goes wrong.")]
+Watch = Annotated[bool, typer.Option("--watch", help="Follow a recording that grows, and report problems at once.")]
 AcceptFile = Annotated[Path | None, typer.Argument(metavar="FILE", help="An acceptance file (ltsim-acceptance/1).")]
-Template = Annotated[bool, typer.Option("--show", help="Print a commented file to edit, and do nothing else.")]
+Template = Annotated[bool, typer.Option("--show", help="Print a commented template, and stop.")]
 BenchTable = Annotated[Path, typer.Argument(metavar="FILE", help="A table angle_deg,length_um,probe_um.")]
 POLL = 1.0
-"""[s] between two looks at the files of a recording that grows."""
+"""Time [s] between two looks at the files of a growing recording."""
 
 
 def check(
@@ -54,15 +54,15 @@ def check(
 ) -> int:
     """Go or no-go: two-face differences, gross pointings, bumps, drift, level and scatter; status 1 for no-go.
 
-    One set-up is enough. What was measured on both faces or again later is compared with itself, the instrument's
-    errors fitted. Writes check.json, two_face.csv and the picture check.svg to --out.
+    One set-up is enough. Repeated and two-face measurements of a target are compared, with the instrument's errors
+    fitted. Writes check.json, two_face.csv and the picture check.svg to --out.
 
     Example: ltsim check my-recording --mpe 20,6 --out my-check
     """
     from ltsim.adjustment.fieldcheck import check_file, write_check
     from ltsim.adjustment.fieldcheck.items import TWO_FACE, CheckFile
 
-    terminal.claim(CheckFile, TWO_FACE.file, "check.svg")
+    terminal.check_overwrite(CheckFile, TWO_FACE.file, "check.svg")
     limit = mpe_of(mpe)
 
     def look() -> Check:
@@ -73,28 +73,28 @@ def check(
         return 0
     recording = reading.open(source, terminal)
     with terminal.progress("checking"):
-        found = lt.check(recording, mpe=limit, **options)
-    content = check_file(found)
+        result = lt.check(recording, mpe=limit, **options)
+    content = check_file(result)
     if terminal.out is not None:
         from ltsim.reports.style import svg  # most checks draw nothing
 
-        content = write_check(found, terminal.out, {"check.svg": svg(found.plot())})
+        content = write_check(result, terminal.out, {"check.svg": svg(result.plot())})
     terminal.result(content)
-    return 0 if found.passed else 1
+    return 0 if result.passed else 1
 
 
 def mpe_of(text: str | None) -> tuple[float, float] | None:
-    """The limit that `A,B` states, um and um/m; raises RecordError when it is no two numbers above or equal to 0."""
+    """The limit `A,B` in um and um/m; raises RecordError unless A > 0 and B >= 0 are numbers."""
     if text is None:
         return None
     parts = [part.strip() for part in text.split(",")]
     if len(parts) != 2 or not all(is_number(part) and float(part) >= 0 for part in parts) or not float(parts[0]) > 0:
-        raise RecordError(f"--mpe {text}: expected A,B in um and um/m, for instance 20,6")
+        raise RecordError(f"--mpe is {text}, expected A,B in um and um/m, for instance 20,6")
     return float(parts[0]), float(parts[1])
 
 
 def changes(source: Path) -> Iterator[None]:
-    """One step whenever the recording's files have changed, the first at once; without end."""
+    """Endless iterator with one step at once and one whenever the recording's files have changed."""
     last: tuple[tuple[str, int, int], ...] | None = None
     while True:
         now = _state(source)
@@ -106,40 +106,40 @@ def changes(source: Path) -> Iterator[None]:
 
 def _state(source: Path) -> tuple[tuple[str, int, int], ...]:
     files = sorted(source.iterdir()) if source.is_dir() else [source]
-    found = []
+    state = []
     for file in files:
         try:
-            known = file.stat()
+            status = file.stat()
         except OSError:
             continue  # replaced between listing and looking
-        found.append((file.name, known.st_size, known.st_mtime_ns))
-    return tuple(found)
+        state.append((file.name, status.st_size, status.st_mtime_ns))
+    return tuple(state)
 
 
 def follow(terminal: Terminal, look: Callable[[], Check], steps: Iterator[None]) -> None:
-    """Check at every step and say what is new: what no longer passes, and when all passes again.
+    """Check at every step and report changes: new failures, and the return to go.
 
-    A file that cannot be read or checked yet is looked at again at the next step; each reason is said once until then.
+    A file that cannot be read or checked yet is tried again at the next step; each reason is reported once.
     """
-    known: set[tuple[str, str, tuple[str, ...]]] = set()
+    reported: set[tuple[str, str, tuple[str, ...]]] = set()
     reasons: set[str] = set()
     for _ in steps:
         try:
-            found = look()
+            result = look()
         except (RecordError, NetworkError) as problem:
-            reason = re.sub(r"\d+", "", str(problem))  # one row further on it is the same reason
+            reason = re.sub(r"\d+", "", str(problem))  # the same reason in another row is not repeated
             if reason not in reasons:
                 terminal.note(f"waiting: {problem}")
             reasons.add(reason)
             continue
         reasons.clear()
-        failed = [item for item in found.items if not item.passed]
+        failed = [item for item in result.items if not item.passed]
         for item in failed:
-            if _key(item) not in known:
-                terminal.at_once(f"{len(found.recording)} pointings: NO-GO {item.sentence}", bell=True)
-        if (known and not failed) or not known.union(map(_key, failed)):
-            terminal.at_once(f"{len(found.recording)} pointings: {found.sentence}")
-        known = set(map(_key, failed))
+            if _key(item) not in reported:
+                terminal.print_now(f"{len(result.recording)} pointings: NO-GO {item.sentence}", bell=True)
+        if (reported and not failed) or not reported.union(map(_key, failed)):
+            terminal.print_now(f"{len(result.recording)} pointings: {result.sentence}")
+        reported = set(map(_key, failed))
         if streams.reader_is_gone():
             return
 
@@ -149,9 +149,9 @@ def _key(item: Item) -> tuple[str, str, tuple[str, ...]]:
 
 
 def accept(file: AcceptFile = None, show: Template = False, *, terminal: ResultTerminal) -> int:
-    """Predict acceptance tests of a tracker, or judge errors that were found, against its maker's limits.
+    """Predict acceptance tests of a tracker, or evaluate measured errors, against the limits of its specification.
 
-    Writes accept.json and accept.csv to --out. Exit status 1 when an error that was found is over its limit.
+    Writes accept.json and accept.csv to --out. Exit status 1 if a measured error exceeds its limit.
 
     Example: ltsim accept my-tracker.toml --out acceptance
     """
@@ -159,29 +159,29 @@ def accept(file: AcceptFile = None, show: Template = False, *, terminal: ResultT
         print(example_text("acceptance.toml"), end="")
         return 0
     if file is None:
-        raise SetupError("ltsim accept needs a FILE; ltsim accept --show prints one to edit")
+        raise SetupError("ltsim accept needs a FILE; ltsim accept --show prints a template")
     from ltsim.acceptance.files import TESTS, AcceptanceFile
 
-    terminal.claim(AcceptanceFile, TESTS.file)
-    with terminal.progress("looking at the tests"):
+    terminal.check_overwrite(AcceptanceFile, TESTS.file)
+    with terminal.progress("evaluating the tests"):
         content = lt.accept(file)
-    content = terminal.kept(content, lambda: {TESTS.file: content.table("tests").csv()})
+    content = terminal.write(content, lambda: {TESTS.file: content.table("tests").csv()})
     terminal.result(content)
     return int(content.kind != "predicted" and content.passes < 1)
 
 
 def bench(file: BenchTable, *, terminal: ResultTerminal, **options: Any) -> None:
-    """Find a reflector's range error against incidence from its bench test, with uncertainty.
+    """Estimate a reflector's range error over the angle of incidence from its bench test, with uncertainty.
 
-    The table turns the reflector; the probe's first harmonic is the eccentricity, which is taken off the lengths.
-    Writes bench.json to --out.
+    The table turns the reflector; the first harmonic of the probe is the eccentricity, which is removed from the
+    lengths. Writes bench.json to --out.
 
     Example: ltsim bench my-reflector.csv --out my-reflector
     """
     from ltsim.adjustment.evaluation.bench import BenchFile
 
-    terminal.claim(BenchFile)
-    content = terminal.kept(lt.bench(file, **options))
+    terminal.check_overwrite(BenchFile)
+    content = terminal.write(lt.bench(file, **options))
     terminal.answer(content.content())
     terminal.say(repr(content))
     terminal.say("\n" + content.table().text())
@@ -191,13 +191,13 @@ def bench(file: BenchTable, *, terminal: ResultTerminal, **options: Any) -> None
 Second = Annotated[Path, typer.Argument(metavar="REC2", help="The later recording, of the same points.")]
 TaskFile = Annotated[Path | None, typer.Argument(metavar="FILE", help="A task file (ltsim-tasks/1).")]
 TaskSource = Annotated[
-    str | None, typer.Option("--source", metavar="REC", help="Recording or scenario instead of the file's own.")
+    str | None, typer.Option("--source", metavar="REC", help="Recording or scenario in place of the source in FILE.")
 ]
 Against = Annotated[
     Path | None,
-    typer.Option("--against", metavar="FILE", help="Results of another recording or instrument: E_n of each result."),
+    typer.Option("--against", metavar="FILE", help="Results of another recording or instrument, compared by E_n."),
 ]
-NONE_ALIKE = "no result of the other file has the same task, name and unit"
+NO_COMMON_RESULT = "no result of the other file has the same task, name and unit"
 
 
 def compare(
@@ -208,38 +208,38 @@ def compare(
     terminal: ResultTerminal,
     **options: Any,
 ) -> int:
-    """Say which points moved between two recordings, by how much, and which motion could not have been seen.
+    """Report the points that moved between two recordings, their displacements, and the smallest detectable ones.
 
-    Two lists of coordinates with covariance are compared too: adjustment results of gama-local, or CSV tables with
-    NAME.covariance.csv beside them.
+    Lists of coordinates with covariance can be compared too: adjustment results of gama-local, or CSV tables with a
+    NAME.covariance.csv in the same folder.
 
-    Writes comparison.json and displacements.csv to --out. Exit status 1 when a point moved.
+    Writes comparison.json and displacements.csv to --out. Exit status 1 if a point moved.
 
     Example: ltsim compare january march --stable P1,P2,P3 --out my-comparison
     """
     from ltsim.measurands.comparison import DISPLACEMENTS, Comparison
     from ltsim.recordings.coordinates import holds_coordinates
 
-    terminal.claim(Comparison, DISPLACEMENTS.file)
+    terminal.check_overwrite(Comparison, DISPLACEMENTS.file)
     lists = holds_coordinates(source) or holds_coordinates(second)
-    one, other = (_listed(p, terminal) if lists else reading.open(p, terminal) for p in (source, second))
+    first, later = (_listed(p, terminal) if lists else reading.open(p, terminal) for p in (source, second))
     with terminal.progress("comparing"):
-        found = lt.compare(one, other, **options)
-    found = terminal.kept(found, lambda: {DISPLACEMENTS.file: found.table().csv()})
-    terminal.result(found)
-    return int(bool(found.moved))
+        comparison = lt.compare(first, later, **options)
+    comparison = terminal.write(comparison, lambda: {DISPLACEMENTS.file: comparison.table().csv()})
+    terminal.result(comparison)
+    return int(bool(comparison.moved))
 
 
 def _listed(path: Path, terminal: Terminal) -> Coordinates | Path:
-    """A list of coordinates, with what its reader decided and its size said."""
+    """A list of coordinates, with its notes and size printed; a path to another file is returned."""
     from ltsim.recordings.coordinates import holds_coordinates, read_coordinates
 
     if not holds_coordinates(path):
         return path
-    found = read_coordinates(path)
-    terminal.notes(found.notes)
-    terminal.say(f"{found.title}: {len(found.names)} points along {', '.join(found.axes)}")
-    return found
+    coordinates = read_coordinates(path)
+    terminal.notes(coordinates.notes)
+    terminal.say(f"{coordinates.title}: {len(coordinates.names)} points along {', '.join(coordinates.axes)}")
+    return coordinates
 
 
 def uncertainty(
@@ -251,9 +251,9 @@ def uncertainty(
     terminal: ResultTerminal,
     **options: Any,
 ) -> int:
-    """Say how well the tasks of a file are known: GUM and Monte Carlo, budget, verdict.
+    """Evaluate the uncertainty of the tasks of a file: GUM and Monte Carlo, budget, conformity.
 
-    Writes uncertainty.json, uncertainty.csv and budget.csv to --out. Exit status 1 when a result fails its tolerance.
+    Writes uncertainty.json, uncertainty.csv and budget.csv to --out. Exit status 1 if a result fails its tolerance.
 
     Example: ltsim uncertainty flange.toml --out my-uncertainty
     """
@@ -261,24 +261,24 @@ def uncertainty(
         print(example_text("uncertainty.toml"), end="")
         return 0
     if file is None:
-        raise SetupError("ltsim uncertainty needs a FILE; ltsim uncertainty --show prints one to edit")
+        raise SetupError("ltsim uncertainty needs a FILE; ltsim uncertainty --show prints a template")
     from ltsim.measurands.files import BUDGET, RESULTS, UncertaintyFile, compared
     from ltsim.measurands.spec import load_tasks
     from ltsim.recordings.result_file import read_result
     from ltsim.reports.sections import section_of
 
-    terminal.claim(UncertaintyFile, RESULTS.file, BUDGET.file)
+    terminal.check_overwrite(UncertaintyFile, RESULTS.file, BUDGET.file)
     tasks = load_tasks(file)
     if source is not None:
         tasks = tasks.model_copy(update={"source": source})
     drawn = tasks.monte_carlo.seed if options["seed"] is None else options["seed"]
-    recording = _recording(terminal, tasks, file, drawn, beside=source is None)
+    recording = _recording(terminal, tasks, file, drawn, in_file=source is None)
     with terminal.progress("drawing trials"):
         evaluation = lt.uncertainty(recording, tasks, **options)
     content = evaluation.content
     other = None if against is None else compared(content, read_result(against, UncertaintyFile))
     tables = [evaluation.table(name) for name in ("results", "budget")]
-    content = terminal.kept(content, lambda: {table.file: table.csv() for table in tables})
+    content = terminal.write(content, lambda: {table.file: table.csv() for table in tables})
     answer = content.content()
     if other is not None:
         answer["against"] = [{"result": name, "E_n": value} for name, value in other]
@@ -286,27 +286,29 @@ def uncertainty(
     terminal.say("\n" + section_of(content).text())
     if other is not None:
         head, rows = ["result", "E_n", ""], [[n, f"{v:.2f}", "" if abs(v) <= 1 else "differs"] for n, v in other]
-        told = f"Against the other results (|E_n| up to 1 agrees):\n{aligned(head, rows)}" if other else NONE_ALIKE
-        terminal.say(f"\n{told}")
+        text = (
+            f"Against the other results (|E_n| up to 1 agrees):\n{aligned(head, rows)}" if other else NO_COMMON_RESULT
+        )
+        terminal.say(f"\n{text}")
     terminal.written(terminal.out)
     return int(any(r.conformity is not None and r.conformity.judgement == "rejected" for r in content.results))
 
 
 def _recording(
-    terminal: Terminal, tasks: Tasks, file: Path, seed: int, *, beside: bool
+    terminal: Terminal, tasks: Tasks, file: Path, seed: int, *, in_file: bool
 ) -> Recording | Coordinates | Path:
-    """The recording of the tasks, or a list of coordinates; a scenario is measured once, virtually."""
+    """The recording of the tasks, simulated for a scenario, or a list of coordinates."""
     from ltsim.recordings.coordinates import holds_coordinates
 
     name = tasks.source
-    place = file.parent / name if beside else Path(name)
+    place = file.parent / name if in_file else Path(name)
     if name in builtin_names() or place.suffix == ".toml":
         chosen = name if name in builtin_names() else place
         recording, _ = lt.simulate(chosen, seed=seed)
-        terminal.say(f"scenario {name}, measured once with seed {seed}")
+        terminal.say(f"scenario {name}, simulated with seed {seed}")
         return recording
     if not place.exists():
-        raise SetupError(f"{file}: source names {place}, which is neither a recording nor a scenario")
+        raise SetupError(f"{file}: source is {place}, which is neither a recording nor a scenario")
     if holds_coordinates(place):
         return _listed(place, terminal)
     return ReadingOptions().open(place, terminal)

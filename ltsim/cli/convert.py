@@ -1,4 +1,4 @@
-"""`ltsim convert`: between formats of recordings."""
+"""Command `convert`: conversion between formats of recordings."""
 
 from pathlib import Path
 from typing import Annotated
@@ -6,15 +6,15 @@ from typing import Annotated
 import typer
 
 from ltsim.cli.options import FramedReading
-from ltsim.cli.places import ANYWHERE, Force, claim_file, claim_recording
+from ltsim.cli.places import ANYWHERE, Force, check_file, check_recording
 from ltsim.cli.terminal import Terminal
 from ltsim.recordings import FORMATS, write
 from ltsim.recordings.summary import summary
 
 WRITABLE = ", ".join(f.name for f in FORMATS if f.write is not None)
 
-Input = Annotated[Path, typer.Argument(metavar="IN", help="A recording in a format that is recognised.")]
-Output = Annotated[Path, typer.Argument(metavar="OUT", help="Where to write it."), ANYWHERE]
+Input = Annotated[Path, typer.Argument(metavar="IN", help="A recording in any format that ltsim reads.")]
+Output = Annotated[Path, typer.Argument(metavar="OUT", help="File or folder to write."), ANYWHERE]
 To = Annotated[str, typer.Option("--to", metavar="NAME", help=f"Format to write: {WRITABLE}.")]
 
 
@@ -29,13 +29,14 @@ def convert(
 ) -> None:
     """Read a recording in one format and write it in another.
 
-    Tables of any dialect are read: a header names columns and units, --columns maps one that does not. What stays
-    open is decided from the data and said, or asked for: answer with --hint. A setup.toml beside the file gives noise,
-    gauge and places. A summary ends it: set-ups, rounds, faces, readings, heights, time span, noise, known values.
+    Tables of any dialect are read: roles and units of the columns come from the header or from --columns. Ambiguous
+    conventions are decided from the data and reported, or asked for: answer with --hint. A setup.toml in the same
+    folder gives noise, gauge and places. The output ends with a summary: set-ups, rounds, faces, readings, heights,
+    time span, noise, reference values.
 
     Example: ltsim convert survey.csv my-recording --columns "target=Name,azimuth=Hz[gon]" --hint azimuth=clockwise
     """
-    (claim_recording if to == "native" else claim_file)(destination, force)
+    (check_recording if to == "native" else check_file)(destination, force)
     recording = reading.of(source)
     terminal.notes(recording.notes)
     write(recording, destination, to)
@@ -44,6 +45,6 @@ def convert(
     terminal.say(recording.headline)
     width = max(map(len, topics))
     terminal.say("\n".join(f"  {topic:{width}}  {words}" for topic, words in topics.items()))
-    assumed = f"{len(recording.notes)} notes above say what was decided" if recording.notes else "nothing"
+    assumed = f"see the {len(recording.notes)} notes above" if recording.notes else "nothing"
     terminal.say(f"  {'assumed':{width}}  {assumed}")
     terminal.say(f"written to {destination} ({to})")

@@ -1,4 +1,4 @@
-"""`ltsim effects`: the catalogue, printed from the effects themselves."""
+"""Command `effects`: the catalogue of physical effects."""
 
 import inspect
 import textwrap
@@ -13,7 +13,7 @@ from ltsim.physics.effects import CATALOGUE, Effect, card_of, find_effect
 from ltsim.physics.effects.catalogue import SHIPPED
 from ltsim.physics.effects.effect import ShapeParameter
 
-Name = Annotated[str | None, typer.Argument(metavar="[NAME]", help="One effect; without it all are listed.")]
+Name = Annotated[str | None, typer.Argument(metavar="[NAME]", help="Name of an effect; default a list of all.")]
 
 WIDTH, INDENT = 110, 13
 CONVENTIONS = (
@@ -24,9 +24,9 @@ CONVENTIONS = (
 
 
 def effects(name: Name = None, *, terminal: Terminal) -> None:
-    """List the physical effects that can be simulated, calibrated and diagnosed, or print the card of one.
+    """List the physical effects that can be simulated, calibrated and diagnosed, or print the entry of one.
 
-    What installed packages add is listed last, with the package it comes from.
+    Effects of other installed packages are listed last, with the name of the package.
 
     Example: ltsim effects station-settling
     """
@@ -44,7 +44,7 @@ def effects(name: Name = None, *, terminal: Terminal) -> None:
             group = listed.group
             terminal.say(f"\n{group}" if name != rows[0][0] else group)
         terminal.say(f"  {name:<{width}}  {about}" + (f" [{listed.origin}]" if listed.origin != SHIPPED else ""))
-    terminal.say(f"\n{len(rows)} effects. The card of one: ltsim effects NAME")
+    terminal.say(f"\n{len(rows)} effects. Details of an effect: ltsim effects NAME")
 
 
 def _about(effect: type[Effect]) -> str:
@@ -53,7 +53,7 @@ def _about(effect: type[Effect]) -> str:
 
 
 def entry(effect: type[Effect]) -> dict[str, Any]:
-    """The card of an effect for a program."""
+    """Catalogue entry of an effect as data for JSON."""
     listed, about = CATALOGUE.entries[effect.name], card_of(effect)
     return {
         "name": effect.name,
@@ -84,20 +84,20 @@ def _shown(value: float, shape: ShapeParameter) -> float:
 
 
 def card(effect: type[Effect]) -> str:
-    """The card of an effect for a person."""
+    """Catalogue entry of an effect as text."""
     about, listed = card_of(effect), CATALOGUE.entries[effect.name]
     lines = [f"{effect.name}: {about.title} ({listed.group})", "", f"{about.cause[0].upper()}{about.cause[1:]}."]
     lines += ["", about.law, ""]
-    told = [*about.parts(), ("Acts on", ", ".join(effect.observables)), ("Scope", effect.scope)]
-    told += [("Stage", effect.stage.name.lower())]
-    told += [("Depends on", ", ".join(effect.covariates))] if effect.covariates else []
-    told += [("Comes from", listed.origin)] if listed.origin != SHIPPED else []
-    for name, text in told:
+    sections = [*about.parts(), ("Acts on", ", ".join(effect.observables)), ("Scope", effect.scope)]
+    sections += [("Stage", effect.stage.name.lower())]
+    sections += [("Depends on", ", ".join(effect.covariates))] if effect.covariates else []
+    sections += [("Comes from", listed.origin)] if listed.origin != SHIPPED else []
+    for name, text in sections:
         lines += textwrap.wrap(f"{name:<{INDENT}}{text}", WIDTH, subsequent_indent=" " * INDENT, break_on_hyphens=False)
     if effect.parameters:
         rows = [[p.name, f"{p.prior_sigma / p.factor:.3g}", p.unit, p.meaning] for p in effect.parameters]
-        lines += ["", aligned(["parameter", "plausible size", "unit", "meaning"], rows, left=4)]
+        lines += ["", aligned(["parameter", "plausible size", "unit", "meaning"], rows, text_columns=4)]
     if effect.shape:
         rows = [[s.name, f"{_shown(s.low, s):.4g} to {_shown(s.high, s):.4g}", s.unit, s.meaning] for s in effect.shape]
-        lines += ["", aligned(["constant", "searched", "unit", "meaning"], rows, left=4)]
+        lines += ["", aligned(["constant", "searched", "unit", "meaning"], rows, text_columns=4)]
     return "\n".join([*lines, "", CONVENTIONS])

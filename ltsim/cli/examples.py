@@ -1,4 +1,4 @@
-"""`ltsim examples`: sample data and commented files, copied into a folder to try and to edit."""
+"""Command `examples`: sample data and commented files, copied into a folder."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from ltsim.cli.places import FOLDER, Force, claim_file
+from ltsim.cli.places import FOLDER, Force, check_file
 from ltsim.cli.terminal import Terminal
 from ltsim.recordings.files import write_texts
 from ltsim.simulation.builtin import builtin_text
@@ -24,7 +24,7 @@ TRY = {
     "uncertainty.toml": "ltsim uncertainty uncertainty.toml --out uncertainty",
     "acceptance.toml": "ltsim accept acceptance.toml --out acceptance",
 }
-"""Files that are written, each with a command to try; a file without one belongs to that before it."""
+"""Example files, each with a command to try; a file without a command is an input of the previous one."""
 
 
 def example_text(name: str) -> str:
@@ -39,12 +39,12 @@ def example_text(name: str) -> str:
 def examples(folder: Folder = Path("ltsim-examples"), force: Force = False, *, terminal: Terminal) -> None:
     """Copy sample data: a survey with its hall, a workshop, a plan, a campaign, tasks, an acceptance test.
 
-    Every file is commented, to be edited; a command to try stands beside it.
+    Every file is commented; a command to try is printed for each.
 
     Example: ltsim examples my-folder
     """
     for name in TRY:
-        claim_file(folder / name, force=force)
+        check_file(folder / name, force=force)
     write_texts(folder, {name: example_text(name) for name in TRY})
     terminal.answer({"folder": str(folder), "files": list(TRY), "commands": [line for line in TRY.values() if line]})
     terminal.say(f"written to {folder}; try there:")

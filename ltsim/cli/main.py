@@ -1,4 +1,4 @@
-"""The command `ltsim`: which verbs there are, and what an error looks like."""
+"""The command `ltsim`: its verbs, exit statuses and error messages."""
 
 import errno
 import gc
@@ -20,38 +20,38 @@ UNWRITABLE = (
     errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG, errno.EROFS, errno.EACCES, errno.EPERM, errno.EBADF,
     errno.EMFILE, errno.ENFILE,
 )  # fmt: skip
-"""Reasons of the operating system for which something cannot be written, whatever ltsim does."""
+"""Error numbers of the operating system for output that cannot be written."""
 
 # Typer brings its own copy of click or the library's, by version; its errors are reached through a public one.
 UsageProblem: type[Exception] = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException")
 
 # To add a verb: a function of its name in one of these modules, and one line here.
 VERBS = {
-    "demo": ("simulate", "simulate, calibrate, repeat, hide, diagnose: one page"),
+    "demo": ("simulate", "simulate, calibrate, repeat, inject and diagnose a fault; one page"),
     "examples": ("examples", "sample data and commented files, copied into a folder"),
-    "simulate": ("simulate", "measure a virtual workshop once"),
+    "simulate": ("simulate", "simulate one recording of a virtual workshop"),
     "check": ("check", "go or no-go in the field: two faces, drift, bumps"),
     "adjust": ("adjustment", "adjust the network of a recording, no instrument parameters"),
-    "calibrate": ("adjustment", "find the instrument's parameters from a recording"),
-    "correct": ("adjustment", "write the recording that an ideal tracker would have made"),
-    "evaluate": ("adjustment", "how far the stations disagree, before and after"),
+    "calibrate": ("adjustment", "estimate the instrument's parameters from a recording"),
+    "correct": ("adjustment", "remove the instrument's errors from a recording"),
+    "evaluate": ("adjustment", "disagreement of the stations, before and after a calibration"),
     "verify": ("adjustment", "apply a calibration to another recording"),
-    "recover": ("campaign", "is what was injected recovered? a check for CI"),
-    "campaign": ("campaign", "many trials over a grid of settings, safely"),
-    "compare": ("check", "did points move between two recordings"),
-    "convert": ("convert", "read a recording in one format, write it in another"),
+    "recover": ("campaign", "check that injected errors are recovered, for CI"),
+    "campaign": ("campaign", "many simulated trials over a grid of settings"),
+    "compare": ("check", "points that moved between two recordings"),
+    "convert": ("convert", "convert a recording between formats"),
     "effects": ("effects", "the catalogue of physical effects"),
-    "inject": ("simulate", "put a cause into a recording: would it be seen?"),
-    "diagnose": ("adjustment", "do recording and model agree; if not, where and why"),
-    "history": ("adjustment", "follow an instrument's parameters over calibrations"),
-    "plan": ("plan", "find a layout of stations and reflectors, or what to measure next"),
-    "report": ("view", "one page that opens offline, about any folder of results"),
-    "uncertainty": ("check", "what a task on a recording is worth: budget, verdict"),
-    "accept": ("check", "acceptance tests of a tracker: predicted, or judged"),
+    "inject": ("simulate", "add the effect of a fault to a recording; test whether it is detected"),
+    "diagnose": ("adjustment", "test whether recording and model agree; locate and name what does not"),
+    "history": ("adjustment", "an instrument's parameters over several calibrations"),
+    "plan": ("plan", "plan stations and reflectors, or the next measurement"),
+    "report": ("view", "write one offline page about a folder of results"),
+    "uncertainty": ("check", "uncertainty of lengths, circles, poses: budget and verdict"),
+    "accept": ("check", "acceptance tests of a tracker: predicted or evaluated"),
     "bench": ("check", "a reflector's range error against incidence from its bench test"),
     "view": ("view", "show the workshop in 3D"),
 }
-"""The module of each verb, and its line in the help."""
+"""Module and line of help of each verb."""
 SETTINGS: dict[str, Any] = {
     "pretty_exceptions_enable": False,
     "rich_markup_mode": None,
@@ -60,24 +60,24 @@ SETTINGS: dict[str, Any] = {
 
 
 def verb_of(name: str) -> Callable[..., Any]:
-    """The function of a verb; its module is imported when it is used."""
+    """Function of a verb; its module is imported on first use."""
     function: Callable[..., Any] = getattr(import_module(f"ltsim.cli.{VERBS[name][0]}"), name)
     return function
 
 
 class Verbs(TyperGroup):
-    """The verbs, each imported when it is used: help and light verbs need not wait for the heavy ones."""
+    """Group of verbs that are imported on first use, so that help and light verbs start fast."""
 
     def __init__(self, **settings: Any) -> None:
         super().__init__(**settings)
         self.commands = dict.fromkeys(VERBS)  # type: ignore[assignment]  # names to suggest; `get_command` loads
 
     def list_commands(self, ctx: Any) -> list[str]:
-        """Names in the order of the help."""
+        """Names of the verbs in the order of the help."""
         return list(VERBS)
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """The verb's command; None for a name that is no verb."""
+        """Command of a verb; None for an unknown name."""
         if cmd_name not in VERBS:
             return None
         verb = typer.Typer(add_completion=False, **SETTINGS)
@@ -85,7 +85,7 @@ class Verbs(TyperGroup):
         return typer.main.get_command(verb)
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
-        """A line a verb."""
+        """Write one line per verb."""
         with formatter.section("Commands"):
             formatter.write_dl([(name, about) for name, (_, about) in VERBS.items()])
 
@@ -113,9 +113,9 @@ def ltsim(version: Version = False) -> None:
 
 
 def run(arguments: Sequence[str]) -> int:
-    """Run the command with `arguments`; the exit status.
+    """Exit status of the command, run with `arguments`.
 
-    0 done, 1 a check failed, 2 bad input or bad usage (one sentence on standard error), 70 a fault of ltsim itself
+    0 done, 1 a check failed, 2 bad input or bad usage (one sentence on standard error), 70 an internal error
     (with a traceback), 130 interrupted.
     """
     try:
@@ -129,7 +129,7 @@ def run(arguments: Sequence[str]) -> int:
     except LtsimError as problem:
         return _refuse(str(problem))
     except (BrokenPipeError, SystemExit):
-        # The reader of the pipe has gone (`| head`); Typer leaves for that reason only.
+        # The reader of the pipe has closed it (`| head`); Typer exits for that reason only.
         streams.drop(sys.stdout)
         return 0
     except (KeyboardInterrupt, typer.Abort):
@@ -140,19 +140,19 @@ def run(arguments: Sequence[str]) -> int:
     return _interrupted() if status == INTERRUPTED else status if isinstance(status, int) else 0
 
 
-def _interrupted(kept: str = "nothing half-written was left") -> int:
-    streams.write(f"interrupted; {kept}", sys.stderr)
+def _interrupted(remark: str = "no partial file remains") -> int:
+    streams.write(f"interrupted; {remark}", sys.stderr)
     return INTERRUPTED
 
 
 def _failed(problem: Exception) -> int:
-    """Internal error, which no input should bring about but for a disk that is full."""
+    """Exit status of an internal error, or of output that cannot be written, such as to a full disk."""
     if isinstance(problem, OSError) and problem.errno in UNWRITABLE:
         streams.drop(sys.stdout)
         return _refuse(f"{problem.filename or 'the output'} cannot be written ({problem.strerror})")
     streams.write("".join(traceback.format_exception(problem)).rstrip(), sys.stderr)
-    words = "the memory is not enough for this" if isinstance(problem, MemoryError) else "a fault of ltsim itself"
-    streams.write(f"error: {words} ({type(problem).__name__}); please report it with the lines above", sys.stderr)
+    cause = "the memory is not sufficient" if isinstance(problem, MemoryError) else "internal error of ltsim"
+    streams.write(f"error: {cause} ({type(problem).__name__}); please report it with the lines above", sys.stderr)
     return UNEXPECTED
 
 
@@ -172,7 +172,7 @@ def _refuse(message: str) -> int:
 def main() -> None:
     """Entry point of the installed command."""
     streams.prepare()
-    gc.set_threshold(50_000, 10, 10)  # what is loaded and drawn stays: a tenth of a page's time looked for rings in it
+    gc.set_threshold(50_000, 10, 10)  # collecting garbage took a tenth of the time of a page
     status = run(sys.argv[1:])
     streams.flush()
     sys.exit(status)

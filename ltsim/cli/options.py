@@ -1,4 +1,4 @@
-"""Arguments and options that several verbs share, in groups too, and those that a public function declares."""
+"""Options that several verbs share, and options made from the parameters of public functions."""
 
 from __future__ import annotations
 
@@ -30,17 +30,18 @@ _IN_FILE = typer.Option("--calibration", metavar="FILE", help="A calibration.jso
 CalibrationFile = Annotated[Path, _IN_FILE]
 OptionalCalibrationFile = Annotated[Path | None, _IN_FILE]
 Jobs = Annotated[
-    int, typer.Option("--jobs", "-j", min=1, max=MOST_JOBS, help="Processes to work with; the result is the same.")
+    int,
+    typer.Option("--jobs", "-j", min=1, max=MOST_JOBS, help="Number of processes; the result does not depend on it."),
 ]
 FormatName = Annotated[
-    str | None, typer.Option("--format", metavar="NAME", help="Format of REC, where its content does not tell.")
+    str | None, typer.Option("--format", metavar="NAME", help="Format of REC; default by its content.")
 ]
 HintList = Annotated[
     list[str] | None,
     typer.Option(
         "--hint",
         metavar="KEY=VALUE",
-        help="What an ambiguous file means: angle=gon, vertical=zenith, azimuth=clockwise, length=m, date=dmy, "
+        help="Interpretation of an ambiguous file: angle=gon, vertical=zenith, azimuth=clockwise, length=m, date=dmy, "
         "points=FILE, setup=FILE, station=NAME.",
     ),
 ]
@@ -49,7 +50,7 @@ ColumnMap = Annotated[
     typer.Option(
         "--columns",
         metavar="ROLE=HEADER[UNIT],...",
-        help='What the columns of a table hold, e.g. "target=Name,azimuth=Hz[gon],zenith=V[gon],distance=D[m]".',
+        help='Roles of the columns of a table, e.g. "target=Name,azimuth=Hz[gon],zenith=V[gon],distance=D[m]".',
     ),
 ]
 FrameFile = Annotated[
@@ -68,18 +69,18 @@ ControlFile = Annotated[
         "--control",
         metavar="FILE",
         help="Control points with weight: a table target, x_mm, y_mm, z_mm and sigma_mm (or sigma_x_mm, sigma_y_mm, "
-        "sigma_z_mm); an empty coordinate is not known. One that the readings contradict is named and left out.",
+        "sigma_z_mm); an empty coordinate is unknown. A point that the readings contradict is reported and not used.",
     ),
 ]
 
 
 def names_of(listed: str | None) -> tuple[str, ...] | None:
-    """Names from a list with commas; None for none."""
+    """Names from a comma-separated list; None for None."""
     return None if listed is None else tuple(dict.fromkeys(n.strip() for n in listed.split(",") if n.strip()))
 
 
 def hints_of(pairs: list[str] | None, columns: str | None = None, *, growing: bool = False) -> Hints:
-    """Hints from `KEY=VALUE` texts; raises RecordError when a key or a value is not known."""
+    """Hints from `KEY=VALUE` texts; raises RecordError for an invalid key or value."""
     from ltsim.recordings import Hints
 
     given: dict[str, Any] = {}
@@ -97,29 +98,29 @@ def hints_of(pairs: list[str] | None, columns: str | None = None, *, growing: bo
 
 @dataclass(frozen=True)
 class ReadingOptions:
-    """Options for reading a recording whose content does not identify its format."""
+    """Options for reading a recording."""
 
     format_name: FormatName = None
     hint: HintList = None
     columns: ColumnMap = None
 
     def of(self, path: Path, *, growing: bool = False) -> Recording:
-        """The recording, perhaps while it is being written; raises RecordError."""
+        """The recording at `path`, which may still be `growing`; raises RecordError."""
         from ltsim.recordings import read
 
         return read(path, format=self.format_name, hints=hints_of(self.hint, self.columns, growing=growing))
 
     def open(self, path: Path, terminal: Terminal) -> Recording:
-        """The recording, with what its reader decided and its size said; raises RecordError."""
-        found = self.of(path)
-        terminal.notes(found.notes)
-        terminal.say(found.headline)
-        return found
+        """The recording at `path`; its notes and its size are printed; raises RecordError."""
+        recording = self.of(path)
+        terminal.notes(recording.notes)
+        terminal.say(recording.headline)
+        return recording
 
 
 @dataclass(frozen=True)
 class ControlledReading(ReadingOptions):
-    """The same, with control points."""
+    """Options for reading a recording with control points."""
 
     control: ControlFile = None
 
@@ -135,7 +136,7 @@ class ControlledReading(ReadingOptions):
 
 @dataclass(frozen=True)
 class FramedReading(ControlledReading):
-    """The same, with the axes of the results."""
+    """Options for reading a recording with control points and the axes of the results."""
 
     frame: FrameFile = None
 
@@ -146,23 +147,25 @@ class FramedReading(ControlledReading):
 
 
 def command_of(name: str, verb: Callable[..., Any]) -> Callable[..., Any]:
-    """A verb as Typer wants it: groups of options spread out, `**options` replaced by those of public functions.
+    """Function for Typer: groups of options expanded, `**options` replaced by parameters of public functions.
 
-    These are the options of `lt.NAME`, or of the functions that the annotation of `**options` names, each perhaps
-    followed by the options to take of it; what the verb declares itself is not taken.
+    These are the parameters of `lt.NAME`, or of the functions in the annotation of `**options`, each optionally
+    followed by the parameters to use; parameters that the verb declares itself are skipped.
     """
     hints = get_type_hints(verb, include_extras=True)
     groups: dict[str, Any] = {key: group for key, group in hints.items() if is_dataclass(group)}
-    own = inspect.signature(verb).parameters
+    declared = inspect.signature(verb).parameters
     single: list[inspect.Parameter] = []
-    taken: list[Public] = []
-    for key, parameter in own.items():
+    taken: list[FunctionOption] = []
+    for key, parameter in declared.items():
         if key in groups:
             kinds = get_type_hints(groups[key], include_extras=True)
             single += [_option(f.name, kinds[f.name], f.default) for f in fields(groups[key])]
         elif parameter.kind is parameter.VAR_KEYWORD:
             sources = [text.split() for text in get_args(hints[key])[1:]] or [[name]]
-            taken = [o for source, *wanted in sources for o in public_options(source, wanted) if o.name not in own]
+            taken = [
+                o for source, *wanted in sources for o in function_options(source, wanted) if o.name not in declared
+            ]
         else:
             single.append(_option(key, hints[key], parameter.default))
     outputs = list(_outputs(single))
@@ -173,7 +176,7 @@ def command_of(name: str, verb: Callable[..., Any]) -> Callable[..., Any]:
         places = ((flag, given[name], output) for name, flag, output in outputs if given[name] is not None)
         check_outputs(places, force=given.get("force", False))
         if given.get("as_json") and streams.output_is_closed():
-            raise SetupError("--json prints to standard output, which is closed; open it, or leave --json out")
+            raise SetupError("--json prints to standard output, which is closed; open it, or omit --json")
         for key, group in groups.items():
             given[key] = group(**{f.name: given.pop(f.name) for f in fields(group)})
         return verb(**given | {option.name: option.value(given[option.name]) for option in taken})
@@ -185,7 +188,7 @@ def command_of(name: str, verb: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _outputs(options: list[inspect.Parameter]) -> Iterator[tuple[str, str, OutputPlace]]:
-    """Options and arguments that name a place to write to: name, spelling and mark."""
+    """Options and arguments for outputs: name, spelling and annotation."""
     for option in options:
         marks: list[Any] = [mark for mark in get_args(option.annotation)[1:] if isinstance(mark, OutputPlace)]
         if marks:
@@ -198,10 +201,10 @@ def _option(name: str, kind: Any, default: Any) -> inspect.Parameter:
     return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=kind)
 
 
-PROGRAMS = ("advise", "again", "geometry", "about", "format", "hints", "follower")
-"""Parameters that only a program gives, or that their verb reads in its own way."""
+PYTHON_ONLY = ("advise", "again", "geometry", "about", "format", "hints", "follower")
+"""Parameters of public functions that are not made into options."""
 LARGEST = 1e12
-"""Largest number in an option that is a mapping, as in a table."""
+"""Largest magnitude of a number in an option that is a mapping."""
 SHORT = {"trials": "-n", "jobs": "-j"}
 METAVARS = {"prior": "FILE|none", "with_effects": "EFFECT[:WHERE,...]", "calibrator": "'CMD {recording} {out}'"}
 
@@ -214,7 +217,7 @@ def _number(text: str) -> float:
 
 
 def _toml(text: str) -> Any:
-    """A value as in a file; what is no value there is a text."""
+    """A TOML value; text that is not valid TOML is returned as it is."""
     try:
         return tomllib.loads(f"value = {text}")["value"]
     except tomllib.TOMLDecodeError:
@@ -228,7 +231,7 @@ def _place(text: str) -> tuple[float, ...]:
     return place
 
 
-PAIRS: dict[str, tuple[str, str, Callable[[str], Any]]] = {
+MAPPINGS: dict[str, tuple[str, str, Callable[[str], Any]]] = {
     "hold": ("NAME=VALUE", "NAME=VALUE with a number, e.g. beam-tilt=2.5", _number),
     "tolerance": ("NAME=QUANTITY", "NAME=QUANTITY, such as beam-tilt='2 urad'", lambda text: text.strip("'\"")),
     "changes": ("KEY=VALUE", "KEY=VALUE, such as work.faces=2", _toml),
@@ -238,46 +241,46 @@ PAIRS: dict[str, tuple[str, str, Callable[[str], Any]]] = {
         _place,
     ),
 }
-"""Options that are mappings: how they are written, what is said of a wrong one, how a value is read."""
+"""Options that are mappings: metavar, text for the error message, parser of a value."""
 
 
 @dataclass(frozen=True)
-class Public:
-    """A parameter of a public function as an option: its default from the signature, its help from the docstring."""
+class FunctionOption:
+    """Parameter of a public function as an option: default from its signature, help from its docstring."""
 
     name: str
     kind: str
     default: Any
     help: str
     of: str
-    """Its type in words, where the docstring says more than the signature."""
+    """Type in the docstring, which may list choices."""
 
     @property
     def choices(self) -> list[str]:
-        """Allowed values, where the docstring lists them: {`mm`, `m`}."""
+        """Allowed values, if the docstring lists them: {`mm`, `m`}."""
         return re.findall(r"`([^`]+)`", self.of) if self.of.startswith("{") else []
 
     @property
     def flag(self) -> str:
-        """Flag of the command line: `--noise-from-data`."""
+        """Flag on the command line: `--noise-from-data`."""
         return SPECIAL.get(self.name, "--set" if self.name == "changes" else "--" + self.name.replace("_", "-"))
 
     @property
     def several(self) -> bool:
-        """True where the option can be repeated; a list of names is written with commas."""
-        return self.name in PAIRS or "Effect" in self.kind or self.kind.startswith("Sequence")
+        """True if the option can be repeated."""
+        return self.name in MAPPINGS or "Effect" in self.kind or self.kind.startswith("Sequence")
 
     @property
     def names(self) -> bool:
-        """True where the value is a list of names with commas."""
+        """True if the value is a comma-separated list of names."""
         return not self.several and "Sequence[str]" in self.kind
 
     @property
     def parameter(self) -> inspect.Parameter:
-        """Parameter of the command for Typer."""
+        """The option as a parameter for Typer."""
         words = [self.flag, *([SHORT[self.name]] if self.name in SHORT else [])]
         kind: Any = float if "float" in self.kind else int if "int" in self.kind else str
-        metavar = PAIRS[self.name][0] if self.name in PAIRS else METAVARS.get(self.name)
+        metavar = MAPPINGS[self.name][0] if self.name in MAPPINGS else METAVARS.get(self.name)
         if self.kind.startswith("bool"):
             kind = bool
             words = words if self.default is False else [f"{self.flag}/--no-{self.flag[2:]}"]
@@ -297,21 +300,21 @@ class Public:
         return _option(self.name, Annotated[kind, option], default)
 
     def value(self, given: Any) -> Any:
-        """Argument of the function from the value on the command line; raises SetupError where that cannot be read."""
+        """Argument of the function from the value on the command line; raises SetupError for an invalid value."""
         if given is None or given == []:
             return self.default
         if self.name in BOUNDS:
             check_bounds(**{self.name: given})
         if self.choices:
             check_choice(self.name, given, self.choices)
-        if self.name in PAIRS:
+        if self.name in MAPPINGS:
             return dict(self._pair(text) for text in given)
         if self.names:
             return names_of(given)
         return tuple(given) if self.several else given
 
     def _pair(self, text: str) -> tuple[str, Any]:
-        _, form, read = PAIRS[self.name]
+        _, form, read = MAPPINGS[self.name]
         key, _, value = (part.strip() for part in text.partition("="))
         try:
             if key and value:
@@ -321,31 +324,31 @@ class Public:
         raise SetupError(f"{self.flag} {text}: expected {form}")
 
 
-def public_options(function: str, wanted: list[str]) -> list[Public]:
-    """The keyword parameters of a public function, or the wanted ones.
+def function_options(function: str, wanted: list[str]) -> list[FunctionOption]:
+    """Keyword parameters of a public function, or the `wanted` ones.
 
-    Its source is read, not imported: help need not wait for what the function needs.
+    The source is parsed, not imported, so that help is fast.
     """
     tree = ast.parse((Path(lt.__file__).parent / f"{lt._HOME[function].replace('.', '/')}.py").read_text("utf-8"))
     node = next(n for n in tree.body if isinstance(n, ast.FunctionDef) and n.name == function)
     meanings = dict(_meanings(inspect.cleandoc(ast.get_docstring(node) or "")))
     named = {ast.unparse(n.targets[0]): n.value for n in tree.body if isinstance(n, ast.Assign)}
-    found = []
-    for argument, stated in zip(node.args.kwonlyargs, node.args.kw_defaults, strict=True):
+    options = []
+    for argument, default in zip(node.args.kwonlyargs, node.args.kw_defaults, strict=True):
         name, kind = argument.arg, ast.unparse(argument.annotation or ast.Constant("str"))
-        value = named.get(stated.id) if isinstance(stated, ast.Name) else stated
-        if (wanted and name not in wanted) or name in PROGRAMS or not isinstance(value, ast.Constant | ast.Tuple):
+        value = named.get(default.id) if isinstance(default, ast.Name) else default
+        if (wanted and name not in wanted) or name in PYTHON_ONLY or not isinstance(value, ast.Constant | ast.Tuple):
             continue
         of, text = meanings[name]
         if other := re.search(r"[Aa]s of `(\w+)`", text):
-            like = {option.name: option for option in public_options(other[1], [name])}
+            like = {option.name: option for option in function_options(other[1], [name])}
             of, text = like[name].of, like[name].help
-        found.append(Public(name, kind, ast.literal_eval(value), text.replace("`", ""), of))
-    return found
+        options.append(FunctionOption(name, kind, ast.literal_eval(value), text.replace("`", ""), of))
+    return options
 
 
 def _meanings(docstring: str) -> Iterator[tuple[str, tuple[str, str]]]:
-    """Names of parameters, each with its type and its text, of a docstring as numpy writes it."""
+    """Names of the parameters in a numpy docstring, each with its type and text."""
     section = re.search(r"Parameters\n-+\n(.*?)(?:\n\n\S[^\n]*\n-+\n|\Z)", docstring, re.DOTALL)
     entries = re.split(r"\n(?=\S)", section[1]) if section else []
     for entry in entries:
@@ -356,7 +359,7 @@ def _meanings(docstring: str) -> Iterator[tuple[str, tuple[str, str]]]:
 
 
 def in_axes(recording: Recording, frame: Path) -> Recording:
-    """The recording with its datum in the axes of a file or a built-in scenario; raises RecordError or SetupError."""
+    """The recording with its datum in the axes of a file or of a built-in scenario; raises RecordError, SetupError."""
     from ltsim.adjustment.axes import in_axes_of_points, in_axes_of_three
     from ltsim.recordings.coordinates import read_points
     from ltsim.recordings.settings import read_toml

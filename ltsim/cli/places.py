@@ -1,8 +1,8 @@
-"""Places that a verb writes to, checked before it begins: whether they can be written, and what they would replace.
+"""Output files and folders, checked before a verb begins: write permission, and files that would be replaced.
 
-Without --force a verb writes to a folder that is new, empty or ltsim's own, and there over nothing but what the verb
-wrote itself and nobody changed. An option or argument that names such a place has an `OutputPlace` in its annotation;
-`command_of` applies its rule before it calls the verb.
+Without --force a verb writes only to a folder that is new, empty or written by ltsim, and replaces only unmodified
+files of the same verb. An option or argument for an output has an `OutputPlace` in its annotation; `command_of` applies
+its rule before it calls the verb.
 """
 
 from __future__ import annotations
@@ -26,49 +26,53 @@ from ltsim.core.storage import is_device, place_in, settle
 if TYPE_CHECKING:
     from ltsim.recordings.result_file import ResultFile
 
-Force = Annotated[bool, typer.Option("--force", help="Replace what is there, also what this command did not write.")]
+Force = Annotated[
+    bool, typer.Option("--force", help="Replace existing files, also those that this command did not write.")
+]
 GENERATOR = '<meta name="generator" content="ltsim'
-"""Mark of a page that can be made again."""
+"""Text by which a page written by ltsim is recognised."""
 HEAD = 4096
-OWN = re.compile(rf'"?format"? ?[:=] ?"ltsim-|{re.escape(GENERATOR)}')
-"""Mark at the beginning of a file that ltsim wrote, or that a person wrote for it."""
+"""Bytes of a file that are searched for the mark of ltsim."""
+LTSIM_FILE = re.compile(rf'"?format"? ?[:=] ?"ltsim-|{re.escape(GENERATOR)}')
+"""Pattern at the beginning of a file of ltsim, written by it or for it."""
 
 
 @dataclass(frozen=True)
 class OutputPlace:
-    """Mark of an option or argument that names a place to write to."""
+    """Annotation of an option or argument that names an output file or folder."""
 
     rule: Callable[[Path, bool], None]
-    """Raises RecordError where the place cannot be written, or, without `force`, would replace something else."""
+    """Function (path, force) that raises RecordError if the output cannot be written or, without `force`, would replace
+    another file."""
 
 
 def check_outputs(outputs: Iterable[tuple[str, Path, OutputPlace]], *, force: bool) -> None:
-    """Apply the rules of options, by name; raises RecordError, and SetupError for two that name the same place."""
+    """Apply the rules of the outputs; raises RecordError, and SetupError for two options with the same path."""
     names: dict[str, str] = {}
     for name, path, output in outputs:
         output.rule(path, force)
         place = os.path.realpath(path)
         if place in names and not is_device(path):
-            raise SetupError(f"{names[place]} and {name} both name {path}; each needs a place of its own")
+            raise SetupError(f"{names[place]} and {name} both name {path}; choose different paths")
         names[place] = name
     for place, name in names.items():
         folder = str(Path(place).parent)
         if folder in names and Path(place).name in _names_of_results():
-            raise SetupError(f"{name} names {place}, which {names[folder]} may write; give another name")
+            raise SetupError(f"{name} names {place}, which {names[folder]} may write; choose another name")
 
 
 def _names_of_results() -> set[str]:
-    """Names that verbs give to files of their own choice; a truth is named by its option."""
+    """Fixed names of result files; the name of a truth is an option."""
     from ltsim.recordings.native import OBSERVATIONS
     from ltsim.reports.schemas import FILES, TABLES
 
     truth = "truth.json"
-    tables = {table.file for file, beside in TABLES.items() if file != truth for table in beside}
+    tables = {table.file for file, companions in TABLES.items() if file != truth for table in companions}
     return {OBSERVATIONS, *FILES, *tables} - {truth}
 
 
 def check_writable(path: Path, *, folder: bool) -> None:
-    """Raise RecordError where no file, or no `folder`, can be written at a path; folders above it may be missing."""
+    """Raise RecordError if no file, or no `folder`, can be written at a path; parent folders may be missing."""
     try:
         if path.is_dir() != folder and path.exists():
             wrong = "this is a file, expected a folder" if folder else "this is a folder, expected a file"
@@ -92,13 +96,13 @@ def check_writable(path: Path, *, folder: bool) -> None:
         place_in(path.parent, path.name)
 
 
-def claim(
+def check_overwrite(
     folder: Path | None,
     model: type[ResultFile],
     names: Iterable[str] = (),
     *,
     force: bool,
-    own: Callable[[Any], bool] = lambda found: True,
+    same_verb: Callable[[Any], bool] = lambda result: True,
 ) -> None:
     """Make sure that a result and the files beside it replace nothing but an older result of the same verb.
 
@@ -111,26 +115,26 @@ def claim(
     taken = _taken(folder, (model.FILE, *names))
     if force:
         return
-    if taken and not _is_own(folder, model, taken, own):
+    if taken and not _is_replaceable(folder, model, taken, same_verb):
         _refuse(folder, taken)
     _refuse_foreign(folder)
 
 
-def _is_own(folder: Path, model: type[ResultFile], taken: list[str], own: Callable[[Any], bool]) -> bool:
+def _is_replaceable(folder: Path, model: type[ResultFile], taken: list[str], same_verb: Callable[[Any], bool]) -> bool:
     from ltsim.recordings.result_file import read_result
 
     try:
-        found = read_result(folder, model)
-        written = bool(found.files or found.recording) and own(found)
-        return written and all(found.owns(folder, name) for name in taken if name != model.FILE)
+        result = read_result(folder, model)
+        written = bool(result.files or result.recording) and same_verb(result)
+        return written and all(result.owns(folder, name) for name in taken if name != model.FILE)
     except RecordError:
         return False
 
 
 def _taken(folder: Path, names: Iterable[str]) -> list[str]:
-    """Names in a folder that are there already; raises RecordError where one cannot be written.
+    """Names of existing files; raises RecordError if one cannot be written.
 
-    What a killed process had begun to write is finished, and counts for nothing: nobody was told of it.
+    Interrupted writes of a killed process are completed and not counted, since they were never reported.
     """
     check_writable(folder, folder=True)
     finished = settle(folder) if folder.is_dir() else set()
@@ -139,8 +143,8 @@ def _taken(folder: Path, names: Iterable[str]) -> list[str]:
     return [name for name in names if os.path.lexists(folder / name) and name not in finished]
 
 
-def claim_recording(folder: Path, force: bool) -> None:
-    """Make sure that a recording replaces none and lies among nothing foreign; raises RecordError."""
+def check_recording(folder: Path, force: bool) -> None:
+    """Raise RecordError if a recording would replace another one or lie among files of others."""
     from ltsim.recordings.native import OBSERVATIONS, SETUP
 
     taken = _taken(folder, (OBSERVATIONS, SETUP))
@@ -151,8 +155,8 @@ def claim_recording(folder: Path, force: bool) -> None:
     _refuse_foreign(folder)
 
 
-def claim_empty(folder: Path, force: bool) -> None:
-    """Make sure that a folder for many results is new or empty; raises RecordError."""
+def check_empty(folder: Path, force: bool) -> None:
+    """Raise RecordError unless the folder is new or empty."""
     check_writable(folder, folder=True)
     if folder.is_dir() and not force:
         taken = sorted(p.name for p in folder.iterdir())
@@ -160,8 +164,8 @@ def claim_empty(folder: Path, force: bool) -> None:
             _refuse(folder, taken)
 
 
-def claim_file(file: Path, force: bool) -> None:
-    """Make sure that a file replaces none, but for a page that ltsim made; raises RecordError."""
+def check_file(file: Path, force: bool) -> None:
+    """Raise RecordError if a file exists, except for a page that ltsim wrote."""
     check_writable(file, folder=False)
     if force or not os.path.lexists(file) or is_device(file):
         return
@@ -169,48 +173,48 @@ def claim_file(file: Path, force: bool) -> None:
         with file.open("rb") as stream:
             if GENERATOR.encode() in stream.read(HEAD):
                 return
-    raise RecordError("is there already; give another name, or replace it with --force", file=file)
+    raise RecordError("exists already; choose another name, or replace it with --force", file=file)
 
 
 def _refuse_foreign(folder: Path) -> None:
-    """Raise RecordError where a folder holds files that no command of ltsim wrote; hidden ones and folders aside."""
+    """Raise RecordError if a folder holds files that ltsim did not write; hidden files and folders are ignored."""
     from ltsim.recordings.native import OBSERVATIONS, SETUP
 
     files = [p for p in folder.iterdir() if not (p.name.startswith(".") or p.is_dir())] if folder.is_dir() else []
-    own = {OBSERVATIONS, SETUP}.union(*map(_answered_for, files))
-    foreign = sorted({p.name for p in files} - own)
+    written = {OBSERVATIONS, SETUP}.union(*map(_answered_for, files))
+    foreign = sorted({p.name for p in files} - written)
     if foreign:
         raise RecordError(
-            f"holds {listing(foreign, 3)}, which ltsim did not write: it is somebody's own folder; "
-            "name another place, or write into it with --force",
+            f"the folder contains {listing(foreign, 3)}, which ltsim did not create; "
+            "choose another folder, or use --force",
             file=folder,
         )
 
 
 def _answered_for(file: Path) -> set[str]:
-    """A file that says it is ltsim's, with those that it says were written beside it."""
+    """Names of a file of ltsim and of the companion files that it lists; empty for another file."""
     from ltsim.recordings.result_file import read_json
 
     try:
         with file.open("rb") as stream:
-            if not OWN.search(stream.read(HEAD).decode("latin-1")):
+            if not LTSIM_FILE.search(stream.read(HEAD).decode("latin-1")):
                 return set()
-        beside = read_json(file, "result").get("files") if file.suffix == ".json" else None
+        companions = read_json(file, "result").get("files") if file.suffix == ".json" else None
     except (OSError, RecordError):
         return set()
-    return {file.name, *(beside if isinstance(beside, dict) else ())}
+    return {file.name, *(companions if isinstance(companions, dict) else ())}
 
 
 def _refuse(folder: Path, taken: list[str]) -> None:
     raise RecordError(
-        f"holds {listing(taken, 3)}, which this command did not write or which was changed since; "
-        "name another place, or replace them with --force",
+        f"the folder contains {listing(taken, 3)}, which this command did not write or which was changed since; "
+        "choose another folder, or use --force",
         file=folder,
     )
 
 
-FILE, RECORDING, EMPTY = OutputPlace(claim_file), OutputPlace(claim_recording), OutputPlace(claim_empty)
+FILE, RECORDING, EMPTY = OutputPlace(check_file), OutputPlace(check_recording), OutputPlace(check_empty)
 FOLDER = OutputPlace(lambda folder, force: check_writable(folder, folder=True))
-"""A folder whose verb knows which files it replaces there, and claims them."""
+"""Output folder whose verb checks the files that it replaces."""
 ANYWHERE = OutputPlace(lambda path, force: check_writable(path, folder=path.is_dir()))
-"""A file or a folder, as other options say."""
+"""Output file or folder, depending on other options."""

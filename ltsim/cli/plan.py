@@ -1,4 +1,4 @@
-"""`ltsim plan`: where to put the tripod, and what to measure next."""
+"""Command `plan`: layouts of stations and reflectors, and the next measurement."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import typer
 
 import ltsim as lt
 from ltsim.cli.options import Jobs, ReadingOptions
-from ltsim.cli.places import FOLDER, Force, claim
+from ltsim.cli.places import FOLDER, Force, check_overwrite
 from ltsim.cli.terminal import Terminal
 from ltsim.core.errors import RecordError, SetupError
 
@@ -31,18 +31,21 @@ PlanOut = Annotated[
     typer.Option("--out", metavar="DIR", help="Folder to write to; default plan-NAME, none with --json."),
     FOLDER,
 ]
-Show = Annotated[bool, typer.Option("--show", help="Print a built-in plan as a file to edit, and do nothing else.")]
+Show = Annotated[bool, typer.Option("--show", help="Print a built-in plan as a file to edit, and stop.")]
 After = Annotated[
     Path | None, typer.Option("--after", metavar="REC", help="Rank further measurements after this recording.")
 ]
 Between = Annotated[
     str | None,
     typer.Option(
-        "--between", metavar="A,B", help="With --after: effects to decide between; default what a diagnosis left open."
+        "--between", metavar="A,B", help="With --after: effects to discriminate; default from a diagnosis of REC."
     ),
 ]
 Without = Annotated[
-    str | None, typer.Option("--without", metavar="STATION", help="Other places for a station, the others as they are.")
+    str | None,
+    typer.Option(
+        "--without", metavar="STATION", help="List other places for a station, with the other stations fixed."
+    ),
 ]
 SO_FAR = "best-so-far.toml"
 FLOOR, TRADE_OFF, PAGE = "floor.png", "tradeoff.png", "work-order.html"
@@ -62,13 +65,13 @@ def plan(
     terminal: Terminal,
     **options: Any,
 ) -> None:
-    """Find a layout of stations and reflectors and say why; or, with --after, what to measure next.
+    """Find a layout of stations and reflectors, with reasons; or, with --after, the next measurement.
 
-    Writes plan.json, stations.csv (where the tripod goes), reflectors.csv, tradeoff.csv, scenario.toml for
+    Writes plan.json, stations.csv (places of the tripod), reflectors.csv, tradeoff.csv, scenario.toml for
     `ltsim simulate`, work-order.html for the shop floor, nominals.csv and work-order.csv for the tracker's software,
-    and the pictures floor.png and tradeoff.png. Ctrl-C ends the search and keeps the best layout so far, which stands
-    in best-so-far.toml while it goes on. FILE may be the folder of a plan: --without and --move ask what its layout is
-    worth with one station elsewhere.
+    and the pictures floor.png and tradeoff.png. Ctrl-C ends the search with the best layout so far; during the search
+    that layout is in best-so-far.toml. FILE may be the folder of a plan: --without and --move evaluate its layout with
+    one station elsewhere.
 
     Example: ltsim plan paper-workshop --out my-plan
     """
@@ -78,24 +81,28 @@ def plan(
 
     if after is not None:
         if source is not None:
-            raise SetupError("ltsim plan takes either FILE or --after REC, not both")
-        claim(out, NextFile, (NEXT.file,), force=force)
+            raise SetupError("ltsim plan needs either FILE or --after REC, not both")
+        check_overwrite(out, NextFile, (NEXT.file,), force=force)
         return _after(terminal, reading.of(after), _explanations(between), out)
     if between is not None:
-        raise SetupError("--between goes with --after REC: it needs a recording whose two explanations it names")
+        raise SetupError("--between needs --after REC, the recording that has several explanations")
     if source is None:
-        raise SetupError(f"ltsim plan needs a plan: a file, or a built-in one ({', '.join(plan_names())})")
+        raise SetupError(f"ltsim plan needs FILE, a plan file or a built-in plan ({', '.join(plan_names())})")
     if show:
         terminal.show(plan_text(source))
         return None
     changes = options.pop("move")
     if without is not None and (changes or out is not None):
-        raise SetupError("--without lists places for a station; judge one of them with --move, which takes --out")
+        raise SetupError(
+            "--without lists places for a station and takes neither --move nor --out; use --move to evaluate a place"
+        )
     if without is not None:
         return _show_places(terminal, source, lt.without_station(source, without))
     nowhere = terminal.as_json or bool(changes)
     folder = out if out is not None or nowhere else Path(f"plan-{Path(source).stem}")
-    claim(folder, PlanResult, (*(table.file for table in TABLES), "scenario.toml", FLOOR, TRADE_OFF, PAGE), force=force)
+    check_overwrite(
+        folder, PlanResult, (*(table.file for table in TABLES), "scenario.toml", FLOOR, TRADE_OFF, PAGE), force=force
+    )
     if changes:
         with terminal.progress("judging the layout"):
             made = lt.plan(source, move=changes)
@@ -104,13 +111,25 @@ def plan(
     return _write(terminal, made, folder)
 
 
-def _show_places(terminal: Terminal, source: str, found: Sequence[Alternative]) -> None:
-    terminal.answer([{"what": one.words, "verdict": one.verdict, "good": one.good, "move": one.move} for one in found])
-    for one in found:
-        terminal.say(f"- {one.words}: {one.verdict}.")
-    places = [one for one in found if one.move]
+def _show_places(terminal: Terminal, source: str, alternatives: Sequence[Alternative]) -> None:
+    terminal.answer(
+        [
+            {
+                "what": alternative.words,
+                "verdict": alternative.verdict,
+                "good": alternative.good,
+                "move": alternative.move,
+            }
+            for alternative in alternatives
+        ]
+    )
+    for alternative in alternatives:
+        terminal.say(f"- {alternative.words}: {alternative.verdict}.")
+    places = [alternative for alternative in alternatives if alternative.move]
     if not places:
-        terminal.say("No other place on the floor is allowed for it; widen the floor, or search with one station less.")
+        terminal.say(
+            "No other place is allowed for this station; enlarge the floor area, or search with one station less."
+        )
         return
     out = Path(f"{Path(source).stem}-moved")
     command = shlex.join(["ltsim", "plan", source, "--move", places[0].move, "--out", str(out)])
@@ -118,7 +137,7 @@ def _show_places(terminal: Terminal, source: str, found: Sequence[Alternative]) 
 
 
 def _searched(terminal: Terminal, source: str, folder: Path | None, how: dict[str, Any]) -> Plan:
-    """The plan that a search finds; the best layout so far is told and kept on the way."""
+    """The plan of a search; the best layout so far is printed and written during the search."""
     from ltsim.planning.files import opened, with_cad_beside, with_layout
     from ltsim.planning.making import Follower
     from ltsim.recordings.files import write_texts
@@ -131,14 +150,14 @@ def _searched(terminal: Terminal, source: str, folder: Path | None, how: dict[st
 
     def keep(survey: Survey) -> None:
         if folder is not None:
-            beside, cad = with_cad_beside(with_layout(scenario, survey))
+            stored, cad = with_cad_beside(with_layout(scenario, survey))
             try:
-                write_texts(folder, {**cad, SO_FAR: scenario_to_toml(beside)})
+                write_texts(folder, {**cad, SO_FAR: scenario_to_toml(stored)})
             except RecordError as problem:
-                terminal.note(f"the best layout so far is not kept: {problem}")
+                terminal.note(f"the best layout so far was not written: {problem}")
 
     with terminal.progress("searching layouts", 100) as advance:
-        made = lt.plan(source, **how, follower=Follower(_percent(advance), terminal.at_once, keep))
+        made = lt.plan(source, **how, follower=Follower(_percent(advance), terminal.print_now, keep))
     if folder is not None:
         (folder / SO_FAR).unlink(missing_ok=True)
     return made
@@ -151,12 +170,12 @@ def _write(terminal: Terminal, made: Plan, folder: Path | None) -> None:
         content = write_plan(made, folder, {} if folder is None else _drawn(made))
     terminal.result(content)
     if folder is not None:
-        terminal.say(f"\nwritten to {folder}: {PAGE} goes to the shop floor, nominals.csv to the tracker's software")
+        terminal.say(f"\nwritten to {folder}; {PAGE} is for the shop floor, nominals.csv for the tracker's software")
         terminal.say(f"for a page with pictures: ltsim report {folder}; in 3D: ltsim view {folder / 'scenario.toml'}")
 
 
 def _drawn(made: Plan) -> dict[str, bytes]:
-    """The page for the shop floor, the plan from above, and cost against quality."""
+    """Contents of the files with pictures: work order, floor plan, trade-off of time and quality."""
     from ltsim.reports.figures.parameters import trade_off
     from ltsim.reports.style import png
     from ltsim.reports.work_order import work_order_page
@@ -167,15 +186,15 @@ def _drawn(made: Plan) -> dict[str, bytes]:
 
 
 def _percent(advance: Any) -> Any:
-    """Turn shares of the work into steps of a bar of a hundred."""
+    """Progress callback that converts fractions into steps of a bar of 100."""
     done = 0
 
-    def tell(_what: str, share: float) -> None:
+    def report(_task: str, fraction: float) -> None:
         nonlocal done
-        advance(int(100 * share) - done)
-        done = int(100 * share)
+        advance(int(100 * fraction) - done)
+        done = int(100 * fraction)
 
-    return tell
+    return report
 
 
 def _explanations(between: str | None) -> tuple[str, ...]:
@@ -183,7 +202,9 @@ def _explanations(between: str | None) -> tuple[str, ...]:
         return ()
     names = tuple(name.strip() for name in between.split(","))
     if len(names) < 2 or not all(names) or len(set(names)) < len(names):
-        raise SetupError(f"--between {between}: expected different effects, such as range-step,station-weather")
+        raise SetupError(
+            f"--between is {between}, expected two or more different effects, such as range-step,station-weather"
+        )
     return names
 
 
@@ -195,20 +216,20 @@ def _after(terminal: Terminal, recording: Recording, between: tuple[str, ...], o
 
     terminal.say(recording.headline)
     summary = ""
-    beside: tuple[Signature, ...] = ()
+    modelled: tuple[Signature, ...] = ()
     if not between:
         with terminal.progress("diagnosing"):
-            found = lt.diagnose(recording)
-        summary = found.summary
+            diagnosis = lt.diagnose(recording)
+        summary = diagnosis.summary
         terminal.say(summary)
-        between, beside = open_question(found)
+        between, modelled = open_question(diagnosis)
     with terminal.progress("trying further measurements", 200) as advance:
-        tell: dict[str, Any] = {}
+        reports: dict[str, Any] = {}
         made = lt.next_measurement(
             recording,
             between=between,
-            with_effects=beside,
-            progress=lambda what, share: tell.setdefault(what, _percent(advance))(what, share),
+            with_effects=modelled,
+            progress=lambda task, fraction: reports.setdefault(task, _percent(advance))(task, fraction),
         )
     content = next_file(made, summary, SourceEntry.of(recording))
     if out is not None:

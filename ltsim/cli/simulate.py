@@ -1,4 +1,4 @@
-"""`ltsim simulate`, `inject`, `demo`: a recording from a scenario, a cause put into one, the main job end to end."""
+"""Commands `simulate`, `inject` and `demo`: a simulated recording, an injected effect, the main job end to end."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import typer
 import ltsim as lt
 from ltsim.campaigns import require_packages
 from ltsim.cli.options import FramedReading, Source
-from ltsim.cli.places import EMPTY, FILE, FOLDER, RECORDING, Force, claim_file, claim_recording
+from ltsim.cli.places import EMPTY, FILE, FOLDER, RECORDING, Force, check_file, check_recording
 from ltsim.cli.terminal import Terminal
 from ltsim.core.errors import ModelError, SetupError
 from ltsim.recordings.files import write_text, write_texts
@@ -28,15 +28,15 @@ ScenarioName = Annotated[
 ]
 Destination = Annotated[Path | None, typer.Option("--out", metavar="REC", help="Folder of the recording."), RECORDING]
 TruthFile = Annotated[
-    Path | None, typer.Option("--truth", metavar="FILE", help="File for the truth; no calibrator opens it."), FILE
+    Path | None, typer.Option("--truth", metavar="FILE", help="File for the truth, which no calibrator reads."), FILE
 ]
 NominalFile = Annotated[
     Path | None,
-    typer.Option("--nominal", metavar="FILE", help="File for the points of the measuring machine, for verify."),
+    typer.Option("--nominal", metavar="FILE", help="File for the nominal points, for ltsim verify."),
     FILE,
 ]
-OwnPlaces = Annotated[
-    bool, typer.Option("--per-trial", help="As in a campaign whose trials have places of their own (geometry).")
+PerTrial = Annotated[
+    bool, typer.Option("--per-trial", help="Draw stations and targets anew, as in a campaign with geometry per trial.")
 ]
 Show = Annotated[bool, typer.Option("--show", help="Print the scenario as a file to edit, and stop.")]
 Causes = Annotated[
@@ -44,17 +44,19 @@ Causes = Annotated[
     typer.Argument(
         metavar="EFFECT...",
         help="Effects of the catalogue, or laws as 'CARRIER ~ DRIVER', each with :STATION,TARGET,CONSTANT=VALUE,"
-        "PARAMETER=VALUE behind it; what is not said is drawn.",
+        "PARAMETER=VALUE; values that are not given are drawn.",
     ),
 ]
 Injected = Annotated[
     Path | None, typer.Option("--out", metavar="REC2", help="Folder of the recording, or of the curve."), FOLDER
 ]
 PutIn = Annotated[
-    Path | None, typer.Option("--truth", metavar="FILE", help="File for what was put in; no diagnosis opens it."), FILE
+    Path | None,
+    typer.Option("--truth", metavar="FILE", help="File for the injected values, which no diagnosis reads."),
+    FILE,
 ]
 Curve = Annotated[
-    bool, typer.Option("--curve", help="Inject it at six strengths and tell the share found, placed and named.")
+    bool, typer.Option("--curve", help="Inject it at six strengths; report the shares detected, located and named.")
 ]
 
 
@@ -63,14 +65,14 @@ def simulate(
     out: Destination = None,
     truth: TruthFile = None,
     nominal: NominalFile = None,
-    per_trial: OwnPlaces = False,
+    per_trial: PerTrial = False,
     show: Show = False,
     force: Force = False,
     *,
     terminal: Terminal,
     **options: Annotated[Any, "simulate seed trial"],
 ) -> None:
-    """Measure a virtual workshop once.
+    """Simulate one recording of a virtual workshop.
 
     Example: ltsim simulate paper-workshop --out my-recording --truth truth.json --seed 7
     """
@@ -78,7 +80,7 @@ def simulate(
         terminal.show(_whole(scenario))
         return
     if out is None:
-        raise SetupError("give a folder for the recording with --out REC, or print the scenario with --show")
+        raise SetupError("ltsim simulate needs --out REC, the folder of the recording; --show prints the scenario")
     from ltsim.simulation.truth import nominal_csv
 
     recording, true = lt.simulate(scenario, **options, geometry="per-trial" if per_trial else "shared")
@@ -95,7 +97,7 @@ def simulate(
 
 
 def _whole(scenario: str) -> str:
-    """A scenario as a file that says all there is to edit: a commented one as it stands, any other spelled out."""
+    """Text of a scenario with all keys: a commented file unchanged, any other completed."""
     text = builtin_text(scenario) if scenario in builtin_names() else ""
     if text and "\nbase = " not in text:
         return text
@@ -116,31 +118,31 @@ def inject(
     terminal: Terminal,
     **options: Annotated[Any, "inject", "injection_curve injections"],
 ) -> None:
-    """Put causes into the readings of a recording through the exact model; nothing else is changed.
+    """Add the effects of faults to the readings of a recording, by the exact model; nothing else changes.
 
     Example: ltsim inject my-recording range-step:S3 --noncentrality 100 --out injected --truth injected.json
     """
     if curve and len(causes) != 1:
-        raise ModelError(f"a curve is of one cause, not of {len(causes)}")
+        raise ModelError(f"--curve needs one EFFECT, {len(causes)} are given")
     if curve:
         file = None if out is None else out / "curve.csv"
         if file is not None:
-            claim_file(file, force)
+            check_file(file, force)
         del options["noncentrality"]
         return _curve(terminal, reading.open(source, terminal), causes, file, options)
     if out is None:
-        raise ModelError("give a folder for the recording with --out REC2, or ask for the --curve")
-    claim_recording(out, force)
+        raise ModelError("ltsim inject needs --out REC2, the folder of the recording, or --curve")
+    check_recording(out, force)
     recording = reading.open(source, terminal)
     del options["injections"]
-    made, told = lt.inject(recording, *causes, **options)
+    made, injected = lt.inject(recording, *causes, **options)
     lt.write(made, out)
     if truth is not None:
-        write_text(truth, json.dumps(told.to_json(), indent=1, allow_nan=False) + "\n")
-    terminal.answer({"pointings": len(made), "injected": len(told.causes), "seed": options["seed"]})
+        write_text(truth, json.dumps(injected.to_json(), indent=1, allow_nan=False) + "\n")
+    terminal.answer({"pointings": len(made), "injected": len(injected.causes), "seed": options["seed"]})
     if truth is None:
-        terminal.say(repr(told))
-    terminal.say(f"written to {out}" + (f", what was put in to {truth}" if truth else ""))
+        terminal.say(repr(injected))
+    terminal.say(f"written to {out}" + (f", injected values to {truth}" if truth else ""))
     return None
 
 
@@ -148,10 +150,10 @@ def _curve(
     terminal: Terminal, recording: Recording, causes: list[str], file: Path | None, options: dict[str, Any]
 ) -> None:
     with terminal.progress("injecting and diagnosing"):
-        found = lt.injection_curve(recording, causes[0], **options)
-    table = found.table()
-    terminal.answer({"background": list(found.background), "curve": table.json()})
-    terminal.say(found._lines()[0])
+        power = lt.injection_curve(recording, causes[0], **options)
+    table = power.table()
+    terminal.answer({"background": list(power.background), "curve": table.json()})
+    terminal.say(power._lines()[0])
     terminal.say(table.text())
     if file is not None:
         write_text(file, table.csv())
@@ -164,9 +166,9 @@ HIDDEN: tuple[dict[str, Any], ...] = tuple(
     {"name": "smr-offset", "stations": [station], "values": {"radius-difference": size}}
     for station, size in (("S2", 0.2), ("S3", -0.25), ("S4", 0.25), ("S5", -0.2))
 )
-"""Effects that the demonstration may conceal: an SMR of another radius, at a station drawn by the seed."""
+"""Effects that the demonstration may inject: an SMR of another radius, at a station drawn by the seed."""
 
-TITLE = "Demonstration: a fault is hidden in a simulated workshop, and found"
+TITLE = "Demonstration: a fault is injected into a simulated workshop, and diagnosed"
 CAMPAIGN = """format = "ltsim-campaign/1"
 title = "Calibrations of drawn instruments in the paper's workshop"
 scenario = "paper-workshop"
@@ -189,26 +191,26 @@ def demo(
     terminal: Terminal,
     **options: Annotated[Any, "simulate seed"],
 ) -> None:
-    """Simulate, calibrate, repeat, hide an effect and diagnose it, and leave one page to open.
+    """Simulate, calibrate, repeat on many instruments, inject a fault, diagnose it, and write one page.
 
     Example: ltsim demo --out ltsim-demo
     """
     require_packages()
-    from ltsim.campaigns.kernels import compiled_before  # the compiler takes a second to load
+    from ltsim.campaigns.kernels import compiled_before  # slow to import
 
     for name, place in WRITTEN.items():
         place.rule(out / name, True)
-    said = []
+    outcomes = []
     if not compiled_before():
-        terminal.note("compiling the solver on the way, which takes half a minute: the first demo does")
+        terminal.note("First run: compiling the solver takes about 30 s.")
     for number, (title, step) in enumerate(STEPS.items(), start=1):
         began = time.perf_counter()
         with terminal.progress(title):
             outcome = step(out, options["seed"])
         spent = time.perf_counter() - began
         terminal.say(f"{number}. {title} ({spent:.1f} s)\n   {outcome}")
-        said.append({"step": title, "outcome": outcome, "seconds": round(spent, 2)})
-    terminal.answer({"folder": str(out), "steps": said})
+        outcomes.append({"step": title, "outcome": outcome, "seconds": round(spent, 2)})
+    terminal.answer({"folder": str(out), "steps": outcomes})
 
 
 def simulated(out: Path, seed: int) -> str:
@@ -218,7 +220,7 @@ def simulated(out: Path, seed: int) -> str:
     lt.write(truth, out / "workshop" / "truth.json")
     return (
         f"{len(recording.stations)} stations, {len(recording.targets)} reflectors, {len(recording)} pointings; "
-        "the instrument's errors are drawn from its maker's limits"
+        "the instrument's errors are drawn from its specification"
     )
 
 
@@ -228,24 +230,22 @@ def calibrated(out: Path, seed: int) -> str:
     from ltsim.reports.sections import section_of
 
     recording, _ = lt.simulate("paper-workshop", seed=seed)
-    found = lt.calibrate(recording)
-    lt.write(found, out / "workshop")
-    return section_of(calibration_file(found)).answer
+    calibration = lt.calibrate(recording)
+    lt.write(calibration, out / "workshop")
+    return section_of(calibration_file(calibration)).answer
 
 
 def diagnosed(out: Path, seed: int) -> str:
-    """Hide an effect in another recording and let the diagnosis find it."""
+    """Inject an effect into another recording and diagnose it."""
     from ltsim.core.randomness import stream
 
     entry = HIDDEN[int(stream(seed, "demo", "hidden").integers(len(HIDDEN)))]
     recording, truth = lt.simulate("paper-workshop-two-face", seed=seed, changes={"effects": [entry]})
     folder = out / "concealed"
-    found = lt.diagnose(recording, seed=seed, held_out=True)
-    lt.write(found, folder, recording=recording)
+    diagnosis = lt.diagnose(recording, seed=seed, held_out=True)
+    lt.write(diagnosis, folder, recording=recording)
     lt.write(truth, folder / "truth.json")
-    return (
-        f"hidden was {entry['name']} ({entry['stations'][0]}); the diagnosis, which was not told, says: {found.summary}"
-    )
+    return f"injected: {entry['name']} ({entry['stations'][0]}); blind diagnosis: {diagnosis.summary}"
 
 
 def repeated(out: Path, seed: int) -> str:
@@ -267,10 +267,10 @@ STEPS: dict[str, Callable[[Path, int], str]] = {
     "simulate the paper's workshop": simulated,
     "calibrate it": calibrated,
     "repeat that on 500 drawn instruments, two methods side by side": repeated,
-    "hide an effect in another recording, and diagnose it": diagnosed,
+    "inject a fault into another recording, and diagnose it": diagnosed,
     "write one page about it": reported,
 }
-"""Steps of the demonstration in order; a step is one line here, and one function, which says what came out."""
+"""Steps of the demonstration in order: title and function, which returns the outcome in words."""
 WRITTEN = {
     "workshop/recording": RECORDING,
     "workshop/truth.json": FILE,
@@ -280,4 +280,4 @@ WRITTEN = {
     "campaign": FOLDER,
     "report.html": FILE,
 }
-"""Places that the steps write to, checked before the first of them."""
+"""Outputs of the steps, checked before the first step."""

@@ -1,4 +1,4 @@
-"""Standard output and standard error, which may be closed, full, without a reader, or in an encoding without a name."""
+"""Standard output and standard error, which may be closed, full, without a reader, or in any encoding."""
 
 import os
 import sys
@@ -15,11 +15,10 @@ _DROPPED: set[int] = set()
 
 
 def prepare() -> None:
-    """Make the streams of this process fit to print to.
+    """Prepare the standard streams of this process for printing.
 
-    A closed one leads nowhere: the next file that is opened must not take its number. Characters that the encoding
-    lacks are printed as escapes. Warnings are for whoever develops ltsim: they are shown where `-W` or
-    PYTHONWARNINGS asks for them.
+    A closed stream is replaced by the null device, so that no other file takes its number. Characters that the encoding
+    lacks are printed as escapes. Warnings are shown only with `-W` or PYTHONWARNINGS.
     """
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         if getattr(sys, name) is None:
@@ -32,28 +31,27 @@ def prepare() -> None:
             stream.reconfigure(errors="backslashreplace")
     if not sys.warnoptions:
         warnings.simplefilter("ignore")
-        os.environ.setdefault("PYTHONWARNINGS", "ignore")  # of the processes that work for this one
-        os.environ["PYTHONWARNINGS"] = "ignore"  # of processes that work for this one
+        os.environ["PYTHONWARNINGS"] = "ignore"  # of worker processes
 
 
 def output_is_closed() -> bool:
-    """True when this process was started with a closed standard output."""
+    """True if this process was started with a closed standard output."""
     return 1 in _CLOSED
 
 
 def reader_is_gone() -> bool:
-    """True when nobody reads standard output any more."""
+    """True if the reader of standard output has closed it."""
     return 1 in _DROPPED
 
 
 def write(text: str, stream: IO[str]) -> None:
-    """Print a text, its control characters replaced; raises OSError for a standard output that takes no more."""
+    """Print a text with control characters replaced; raises OSError if standard output cannot be written."""
     with _lost(stream):
         print(printable(text), file=stream)
 
 
 def flush() -> None:
-    """Print what waits to be printed; raises OSError for a standard output that takes no more."""
+    """Flush both streams; raises OSError if standard output cannot be written."""
     for stream in (sys.stdout, sys.stderr):
         with _lost(stream):
             stream.flush()
@@ -61,7 +59,7 @@ def flush() -> None:
 
 @contextmanager
 def _lost(stream: IO[str]) -> Iterator[None]:
-    """A stream whose reader is gone, or a standard error that takes no more, gets nothing any more."""
+    """Context that discards further output of a stream whose reader is gone, or of a failing standard error."""
     try:
         yield
     except OSError as problem:
@@ -71,7 +69,7 @@ def _lost(stream: IO[str]) -> Iterator[None]:
 
 
 def drop(stream: IO[str]) -> None:
-    """Let whatever is still printed to a stream go nowhere, so that Python does not complain about it at exit."""
+    """Redirect a stream to the null device, so that Python does not fail at exit."""
     _DROPPED.add(stream.fileno())
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, stream.fileno())

@@ -1,4 +1,4 @@
-"""Output of a verb: lines for a person, JSON for a program, progress only where somebody watches."""
+"""Terminal output of a verb: text, JSON, and progress."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from ltsim.cli import streams
-from ltsim.cli.places import FOLDER, Force, claim
+from ltsim.cli.places import FOLDER, Force, check_overwrite
 
 if TYPE_CHECKING:
     from ltsim.recordings.result_file import ResultFile
 
 File = TypeVar("File", bound="ResultFile")
 SILENCE = 10.0
-"""[s] after which a pipe receives a sign that the work goes on."""
+"""Time [s] after which a pipe receives a line of progress."""
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
 
 
@@ -37,58 +37,58 @@ class Terminal:
 
     @property
     def silent(self) -> bool:
-        """True where no line for a person is printed."""
+        """True if text is not printed."""
         return self.quiet or self.as_json
 
     def say(self, text: str = "") -> None:
-        """A line for a person."""
+        """Print a line of text, unless silent."""
         if not self.silent:
             streams.write(text, sys.stdout)
 
     def show(self, text: str) -> None:
-        """Output that was asked for, whatever else is to be silent: a file to edit, an address."""
+        """Print requested output even if silent: a file to edit, an address."""
         streams.write(text.removesuffix("\n"), sys.stdout)
 
-    def at_once(self, text: str, *, bell: bool = False) -> None:
-        """A line that somebody waits for: held in no buffer, with a bell where somebody watches."""
+    def print_now(self, text: str, *, bell: bool = False) -> None:
+        """Print a line without buffering, with a bell on a terminal if asked for."""
         if bell and not self.silent and sys.stdout.isatty():
             print("\a", end="")
         self.say(text)
         streams.flush()
 
     def note(self, text: str) -> None:
-        """A remark that does not belong to the answer: on standard error."""
+        """Print a remark on standard error."""
         if not self.quiet:
             streams.write(text, sys.stderr)
 
     def notes(self, notes: Iterable[str]) -> None:
-        """Notes on standard error: decisions of the reader where the input leaves a choice, and missing data."""
+        """Print notes on standard error: interpretations of ambiguous input, and missing data."""
         for note in notes:
             self.note(f"note: {note}")
 
     def result(self, content: ResultFile, out: Path | None = None, notes: Iterable[str] = ()) -> None:
-        """A result that a page tells of: all of it for a program, for a person what the page says without pictures."""
+        """Print a result: as JSON, or as the text of its section in a page, without pictures."""
         self.answer(content.content())
         if not self.silent:
-            from ltsim.reports.sections import section_of  # what a page needs takes its time to load
+            from ltsim.reports.sections import section_of  # slow to import
 
             self.say("\n" + section_of(content).text())
         self.notes(notes)
         self.written(out)
 
     def written(self, out: Path | None) -> None:
-        """Line with the folder of the results and the command that shows them."""
+        """Print the folder of the results and the command that shows them."""
         if out is not None:
             self.say(f"\nwritten to {out}; for a page with pictures: ltsim report {out}")
 
     def answer(self, content: Any) -> None:
-        """The whole answer for a program, where it asked for it."""
+        """Print the answer as JSON, if asked for."""
         if self.as_json:
             streams.write(json.dumps(content, indent=1, allow_nan=False), sys.stdout)
 
     @contextmanager
     def progress(self, what: str, total: int | None = None) -> Iterator[Callable[[int], None]]:
-        """A bar on standard error, in a pipe a line now and then; the function it gives counts steps done."""
+        """Progress bar on standard error, or occasional lines in a pipe; yields a function that counts steps."""
         if self.quiet or not sys.stderr.isatty():
             done = [0]
             with self._sign_of_life(lambda: what if total is None else f"{what}: {done[0]} of {total}"):
@@ -102,7 +102,7 @@ class Terminal:
 
     @contextmanager
     def _sign_of_life(self, words: Callable[[], str]) -> Iterator[None]:
-        """A line on standard error after `SILENCE` seconds, and whenever the time has doubled."""
+        """Lines of progress on standard error, after `SILENCE` seconds and whenever the time has doubled."""
         if self.quiet:
             yield
             return
@@ -126,23 +126,25 @@ class Terminal:
 
 @dataclass(frozen=True)
 class ResultTerminal(Terminal):
-    """A terminal, and the folder that a verb writes to what it finds."""
+    """Terminal of a verb that writes its results to a folder."""
 
     out: Annotated[
         Path | None, typer.Option("--out", metavar="DIR", help="Folder to write the results to."), FOLDER
     ] = None
     force: Force = False
 
-    def claim(self, model: type[ResultFile], *names: str, own: Callable[[Any], bool] = lambda found: True) -> None:
-        """Make sure that a result and the files beside it replace nothing else; raises RecordError."""
-        claim(self.out, model, names, force=self.force, own=own)
+    def check_overwrite(
+        self, model: type[ResultFile], *names: str, same_verb: Callable[[Any], bool] = lambda result: True
+    ) -> None:
+        """Raise RecordError if a result and its companion files would replace other files."""
+        check_overwrite(self.out, model, names, force=self.force, same_verb=same_verb)
 
-    def kept(self, content: File, beside: Callable[[], Mapping[str, str | bytes]] = dict) -> File:
-        """A result, written with the files beside it where there is a folder for them."""
+    def write(self, content: File, companions: Callable[[], Mapping[str, str | bytes]] = dict) -> File:
+        """Write a result and its companion files, if there is a folder; returns the written result."""
         from ltsim.recordings.result_file import write_result
 
-        return content if self.out is None else write_result(self.out, content, beside())
+        return content if self.out is None else write_result(self.out, content, companions())
 
     def result(self, content: ResultFile, out: Path | None = None, notes: Iterable[str] = ()) -> None:
-        """The same, and where it was written."""
+        """Print a result and the folder to which it was written."""
         super().result(content, out or self.out, notes)

@@ -1,4 +1,4 @@
-"""`ltsim view`, `report`: the workshop in 3D, and the page a person reads."""
+"""Commands `view` and `report`: the workshop in 3D, and the page about results."""
 
 import os
 import sys
@@ -12,18 +12,18 @@ from pydantic import ValidationError
 import ltsim as lt
 from ltsim.cli import streams
 from ltsim.cli.options import FramedReading
-from ltsim.cli.places import FILE, FOLDER, Force, OutputPlace, claim_file
+from ltsim.cli.places import FILE, FOLDER, Force, OutputPlace, check_file
 from ltsim.cli.terminal import Quiet, Terminal
 from ltsim.core.errors import RecordError, SetupError, require
 from ltsim.recordings.settings import sentence
 from ltsim.recordings.setup import About
 
 
-def claim_page(folder: Path, force: bool) -> None:
-    """Make sure that the page of a folder replaces no page but its own; raises RecordError."""
-    from ltsim.reports.page import NAME  # what draws takes its time to load
+def check_page(folder: Path, force: bool) -> None:
+    """Raise RecordError if the page of a folder would replace a file that is not a page of ltsim."""
+    from ltsim.reports.page import NAME  # slow to import
 
-    claim_file(folder / NAME, force)
+    check_file(folder / NAME, force)
 
 
 Place = Annotated[
@@ -37,20 +37,26 @@ Plan = Annotated[
 ]
 Out = Annotated[
     Path | None,
-    typer.Option("--out", metavar="DIR", help="With --plan: folder that its page saves to; NAME-moved."),
+    typer.Option("--out", metavar="DIR", help="With --plan: folder to save to; default NAME-moved."),
     FOLDER,
 ]
-Port = Annotated[int, typer.Option("--port", min=0, max=65535, help="With --plan: of the page's address; 0: any free.")]
-Png = Annotated[Path | None, typer.Option("--png", metavar="FILE", help="Write a picture instead of a window."), FILE]
+Port = Annotated[
+    int, typer.Option("--port", min=0, max=65535, help="With --plan: port of the page; 0 for any free port.")
+]
+Png = Annotated[Path | None, typer.Option("--png", metavar="FILE", help="Write a picture; no window is opened."), FILE]
 Html = Annotated[
-    Path | None, typer.Option("--html", metavar="FILE", help="Write one page to turn in a browser, offline."), FILE
+    Path | None,
+    typer.Option("--html", metavar="FILE", help="Write an interactive page for a browser, which works offline."),
+    FILE,
 ]
 Folder = Annotated[
     Path,
-    typer.Argument(metavar="DIR", help="A folder that another verb wrote, or one of such folders."),
-    OutputPlace(claim_page),
+    typer.Argument(metavar="DIR", help="A folder of results, or a folder of such folders."),
+    OutputPlace(check_page),
 ]
-Line = Annotated[str | None, typer.Option(metavar="TEXT", help="For the head; default from [report] of setup.toml.")]
+Line = Annotated[
+    str | None, typer.Option(metavar="TEXT", help="Line in the header; default from [report] of setup.toml.")
+]
 Day = Annotated[str | None, typer.Option("--date", metavar="YYYY-MM-DD", help="Day of the measurement.")]
 
 
@@ -69,11 +75,11 @@ def view(
 ) -> None:
     """Show the workshop in 3D: stations, shadow cones, targets, lines of sight, uncertainty, corrections.
 
-    With --plan, a page in the browser where stations are moved by hand and the accuracy of every point follows; it
-    answers this machine alone, until Ctrl-C.
+    With --plan, stations are moved by hand on a page in the browser, which shows the accuracy of every point; its
+    server answers only this machine, until Ctrl-C.
 
-    Opens a window, unless --png or --html name a file. A recording is adjusted first; ellipsoids and arrows are
-    enlarged as the picture says.
+    Opens a window, unless --png or --html name a file. A recording is adjusted first; the picture gives the
+    magnification of ellipsoids and arrows.
 
     Example: ltsim view paper-workshop --html workshop.html
     """
@@ -83,10 +89,12 @@ def view(
         _by_hand(terminal, plan, out or Path(f"{Path(plan).stem}-moved"), port, force=force)
         return
     if place is None or plan is not None:
-        raise SetupError("ltsim view takes either a scenario or a recording, or --plan FILE")
+        raise SetupError("ltsim view needs a scenario, a recording, or --plan FILE, and only one of them")
     if png is None and html is None and not _has_screen():
-        raise RecordError("there is no screen for a window; write a picture with --png FILE or a page with --html FILE")
-    with terminal.progress("looking at the workshop"):
+        raise RecordError(
+            "no display is available for a window; use --png FILE for a picture or --html FILE for a page"
+        )
+    with terminal.progress("drawing the workshop"):
         source = place if reading == FramedReading() else reading.of(Path(place))
         shown = lt.view(source, **options)
         if png is not None:
@@ -106,18 +114,18 @@ def _by_hand(terminal: Terminal, plan: str, out: Path, port: int, *, force: bool
     from ltsim.reports.board.server import BoardAccess, serve
 
     for name in (SCENARIO, PLAN):
-        claim_file(out / name, force)
+        check_file(out / name, force)
     with terminal.progress("reading the plan"):
         access = BoardAccess(Board.of(plan), out)
 
-    def tell(address: str) -> None:
+    def announce(address: str) -> None:
         terminal.show(address)
         streams.flush()
-        terminal.say("drag the stations there; Ctrl-C here ends it")
+        terminal.say("open this address to move the stations; Ctrl-C ends the server")
         if _has_screen():
             webbrowser.open(address)
 
-    serve(access, tell, port)
+    serve(access, announce, port)
 
 
 def _has_screen() -> bool:
@@ -134,13 +142,13 @@ def report(
     quiet: Quiet = False,
     **options: Any,
 ) -> None:
-    """Write report.html into DIR: one page that opens offline, the answer first, then tables, figures and the 3D view.
+    """Write report.html into DIR: one page that works offline, with the verdict, tables, figures and the 3D view.
 
-    DIR may hold a recording, a calibration, a diagnosis, a campaign, a plan, or folders of them. The head names
-    instrument, date, operator and customer from the table [report] of setup.toml, or from the options; without a word
-    there, the instruments by their model and serial.
+    DIR may hold a recording, a calibration, a diagnosis, a campaign, a plan, or folders of them. The header has
+    instrument, date, operator and customer from the options or the table [report] of setup.toml; the default instrument
+    is model and serial number.
 
-    Coordinates stand in the axes in which they were computed: --frame belongs to adjust, calibrate, diagnose, convert.
+    Coordinates are in the axes in which they were computed; --frame of adjust, calibrate and diagnose sets them.
 
     Example: ltsim report my-calibration --customer "Hall 3" --instrument "AT960, 751234"
     """
@@ -152,7 +160,7 @@ def report(
 
 
 def _about(**given: str | None) -> About:
-    """The options as a table of the set-up; raises SetupError."""
+    """The options as header of the page; raises SetupError."""
     try:
         return About.model_validate(given)
     except ValidationError as problem:

@@ -1,4 +1,4 @@
-"""Bounds and choices of arguments, one sentence each for Python and the command line."""
+"""Bounds and choices of arguments, with the same error messages in Python and on the command line."""
 
 from collections.abc import Sequence
 from math import isfinite
@@ -7,7 +7,7 @@ from numbers import Integral, Real
 from ltsim.core.errors import SetupError, option
 
 MOST_JOBS = 256
-"""Processes at once."""
+"""Largest number of processes."""
 BOUNDS: dict[str, tuple[float, float | None]] = {
     "seed": (0, None), "trial": (0, 10**12), "trials": (2, 10**9), "starts": (1, 10**4), "injections": (1, 10**5),
     "jobs": (1, MOST_JOBS), "level": (1e-6, 0.5), "noncentrality": (1e-3, None), "length_sigma": (1e-6, None),

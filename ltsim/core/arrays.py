@@ -1,4 +1,4 @@
-"""Array aliases and the checks made at the doors of a room."""
+"""Array aliases, and checks of array arguments."""
 
 from collections.abc import Iterator
 
@@ -14,11 +14,11 @@ Bools = NDArray[np.bool_]
 
 
 def side_by_side(*columns: Floats) -> Floats:
-    """Columns (n, ...) as one array (n, k, ...); a third of the time of numpy's own way for a hundred rows."""
-    found = np.empty((len(columns[0]), len(columns), *columns[0].shape[1:]))
+    """Columns (n, ...) as one array (n, k, ...); three times as fast as `np.stack` for a hundred rows."""
+    stacked = np.empty((len(columns[0]), len(columns), *columns[0].shape[1:]))
     for k, column in enumerate(columns):
-        found[:, k] = column
-    return found
+        stacked[:, k] = column
+    return stacked
 
 
 def grouped(keys: Ints, rows: Ints) -> Iterator[tuple[int, Ints]]:
@@ -30,7 +30,7 @@ def grouped(keys: Ints, rows: Ints) -> Iterator[tuple[int, Ints]]:
 
 
 def as_floats(values: ArrayLike, shape: tuple[int, ...], name: str) -> Floats:
-    """Give `values` as a finite float array of `shape` (-1 stands for any length).
+    """`values` as a finite float array of `shape`, in which -1 stands for any length.
 
     Raises ModelError when the shape differs or a value is not finite; the message names the array.
     """

@@ -1,7 +1,6 @@
 """The exceptions of ltsim, and which one to raise when.
 
-* `RecordError`: a file or a recording is not what it should be. One sentence: file, row, column, found,
-  what would be right.
+* `RecordError`: a file or a recording is malformed. One sentence: file, row, column, value, and what would be right.
 * `SetupError`: a scenario, campaign or plan file asks for something impossible.
 * `ModelError`: a caller inside Python passed something that makes no sense (a shape, an unknown name).
 * `NetworkError`: the recording is well formed, but its network cannot be solved (a station that shares too
@@ -18,7 +17,7 @@ from importlib.util import find_spec
 
 
 class LtsimError(Exception):
-    """Root of the family; the command line prints its one sentence and exits with status 2."""
+    """Base class of the exceptions of ltsim; the command line prints its sentence and exits with status 2."""
 
 
 class RecordError(LtsimError):
@@ -27,9 +26,9 @@ class RecordError(LtsimError):
     Parameters
     ----------
     message : str
-        What was found and what would be right.
+        The value and what would be right.
     file, row, column
-        Where; `row` counts data rows from 1 (the header is row 0). All optional.
+        Location; `row` counts data rows from 1 (the header is row 0). All optional.
     """
 
     def __init__(
@@ -48,15 +47,12 @@ class RecordError(LtsimError):
 
 
 class SetupError(LtsimError):
-    """A scenario, campaign or plan asks for something impossible; the message says what would do."""
+    """A scenario, campaign or plan is impossible; the message says what to change."""
 
 
 @contextmanager
 def as_setup_error(where: str = "") -> Iterator[None]:
-    """Context in which an error in a file that a person wrote, or in a place, becomes a SetupError with its sentence.
-
-    `where` stands before it.
-    """
+    """Re-raise RecordError, SetupError and ModelError as SetupError, with the location `where` as prefix."""
     try:
         yield
     except (RecordError, SetupError, ModelError) as problem:
@@ -72,11 +68,11 @@ class NetworkError(LtsimError):
 
 
 class WorkerError(LtsimError):
-    """A process that worked for this one ended before its work."""
+    """A worker process ended before its work was done."""
 
 
 class StoppedError(LtsimError):
-    """A person stopped the work; the message says what is kept and how to go on."""
+    """The user stopped the work; the message says which results remain and how to continue."""
 
 
 class CalibratorError(LtsimError):
@@ -93,7 +89,7 @@ class ConvergenceError(LtsimError):
 
 _SPELLED = {"flags": False}
 SPECIAL = {"with_effects": "--with", "scaled": "--scale", "hints": "--hint", "calibrate=False": "--no-calibrate"}
-"""Options that the command line does not call by their own name."""
+"""Flags of the options whose name differs on the command line."""
 
 
 @contextmanager
@@ -107,14 +103,14 @@ def options_are_flags() -> Iterator[None]:
 
 
 def option(name: str) -> str:
-    """An option as the reader writes it: `prior` or `resume=True` in Python, `--prior` or `--resume` as a flag."""
+    """Spelling of an option for the reader: `prior` or `resume=True` in Python, `--prior` or `--resume` as a flag."""
     if not _SPELLED["flags"]:
         return name
     return SPECIAL.get(name) or "--" + name.removesuffix("=True").replace("_", "-")
 
 
 def missing_extra(what: str, extra: str) -> SetupError:
-    """Build the error for something that needs packages which a plain installation leaves out."""
+    """SetupError for a function that needs packages of an extra."""
     return SetupError(f"{what} need the extra '{extra}': pip install \"ltsim[{extra}]\"")
 
 
@@ -133,12 +129,12 @@ def installed(package: str) -> bool:
 
 
 def printable(text: str) -> str:
-    """A text as it can stand on a terminal: no control characters, whatever a file or its name holds."""
+    """The text with control characters replaced by `?`, safe to print on a terminal."""
     return "".join(c if c.isprintable() or c in "\n\t" else "?" for c in text)
 
 
-def unknown_name(kind: str, name: str, known: Iterable[str]) -> ModelError:
-    """Build the error for a name that does not exist, with the closest ones that do."""
-    choices = sorted(known)
+def unknown_name(kind: str, name: str, valid: Iterable[str]) -> ModelError:
+    """ModelError for a name that does not exist, with the closest valid ones."""
+    choices = sorted(valid)
     close = difflib.get_close_matches(name, choices, n=3, cutoff=0.4) or choices
     return ModelError(f"there is no {kind} called '{name}'; did you mean {', '.join(close)}?")

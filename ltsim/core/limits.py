@@ -1,6 +1,6 @@
-"""Limits of what is read, decided in one place and checked before anything is built from a file.
+"""Size limits of input files, checked before anything is built from a file.
 
-Together they are to keep the reading of any file of up to 32 MiB within 500 MB of memory and 30 s of processor time
+Together they keep the reading of any file of up to 32 MiB within 500 MB of memory and 30 s of processor time
 (`tests/recordings/test_limits.py` measures both at the limits of TOML, XML and JSON). A monitoring of 100,000 pointings
 passes all of them.
 """
@@ -43,8 +43,8 @@ TAG_ATTRIBUTES = 1_000
 """Attributes of one tag, all of which the parser holds before it gives the tag."""
 
 WORKBOOK_BYTES = 16 * MIB
-"""[bytes] Size that all parts of a workbook unpack to, told by their headers and held to while they are unpacked: a
-cell takes 30 bytes there and 30 us of all that reads it."""
+"""[bytes] Size of all unpacked parts of a workbook, checked by their headers and again while unpacking: a cell
+takes 30 bytes there and 30 us of all that reads it."""
 WORKBOOK_PARTS = 1_000
 """Parts of a workbook."""
 SHEETS = 200

@@ -11,12 +11,12 @@ from collections.abc import Sequence
 from ltsim.core.errors import ModelError
 
 NONE = "-"
-"""Placeholder for a number that does not exist; never `nan`."""
+"""Text of a missing number; never `nan`."""
 MOST_DECIMALS = 12
 
 
 def number(value: float | None, digits: int = 3) -> str:
-    """A number of so many significant digits, without exponent from 1e-4 to 1e6; a dash for none."""
+    """A number with `digits` significant digits, without exponent from 1e-4 to 1e6; a dash for none."""
     if value is None or not math.isfinite(value):
         return NONE
     if value == 0:
@@ -54,8 +54,8 @@ def decimals(sigma: float) -> int:
     return min(max(1 - math.floor(math.log10(rounded)), 0), MOST_DECIMALS)
 
 
-def aligned(header: Sequence[str], rows: Sequence[Sequence[str]], left: int = 1) -> str:
-    """Rows as aligned text, the first `left` columns to the left, the others to the right.
+def aligned(header: Sequence[str], rows: Sequence[Sequence[str]], text_columns: int = 1) -> str:
+    """Rows as aligned text: the first `text_columns` columns flush left, the others flush right.
 
     Raises ModelError when a row is not as long as the header.
     """
@@ -65,7 +65,7 @@ def aligned(header: Sequence[str], rows: Sequence[Sequence[str]], left: int = 1)
     widths = [max(len(line[i]) for line in lines) for i in range(len(header))]
     return "\n".join(
         "  ".join(
-            cell.ljust(width) if i < left else cell.rjust(width)
+            cell.ljust(width) if i < text_columns else cell.rjust(width)
             for i, (cell, width) in enumerate(zip(line, widths, strict=True))
         ).rstrip()
         for line in lines
@@ -73,14 +73,14 @@ def aligned(header: Sequence[str], rows: Sequence[Sequence[str]], left: int = 1)
 
 
 def listing(words: Sequence[str], most: int = 6) -> str:
-    """Words with commas, the last few counted."""
+    """Words with commas; those beyond `most` are counted: `a, b and 3 more`."""
     if len(words) <= most:
         return ", ".join(words)
     return ", ".join(words[:most]) + f" and {len(words) - most} more"
 
 
 def fixed(value: float | None, places: int) -> str:
-    """A number with so many decimals, a dash for none; thousands are not divided, so that it can be copied."""
+    """A number with `places` decimals and without thousands separators; a dash for none."""
     if value is None or not math.isfinite(value):
         return NONE
     text = f"{value:.{places}f}"

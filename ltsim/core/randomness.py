@@ -1,7 +1,7 @@
-"""Random streams that are keyed, never shared.
+"""Random streams by key.
 
-Whoever draws asks for a stream by what the draw is for: ``stream(seed, "truth", "beam-tilt", 17)``. A draw
-depends on its key alone, so neither the number of workers nor the list of effects can change it.
+A stream is named by its purpose: ``stream(seed, "truth", "beam-tilt", 17)``. A draw depends on its key alone, so
+neither the number of workers nor the list of effects can change it.
 """
 
 import zlib
@@ -14,7 +14,7 @@ from ltsim.core.errors import SetupError
 
 WORD = 2**32
 BLOCK = 256
-"""Trials whose numbers come from one stream; part of what the numbers are, so it never changes."""
+"""Trials whose numbers come from one stream; part of the definition of the numbers, so it never changes."""
 
 
 @lru_cache(maxsize=4096)
@@ -23,14 +23,14 @@ def _number(name: str) -> int:
 
 
 def stream(seed: int, *key: str | int) -> np.random.Generator:
-    """Give the generator that belongs to `key` under the root `seed`.
+    """Random generator of `key` under the root `seed`.
 
     Parameters
     ----------
     seed : int
         Root seed, 0 or larger.
     *key : str or int
-        What the draw is for, from general to particular. Names are hashed by a stable checksum (CRC-32),
+        Purpose of the draw, from general to particular. Names are hashed by a stable checksum (CRC-32),
         integers (a trial's number) are used as they are.
 
     Returns
@@ -44,17 +44,17 @@ def stream(seed: int, *key: str | int) -> np.random.Generator:
         When the seed is negative.
     """
     if seed < 0:
-        raise SetupError(f"seed: found {seed}, expected 0 or more")
+        raise SetupError(f"seed is {seed}, expected 0 or more")
     spawn_key = tuple([_number(part) if isinstance(part, str) else part for part in key])
     if max(seed, *spawn_key) >= WORD:
         return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=spawn_key))
-    # What the sequence makes of seed and key, each a word, in a third of the time.
+    # The state that SeedSequence makes of seed and key if each is one word, in a third of the time.
     words = np.array([seed, 0, 0, 0, *spawn_key], dtype=np.uint32)
     return np.random.default_rng(np.random.SeedSequence(words))
 
 
 def trials_normal(seed: int, trials: NDArray[np.int64], size: int, *key: str | int) -> NDArray[np.float64]:
-    """Standard normal numbers (size, B) of trials (B,) for `key`: the same whichever trials are asked for together.
+    """Standard normal numbers (size, B) of trials (B,) for `key`: independent of the other trials of the call.
 
     Trial 0 has the stream of the key alone; `BLOCK` consecutive trials, from 0 on, share one for all others.
     """
@@ -66,8 +66,8 @@ def trials_normal(seed: int, trials: NDArray[np.int64], size: int, *key: str | i
     blocks, places = np.divmod(trials, BLOCK)
     numbers = np.empty((size, count))
     for block in np.unique(blocks).tolist():
-        own = blocks == block
-        numbers[:, own] = _block(seed, block, size, *key)[:, places[own]]
+        in_block = blocks == block
+        numbers[:, in_block] = _block(seed, block, size, *key)[:, places[in_block]]
     return numbers
 
 

@@ -1,8 +1,8 @@
-"""One result model: a table's columns are declared once, and every form of the result is made from that declaration.
+"""Results and their tables; the columns of a table are declared once for every form of output.
 
-A `Column` says name, meaning, unit and form; a `Table` of columns, filled with rows, is the CSV file (written and read
-back), the rows of JSON, the data frame, the text of a terminal, the table of a notebook and that of a page. A `Result`
-is what a verb gives: a few lines, tables, a picture; equal where its values are, copied and pickled.
+A `Column` has name, meaning, unit and number format; a `Table` of columns and rows gives the CSV file (written and
+read), the rows of JSON, the data frame, the text of a terminal, and the tables of notebooks and pages. A `Result` of a
+verb has a few lines of summary, tables and a picture; it is compared by value, and can be copied and pickled.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ import numpy as np
 from pydantic import BaseModel
 
 from ltsim.core.arrays import Floats
-from ltsim.core.chances import p_text
-from ltsim.core.drawing import pictures
 from ltsim.core.errors import ModelError, RecordError, missing_extra, printable, unknown_name
 from ltsim.core.limits import LINES
 from ltsim.core.notation import NONE, aligned, decimals, number, with_sigma
+from ltsim.core.plotting import plotting_module
+from ltsim.core.probability import p_text
 from ltsim.core.units import BY_ENDING, unit_of_key
-from ltsim.core.values import Valued
+from ltsim.core.values import ValueEquality
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 FORMULA = ("=", "+", "-", "@", "'")
 LARGEST = 1e100
-"""Size of a number in a file of results: squares of what is larger overflow, and no result comes near."""
+"""Largest magnitude of a number in a result file; squares of larger numbers may overflow."""
 MOST_SHOWN = 12
 """Rows of a table that a notebook shows."""
 Kind = Literal["text", "number", "flag", "chance"]
@@ -49,25 +49,25 @@ class Column:
     Parameters
     ----------
     name : str
-        In CSV, JSON and data frames; carries its unit at the end (`x_mm`).
+        Name in CSV, JSON and data frames, with the unit at its end (`x_mm`).
     meaning : str
-        What a cell holds, for definitions beside the table.
+        Definition of the column.
     kind : str
-        `text`, `number`, `flag` (true or false) or `chance` (of a test).
+        `text`, `number`, `flag` (true or false) or `chance` (a p-value).
     form : str
-        How CSV writes a number, as of `format`; `r` in full.
+        Number format in CSV, as of `format`; `r` for full precision.
     shown : str
-        How a person reads it; by default four digits.
+        Number format for display; by default four digits.
     sigma : str
-        Name of the column with its standard deviation: a person reads both in one cell, `1.23 +- 0.10`.
+        Name of the column with its standard deviation; both are displayed in one cell, `1.23 +- 0.10`.
     like : str
-        Name of the column whose two digits say to which place a person reads it: value and U alike.
+        Name of the column whose two significant digits set the displayed decimals, such as U for a value.
     unit : str
-        By default the one in the name.
+        Unit; by default the one in the name.
     title : str
-        What a person reads as its head; by default the name without its unit.
+        Displayed title; by default the name without its unit.
     field : str
-        What an object of a row calls it, where that is not the name.
+        Attribute of a row object that holds the value; by default the name.
     """
 
     name: str
@@ -83,14 +83,14 @@ class Column:
 
     @property
     def heading(self) -> str:
-        """`x [mm]`: the head of the column where a person reads it."""
+        """Displayed title with its unit: `x [mm]`."""
         unit = self.unit or unit_of_key(self.name)
         ending = next((e for e, u in BY_ENDING.items() if u == unit and self.name.endswith(e)), "")
         title = self.title or self.name.removesuffix(ending).replace("_", " ")
         return f"{title} [{unit}]" if unit else title
 
     def cell(self, value: Any) -> Any:
-        """A value as CSV has it: nothing for what does not exist."""
+        """Value of a CSV cell; empty for a missing value."""
         if value is None or (isinstance(value, float) and not math.isfinite(value)):
             return ""
         if self.kind == "text":
@@ -99,8 +99,8 @@ class Column:
             return repr(float(value)) if self.form == "r" else format(value, self.form)
         return f"{value:.6g}" if isinstance(value, float) and abs(value) < 1e4 else value
 
-    def words(self, value: Any, beside: Any = None) -> str:
-        """A value as a person reads it, `beside` the cell of its `sigma` or `like`; a dash for none."""
+    def display(self, value: Any, precision: Any = None) -> str:
+        """Displayed text of a value, `precision` being the value of its column `sigma` or `like`; a dash for none."""
         if value is None or (isinstance(value, float) and not math.isfinite(value)):
             return NONE
         if isinstance(value, bool | np.bool_):
@@ -110,34 +110,34 @@ class Column:
         if self.kind == "chance":
             return p_text(value)
         if self.sigma:
-            return with_sigma(float(value), beside)
-        if self.like and beside:
-            return f"{value:.{decimals(beside)}f}"
+            return with_sigma(float(value), precision)
+        if self.like and precision:
+            return f"{value:.{decimals(precision)}f}"
         if self.shown:
             return format(value, self.shown)
         return str(value) if isinstance(value, int | np.integer) else number(float(value), 4)
 
 
 def texts(**columns: str) -> tuple[Column, ...]:
-    """Columns of text: name and what it means."""
+    """Columns of text, as `name="meaning"`."""
     return tuple(Column(name, about, "text") for name, about in columns.items())
 
 
 def numbers(form: str = "", shown: str = "", **columns: str) -> tuple[Column, ...]:
-    """Columns of numbers, all written in one form: name and what it means."""
+    """Columns of numbers of one format, as `name="meaning"`."""
     return tuple(Column(name, about, form=form, shown=shown) for name, about in columns.items())
 
 
 def flags(**columns: str) -> tuple[Column, ...]:
-    """Columns of true and false: name and what true means."""
+    """Columns of true and false, as `name="meaning of true"`."""
     return tuple(Column(name, about, "flag") for name, about in columns.items())
 
 
 def columns_of(model: type[BaseModel], names: str = "", **more: Mapping[str, str]) -> tuple[Column, ...]:
-    """The columns of a model whose fields are numbers, texts and flags, with what the model says of them.
+    """Columns of the fields of a model, with the descriptions of the fields as meanings.
 
-    `names` are the fields in their order, with blanks between; default all. What else the `Column` of a field is to
-    know is said by its name: ``value={"sigma": "sigma"}``.
+    `names` are the fields in their order, separated by blanks; default all. Further arguments of the `Column` of a
+    field are given by its name: ``value={"sigma": "sigma"}``.
     """
     made = []
     for name in names.split() or model.model_fields:
@@ -153,27 +153,27 @@ def _is_text(annotation: Any) -> bool:
 
 
 @dataclass(frozen=True)
-class Table(Valued):
-    """A table: what it is about and its columns, declared once; `filled` gives it rows.
+class Table(ValueEquality):
+    """A table: subject and columns, declared once; `filled` adds rows.
 
-    A spreadsheet takes a cell that begins with ``=``, ``+``, ``-`` or ``@`` for a formula. A text that begins so is
-    written to CSV with an apostrophe before it, as is one that begins with an apostrophe; the reader takes it away.
+    Spreadsheets take a cell that begins with ``=``, ``+``, ``-`` or ``@`` for a formula. Such a text is written to CSV
+    with an apostrophe before it, as is a text that begins with an apostrophe; `parsed` removes it.
     """
 
     file: str
-    """Name of the CSV file; without its ending the table's name."""
+    """Name of the CSV file; without its suffix the name of the table."""
     about: str
     columns: tuple[Column, ...]
     rows: tuple[tuple[Any, ...], ...] = ()
 
     @classmethod
     def of_columns(cls, name: str, columns: Columns, about: str = "") -> Table:
-        """A table whose columns only the data know, such as the further columns of a recording."""
+        """Table of columns that are not declared in advance, such as additional columns of a recording."""
         made = tuple(Column(head, kind=_kind_of(column)) for head, column in columns.items())
         return cls(f"{name}.csv", about, made, tuple(zip(*columns.values(), strict=True)))
 
     def filled(self, rows: Iterable[Any]) -> Table:
-        """The table with rows: sequences in the order of the columns, or objects or mappings that have their names."""
+        """The table with rows: sequences in the order of the columns, or objects or mappings with their names."""
         return replace(self, rows=tuple(self._row(row) for row in rows))
 
     def _row(self, row: Any) -> tuple[Any, ...]:
@@ -196,7 +196,7 @@ class Table(Valued):
         return [column.name for column in self.columns]
 
     def only(self, names: str) -> Table:
-        """The table with some of its columns, named with blanks between, and the standard deviations of these."""
+        """The table with the columns `names`, separated by blanks, and their standard deviations."""
         wanted = set(names.split())
         wanted |= {column.sigma or column.like for column in self.columns if column.name in wanted}
         at = [i for i, column in enumerate(self.columns) if column.name in wanted]
@@ -211,7 +211,7 @@ class Table(Valued):
         return [row[at] for row in self.rows]
 
     def json(self) -> list[dict[str, Any]]:
-        """A mapping a row, values as they are."""
+        """The rows as mappings from column name to value."""
         return [dict(zip(self.header, row, strict=True)) for row in self.rows]
 
     def frame(self) -> pd.DataFrame:
@@ -232,7 +232,7 @@ class Table(Valued):
         return stream.getvalue()
 
     def parsed(self, text: str, file: object = None) -> Table:
-        """The table with the rows of a CSV text; an empty cell of numbers is NaN, further columns are left out.
+        """The table with the rows of a CSV text; an empty number is NaN, undeclared columns are ignored.
 
         Raises
         ------
@@ -254,43 +254,40 @@ class Table(Valued):
         return self.filled([_value(c, row[c.name], file, i) for c in self.columns] for i, row in enumerate(rows, 1))
 
     def numbers(self, *names: str) -> Floats:
-        """Some columns of numbers as (rows, columns) float."""
+        """The named columns as a float array (rows, columns)."""
         columns = [np.array(self.column(name), dtype=np.float64) for name in names]
         return np.stack(columns, axis=1) if columns else np.zeros((len(self.rows), 0))
 
     @property
-    def _read(self) -> list[Column]:
-        """The columns that a person reads: a standard deviation stands beside its value, what no row has is gone."""
-        beside = {column.sigma for column in self.columns}
+    def _displayed(self) -> list[Column]:
+        """Displayed columns: without empty ones and standard deviations, which share a cell with their value."""
+        merged = {column.sigma for column in self.columns}
         empty = {c.name for i, c in enumerate(self.columns) if self.rows and all(r[i] in (None, "") for r in self.rows)}
-        return [column for column in self.columns if column.name not in beside | empty]
+        return [column for column in self.columns if column.name not in merged | empty]
 
     @property
     def headings(self) -> list[str]:
-        """Heads of the columns for a person, with units."""
-        return [column.heading for column in self._read]
+        """Displayed titles of the columns, with units."""
+        return [column.heading for column in self._displayed]
 
     @property
     def meanings(self) -> dict[str, str]:
-        """Meanings of the columns that a person reads, by heading; columns without a meaning are left out."""
-        return {column.heading: column.meaning for column in self._read if column.meaning}
+        """Meanings of the displayed columns by heading; columns without a meaning are omitted."""
+        return {column.heading: column.meaning for column in self._displayed if column.meaning}
 
     def cells(self) -> list[list[str]]:
-        """The rows as a person reads them, in the columns of `headings`."""
+        """Displayed texts of the rows, in the columns of `headings`."""
         at = {name: i for i, name in enumerate(self.header)}
-        beside = [c.sigma or c.like for c in self._read]
-        return [
-            [c.words(row[at[c.name]], row[at[b]] if b else None) for c, b in zip(self._read, beside, strict=True)]
-            for row in self.rows
-        ]
+        displayed = [(c, c.sigma or c.like) for c in self._displayed]
+        return [[c.display(row[at[c.name]], row[at[p]] if p else None) for c, p in displayed] for row in self.rows]
 
     def text(self) -> str:
-        """Aligned text for a terminal: text to the left, numbers to the right."""
-        kinds = [column.kind == "text" for column in self._read]
+        """Aligned text for a terminal: text flush left, numbers flush right."""
+        kinds = [column.kind == "text" for column in self._displayed]
         return aligned(self.headings, self.cells(), kinds.index(False) if False in kinds else len(kinds))
 
     def html(self) -> str:
-        """The first rows for a notebook; texts are escaped."""
+        """HTML table of the first rows for a notebook; texts are escaped."""
         if not self.columns:
             return ""
         head = "".join(
@@ -305,35 +302,35 @@ class Table(Valued):
         return f"<table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>{rest}"
 
 
-class Result(Valued):
-    """Base class of the results of verbs: `_lines` and `_tables` are defined by each kind of result; all else is here.
+class Result(ValueEquality):
+    """Base class of the results of verbs; a subclass defines `_lines` and `_tables`.
 
-    It is equal to another of its kind where all values are, arrays among them; it can be copied and pickled.
+    Results are compared by value, arrays included; they can be copied and pickled.
     """
 
     def _lines(self) -> list[str]:
-        """The result in a few lines."""
+        """Summary of the result in a few lines."""
         raise NotImplementedError
 
     def _tables(self) -> Mapping[str, Callable[[], Table | Columns]]:
-        """Its tables by name, the most wanted first; each is made when it is asked for."""
+        """Functions that make the tables, by name; the first one is the default."""
         return {}
 
     def __repr__(self) -> str:
         return "\n".join(self._lines())
 
     def _repr_html_(self) -> str:
-        """The lines, and below them the beginning of the first table."""
+        """HTML of the summary and of the first rows of the default table."""
         head = "<br>".join(escape(line) for line in self._lines())
         return f"<p>{head}</p>" + (self.table().html() if self._tables() else "")
 
     def table(self, name: str | None = None) -> Table:
-        """One of the result's tables.
+        """A table of the result.
 
         Parameters
         ----------
         name : str, optional
-            Which; default the first. A name that does not exist is answered with those that do.
+            Name of the table; default the first. The error for an unknown name lists the valid ones.
 
         Raises
         ------
@@ -349,22 +346,22 @@ class Result(Valued):
         return made if isinstance(made, Table) else Table.of_columns(chosen, made)
 
     def to_dataframe(self, table: str | None = None) -> pd.DataFrame:
-        """One of the result's tables as a data frame; raises ModelError as `table`, SetupError without pandas."""
+        """A table of the result as a data frame; raises ModelError as `table`, SetupError without pandas."""
         return self.table(table).frame()
 
     def plot(self) -> Figure:
-        """The picture of the result, a matplotlib figure; raises ModelError for what has none."""
-        figure: Figure = pictures("plots").figure_of(self)
+        """Figure of the result (matplotlib); raises ModelError for a result without one."""
+        figure: Figure = plotting_module("plots").figure_of(self)
         return figure
 
 
 def guarded(text: str) -> str:
-    """A text that no spreadsheet takes for a formula."""
+    """The text with an apostrophe before it where a spreadsheet would take it for a formula."""
     return f"'{text}" if text.startswith(FORMULA) else text
 
 
 def plain(text: str) -> str:
-    """The text that was guarded."""
+    """The text without the apostrophe of `guarded`."""
     return text[1:] if text.startswith("'") and text[1:].startswith(FORMULA) else text
 
 
@@ -383,15 +380,15 @@ def _value(column: Column, cell: str, file: object, row: int) -> Any:
     except ValueError:
         value = math.inf
     if abs(value) > LARGEST:
-        raise RecordError(f"'{printable(cell[:40])}' is no number", file=file, row=row, column=column.name)
+        raise RecordError(f"'{printable(cell[:40])}' is not a number", file=file, row=row, column=column.name)
     return value
 
 
 def by_row(rows: Sequence[Mapping[str, Any]]) -> Columns:
-    """Columns of rows that all have the same keys."""
+    """Columns of rows with equal keys."""
     return {key: [row[key] for row in rows] for key in (rows[0] if rows else ())}
 
 
 def by_entry(kind: type, entries: Sequence[object]) -> Columns:
-    """Columns of the fields of a dataclass, a row an entry."""
+    """Columns of the fields of a dataclass, one row per entry."""
     return {field.name: [getattr(entry, field.name) for entry in entries] for field in fields(kind)}

@@ -1,8 +1,8 @@
 """Atomic replacement of the files of a folder, by one process that may be killed at any moment.
 
-Contents go to temporary siblings first; a note then lists where each belongs, and the moves follow. A process that is
-killed before the note leaves the folder as it was; the moves that it leaves behind after it are finished by the next
-one that writes there (`settle`). Files and folders have the permissions that the user's umask gives.
+Contents are written to temporary files first; a journal then lists their final names, and the moves follow. A process
+that is killed before the journal leaves the folder unchanged; the next process that writes there completes the moves of
+a journal (`settle`). Files and folders have the permissions of the user's umask.
 """
 
 from __future__ import annotations
@@ -21,21 +21,21 @@ from ltsim.core.errors import RecordError
 MODE = 0o666
 """Permissions of a new file before the umask."""
 _RUN = secrets.token_hex(4)
-"""Mark of this process: a later one may have its number."""
+"""Token of this process, since process numbers are reused."""
 _TEMPORARY = re.compile(r"\.ltsim-(\d{1,9})-([0-9a-f]{8})-[0-9a-f]{8}\.(tmp|moves)")
-"""Names of temporary files and of notes, with number and mark of the process that writes."""
+"""Names of temporary files and journals, with number and token of the writing process."""
 
 
 def write_files(folder: Path, contents: Mapping[str, bytes], *, durable: bool = False) -> None:
-    """Write files into a folder, made where it is missing: all of them, or none.
+    """Write files into a folder, which is created if necessary: all of them, or none.
 
-    A name may lead through folders. A device or a pipe is written to. `durable` files are on the disk before they have
-    their names, and the names before this returns. Raises OSError, and RecordError as `place_in`.
+    A name may contain folders. A device or a pipe is written to directly. `durable` files and their names are flushed
+    to the disk. Raises OSError, and RecordError as `place_in`.
     """
     folder.mkdir(parents=True, exist_ok=True)
     settle(folder)
     moves: dict[str, str] = {}
-    note = folder / _temporary("moves")
+    journal = folder / _temporary("moves")
     try:
         for name, content in contents.items():
             place = place_in(folder, name)
@@ -49,48 +49,48 @@ def write_files(folder: Path, contents: Mapping[str, bytes], *, durable: bool = 
             moves[os.path.relpath(temporary, folder)] = name
             _create(temporary, content, durable=durable)
         if len(moves) > 1:
-            _create(note, json.dumps(moves).encode(), durable=durable)
+            _create(journal, json.dumps(moves).encode(), durable=durable)
         try:
             _move(folder, moves, durable=durable)
         except KeyboardInterrupt:
             _move(folder, moves, durable=durable)
             raise
     finally:
-        for left in (*(folder / name for name in moves), note):
+        for temporary in (*(folder / name for name in moves), journal):
             with contextlib.suppress(OSError):
-                left.unlink(missing_ok=True)
+                temporary.unlink(missing_ok=True)
 
 
 def settle(folder: Path) -> set[str]:
-    """Finish what a killed process had begun to move into a folder, and remove what it had not; names of the former.
+    """Complete the interrupted moves of killed processes and remove their temporary files; returns the completed names.
 
     Raises OSError.
     """
     finished: set[str] = set()
-    for note in _abandoned(folder, "moves"):
+    for journal in _abandoned(folder, "moves"):
         try:
-            moves = json.loads(note.read_bytes())
+            moves = json.loads(journal.read_bytes())
             valid = isinstance(moves, dict) and all(
                 isinstance(name, str) and _TEMPORARY.fullmatch(Path(source).name) for source, name in moves.items()
             )
-        except ValueError:  # killed while it wrote the note
+        except ValueError:  # killed while it wrote the journal
             valid = False
         if valid:
             moves = {source: name for source, name in moves.items() if _inside(folder, source)}
             _move(folder, moves, durable=False)
             finished.update(moves.values())
-        note.unlink(missing_ok=True)
-    for left in _abandoned(folder, "tmp"):
-        left.unlink(missing_ok=True)
+        journal.unlink(missing_ok=True)
+    for temporary in _abandoned(folder, "tmp"):
+        temporary.unlink(missing_ok=True)
     return finished
 
 
 def place_in(folder: Path, name: str) -> Path:
-    """Place of a file in a folder, symbolic links followed; RecordError for links that lead out of the folder."""
+    """Path of a file in a folder, symbolic links resolved; RecordError for a link that leaves the folder."""
     place = Path(os.path.realpath(folder / name))
     if not (place.is_relative_to(os.path.realpath(folder)) or is_device(place)):
         raise RecordError(
-            f"is a symbolic link that leads out of the folder, to {place}; remove the link, or name another place",
+            f"is a symbolic link that leads out of the folder, to {place}; remove the link, or choose another folder",
             file=folder / name,
         )
     return place
@@ -115,7 +115,7 @@ def _create(path: Path, content: bytes, *, durable: bool) -> None:
 
 
 def _move(folder: Path, moves: Mapping[str, str], *, durable: bool) -> None:
-    """Give temporary files their names; those that have them already are passed over."""
+    """Rename temporary files to their final names; those already renamed are skipped."""
     parents = set()
     for source, name in moves.items():
         place = place_in(folder, name)
@@ -143,7 +143,7 @@ def _abandoned(folder: Path, ending: str) -> Iterator[Path]:
 
 
 def _runs(process: int, mark: str) -> bool:
-    if os.name == "nt":  # there `os.kill` ends the process that it asks after
+    if os.name == "nt":  # where `os.kill` would end the process
         return True
     if process == os.getpid():
         return mark == _RUN

@@ -1,7 +1,6 @@
-"""Units at the edges. Inside, every float is SI: metre, radian, second, kelvin difference.
+"""Units of input and output; inside, every float is SI: metre, radian, second, kelvin difference.
 
-A parameter declares the unit a person reads it in; `FACTOR[unit]` is that unit in SI, so
-``shown = value / FACTOR[unit]``.
+A parameter declares its unit of display; `FACTOR[unit]` is that unit in SI: ``displayed = value / FACTOR[unit]``.
 """
 
 import functools
@@ -18,7 +17,7 @@ DEGREE = math.pi / 180
 GON = math.pi / 200
 PPM = 1e-6
 EARTH = 6_371_000.0
-"""[m] Radius of the sphere that is taken for the earth."""
+"""Mean radius [m] of the earth."""
 
 FACTOR = MappingProxyType(
     {
@@ -56,13 +55,13 @@ FACTOR = MappingProxyType(
     }
 )
 
-ALIKE = (
+CONVERTIBLE = (
     frozenset({"um", "mm", "cm", "m", "in", "ft"}),
     frozenset({"urad", "mrad", "arcsec", "cc", "mgon", "deg", "gon", "rad"}),
     frozenset({"ms", "s", "min", "h"}),
     frozenset({"um/m", "ppm"}),
 )
-"""Units of one kind, which can be converted."""
+"""Groups of units that convert into each other."""
 _SPELT = MappingProxyType(
     {
         "deg": "deg degree degrees ° grad° º", "gon": "gon gons grad grads g gr neugrad", "rad": "rad radian radians",
@@ -75,7 +74,7 @@ _SPELT = MappingProxyType(
     }
 )  # fmt: skip
 NAMED = MappingProxyType({word.replace("_", " "): unit for unit, words in _SPELT.items() for word in words.split()})
-"""Units by what people write, in small letters; `dms` is degrees, minutes and seconds in one cell."""
+"""Units by their spellings in lower case; `dms` is degrees, minutes and seconds in one cell."""
 ANGLES = ("deg", "gon", "rad", "dms")
 LENGTHS = ("mm", "m", "in", "cm", "ft", "um")
 SMALL_ANGLES = ("arcsec", "cc", "mgon", "urad", "mrad", "deg", "gon", "rad")
@@ -107,7 +106,7 @@ def ratio(unit: str, other: str) -> Decimal:
 
 
 def unit_of_key(key: str) -> str:
-    """The unit that a key carries in its name; empty where it carries none."""
+    """Unit in the name of a key; empty where it has none."""
     for ending, name in BY_ENDING.items():
         if key.endswith(ending):
             return name
@@ -116,17 +115,17 @@ def unit_of_key(key: str) -> str:
 
 def same_kind(unit: str, other: str) -> bool:
     """True for two units of one kind, such as two lengths."""
-    return unit == other or any({unit, other} <= kind for kind in ALIKE)
+    return unit == other or any({unit, other} <= kind for kind in CONVERTIBLE)
 
 
 def in_unit(text: str, unit: str) -> float | None:
     """A number with its unit, such as ``2 urad``, in another unit of the same kind; None where it is none."""
-    found = _QUANTITY.fullmatch(text)
-    if found is None:
+    match = _QUANTITY.fullmatch(text)
+    if match is None:
         return None
-    value, own = float(found[1]), found[2].replace("µ", "u").replace('"', "arcsec")
-    if own == unit:
+    value, given = float(match[1]), match[2].replace("µ", "u").replace('"', "arcsec")
+    if given == unit:
         return value
-    if not same_kind(own, unit):
+    if not same_kind(given, unit):
         return None
-    return float(f"{value * FACTOR[own] / FACTOR[unit]:.15g}")
+    return float(f"{value * FACTOR[given] / FACTOR[unit]:.15g}")

@@ -1,7 +1,7 @@
-"""Comparison by value for every result: two are equal where their contents are, arrays among them.
+"""Equality of results by value, arrays included.
 
-Results are read from files through the models of these files alone. Nothing here turns a file into an object: `pickle`
-of a result is the user's own, as of any data class, and no function of ltsim reads one.
+Results are read from files through the models of these files alone. No function of ltsim reads a
+`pickle`.
 """
 
 import dataclasses
@@ -13,10 +13,10 @@ import numpy as np
 from pydantic import BaseModel
 
 
-class Valued:
-    """A data class that is compared by value, its arrays too.
+class ValueEquality:
+    """Base class of data classes that are compared by value, arrays included.
 
-    Data classes that are declared below it get this comparison instead of one by tuples, which arrays do not allow.
+    Data classes derived from it use this comparison instead of one by tuples, which arrays do not allow.
     """
 
     def __init_subclass__(cls, **rest: Any) -> None:

@@ -12,7 +12,7 @@ from ltsim.calibration.calibration import residuals_table
 from ltsim.core.arrays import Floats
 from ltsim.core.results import Columns, Result, Table, by_entry, by_row
 from ltsim.core.units import FACTOR
-from ltsim.core.values import Valued
+from ltsim.core.values import ValueEquality
 from ltsim.diagnosis.schema import (
     BeforeAfter,
     DetectableEntry,
@@ -29,7 +29,7 @@ from ltsim.recordings.result_file import SourceEntry
 
 
 @dataclass(frozen=True)
-class Targets(Valued):
+class Targets(ValueEquality):
     """Coordinates (T, 3) [m] and their covariance (T, 3, 3) [m^2]."""
 
     points: Floats

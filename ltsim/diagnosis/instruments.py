@@ -18,14 +18,14 @@ from ltsim.calibration.evidence import (
     log_sum_exp,
 )
 from ltsim.core.arrays import Floats
-from ltsim.core.chances import SIZES
+from ltsim.core.probability import SIZE_PRIOR
 from ltsim.diagnosis.evidence import shares
 from ltsim.diagnosis.prior import log_share
 from ltsim.diagnosis.schema import Estimate, InstrumentEntry
 from ltsim.physics.effects.effect import Parameter
 from ltsim.solve.design import unit_diagonal
 
-CHANGED = sum(share * size**2 for size, share in SIZES.items())
+CHANGED = sum(share * size**2 for size, share in SIZE_PRIOR.items())
 """Variance in guarantees of a constant that is taken to have changed, when the others are looked at."""
 NOT_APART = 0.01
 """Share of the evidence from which another constant may be the one that is off."""

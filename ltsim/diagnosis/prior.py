@@ -11,9 +11,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ltsim.core.chances import CONSTANT
+from ltsim.core.probability import P_CONSTANT
 
-PRIOR = {"named": 0.53, "law": 0.33, "noise": 0.095, "scatter": 0.005, "constant": CONSTANT}
+PRIOR = {"named": 0.53, "law": 0.33, "noise": 0.095, "scatter": 0.005, "constant": P_CONSTANT}
 """Prior probability of each kind of unmodelled cause, given that there is one."""
 ABOUT = {
     "named": "an effect of the catalogue that shifts readings, all effects alike",

@@ -17,8 +17,8 @@ from scipy import special
 
 from ltsim.adjustment.reliability import noncentrality
 from ltsim.core.arrays import Bools, Floats, Ints
-from ltsim.core.chances import p_is
 from ltsim.core.notation import listing
+from ltsim.core.probability import format_p
 from ltsim.core.results import Column, Result, Table, numbers
 from ltsim.core.units import MICROMETRE, MILLIMETRE, PPM
 from ltsim.recordings.result_file import Entry, Finite, Known, ResultFile, SourceEntry, Vector
@@ -106,7 +106,7 @@ class Comparison(ResultFile, Result):
         return [
             self.sentence,
             *self.notes,
-            f"no motion at all: {p_is(self.p_value)}; without what moved: {p_is(self.p_value_after)}",
+            f"no motion at all: {format_p(self.p_value)}; without what moved: {format_p(self.p_value_after)}",
         ]
 
     def _tables(self) -> Mapping[str, Callable[[], Table]]:

@@ -14,7 +14,7 @@ from ltsim.adjustment import Adjustment, adjust
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import ModelError, SetupError, unknown_name
 from ltsim.core.units import MILLIMETRE
-from ltsim.core.values import Valued
+from ltsim.core.values import ValueEquality
 from ltsim.measurands.spec import Tasks, TypeB
 from ltsim.physics.effects.air import Air
 from ltsim.physics.effects.effect import Effect, NoiseEffect, by_displacement
@@ -33,7 +33,7 @@ LENGTHS, CONTROL, PRIORS = "known lengths", "control points", "what the maker gu
 
 
 @dataclass(frozen=True)
-class Source(Valued):
+class Source(ValueEquality):
     """One source of uncertainty of the points."""
 
     name: str
@@ -51,7 +51,7 @@ class Source(Valued):
 
 
 @dataclass(frozen=True)
-class Inputs(Valued):
+class Inputs(ValueEquality):
     """Estimated points and what they depend on."""
 
     origin: Adjustment | Coordinates

@@ -9,7 +9,7 @@ import numpy as np
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import ModelError, NetworkError, unknown_name
 from ltsim.core.units import DEGREE, MILLIMETRE, PPM
-from ltsim.core.values import Valued
+from ltsim.core.values import ValueEquality
 from ltsim.geometry.alignment import best_fit
 from ltsim.measurands.features import Feature, fit
 from ltsim.measurands.spec import Task
@@ -36,7 +36,7 @@ def _deg(*names: str) -> list[Output]:
 
 
 @dataclass(frozen=True)
-class Measurand(Valued):
+class Measurand(ValueEquality):
     """A task on the points of a network."""
 
     task: Task

@@ -18,7 +18,7 @@ from scipy import optimize, special
 from ltsim.adjustment import adjust
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.randomness import stream
-from ltsim.core.values import Valued
+from ltsim.core.values import ValueEquality
 from ltsim.geometry.expansion import Expansion
 from ltsim.measurands.inputs import Inputs
 from ltsim.measurands.measurands import Measurand
@@ -45,7 +45,7 @@ def parts_of(stretch: Expansion) -> list[tuple[str, float]]:
 
 
 @dataclass(frozen=True)
-class Propagated(Valued):
+class Propagated(ValueEquality):
     """Results of all tasks together by the law of propagation."""
 
     values: Floats
@@ -149,7 +149,7 @@ CHARACTERISTIC: dict[str, Callable[[Floats], Floats]] = {
 
 
 @dataclass(frozen=True)
-class Drawn(Valued):
+class Drawn(ValueEquality):
     """The distribution of the results."""
 
     values: Floats

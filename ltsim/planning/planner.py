@@ -6,7 +6,7 @@ import numpy as np
 
 from ltsim.core.arrays import Bools
 from ltsim.core.errors import NetworkError
-from ltsim.core.values import Valued
+from ltsim.core.values import ValueEquality
 from ltsim.physics.model.construction import Construction
 from ltsim.planning.fast import Reducer
 from ltsim.planning.information import ExpectedErrors, LayoutInformation, Predictor
@@ -25,7 +25,7 @@ from ltsim.simulation.scenario import Scenario
 
 
 @dataclass(frozen=True)
-class Option(Valued):
+class Option(ValueEquality):
     """One point of the curve: a way of working, the best layout found for it, what it costs and what it is worth."""
 
     survey: Survey
@@ -42,7 +42,7 @@ class Option(Valued):
 
 
 @dataclass(frozen=True)
-class Evaluated(Valued):
+class Evaluated(ValueEquality):
     """A layout with everything that is known of it before measuring."""
 
     survey: Survey
@@ -71,7 +71,7 @@ class Tried:
 
 
 @dataclass(frozen=True, repr=False)
-class PlannedNetwork(Valued):
+class PlannedNetwork(ValueEquality):
     """A layout with all that the planner knows of it, as arrays; `Plan` is the result that is made of it."""
 
     file: PlanFile

@@ -12,7 +12,7 @@ from scipy.optimize import Bounds, LinearConstraint, milp
 from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import SetupError
 from ltsim.core.notation import listing
-from ltsim.core.values import Valued
+from ltsim.core.values import ValueEquality
 from ltsim.planning.rules import FEWEST, TOUCH, BrokenRule, short_of_sights, short_of_targets, too_near
 from ltsim.planning.survey import Survey
 from ltsim.scene.floor import Area, KeepOut, may_stand, objection, over
@@ -32,7 +32,7 @@ TIE = 1e-4
 
 
 @dataclass(frozen=True)
-class Site(Valued):
+class Site(ValueEquality):
     """The freedom of a plan."""
 
     survey: Survey

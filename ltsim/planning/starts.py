@@ -13,7 +13,7 @@ import numpy as np
 from ltsim.adjustment.remedies.next_measurement import quiet
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import NetworkError, SetupError
-from ltsim.core.workers import ProgressNotes, followed, parallel
+from ltsim.core.parallel import ProgressWriter, parallel, track_progress
 from ltsim.physics.model.construction import Construction
 from ltsim.planning.reflectors import choose_reflectors
 from ltsim.planning.search import LayoutSearcher, PlannedLayout
@@ -91,7 +91,7 @@ def gathered(
     done: dict[int, Found] = {}
     stopped, told, last = False, np.inf, -np.inf
 
-    def best_so_far(notes: ProgressNotes) -> dict[int, Found]:
+    def best_so_far(notes: ProgressWriter) -> dict[int, Found]:
         """Best layout of each running search, from the notes of its process."""
         rows = {number: np.load(path) for number in range(len(tasks)) if (path := _note(notes, number)).is_file()}
         return {
@@ -109,7 +109,7 @@ def gathered(
             told = value
             keep(survey, value)
 
-    with followed(len(tasks), lambda done_share: look(done_share)) as notes:
+    with track_progress(len(tasks), lambda done_share: look(done_share)) as notes:
         jobs = min(jobs, len(tasks))
         work = ((problem, task, notes, number, jobs == 1) for number, task in enumerate(tasks))
         try:
@@ -124,12 +124,12 @@ def gathered(
     return found, stopped
 
 
-def _note(notes: ProgressNotes, number: int) -> Path:
+def _note(notes: ProgressWriter, number: int) -> Path:
     return notes.path.with_name(f"{number}.npy")
 
 
 def _task(
-    problem: PlanningProblem, task: SearchTask, notes: ProgressNotes, number: int, here: bool
+    problem: PlanningProblem, task: SearchTask, notes: ProgressWriter, number: int, here: bool
 ) -> tuple[int, Found | None]:
     """One start's layout; None where the rules allow none, or ranges from so few stations determine none."""
     if not here:  # in a process of its own: Ctrl-C is for the one that gathers

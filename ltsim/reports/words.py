@@ -6,8 +6,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from itertools import takewhile
 from typing import Any
 
-from ltsim.core.chances import AGREES, p_is, two_sided
 from ltsim.core.notation import listing as listing
+from ltsim.core.probability import AGREEMENT_LEVEL, format_p, two_sided
 
 QUALITY = {
     "instrument": ("instrument: sigma / prior sigma", 1.0),
@@ -68,7 +68,7 @@ def agreement(chi2: float, dof: int, p: float | None) -> tuple[bool, str]:
     """Whether readings agree with the model, at 1 % on each side, and the words for it; `p` is that of a larger one."""
     if dof <= 0 or p is None or not math.isfinite(p):
         return True, "there is no redundancy to test the model with"
-    agrees, tested = two_sided(p) >= AGREES, f"(chi2 {chi2:.0f} for {dof}, two-sided {p_is(two_sided(p))})"
+    agrees, tested = two_sided(p) >= AGREEMENT_LEVEL, f"(chi2 {chi2:.0f} for {dof}, two-sided {format_p(two_sided(p))})"
     if not agrees and p > 0.5:
         return False, f"the readings scatter less than the stated noise says {tested}"
     return agrees, f"the readings {'agree' if agrees else 'do not agree'} with the model and the stated noise {tested}"

@@ -12,7 +12,7 @@ from ltsim.adjustment.remedies.remedy import FloorPlan
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import SetupError
 from ltsim.core.units import DEGREE, MILLIMETRE
-from ltsim.core.values import Valued
+from ltsim.core.values import ValueEquality
 from ltsim.physics.model.construction import stated_construction
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Limits, Setup
@@ -41,7 +41,7 @@ class Sights:
 
 
 @dataclass(frozen=True)
-class PlacedWorkshop(Valued):
+class PlacedWorkshop(ValueEquality):
     """Stations, targets and surroundings in one frame whose z axis is vertical; metres and radians."""
 
     title: str

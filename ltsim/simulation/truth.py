@@ -15,7 +15,7 @@ from ltsim.core.arrays import Floats
 from ltsim.core.errors import ModelError, RecordError, SetupError
 from ltsim.core.results import Columns, Result
 from ltsim.core.units import FACTOR, MILLIMETRE
-from ltsim.core.values import Valued
+from ltsim.core.values import ValueEquality
 from ltsim.geometry.rotations import quaternion
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.effects.verbs import shape_of
@@ -27,7 +27,7 @@ from ltsim.simulation.sections import PlacedEffect
 
 
 @dataclass(frozen=True)
-class AppliedEffect(Valued):
+class AppliedEffect(ValueEquality):
     """An effect that was at work, with the true values (q,) [SI] of its parameters."""
 
     effect: Effect

@@ -51,7 +51,7 @@ def test_templates_are_printed(verb: str, name: str, capsys: pytest.CaptureFixtu
     printed = capsys.readouterr().out
     assert printed == example_text(name) and tomllib.loads(printed)["format"]
     assert run([verb]) == 2
-    assert f"ltsim {verb} --show prints one to edit" in capsys.readouterr().err
+    assert f"ltsim {verb} --show prints a template" in capsys.readouterr().err
 
 
 def test_a_campaign_in_python_takes_a_backend(tmp_path: Path) -> None:

@@ -32,7 +32,7 @@ def test_a_fault_of_ltsim_has_a_status_of_its_own(
     assert run(["effects"]) == 70
     said = capsys.readouterr().err
     assert "Traceback" in said and "nobody expects this" in said
-    assert said.splitlines()[-1].startswith("error: a fault of ltsim itself (IndexError)")
+    assert said.splitlines()[-1].startswith("error: internal error of ltsim (IndexError)")
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no full disk at hand")
@@ -88,7 +88,7 @@ def test_an_interrupted_campaign_says_what_is_kept(
     (tmp_path / "few.toml").write_text('format = "ltsim-campaign/1"\ntrials = 8\nshard = 4\n')
     assert run(["campaign", str(tmp_path / "few.toml")]) == 130
     said = capsys.readouterr().err
-    assert said == f"interrupted; 1 finished shards are kept in {tmp_path / 'few'}; go on with --resume\n"
+    assert said == f"interrupted; 1 finished shards remain in {tmp_path / 'few'}; continue with --resume\n"
 
 
 def test_a_pipe_gets_a_sign_of_life(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -119,7 +119,7 @@ def test_an_interruption_is_told(monkeypatch: pytest.MonkeyPatch, capsys: pytest
 
     monkeypatch.setattr(effects, "entry", stop)
     assert run(["effects"]) == 130
-    assert capsys.readouterr().err == "interrupted; nothing half-written was left\n"
+    assert capsys.readouterr().err == "interrupted; no partial file remains\n"
 
 
 def test_hostile_names_are_text_on_the_terminal(

@@ -59,7 +59,7 @@ def test_help_without_arguments(capsys) -> None:
         (["calibrate", "nowhere", "--hint", "colour=red"], "expected KEY=VALUE with a key among angle"),
         (["correct", "nowhere", "--out", "x"], "Missing option '--calibration'"),
         (["simulate", "paper-workshp", "--out", "x"], "did you mean paper-workshop"),
-        (["simulate", "paper-workshop"], "give a folder for the recording with --out"),
+        (["simulate", "paper-workshop"], "ltsim simulate needs --out REC"),
         (["effects", "station-setling"], "did you mean station-settling"),
         (["recover", "paper-workshop", "--trials", "1"], "--trials"),
         (["recover", "nowhere.toml"], "there is no such file"),

@@ -19,7 +19,7 @@ import ltsim as lt
 from ltsim.adjustment import Adjustment
 from ltsim.core.errors import ModelError, RecordError
 from ltsim.core.results import Column, Result, Table, flags, numbers, texts
-from ltsim.core.values import Valued, equal_values
+from ltsim.core.values import ValueEquality, equal_values
 from ltsim.reports.verbs import View
 from ltsim.simulation.inject import InjectionCurve
 from ltsim.simulation.scenario import Scenario
@@ -61,7 +61,7 @@ def test_a_table_is_written_and_read_back():
     assert again.column("moved") == [True, False]
     assert np.isnan(again.column("sigma_x_mm")[1])
     assert again.csv() == text
-    with pytest.raises(RecordError, match="row 1, column x_mm: 'one' is no number"):
+    with pytest.raises(RecordError, match="row 1, column x_mm: 'one' is not a number"):
         POINTS.parsed(text.replace("1000.123490", "one"))
     with pytest.raises(RecordError, match="the column moved is missing"):
         POINTS.parsed(text.replace("moved", "went"))
@@ -115,7 +115,7 @@ def test_results_are_equal_where_their_values_are():
 
 def test_data_classes_below_keep_their_own_representation():
     @dataclass(frozen=True)
-    class Pair(Valued):
+    class Pair(ValueEquality):
         both: np.ndarray
 
     assert repr(Pair(np.ones(1))).endswith("Pair(both=array([1.]))")

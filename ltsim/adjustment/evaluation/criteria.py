@@ -22,7 +22,7 @@ from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError, RecordError
 from ltsim.core.results import Column, Result, Table, numbers, texts
 from ltsim.core.units import MICROMETRE
-from ltsim.core.values import Valued
+from ltsim.core.values import ValueEquality
 from ltsim.physics.model.construction import Construction
 from ltsim.recordings.coordinates import read_points
 from ltsim.recordings.recording import Recording
@@ -34,7 +34,7 @@ MOST_PLACES = 20_000_000
 
 
 @dataclass(frozen=True)
-class Differences(Valued):
+class Differences(ValueEquality):
     """Sizes of disagreement (k,) [m]: one a pair of targets for distances, one a target for coordinates."""
 
     values: Floats
@@ -56,7 +56,7 @@ class Differences(Valued):
 
 
 @dataclass(frozen=True)
-class Improvement(Valued):
+class Improvement(ValueEquality):
     """A criterion before and after calibration; `after` is None where there are no parameters."""
 
     before: Differences

@@ -34,7 +34,7 @@ from ltsim.core.arrays import Bools, Floats, Ints
 from ltsim.core.errors import NetworkError
 from ltsim.core.results import Columns, Result
 from ltsim.core.units import ARCSECOND, MICROMETRE
-from ltsim.core.values import Valued
+from ltsim.core.values import ValueEquality
 from ltsim.physics.effects.index_drift import IndexDrift
 from ltsim.physics.effects.motions import StationMotion
 from ltsim.physics.effects.range_drift import RangeDrift
@@ -57,7 +57,7 @@ OWN_DOF = 6.0
 
 
 @dataclass(frozen=True)
-class SetUp(Valued):
+class SetUp(ValueEquality):
     """One set-up: its items, its two-face differences (None without pairs) and its model (None where nothing repeats).
 
     `rows` are the rows of the whole recording, from 1.

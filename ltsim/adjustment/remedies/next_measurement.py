@@ -31,7 +31,7 @@ from ltsim.adjustment.residual_space import ResidualSpace
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import ModelError
 from ltsim.core.results import Columns, Result
-from ltsim.core.values import Valued
+from ltsim.core.values import ValueEquality
 from ltsim.physics.effects import find_effect
 from ltsim.physics.effects.effect import Effect, NoiseEffect
 from ltsim.physics.effects.signature import Signature
@@ -137,7 +137,7 @@ def _stand_ins(space: ResidualSpace, truth: Explanation, rival: Effect) -> list[
 
 
 @dataclass(frozen=True)
-class Proposal(Valued):
+class Proposal(ValueEquality):
     """A remedy and what it would bring."""
 
     remedy: Remedy

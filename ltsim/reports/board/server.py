@@ -251,6 +251,6 @@ def _answered(access: BoardAccess, method: str, path: str, body: bytes) -> Answe
     try:
         return access.answer(method, path, body)
     except Exception as problem:  # a fault of ltsim: the page says so, and the board goes on
-        words = f"a fault of ltsim itself ({type(problem).__name__}: {problem}); please report it"
+        words = f"internal error of ltsim ({type(problem).__name__}: {problem}); please report it"
         content = json.dumps({"problem": words}).encode()
         return Answer(HTTPStatus.INTERNAL_SERVER_ERROR, "application/json", content)

@@ -12,9 +12,9 @@ from ltsim.adjustment.evaluation.criteria import CRITERIA
 from ltsim.calibration.calibration import NOISE, OUTLIERS, PARAMETERS
 from ltsim.calibration.files import read_targets
 from ltsim.calibration.schema import RESIDUALS, TARGETS, CalibrationFile
-from ltsim.core.chances import AGREES, p_text, two_sided
 from ltsim.core.errors import option
 from ltsim.core.notation import fixed, number
+from ltsim.core.probability import AGREEMENT_LEVEL, p_text, two_sided
 from ltsim.core.units import FACTOR
 from ltsim.recordings import Recording, Setup
 from ltsim.recordings.result_file import check_source
@@ -166,7 +166,7 @@ def _actions(content: CalibrationFile) -> list[str]:
         out = f"or leave them out ({option('robust=True')})"
         said.append(f"Measure again what did not fit, {out}: {which}.")
     test = content.fit.p_value
-    if test is not None and test < AGREES / 2 and not content.noise_estimated:
+    if test is not None and test < AGREEMENT_LEVEL / 2 and not content.noise_estimated:
         said.append("Find out why readings and model disagree: ltsim diagnose names what is missing from the model.")
     if content.verdict.scale_by_sigma0 and not content.noise:
         said.append(

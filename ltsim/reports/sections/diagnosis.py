@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ltsim.calibration.schema import RESIDUALS
-from ltsim.core.chances import p_text, two_sided
 from ltsim.core.errors import LtsimError
 from ltsim.core.notation import NONE, number, with_sigma
+from ltsim.core.probability import p_text, two_sided
 from ltsim.core.units import FACTOR
 from ltsim.diagnosis.schema import BEFORE, TARGETS, DiagnosisFile, Finding, Misfit, Where
 from ltsim.diagnosis.words import clear_constants

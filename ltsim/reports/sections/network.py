@@ -12,9 +12,9 @@ from ltsim.adjustment import Adjustment, adjust
 from ltsim.calibration.files import read_targets
 from ltsim.calibration.schema import Combination, DeterminedEntry
 from ltsim.core.arrays import Floats
-from ltsim.core.chances import p_text, two_sided
 from ltsim.core.errors import ConvergenceError, NetworkError, installed, missing_extra
 from ltsim.core.notation import NONE, fixed, number
+from ltsim.core.probability import p_text, two_sided
 from ltsim.physics.model.construction import stated_construction
 from ltsim.recordings import Recording, read
 from ltsim.reports import figures

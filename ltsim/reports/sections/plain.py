@@ -9,8 +9,8 @@ from ltsim.acceptance.files import AcceptanceFile, passes_words
 from ltsim.adjustment.fieldcheck.items import CheckFile
 from ltsim.calibration.events import ENOUGH_STEPS, LEAST_STEPS
 from ltsim.calibration.history_schema import HistoryFile
-from ltsim.core.chances import p_is, p_text
 from ltsim.core.notation import number, with_sigma
+from ltsim.core.probability import format_p, p_text
 from ltsim.measurands.comparison import DISPLACEMENTS, Comparison
 from ltsim.measurands.files import UncertaintyFile
 from ltsim.planning.result import NextFile
@@ -240,7 +240,7 @@ def history_section(content: HistoryFile, _: Beside) -> Section:
 
 def _course_words(content: HistoryFile, events: Sequence[Any], usual: bool, ends: dict[str, Any]) -> str:
     since = content.since_first
-    tested = f"(chi2 {since.chi2:.0f} for {since.dof}, {p_is(since.p_value)})"
+    tested = f"(chi2 {since.chi2:.0f} for {since.dof}, {format_p(since.p_value)})"
     if events:
         steps = listing(list(dict.fromkeys(f"between {e.from_} and {e.to}" for e in events)))
         return f"had an event (a service, a blow) {steps}, in {listing(list(dict.fromkeys(e.name for e in events)))}."

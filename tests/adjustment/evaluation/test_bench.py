@@ -57,7 +57,7 @@ def test_the_command_writes_what_it_shows(tmp_path: Path, capsys: pytest.Capture
         ("0,1,2\n", "holds length_um at 1 angles, expected 3"),
         ("0,1,2\n5,1,2\n10,1,2\n", "holds probe_um at 3 angles, expected 4"),
         ("0,1,2\n,1,2\n", "row 2: an angle is missing"),
-        ("0,wide,2\n", "'wide' is no number"),
+        ("0,wide,2\n", "'wide' is not a number"),
     ],
 )
 def test_what_is_wrong_is_one_sentence(rows: str, said: str, tmp_path: Path) -> None:

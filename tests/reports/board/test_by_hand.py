@@ -158,7 +158,7 @@ def test_a_folder_of_a_plan_begins_where_the_plan_stands(hall: Path, tmp_path: P
         ([], "either a scenario or a recording, or --plan FILE"),
         (["paper-workshop", "--plan", "hall.toml"], "either a scenario or a recording, or --plan FILE"),
         (["--plan", "nowhere.toml"], "there is no such file"),
-        (["--plan", "hall.toml", "--out", "taken"], "is there already"),
+        (["--plan", "hall.toml", "--out", "taken"], "exists already"),
     ],
 )
 def test_what_is_wrong_is_one_sentence(given: list[str], sentence: str, hall: Path, monkeypatch, capsys) -> None:

@@ -231,7 +231,7 @@ def test_a_fault_is_told_and_the_board_goes_on(hall: Path, tmp_path: Path, monke
     monkeypatch.setattr(access, "answer", broken)
     answer = server._answered(access, "POST", f"/{access.token}/judged", b"")
     assert answer.status == 500
-    assert json.loads(answer.content)["problem"].startswith("a fault of ltsim itself (IndexError: nobody expects this)")
+    assert json.loads(answer.content)["problem"].startswith("internal error of ltsim (IndexError: nobody expects this)")
 
 
 def test_a_layout_is_saved(board: Open) -> None:

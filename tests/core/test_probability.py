@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from ltsim.cli.main import run
-from ltsim.core.chances import p_is, p_text, two_sided
+from ltsim.core.probability import format_p, p_text, two_sided
 
 
 @pytest.mark.parametrize(
@@ -23,7 +23,7 @@ from ltsim.core.chances import p_is, p_text, two_sided
     ],
 )
 def test_a_chance_is_of_both_sides(upper: float, said: str) -> None:
-    assert p_is(two_sided(upper)) == said
+    assert format_p(two_sided(upper)) == said
 
 
 def test_no_chance_is_a_dash() -> None:

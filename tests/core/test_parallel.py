@@ -12,12 +12,12 @@ from pathlib import Path
 import pytest
 
 from ltsim.core.errors import WorkerError
-from ltsim.core.workers import ProgressNotes, followed, parallel
+from ltsim.core.parallel import ProgressWriter, parallel, track_progress
 
 SLEEPERS = """
 import os, sys, time
 from pathlib import Path
-from ltsim.core.workers import parallel
+from ltsim.core.parallel import parallel
 
 def sleep(name):
     (Path(sys.argv[1]) / name).write_text(str(os.getpid()))
@@ -28,14 +28,14 @@ if __name__ == "__main__":
 """
 
 
-def note(notes: ProgressNotes, piece: int) -> None:
+def note(notes: ProgressWriter, piece: int) -> None:
     notes.write(piece, 1.0)
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_whoever_watches_hears_how_far_each_piece_is(jobs: int) -> None:
     heard: list[float] = []
-    with followed(4, heard.append) as notes:
+    with track_progress(4, heard.append) as notes:
         notes.write(0, 0.5)
         assert notes.mean() == 0.125
         list(parallel(note, [(notes, k) for k in range(3)], jobs))
@@ -86,7 +86,7 @@ def test_workers_end_when_their_parent_is_killed_while_they_start(tmp_path: Path
 
 
 def test_a_worker_that_is_killed_is_a_sentence() -> None:
-    with pytest.raises(WorkerError, match="ended from outside"):
+    with pytest.raises(WorkerError, match="was killed"):
         list(parallel(_die, [(1,), (2,)], 2))
 
 

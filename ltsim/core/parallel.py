@@ -1,4 +1,4 @@
-"""Work in several processes of this machine that end with the one that started them, however that ends."""
+"""Parallel work: functions in worker processes that exit with their parent, even if the parent is killed."""
 
 import os
 import struct
@@ -15,10 +15,10 @@ from typing import Any, TypeVar
 from ltsim.core.arguments import check_bounds
 from ltsim.core.errors import WorkerError, option
 
-LOOK = 0.3
-"""[s] between two looks how far the work is."""
-WATCH = 1.0
-"""[s] between two looks whether the parent is there."""
+PROGRESS_INTERVAL = 0.3
+"""Time [s] between two reports of the progress of parallel work."""
+PARENT_CHECK_INTERVAL = 1.0
+"""Time [s] between two checks of a worker that its parent process still runs."""
 SAFE_PATH = "PYTHONSAFEPATH"
 """Variable of the environment that keeps Python from putting the working folder on its path."""
 Result = TypeVar("Result")
@@ -32,11 +32,11 @@ def parallel(
     ordered: bool = True,
     batch: int = 1,
 ) -> Iterator[Result]:
-    """Results of a function, call by call, from `jobs` processes; in this one where that is one.
+    """Results of a function for each tuple of arguments in `calls`, computed by `jobs` processes.
 
-    The function is one of a module: it travels by name. Results come in the order of the calls, or where they are not
-    to be `ordered` as they are ready; `batch` calls travel together. Raises WorkerError when a process ends before its
-    work, SetupError for fewer jobs than one.
+    With `jobs=1` this process computes them. The function must be importable by its name. Results come in the order of
+    the calls, or with `ordered=False` as they are ready; `batch` calls are sent to a worker together. Raises
+    WorkerError when a worker process ends early, SetupError for fewer jobs than one.
     """
     check_bounds(jobs=jobs)
     if jobs == 1:
@@ -57,7 +57,7 @@ def parallel(
                 yield result
     except TerminatedWorkerError:
         raise WorkerError(
-            f"a worker process was ended from outside, perhaps for want of memory; take fewer {option('jobs')}"
+            f"a worker process was killed, possibly because memory ran out; use fewer {option('jobs')}"
         ) from None
     finally:
         with warnings.catch_warnings():
@@ -67,7 +67,10 @@ def parallel(
 
 @contextmanager
 def _safe_path() -> Iterator[None]:
-    """Let processes begin without the working folder on their path: a `numpy.py` there would run in place of numpy."""
+    """Context in which worker processes start without the working folder on their path.
+
+    A `numpy.py` in the working folder would run in place of numpy.
+    """
     before = os.environ.get(SAFE_PATH)
     os.environ[SAFE_PATH] = "1"
     try:
@@ -80,39 +83,39 @@ def _safe_path() -> Iterator[None]:
 
 
 @dataclass(frozen=True)
-class ProgressNotes:
-    """Progress of pieces of work, each written by the process that does it."""
+class ProgressWriter:
+    """Progress of several tasks in a shared file, each task written by its worker process."""
 
     path: Path
-    """A file of shares."""
+    """File of the fractions done, one float64 per task."""
 
     def write(self, piece: int, share: float) -> None:
-        """Note the share of a piece that is done."""
+        """Record the fraction of a task that is done."""
         with self.path.open("r+b") as file:
             file.seek(8 * piece)
             file.write(struct.pack("d", share))
 
     def mean(self) -> float:
-        """Share of the whole."""
+        """Mean fraction done over all tasks."""
         shares = [share for (share,) in struct.iter_unpack("d", self.path.read_bytes())]
         return sum(shares) / max(len(shares), 1)
 
 
 @contextmanager
-def followed(count: int, tell: Callable[[float], None]) -> Iterator[ProgressNotes]:
-    """Notes of so many pieces of work; `tell` hears the share of the whole now and then, from a thread of its own.
+def track_progress(count: int, report: Callable[[float], None]) -> Iterator[ProgressWriter]:
+    """Progress of `count` tasks; `report` is called with the mean fraction done, periodically and from another thread.
 
-    What `tell` raises there is raised here, when the work is done.
+    An exception that `report` raises is raised again at the end of the context.
     """
     done, problems = threading.Event(), []
     with tempfile.TemporaryDirectory() as folder:
-        notes = ProgressNotes(Path(folder) / "shares")
+        notes = ProgressWriter(Path(folder) / "shares")
         notes.path.write_bytes(bytes(8 * count))
 
         def look() -> None:
             try:
-                while not done.wait(LOOK):
-                    tell(notes.mean())
+                while not done.wait(PROGRESS_INTERVAL):
+                    report(notes.mean())
             except Exception as problem:
                 problems.append(problem)
 
@@ -125,7 +128,7 @@ def followed(count: int, tell: Callable[[float], None]) -> Iterator[ProgressNote
             thread.join()
         if problems:
             raise problems[0]
-        tell(notes.mean())
+        report(notes.mean())
 
 
 def _watch(parent: int) -> None:
@@ -133,7 +136,7 @@ def _watch(parent: int) -> None:
 
     def look() -> None:
         while os.getppid() == parent:
-            time.sleep(WATCH)
+            time.sleep(PARENT_CHECK_INTERVAL)
         os._exit(1)
 
     threading.Thread(target=look, daemon=True).start()
