@@ -18,7 +18,7 @@ from ltsim.calibration.distance_solver import Estimates, Norm, solve_distances, 
 from ltsim.calibration.known import Choice
 from ltsim.calibration.objective import DistanceProblem
 from ltsim.core.arrays import Floats, Ints
-from ltsim.physics.model.construction import Construction, stated_construction
+from ltsim.physics.model.construction import Construction, declared_construction
 from ltsim.physics.model.measurement import MeasurementModel, State
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.reflectors import require_equal_radii
@@ -48,7 +48,7 @@ def calibrate_distance(
     uncertainty of the parameters, which were found from the same readings.
     """
     require_equal_radii(recording, f"the method {method}")
-    built = construction or stated_construction(recording)
+    built = construction or declared_construction(recording)
     known = (choice or Choice()).applied(recording, built)
     prior, held = known.sigma, known.held
     source = SourceEntry.of(recording)
