@@ -11,8 +11,8 @@ from ltsim.geometry.polar import to_face, to_polar
 from ltsim.geometry.rotations import about_z
 from ltsim.physics.model.construction import misalignment
 from ltsim.physics.model.measurement import State, sightings_of
-from ltsim.recordings.lengths import KnownLengths
 from ltsim.recordings.recording import Recording
+from ltsim.recordings.references import ReferenceLengths
 from ltsim.recordings.setup import Gauge, GaugeDistance, Setup
 from ltsim.simulation.draws import TrialDraws
 from ltsim.simulation.scenario import load_scenario
@@ -64,7 +64,7 @@ def room(stations: int, targets: int) -> CellTruth:
         mean=0 * sigma,
         sigma=sigma,
         noise=recording.sigma(),
-        lengths=KnownLengths.of(recording),
+        lengths=ReferenceLengths.of(recording),
         names=names,
     )
     return CellTruth(recording, state, population)

@@ -19,8 +19,8 @@ from ltsim.diagnosis.noise import NoiseBank, noise_hypotheses
 from ltsim.diagnosis.prior import log_share
 from ltsim.diagnosis.probe import TRIALS, Probe
 from ltsim.diagnosis.space import panels
-from ltsim.physics.laws.drivers import Driver, base_of
-from ltsim.physics.model.construction import stated_construction
+from ltsim.physics.laws.regressors import Regressor, base_of
+from ltsim.physics.model.construction import declared_construction
 from ltsim.reports.figures.campaign import Swept, by_factor
 
 make = import_module("experiments.20_concealed_physics.make")
@@ -30,7 +30,7 @@ Part = tuple[str, str]
 Scored = tuple[float, Floats]
 
 
-def part_of(driver: Driver) -> str:
+def part_of(driver: Regressor) -> str:
     """A driver's operator, or how it is made of others; what has neither is a curve, a wave or a formula."""
     if driver.kind == "product":
         return "across the room" if any(f.kind == "field" for f in driver.factors) else "product"
@@ -65,7 +65,7 @@ def p_value(parts: list[Scored]) -> float:
 def chances(name: str) -> dict[str, float]:
     """The p-value of the search, whole and without each part, and of chi-square alone."""
     recording = lt.read(WORK / make.RECORDINGS / name)
-    adjusted = adjust(recording, stated_construction(recording))
+    adjusted = adjust(recording, declared_construction(recording))
     parts = parts_of(ResidualSpace.of(adjusted))
     told = {CHI2: adjusted.p_value, WHOLE: p_value([s for some in parts.values() for s in some])}
     for what, kept in {"without laws": (CARDS, NOISE), "curves of readings alone": ("reading",)}.items():

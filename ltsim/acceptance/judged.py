@@ -13,7 +13,7 @@ from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import NetworkError, SetupError, as_setup_error, unknown_name
 from ltsim.core.units import MICROMETRE
 from ltsim.geometry.polar import across_beam, from_polar
-from ltsim.physics.model.construction import stated_construction
+from ltsim.physics.model.construction import declared_construction
 from ltsim.recordings.files import comma_number, shown
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.result_file import SourceEntry
@@ -69,7 +69,7 @@ def by_network(recording: Recording, specification: Specification) -> list[TestE
     """
     if len(recording.stations) < 2:
         raise NetworkError("one station has no lengths but its own readings; the network method needs two at least")
-    found = adjust(recording, stated_construction(recording))
+    found = adjust(recording, declared_construction(recording))
     found.solution.require_success()
     whole = recording.measured.all(axis=1) & ~found.gross
     errors: list[TestEntry] = []

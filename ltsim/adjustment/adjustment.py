@@ -37,7 +37,7 @@ from ltsim.solve.blocks import BlockFactor, SingularSystemError
 from ltsim.solve.design import as_dense
 from ltsim.solve.gauss_newton import Solution, planned, solve
 from ltsim.solve.projection import Projection, projection_of
-from ltsim.solve.threads import in_one_thread
+from ltsim.solve.threads import single_threaded
 
 STEEP = 1e-4
 """Cosine of an elevation below which a pointing is one to the zenith."""
@@ -295,13 +295,13 @@ class Adjustment(Result):
 
     def covariance_of(self, columns: Ints) -> Floats:
         """Covariance (c, k, k) of sets (c, k) of unknowns other than eliminated targets (columns of the design)."""
-        covariance = self.factor.kept_sets(columns)
+        covariance = self.factor.reduced_sets(columns)
         return covariance if self.datum is None else self.datum.transformed(covariance, columns)
 
     @cached_property
     def kept_covariance(self) -> Floats:
         """Covariance (K, K) of poses, kept targets, instrument parameters and further effects."""
-        covariance = self.factor.kept_covariance()
+        covariance = self.factor.reduced_covariance()
         if self.datum is None:
             return covariance
         return self.datum.transformed(covariance[None], np.arange(len(covariance))[None])[0]
@@ -345,7 +345,7 @@ class Adjustment(Result):
         unknowns = self.problem.unknowns
         covariance = np.empty((len(unknowns.target), 3, 3))
         kept = unknowns.target[:, 0] < unknowns.kept
-        covariance[kept] = self.factor.kept_sets(unknowns.target[kept])
+        covariance[kept] = self.factor.reduced_sets(unknowns.target[kept])
         blocks = self.factor.block_covariance()
         covariance[~kept] = blocks[(unknowns.target[~kept][:, 0] - unknowns.kept) // 3]
         if self.datum is not None:
@@ -362,7 +362,7 @@ class Adjustment(Result):
         plan = [self.recording.target_setup(name).in_plan for name in self.recording.targets]
         return np.asarray(self.problem.structure.flat | np.array(plan, dtype=bool))
 
-    @in_one_thread
+    @single_threaded
     def with_effects(self, effects: Sequence[Signature], start: State) -> Adjustment:
         """The adjustment with other further effects, beside the same readings and weights, in the factor's datum."""
         old, model = self.problem, replace(self.problem.model, effects=tuple(effects))

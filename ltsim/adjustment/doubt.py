@@ -17,7 +17,7 @@ from ltsim.core.notation import listing
 from ltsim.core.units import MILLIMETRE
 from ltsim.geometry.alignment import align
 from ltsim.geometry.polar import wrap
-from ltsim.recordings.slips import GON, UNIT_SLIPS, Slip
+from ltsim.recordings.transcription_errors import GON, UNIT_ERRORS, TranscriptionError
 
 MOST_LEFT_OUT = 0.5
 """Share of the pointings that may be left out before what remains is no result."""
@@ -43,8 +43,8 @@ BENT = 0.3
 STRAIGHT = 0.03
 """Bend that a turn can make at most, below which a station need not be asked."""
 SLIPS = (
-    *(slip for slip in UNIT_SLIPS if slip.name in ("gon", "metre", "inch", "clockwise", "zenith")),
-    Slip("degree", "degrees", "gon", ((1, 1.0 / GON, 0.0), (2, 1.0 / GON, 0.0))),
+    *(slip for slip in UNIT_ERRORS if slip.name in ("gon", "metre", "inch", "clockwise", "zenith")),
+    TranscriptionError("degree", "degrees", "gon", ((1, 1.0 / GON, 0.0), (2, 1.0 / GON, 0.0))),
 )
 """Mistakes of unit or convention in a whole file; none that shrinks lengths, for then any network seems to fit."""
 
@@ -135,11 +135,11 @@ def _unit_that_fits(adjustment: Adjustment) -> str:
         most = HEALED * adjustment.sigma0
     for slip in SLIPS:
         try:
-            found = adjust(recording.with_readings(slip.mended(recording.readings)))
+            found = adjust(recording.with_readings(slip.corrected(recording.readings)))
         except LtsimError:
             continue
         if found.solution.converged and found.sigma0 < most and _left_out(found).mean() < FITS:
-            return f"{slip.found}, not {slip.expected}"
+            return f"{slip.content}, not {slip.expected}"
     return ""
 
 

@@ -27,7 +27,7 @@ from ltsim.physics.model.construction import Construction, ideal
 from ltsim.physics.model.measurement import MeasurementModel, State, smr_lift, with_plumb_lines
 from ltsim.recordings.recording import Recording
 from ltsim.solve.gauss_newton import Solution, solve
-from ltsim.solve.threads import in_one_thread
+from ltsim.solve.threads import single_threaded
 
 MOST = 0.5
 """Share of a set-up's pointings that miss by far, from which its mark or its height is doubted and not they."""
@@ -39,7 +39,7 @@ SIDEWAYS = 1e-6
 
 
 @refusing_singular
-@in_one_thread
+@single_threaded
 def adjust(
     recording: Recording,
     construction: Construction | None = None,

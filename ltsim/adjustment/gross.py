@@ -23,7 +23,7 @@ from ltsim.physics.effects.motions import exact_target_change
 from ltsim.physics.effects.wrong_unit import WrongUnit
 from ltsim.physics.model.measurement import verticals
 from ltsim.recordings.recording import OBSERVABLES, Recording
-from ltsim.recordings.slips import FACE_SLIPS, UNIT_SLIPS
+from ltsim.recordings.transcription_errors import FACE_ERRORS, UNIT_ERRORS
 
 CLOSE = 1e-3
 """[m] how near a mended pointing must land."""
@@ -156,9 +156,9 @@ def _heights(adjustment: Adjustment, rows: Bools) -> Iterator[Mend]:
 def _slips(adjustment: Adjustment, rows: Bools) -> Iterator[Mend]:
     """Pointings in another unit or of the other face; what is found leaves `rows` before the next is asked for."""
     recording = adjustment.recording
-    kinds = (WrongUnit.name, UNIT_SLIPS), (FaceConfusion.name, FACE_SLIPS)
+    kinds = (WrongUnit.name, UNIT_ERRORS), (FaceConfusion.name, FACE_ERRORS)
     for effect, slip in ((effect, slip) for effect, slips in kinds for slip in slips):
-        readings = slip.mended(recording.readings)
+        readings = slip.corrected(recording.readings)
         at = np.flatnonzero(rows & np.isfinite(readings).all(axis=1))
         at = at[_misses(adjustment, readings[at], at) < CLOSE]
         if len(at):
@@ -190,7 +190,7 @@ def mend_stations(recording: Recording) -> tuple[Recording, list[GrossFinding]]:
         name, rows = recording.stations[s], np.flatnonzero(recording.station == s)
         for effect in WrongUnit.at(name):
             readings = recording.readings.copy()
-            readings[rows] = effect.slip.mended(readings[rows])
+            readings[rows] = effect.slip.corrected(readings[rows])
             mended = recording.with_readings(readings)
             if _misfit(mended)[s] < WRONG_SHAPE:
                 moved = from_polar(readings[rows]) - from_polar(recording.readings[rows])

@@ -227,7 +227,7 @@ class NetworkProblem(NetworkRows):
     def _gauge_by_extra(self, state: State) -> Floats:
         """Change (g, q) of the known lengths per unit of the further effects' parameters."""
         ends = self.gauge.first, self.gauge.second
-        columns = [effect.gauge_design(*ends, state.points) for effect in self.model.beside]
+        columns = [effect.gauge_design(*ends, state.points) for effect in self.model.extra_effects]
         return np.hstack([np.zeros((len(self.gauge), 0)), *columns])
 
     def _datum_values(self, state: State) -> Floats:

@@ -35,7 +35,7 @@ def robust_state(problem: NetworkProblem, state: State) -> tuple[State, Floats]:
         system = problem.linearise(state)
         weighted = _weighted(system.design, weight)
         try:
-            step = BlockFactor(BlockSystem(weighted, system.residual * weight, system.kept)).step()
+            step = BlockFactor(BlockSystem(weighted, system.residual * weight, system.n_reduced)).step()
         except SingularSystemError:
             break
         state = problem.retract(state, step)

@@ -15,16 +15,15 @@ from ltsim.geometry.polar import wrap
 from ltsim.geometry.rigid import ON_A_LINE, rigid_motion
 from ltsim.geometry.rotations import cross_matrix, perpendicular
 from ltsim.physics.model.measurement import verticals
-from ltsim.recordings.differences import places_of
-from ltsim.recordings.lengths import KnownLengths
 from ltsim.recordings.recording import Recording
-from ltsim.recordings.setup import KnownDifference, Target, symmetric
+from ltsim.recordings.references import ReferenceLengths, places_of
+from ltsim.recordings.setup import ReferenceDifference, Target, symmetric
 
 VERTICAL = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True)
-class GaugeRows(KnownLengths):
+class GaugeRows(ReferenceLengths):
     """Known lengths brought to the workshop, some of them without weight."""
 
     idle: Bools | bool = False
@@ -133,14 +132,14 @@ class ControlRows:
         return self.root[self.axes]
 
 
-def _stated(known: Sequence[Target | KnownDifference]) -> tuple[Floats, Bools, Floats]:
+def _stated(known: Sequence[Target | ReferenceDifference]) -> tuple[Floats, Bools, Floats]:
     """Known coordinates (k, 3) [m], which of them are known, and their roots (k, 3, 3) [1 / m]."""
     axes = np.array([[axis in one.known_axes for axis in "xyz"] for one in known], dtype=bool).reshape(-1, 3)
     roots = np.array([_root(one, stated) for one, stated in zip(known, axes, strict=True)]).reshape(-1, 3, 3)
     return np.array([one.known_mm for one in known], dtype=np.float64).reshape(-1, 3) * MILLIMETRE, axes, roots
 
 
-def _root(target: Target | KnownDifference, axes: Bools) -> Floats:
+def _root(target: Target | ReferenceDifference, axes: Bools) -> Floats:
     """The root (3, 3) [1 / m] of known coordinates."""
     if target.known_covariance_mm2 is None:
         return np.diag(axes / (target.known_sigma_mm * MILLIMETRE))

@@ -10,8 +10,8 @@ from ltsim.adjustment.problem import NetworkProblem
 from ltsim.adjustment.rows import ControlRows
 from ltsim.core.arrays import Floats, Ints
 from ltsim.physics.model.measurement import State
-from ltsim.recordings.lengths import UNKNOWN_PPM
 from ltsim.recordings.recording import Recording
+from ltsim.recordings.references import UNKNOWN_PPM
 
 Kind = Literal["point", "difference", "length", "level", "yaw", "mark", "axes", "scale"]
 UNSAID: dict[str, dict[str, object]] = {

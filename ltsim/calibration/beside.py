@@ -21,7 +21,7 @@ from ltsim.physics.effects.effect import Effect, Mistake, NoiseEffect
 from ltsim.physics.effects.signature import Parameter, ShapeParameter, Signature, Tunable
 from ltsim.physics.laws.law import Law
 from ltsim.physics.laws.sizes import sizes_of
-from ltsim.physics.laws.words import IN_ITS_OWN_WAY, describe
+from ltsim.physics.laws.words import AT_EACH_SET_UP, describe
 from ltsim.physics.model.construction import Construction
 from ltsim.recordings.recording import Recording
 
@@ -115,7 +115,7 @@ def name_of(effect: Signature, adjustment: Adjustment) -> str:
     """The name of an effect; that of a law are its words."""
     if not isinstance(effect, Law):
         return effect.name
-    own = IN_ITS_OWN_WAY if effect.each else ""
+    own = AT_EACH_SET_UP if effect.each else ""
     return f"{effect.carrier.name} ~ {describe(effect.driver, clock=adjustment.recording.has_clock)}{own}"
 
 

@@ -18,10 +18,10 @@ from ltsim.calibration.distance_solver import Estimates, Norm, solve_distances, 
 from ltsim.calibration.known import Choice
 from ltsim.calibration.objective import DistanceProblem
 from ltsim.core.arrays import Floats, Ints
-from ltsim.physics.model.construction import Construction, stated_construction
+from ltsim.physics.model.construction import Construction, declared_construction
 from ltsim.physics.model.measurement import MeasurementModel, State
 from ltsim.recordings.recording import Recording
-from ltsim.recordings.reflectors import require_one_radius
+from ltsim.recordings.reflectors import require_equal_radii
 from ltsim.recordings.result_file import SourceEntry
 from ltsim.solve.design import as_dense
 
@@ -47,8 +47,8 @@ def calibrate_distance(
     Stations and targets then come from an adjustment of the corrected readings; their covariance holds the
     uncertainty of the parameters, which were found from the same readings.
     """
-    require_one_radius(recording, f"the method {method}")
-    built = construction or stated_construction(recording)
+    require_equal_radii(recording, f"the method {method}")
+    built = construction or declared_construction(recording)
     known = (choice or Choice()).applied(recording, built)
     prior, held = known.sigma, known.held
     source = SourceEntry.of(recording)

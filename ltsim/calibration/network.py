@@ -26,7 +26,7 @@ from ltsim.core.errors import ConvergenceError, NetworkError
 from ltsim.physics.effects.range_mode import RangeMode
 from ltsim.physics.effects.signature import Signature
 from ltsim.physics.effects.verbs import names
-from ltsim.physics.model.construction import Construction, ideal, stated_construction
+from ltsim.physics.model.construction import Construction, declared_construction, ideal
 from ltsim.recordings.exchange import RecordingSource, recording_of
 from ltsim.recordings.recording import MODE_COLUMN, Recording
 from ltsim.recordings.result_file import SourceEntry
@@ -62,7 +62,7 @@ def calibrate_network(
     extra_effects : sequence of Wanted
         Effects of the catalogue, and laws, to estimate too.
     """
-    built = construction or stated_construction(recording)
+    built = construction or declared_construction(recording)
     chosen = choice or Choice()
     for wanted in extra_effects:
         wanted.check(recording, built)
@@ -214,7 +214,7 @@ def _moving(found: Adjustment) -> tuple[Motion, ...]:
     if not found.p_value < MISFIT and not found.outliers():
         return ()
     try:
-        built = stated_construction(found.recording)
+        built = declared_construction(found.recording)
     except NetworkError:  # of two designs: nothing is known of their errors
         return moving_stations(found)
     return moving_stations(adjusted_network(found.recording, built, robust=True))

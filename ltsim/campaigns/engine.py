@@ -24,8 +24,8 @@ from ltsim.core.errors import LtsimError
 from ltsim.geometry.rigid import rigid_motion
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.model.construction import Construction, ideal
-from ltsim.recordings.lengths import KnownLengths
 from ltsim.recordings.recording import Recording
+from ltsim.recordings.references import ReferenceLengths
 from ltsim.simulation.simulator import certified_by
 
 SUSPECT = 0.6e-3
@@ -105,7 +105,7 @@ class Calibrator:
 def recording_of(truth: CellTruth, block: Block, trial: int) -> Recording:
     """One trial as the recording that any calibrator takes: readings and stated lengths, no truth."""
     recording = truth.recording.with_readings(truth.readings(block, trial))
-    known = KnownLengths.of(recording)
+    known = ReferenceLengths.of(recording)
     return certified_by(recording, (known.length + block.gauge_error[:, trial]) / known.factor)
 
 

@@ -22,7 +22,7 @@ from ltsim.physics.effects.effect import Effect, Mistake, NoiseEffect
 from ltsim.physics.effects.signature import Tunable
 from ltsim.physics.effects.verbs import Sized
 from ltsim.physics.laws.law import Law
-from ltsim.physics.model.construction import stated_construction
+from ltsim.physics.model.construction import declared_construction
 from ltsim.recordings.exchange import RecordingSource, recording_of
 from ltsim.simulation.inject import Injected, Injection, InjectionCurve, InjectionTruth, Injector
 
@@ -83,7 +83,7 @@ def inject(
         if isinstance(cause, (list, tuple)):
             raise ModelError("causes are given one after another, not as a list: inject(recording, first, second)")
     seen = recording_of(recording)
-    injector, told = Injector(seen, ResidualSpace.of(adjust(seen, stated_construction(seen)))), []
+    injector, told = Injector(seen, ResidualSpace.of(adjust(seen, declared_construction(seen)))), []
     for number, cause in enumerate(causes):
         rng = stream(seed, "inject", number)
         drawn, values = _sized(injector, cause, noncentrality, rng)

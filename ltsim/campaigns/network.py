@@ -226,7 +226,7 @@ class BatchNetwork:
     @cached_property
     def _extra_design(self) -> Floats:
         """Change (n, 3, q) of the readings per unit of the parameters of effects and stated errors."""
-        if not self.model.beside:
+        if not self.model.extra_effects:
             return np.zeros((len(self.recording), 3, 0))
         return self.model.extra_design(self._extra_sightings)
 

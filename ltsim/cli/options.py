@@ -84,7 +84,7 @@ def hints_of(pairs: list[str] | None, columns: str | None = None, *, growing: bo
     from ltsim.recordings import Hints
 
     given: dict[str, Any] = {}
-    kinds = {name: kind for name, kind in get_type_hints(Hints).items() if name not in ("columns", "growing")}
+    kinds = {name: kind for name, kind in get_type_hints(Hints).items() if name not in ("columns", "incomplete_tail")}
     for pair in pairs or []:
         key, _, value = pair.partition("=")
         if key not in kinds or not value:
@@ -93,7 +93,7 @@ def hints_of(pairs: list[str] | None, columns: str | None = None, *, growing: bo
         if choices and value not in choices:
             raise RecordError(f"--hint {pair}: {key} can be {' or '.join(choices)}")
         given[key] = Path(value) if key in ("points", "setup") else value
-    return Hints(**given, columns=columns, growing=growing)
+    return Hints(**given, columns=columns, incomplete_tail=growing)
 
 
 @dataclass(frozen=True)

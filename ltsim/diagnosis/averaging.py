@@ -27,7 +27,7 @@ from ltsim.diagnosis.shapes import all_shapes
 from ltsim.geometry.rigid import less_rigid
 from ltsim.physics.effects.effect import NoiseEffect
 from ltsim.physics.laws.law import Law
-from ltsim.physics.laws.scatter import NoisePattern
+from ltsim.physics.laws.variance import VarianceFunction
 
 WORSE, HARM = 0.05, 0.03
 """Share by which the error of coordinates may grow when a law is taken off, and the chance that it grows by more."""
@@ -92,7 +92,7 @@ def _open(
     """
     none, *rest_of = shares(np.array([0.0, *(h.value for h in ranking.entries)]) / blur).tolist()
     likely = [(h, p) for h, p in zip(ranking.entries, rest_of, strict=True) if p > LEAST]
-    entries = [(h, p) for h, p in likely if not isinstance(h.effect, NoiseEffect | NoisePattern)]
+    entries = [(h, p) for h, p in likely if not isinstance(h.effect, NoiseEffect | VarianceFunction)]
     entries = [(h, p) for h, p in entries[:MOST_OPEN] if h.key != chosen.key]
     rest = max(1.0 - none - sum(p for _, p in entries), 0.0)
     told = _shaped(searcher, others, chosen)

@@ -4,7 +4,7 @@ import numpy as np
 
 from ltsim.core.arrays import Floats
 from ltsim.diagnosis.schema import Curve
-from ltsim.physics.laws.columns import waves_of
+from ltsim.physics.laws.columns import fourier_columns
 from ltsim.physics.laws.law import Law
 from ltsim.scene.sightings import Sightings
 
@@ -26,7 +26,7 @@ def curve_of(law: Law, sightings: Sightings, mean: Floats, covariance: Floats) -
     if driver.kind in ("wave", "cycle"):
         cycles = float(np.ptp(x)) * driver.constant / (2 * np.pi)
         at = np.linspace(x.min(), x.max(), int(np.clip(A_CYCLE * cycles, CURVE, MOST_POINTS)))
-        columns = waves_of(driver.constant * at, driver.size // 2)
+        columns = fourier_columns(driver.constant * at, driver.size // 2)
     else:
         order = np.argsort(x, kind="stable")
         chosen = order[np.unique(np.linspace(0, len(order) - 1, CURVE).round().astype(int))]

@@ -34,11 +34,11 @@ from ltsim.diagnosis.search import MOST_MEMBERS
 from ltsim.diagnosis.words import LIKELY, summarise
 from ltsim.physics.effects.noise_level import NoiseLevel
 from ltsim.physics.effects.signature import Tunable
-from ltsim.physics.laws.carriers import VARIED, constants_in
 from ltsim.physics.laws.law import Law
-from ltsim.physics.model.construction import stated_construction
+from ltsim.physics.laws.responses import VARIED, constants_in
+from ltsim.physics.model.construction import declared_construction
 from ltsim.recordings.recording import Recording
-from ltsim.solve.threads import in_one_thread
+from ltsim.solve.threads import single_threaded
 
 MOST_ROUNDS = 3
 """Times that a change of the noise is looked for beside what was found."""
@@ -55,7 +55,7 @@ LEAST_GAIN = 2.0
 
 
 @refusing_singular
-@in_one_thread
+@single_threaded
 def diagnose(
     recording: Recording,
     *,
@@ -91,7 +91,7 @@ def diagnose(
     """
     if not LEAST_LEVEL <= level < 1.0:
         raise RecordError(f"level: found {level:g}, expected a false-alarm rate from {LEAST_LEVEL:g} to 1")
-    construction = stated_construction(recording)
+    construction = declared_construction(recording)
     compared = (
         contradictions if history is None else HistoryExpectation.of(history, recording, construction).contradictions
     )

@@ -15,8 +15,8 @@ from ltsim.core.arrays import Floats, Ints
 from ltsim.diagnosis.evidence import TIE, best_of, evidence_of, evidence_with
 from ltsim.diagnosis.hypotheses import Found
 from ltsim.physics.effects.signature import Tunable
-from ltsim.physics.laws.carriers import CARRIERS
 from ltsim.physics.laws.law import Law
+from ltsim.physics.laws.responses import RESPONSES
 
 T = TypeVar("T", bound=Tunable)
 Place = tuple[tuple[str, ...], tuple[str, ...]]
@@ -143,7 +143,7 @@ class Exact:
     def _moved(self, name: str) -> Floats:
         """Whitened change (m, c) of the readings by each component of a carrier, computed once."""
         if name not in self._carried:
-            self._carried[name] = self.space.whiten(CARRIERS[name][1](self.space.sightings))
+            self._carried[name] = self.space.whiten(RESPONSES[name][1](self.space.sightings))
         return self._carried[name]
 
     def _project(self, effects: Sequence[Tunable], signatures: Floats, edges: Ints, rows: Rows) -> None:

@@ -27,11 +27,11 @@ from ltsim.diagnosis.words import LIKELY, card_sentence, law_sentence, outside_s
 from ltsim.physics.effects import BASELINE
 from ltsim.physics.effects.effect import Effect, NoiseEffect, SlotEffect
 from ltsim.physics.effects.signature import Tunable, constants_of
-from ltsim.physics.laws.drivers import words_of
 from ltsim.physics.laws.law import Law
 from ltsim.physics.laws.places import trackers_of
-from ltsim.physics.laws.scatter import NoisePattern
-from ltsim.physics.laws.words import IN_ITS_OWN_WAY, describe
+from ltsim.physics.laws.regressors import words_of
+from ltsim.physics.laws.variance import VarianceFunction
+from ltsim.physics.laws.words import AT_EACH_SET_UP, describe
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 
@@ -264,7 +264,7 @@ def noise_finding(hypothesis: NoiseHypothesis, sightings: Sightings, detection: 
     every = zip(effect.parameters, hypothesis.values, hypothesis.sigma, strict=True)
     rows = [Estimate.of(*told) for told in every if np.isfinite(told[2])]
     more, sentence = {}, ""
-    if isinstance(effect, NoisePattern):
+    if isinstance(effect, VarianceFunction):
         more = {"formula": effect.law, "carrier": effect.carrier, "driver": effect.driver}
         most = ""
         if effect.each:
@@ -276,7 +276,7 @@ def noise_finding(hypothesis: NoiseHypothesis, sightings: Sightings, detection: 
         sentence = outside_sentence(where, effect.law + most)
     return Finding(
         effect=effect.name,
-        known=not isinstance(effect, NoisePattern),
+        known=not isinstance(effect, VarianceFunction),
         where=where,
         parameters=tuple(rows),
         evidence=Evidence(
@@ -310,9 +310,9 @@ def among(chances: Mapping[str, float], name: str) -> tuple[float, tuple[Equival
 def where_of(effect: Tunable, carried: tuple[str, ...] = ()) -> Where:
     """Scope of an effect; `carried`: observables that a law, or a change of the noise, does not specify."""
     observables, stations = tuple(effect.observables), effect.stations
-    if isinstance(effect, NoiseEffect | NoisePattern):
+    if isinstance(effect, NoiseEffect | VarianceFunction):
         observables = carried or observables
-    instruments = effect.instruments if isinstance(effect, Law | NoisePattern) else ()
+    instruments = effect.instruments if isinstance(effect, Law | VarianceFunction) else ()
     if isinstance(effect, Law):
         stations = () if effect.each else stations
         observables = effect.carrier.observables or carried or observables
@@ -328,7 +328,7 @@ def where_of(effect: Tunable, carried: tuple[str, ...] = ()) -> Where:
 def law_words(law: Law, driver: str) -> str:
     """A law and its driver in a line: ``distance correction follows cos(3 azimuth)``."""
     what = f"{law.carrier.name} correction" if law.carrier.kind == "reading" else law.carrier.name
-    own = IN_ITS_OWN_WAY if law.each else ""
+    own = AT_EACH_SET_UP if law.each else ""
     return f"{what} differs{own}" if law.driver.kind == "constant" else f"{what} follows {driver}{own}"
 
 

@@ -28,9 +28,9 @@ from ltsim.physics.effects import CATALOGUE
 from ltsim.physics.effects.effect import NoiseEffect
 from ltsim.physics.effects.noise_level import NoiseLevel
 from ltsim.physics.effects.signature import NoiseSignature
-from ltsim.physics.laws.offered import further
-from ltsim.physics.laws.places import Place, branches, trackers_of
-from ltsim.physics.laws.scatter import EACH_FACE, REPEATS, NoisePattern, owners_of
+from ltsim.physics.laws.places import Place, clusters, trackers_of
+from ltsim.physics.laws.regressor_library import further
+from ltsim.physics.laws.variance import EACH_FACE, REPEATS, VarianceFunction, owners_of
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 from ltsim.solve.projection import BasisProjection
@@ -81,22 +81,24 @@ class NoiseHypothesis:
         return log_share("scatter" if self.family.startswith("unknown") else "noise", 1)
 
 
-def _patterns(sightings: Sightings, trackers: Sequence[Place]) -> Iterator[tuple[str, NoisePattern, tuple[float, ...]]]:
+def _patterns(
+    sightings: Sightings, trackers: Sequence[Place]
+) -> Iterator[tuple[str, VarianceFunction, tuple[float, ...]]]:
     """Noise that no effect of the catalogue describes: family, pattern, sizes; of whole observables it is the level."""
     known = ["elevation", "distance", "time", "station-time", "move-azimuth", "move-elevation"]
     known += ["incidence"] if np.isfinite(sightings.incidence).any() else []
     some: list[tuple[str, ...]] = [*((observable,) for observable in OBSERVABLES), OBSERVABLES[1:]]
-    places = [NoisePattern(), *(NoisePattern(stations=p.stations, instruments=p.instruments) for p in trackers)]
+    places = [VarianceFunction(), *(VarianceFunction(stations=p.stations, instruments=p.instruments) for p in trackers)]
     for at, acts, name, falling in product(places, some, [*known, *further(sightings)], (False, True)):
         pattern = replace(at, observables=acts, covariates=(name,), falling=falling)
         yield " and ".join(acts), pattern, GROWING
     names = sightings.target_names
-    groups = [(t,) for t in range(len(names))] + sorted(branches(sightings)) if len(names) <= MOST_TARGETS else []
+    groups = [(t,) for t in range(len(names))] + sorted(clusters(sightings)) if len(names) <= MOST_TARGETS else []
     for acts in (*some, OBSERVABLES):
         for faces in REPEATS if acts == ("distance",) and np.ptp(sightings.face) else REPEATS[:1]:
-            yield "repeating", NoisePattern(acts, repeating=faces), EVERYWHERE
+            yield "repeating", VarianceFunction(acts, repeating=faces), EVERYWHERE
         for group in groups:
-            yield "target", NoisePattern(acts, targets=tuple(names[t] for t in group)), AT_TARGETS
+            yield "target", VarianceFunction(acts, targets=tuple(names[t] for t in group)), AT_TARGETS
 
 
 def noise_hypotheses(sightings: Sightings, instruments: Sequence[str] = ()) -> list[NoiseHypothesis]:
@@ -167,7 +169,7 @@ class Each(Amounts):
             rows = key[space.use]
             shape = len(names) * (kinds if apart else 1), space.size
             members = sp.csr_array((np.ones(len(rows)), (rows, np.arange(len(rows)))), shape)
-            found.append(cls(NoisePattern(each=each, owners=names, apart=apart), members, COARSE))
+            found.append(cls(VarianceFunction(each=each, owners=names, per_observable=apart), members, COARSE))
         return tuple(found)
 
     @property

@@ -19,9 +19,9 @@ from ltsim.calibration.evidence import by_size, forms_of, log_sum_exp
 from ltsim.core.arrays import Floats, Ints, Singles
 from ltsim.diagnosis.evidence import SCREENED_TIE, simulated_total
 from ltsim.diagnosis.probe import Probe
-from ltsim.physics.laws.carriers import Carrier
-from ltsim.physics.laws.drivers import Driver
 from ltsim.physics.laws.places import Place
+from ltsim.physics.laws.regressors import Regressor
+from ltsim.physics.laws.responses import ResponseTerm
 
 CHUNK = 1000
 """Pointings whose products are held at once."""
@@ -37,8 +37,8 @@ MOST_HITS = 6
 class Hit:
     """One hypothesis of a panel and its log evidence with its prior."""
 
-    carrier: Carrier
-    driver: Driver
+    carrier: ResponseTerm
+    driver: Regressor
     place: Place
     value: float
     log_prior: float
@@ -101,8 +101,8 @@ class Panel:
         Of each hypothesis and scale at a place.
     """
 
-    carriers: tuple[Carrier, ...]
-    drivers: tuple[Driver, ...]
+    carriers: tuple[ResponseTerm, ...]
+    drivers: tuple[Regressor, ...]
     places: tuple[Place, ...]
     cells: Cells
     weights: Singles

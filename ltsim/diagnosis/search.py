@@ -208,9 +208,9 @@ class Searcher:
         found, seen = [], set[tuple[object, ...]]()
         hits = [hits[i] for i in ranked(np.array([h.value for h in hits]), SCREENED_TIE)[:MOST_LAWS]]
         for hit in hits:
-            place, driver = hit.place, hit.driver.about(hit.place.targets)
+            place, driver = hit.place, hit.driver.centred_on(hit.place.targets)
             law = Law(place.stations, place.targets, hit.carrier, driver, place.instruments)
-            key = (hit.carrier.name, driver.kind, driver.told, place.stations, place.targets)
+            key = (hit.carrier.name, driver.kind, driver.covariate_labels, place.stations, place.targets)
             if len(seen) < self._most and key not in seen and hit.value > _promising(hits[0].value):
                 seen.add(key)
                 found += in_all_forms(self.exact, law, hit.log_prior, base, pieces=not self.large)

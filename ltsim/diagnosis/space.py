@@ -14,11 +14,18 @@ from ltsim.core.arrays import Floats
 from ltsim.diagnosis.evidence import times_to_noise
 from ltsim.diagnosis.panel import Cells, Panel
 from ltsim.diagnosis.prior import AT_TARGETS, KINDS, PLACES, PRIOR
-from ltsim.physics.laws.carriers import Carrier, carrier_designs
 from ltsim.physics.laws.columns import LOW, MODES
-from ltsim.physics.laws.drivers import Driver
-from ltsim.physics.laws.offered import COST, DEPTHS, drivers_of, group_drivers, moves, waves
-from ltsim.physics.laws.places import Place, branches, corners_of, each, together, trackers_of
+from ltsim.physics.laws.places import Place, clusters, each, group_places, neighbour_groups, trackers_of
+from ltsim.physics.laws.regressor_library import (
+    DEPTHS,
+    OPERATOR_ODDS,
+    group_drivers,
+    is_admissible,
+    regressors_of,
+    waves,
+)
+from ltsim.physics.laws.regressors import Regressor
+from ltsim.physics.laws.responses import ResponseTerm, response_designs
 
 MOST_PLACES = 400
 """Set-ups, or targets, up to whose number each is tried on its own."""
@@ -32,7 +39,7 @@ AT_A_TIME = ("constant", "sign", "curve", "decay", "memory", "lag")
 """Kinds of drivers of one instrument, and of one set-up."""
 ONLY = {"product": ("reading",), "room": ("target",)}
 """Kinds of carriers that alone have such drivers: of others the space would be large and hardly physical."""
-Drivers = Mapping[str, Sequence[Driver]]
+Drivers = Mapping[str, Sequence[Regressor]]
 
 
 def panels(space: ResidualSpace, *, ordinary: bool = True) -> list[Panel]:
@@ -55,10 +62,10 @@ def _places(space: ResidualSpace) -> list[tuple[str, tuple[Place, ...], Drivers]
     stations = tuple(Place((name,), (), rows) for name, rows in each(_few(s.station_names), s.station))
     targets = tuple(Place((), (name,), rows) for name, rows in each(_few(s.target_names), s.target))
     some = len(s.target_names) in GROUPED
-    groups = tuple(together(s, branches(s) | corners_of(s))) if some else ()
+    groups = tuple(group_places(s, clusters(s) | neighbour_groups(s))) if some else ()
     stay = float(np.median([len(place.rows) for place in stations] or [0]))
-    general = drivers_of(s)
-    there = general if stay > FINE * MODES else drivers_of(s, LOW)
+    general = regressors_of(s)
+    there = general if stay > FINE * MODES else regressors_of(s, LOW)
     swings = list(waves(s, ("station-time",), among=len(s.station_names)))
     return [
         ("everywhere", everywhere, {kind: some for kind, some in general.items() if kind != "clock"}),
@@ -80,9 +87,11 @@ class _Maker:
     def __init__(self, space: ResidualSpace) -> None:
         self._s = space.sightings
         self._sigma, self._use = space.sigma, space.use
-        self._known: dict[tuple[str, int], list[tuple[Carrier, Floats]]] = {}
-        self._asked: dict[tuple[tuple[Carrier, ...], tuple[Driver, ...]], list[tuple[tuple[Place, ...], float]]] = {}
-        for carrier, design in carrier_designs(self._s).values():
+        self._known: dict[tuple[str, int], list[tuple[ResponseTerm, Floats]]] = {}
+        self._asked: dict[
+            tuple[tuple[ResponseTerm, ...], tuple[Regressor, ...]], list[tuple[tuple[Place, ...], float]]
+        ] = {}
+        for carrier, design in response_designs(self._s).values():
             weights = np.where(self._use[:, :, None], design / self._sigma[:, :, None], 0.0)
             sized = at_noise(carrier, weights)
             self._known.setdefault((carrier.kind, len(carrier.ways)), []).append((sized, sized.size * weights))
@@ -95,20 +104,20 @@ class _Maker:
             for name, drivers in offered.items():
                 if kind not in kinds or kind not in ONLY.get(name, (kind,)) or (name == "constant" and kind in held):
                     continue
-                moved = [d for d in drivers if moves(kind, d, self._s) and (name != "wave" or _swings(kind, d))]
-                weight = PLACES[place] * kinds[kind] * COST ** DEPTHS[name] / carriers
+                moved = [d for d in drivers if is_admissible(kind, d, self._s) and (name != "wave" or _swings(kind, d))]
+                weight = PLACES[place] * kinds[kind] * OPERATOR_ODDS ** DEPTHS[name] / carriers
                 self._share(tuple(c for c, _ in known), moved, places, weight, ways)
 
     def _share(
         self,
-        carriers: tuple[Carrier, ...],
-        drivers: Sequence[Driver],
+        carriers: tuple[ResponseTerm, ...],
+        drivers: Sequence[Regressor],
         places: tuple[Place, ...],
         weight: float,
         ways: int,
     ) -> None:
         """Share a weight for each carrier evenly among drivers and the places that have room for them."""
-        alike: dict[tuple[int, int], list[Driver]] = {}
+        alike: dict[tuple[int, int], list[Regressor]] = {}
         for driver in drivers:
             alike.setdefault((driver.size, len(driver.spreads)), []).append(driver)
         fit = {k: tuple(p for p in places if len(p.rows) >= ROOM * k[0] * ways) for k in alike}
@@ -148,12 +157,12 @@ class _Maker:
         return found
 
 
-def _swings(kind: str, wave: Driver) -> bool:
+def _swings(kind: str, wave: Regressor) -> bool:
     """Whether a kind of carrier is tried with a wave: a reading in anything, what is built or stands in time."""
     return kind == "reading" or wave.covariates[0] in ("time", "station-time")
 
 
-def at_noise(carrier: Carrier, weights: Floats) -> Carrier:
+def at_noise(carrier: ResponseTerm, weights: Floats) -> ResponseTerm:
     """The carrier with a plausible size that at least reaches the noise; `weights` (n, 3, c) are of its unit."""
     strength = carrier.size * np.sqrt(np.mean(np.sum(weights**2, axis=1), axis=1))
     return replace(carrier, size=carrier.size * times_to_noise(strength))

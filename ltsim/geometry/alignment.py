@@ -55,12 +55,12 @@ def best_fit(
     centre, middle = weight @ source, weight @ goal
     arms = source - centre
     moment = np.swapaxes(weight[:, None] * (goal - middle[..., None, :]), -1, -2) @ arms
-    left, spread, right = np.linalg.svd(moment)
+    u, spread, vt = np.linalg.svd(moment)
     if np.any(spread[..., 1] <= 1e-9 * spread[..., 0]):
         raise NetworkError("an alignment needs three common points that are not on one line")
     flip = np.ones_like(spread)
-    flip[..., 2] = np.sign(np.linalg.det(left @ right))
-    rotation = (left * flip[..., None, :]) @ right
+    flip[..., 2] = np.sign(np.linalg.det(u @ vt))
+    rotation = (u * flip[..., None, :]) @ vt
     scale = np.ones(moment.shape[:-2])
     if scaled:
         scale = np.sum(spread * flip, axis=-1) / np.sum(weight[:, None] * arms**2)

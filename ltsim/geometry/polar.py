@@ -42,16 +42,16 @@ def unit_vectors(azimuth: Floats, elevation: Floats) -> tuple[Floats, Floats, Fl
     ca, sa, ce, se = np.cos(azimuth), np.sin(azimuth), np.cos(elevation), np.sin(elevation)
     zero = np.zeros_like(ca)
     beam = side_by_side(ce * ca, ce * sa, se)
-    left = side_by_side(-sa, ca, zero)
+    across = side_by_side(-sa, ca, zero)
     up = side_by_side(-se * ca, -se * sa, ce)
-    return beam, left, up
+    return beam, across, up
 
 
 def across_beam(vectors: Floats, points: Floats) -> Floats:
     """Left and up parts (n, 2) of vectors (n, 3) as seen from the origin towards points (n, 3)."""
     _, azimuth, elevation = to_polar(points).T
-    _, left, up = unit_vectors(azimuth, elevation)
-    return side_by_side(np.einsum("ni,ni->n", vectors, left), np.einsum("ni,ni->n", vectors, up))
+    _, across, up = unit_vectors(azimuth, elevation)
+    return side_by_side(np.einsum("ni,ni->n", vectors, across), np.einsum("ni,ni->n", vectors, up))
 
 
 def polar_jacobian(polar: Floats, face: Ints) -> Floats:
@@ -60,8 +60,8 @@ def polar_jacobian(polar: Floats, face: Ints) -> Floats:
     On face 2 the raw elevation runs backwards (180 deg minus), hence the sign of its row.
     """
     range_, azimuth, elevation = polar.T
-    beam, left, up = unit_vectors(azimuth, elevation)
+    beam, across, up = unit_vectors(azimuth, elevation)
     sign = np.where(face == 2, -1.0, 1.0)
-    left = left / (range_ * np.cos(elevation))[:, None]
+    across = across / (range_ * np.cos(elevation))[:, None]
     up = up * (sign / range_)[:, None]
-    return side_by_side(beam, left, up)
+    return side_by_side(beam, across, up)

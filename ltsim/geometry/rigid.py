@@ -38,7 +38,7 @@ def pose_design(by_target: Floats, arm: Floats) -> Floats:
     return np.concatenate([-by_target, by_target @ cross_matrix(arm)], axis=2)
 
 
-def holds_pose(points: Floats, seen: Bools, vertical: Floats | None = None, *, flat: float = ON_A_LINE) -> Bools:
+def holds_pose(points: Floats, sighted: Bools, vertical: Floats | None = None, *, flat: float = ON_A_LINE) -> Bools:
     """Flags (...): the targets that each station sees hold its six motions, as geometry alone decides.
 
     Three targets off one line do; a levelled station needs two that are not above one another.
@@ -53,9 +53,9 @@ def holds_pose(points: Floats, seen: Bools, vertical: Floats | None = None, *, f
     flat : float
         Share of their extent by which targets on a line may be off it.
     """
-    count = np.maximum(seen.sum(axis=-1), 1)
-    centre = (seen @ points) / count[..., None]
-    arms = (points - centre[..., None, :]) * seen[..., None]
+    count = np.maximum(sighted.sum(axis=-1), 1)
+    centre = (sighted @ points) / count[..., None]
+    arms = (points - centre[..., None, :]) * sighted[..., None]
     scatter = np.swapaxes(arms, -1, -2) @ arms
     spread = np.linalg.eigvalsh(scatter)
     held: Bools = spread[..., 1] > flat**2 * spread[..., 2]

@@ -8,10 +8,10 @@ from ltsim.core.arrays import Floats
 def cross_matrix(vectors: Floats) -> Floats:
     """Matrices (..., 3, 3) with ``cross_matrix(v) @ w = v x w`` for vectors (..., 3)."""
     x, y, z = (vectors[..., k] for k in range(3))
-    found = np.zeros((*vectors.shape, 3))
-    found[..., 0, 1], found[..., 0, 2], found[..., 1, 2] = -z, y, -x
-    found[..., 1, 0], found[..., 2, 0], found[..., 2, 1] = z, -y, x
-    return found
+    matrix = np.zeros((*vectors.shape, 3))
+    matrix[..., 0, 1], matrix[..., 0, 2], matrix[..., 1, 2] = -z, y, -x
+    matrix[..., 1, 0], matrix[..., 2, 0], matrix[..., 2, 1] = z, -y, x
+    return matrix
 
 
 def perpendicular(vectors: Floats) -> tuple[Floats, Floats]:

@@ -23,7 +23,7 @@ from ltsim.measurands.assumed import datum_note, exchange_note, exchanged, open_
 from ltsim.measurands.comparison import Comparison, Gap, judged, rows_of
 from ltsim.measurands.inputs import CONTROL, LENGTHS, PRIORS, observed_sources, reach_of
 from ltsim.recordings.coordinates import Coordinates
-from ltsim.recordings.lengths import COEFFICIENT
+from ltsim.recordings.references import COEFFICIENT
 from ltsim.recordings.result_file import SourceEntry
 from ltsim.recordings.setup import Gauge
 

@@ -18,7 +18,7 @@ from ltsim.measurands.spec import Task, Tasks
 from ltsim.recordings.coordinates import Coordinates
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.result_file import SourceEntry
-from ltsim.solve.threads import in_one_thread
+from ltsim.solve.threads import single_threaded
 
 MOST_TOLD = 8
 """Results that stand in the few lines of an evaluation."""
@@ -146,7 +146,7 @@ def evaluate_listed_tasks(coordinates: Coordinates, tasks: Tasks) -> Evaluation:
     return _evaluated(Inputs.listed(coordinates, tasks), tasks)
 
 
-@in_one_thread
+@single_threaded
 def _evaluated(inputs: Inputs, tasks: Tasks) -> Evaluation:
     """Results of tasks on points whose covariance is known."""
     measurands = tuple(Measurand.of(task, inputs.targets, inputs.points) for task in tasks.task)

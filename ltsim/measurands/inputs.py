@@ -19,7 +19,7 @@ from ltsim.measurands.spec import Tasks, TypeB
 from ltsim.physics.effects.air import Air
 from ltsim.physics.effects.effect import Effect, NoiseEffect, by_displacement
 from ltsim.physics.effects.verbs import effect_from
-from ltsim.physics.model.construction import ideal, stated_construction
+from ltsim.physics.model.construction import declared_construction, ideal
 from ltsim.recordings.coordinates import Coordinates
 from ltsim.recordings.recording import OBSERVABLES, Recording
 from ltsim.recordings.reflectors import smrs_of
@@ -73,7 +73,7 @@ class Inputs(ValueEquality):
         Raises NetworkError, ConvergenceError when the network cannot be solved; ModelError, SetupError when a target or
         an effect does not exist.
         """
-        construction = stated_construction(recording) if tasks.calibrate else ideal()
+        construction = declared_construction(recording) if tasks.calibrate else ideal()
         found = adjust(recording, construction, robust=tasks.robust, datum=tasks.datum or None)
         found.solution.require_success()
         names = _used(tasks)

@@ -11,7 +11,7 @@ from ltsim.measurands.epochs import compare as compared, compare_coordinates
 from ltsim.measurands.evaluation import Evaluation, evaluate_listed_tasks, evaluate_tasks
 from ltsim.measurands.spec import FORMAT, Tasks, load_tasks, tasks_from
 from ltsim.physics.effects.verbs import names
-from ltsim.physics.model.construction import ideal, stated_construction
+from ltsim.physics.model.construction import declared_construction, ideal
 from ltsim.recordings.coordinates import Coordinates, holds_coordinates, read_coordinates
 from ltsim.recordings.exchange import RecordingSource, recording_of
 from ltsim.recordings.recording import Recording
@@ -126,7 +126,7 @@ def compare(
         raise ModelError(f"{option('free=True')} is for lists of coordinates: what a recording leaves open is known")
 
     def adjusted(recording: Recording) -> Adjustment:
-        found = adjust(recording, stated_construction(recording) if calibrate else ideal(), robust=robust)
+        found = adjust(recording, declared_construction(recording) if calibrate else ideal(), robust=robust)
         found.solution.require_success()
         return found
 

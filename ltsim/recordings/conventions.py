@@ -23,7 +23,7 @@ from ltsim.geometry.rotations import about_z
 from ltsim.recordings.coordinates import read_points
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Setup
-from ltsim.recordings.slips import SHORTEST_MM, chord_gap, clouds_of
+from ltsim.recordings.transcription_errors import SHORTEST_MM, chord_gap, clouds_of
 
 Angle = Literal["deg", "gon", "rad"]
 Vertical = Literal["zenith", "elevation"]
@@ -36,7 +36,7 @@ ANGLES: tuple[Angle, ...] = ("deg", "gon", "rad")
 VERTICALS: tuple[Vertical, ...] = ("zenith", "elevation")
 CLEARLY = 10.0
 """Factor by which one meaning must fit better than the next to be decided by the data."""
-ALIKE = 1e-3
+MIRROR_SHARE = 1e-3
 """Part of a network's size by which a mirror image may miss it and still be one."""
 MOST_NOTES = 3
 QUICKEST_S, SLOWEST_S = 0.1, 7200.0
@@ -51,7 +51,7 @@ class Hints:
     `points` is a list of coordinates (name, x, y, z) in a right-handed frame that decides the sense of the
     azimuth; `station` names the set-up of a file that does not; `columns` says what the columns of a table hold
     (``target=Name,azimuth=Hz[gon]``), `setup` where its noise and gauge stand, `date` the order of dates with
-    strokes. A file that is still `growing` may end inside a row and lack targets of known lengths.
+    strokes. A file that is still growing (`incomplete_tail`) may end inside a row and lack targets of known lengths.
     """
 
     angle: Angle | None = None
@@ -63,7 +63,7 @@ class Hints:
     columns: str | None = None
     setup: Path | None = None
     date: Literal["dmy", "mdy"] | None = None
-    growing: bool = False
+    incomplete_tail: bool = False
 
 
 NO_HINTS = Hints()
@@ -93,23 +93,25 @@ def angle_meaning(table: PolarTable, hints: Hints, file: object) -> tuple[Angle,
     """
     angles = ANGLES if hints.angle is None else (hints.angle,)
     verticals = VERTICALS if hints.vertical is None else (hints.vertical,)
-    open_ = [(a, v) for a in angles for v in verticals if _possible(table, a, v, stated=hints.vertical is not None)]
+    open_ = [
+        (a, v) for a in angles for v in verticals if _possible(table, a, v, is_declared=hints.vertical is not None)
+    ]
     if not open_:
         raise RecordError("the angles fit no unit that is known here (deg, gon or rad)", file=file)
-    found, why = open_[0], "the only meaning that its values allow"
+    meaning, why = open_[0], "the only meaning that its values allow"
     if len(open_) > 1:
-        found, why = _by_faces(table, open_) or _by_lengths(table, open_) or _ask(open_, file)
+        meaning, why = _by_faces(table, open_) or _by_lengths(table, open_) or _ask(open_, file)
     notes = []
     if hints.angle is None or hints.vertical is None:
-        notes.append(f"angles taken as {found[0]} with the vertical one as {found[1]}: {why}")
-    return (*found, notes)
+        notes.append(f"angles taken as {meaning[0]} with the vertical one as {meaning[1]}: {why}")
+    return (*meaning, notes)
 
 
-def _possible(table: PolarTable, angle: Angle, vertical: Vertical, *, stated: bool) -> bool:
+def _possible(table: PolarTable, angle: Angle, vertical: Vertical, *, is_declared: bool) -> bool:
     """Whether every value lies on the circle, and the vertical angles are what an instrument can read.
 
     An elevation beyond the zenith is read on face 2 only; a file that has such, but no target on two faces, holds
-    zenith angles unless it is `stated` otherwise.
+    zenith angles unless the caller says otherwise (`is_declared`).
     """
     circle = CIRCLE[angle]
     horizontal, upward = table.horizontal, table.vertical
@@ -118,25 +120,25 @@ def _possible(table: PolarTable, angle: Angle, vertical: Vertical, *, stated: bo
     if vertical == "elevation":
         highest = float(np.nanmax(upward, initial=0))
         within = float(np.nanmin(upward, initial=0)) >= -circle / 4 and highest <= 0.75 * circle
-        return within and (stated or highest <= circle / 4 or _on_two_faces(table, angle, vertical) > 0)
+        return within and (is_declared or highest <= circle / 4 or _on_two_faces(table, angle, vertical) > 0)
     return bool(np.nanmin(upward, initial=0) >= 0)
 
 
 def _same_target(table: PolarTable) -> tuple[Ints, Ints]:
     """Pairs of rows, each with the next one of the same station and target."""
     order = np.lexsort((np.arange(len(table.station)), table.target, table.station))
-    one, next_ = order[:-1], order[1:]
-    keep = (table.station[one] == table.station[next_]) & (table.target[one] == table.target[next_])
-    return one[keep], next_[keep]
+    first, next_ = order[:-1], order[1:]
+    keep = (table.station[first] == table.station[next_]) & (table.target[first] == table.target[next_])
+    return first[keep], next_[keep]
 
 
 def _on_two_faces(table: PolarTable, angle: Angle, vertical: Vertical) -> int:
     """Number of pairs of rows that are one target on both faces: half a circle apart, vertical angles adding up."""
-    one, other = _same_target(table)
+    first, other = _same_target(table)
     circle = CIRCLE[angle]
     total = circle if vertical == "zenith" else circle / 2
-    turn = np.abs(np.mod(table.horizontal[one] - table.horizontal[other], circle) - circle / 2)
-    rest = np.abs(table.vertical[one] + table.vertical[other] - total)
+    turn = np.abs(np.mod(table.horizontal[first] - table.horizontal[other], circle) - circle / 2)
+    rest = np.abs(table.vertical[first] + table.vertical[other] - total)
     fits: Bools = (turn < 1e-3 * circle) & (rest < 1e-3 * circle)
     return int(fits.sum())
 
@@ -164,9 +166,9 @@ def _by_lengths(table: PolarTable, open_: list[tuple[Angle, Vertical]]) -> tuple
 def _ask(open_: list[tuple[Angle, Vertical]], file: object) -> tuple[tuple[Angle, Vertical], str]:
     """Raise RecordError with what to type for the first of the choices, without what they have in common."""
     choices = " or ".join(f"{v} angles in {a}" for a, v in open_)
-    said = [f"--hint angle={open_[0][0]}"] if len({a for a, _ in open_}) > 1 else []
-    said += [f"--hint vertical={open_[0][1]}"] if len({v for _, v in open_}) > 1 else []
-    message = f"the angles may be {choices} and nothing in the file decides; say which: {' '.join(said)}"
+    hints = [f"--hint angle={open_[0][0]}"] if len({a for a, _ in open_}) > 1 else []
+    hints += [f"--hint vertical={open_[0][1]}"] if len({v for _, v in open_}) > 1 else []
+    message = f"the angles may be {choices} and nothing in the file decides; say which: {' '.join(hints)}"
     raise RecordError(message, file=file)
 
 
@@ -186,19 +188,21 @@ SENSE_UNKNOWN = (
 )
 
 
-def known_sense(local: Floats, table: PolarTable, targets: Sequence[str], file: Path) -> tuple[Azimuth, list[str]]:
+def sense_from_points(
+    local: Floats, table: PolarTable, targets: Sequence[str], file: Path
+) -> tuple[Azimuth, list[str]]:
     """The sense by coordinates of targets in `file`, with notes; raises RecordError where they do not decide."""
     points = read_points(file, strict=False)
     place = {name: i for i, name in enumerate(targets)}
-    known = {place[n]: p for n, p in zip(points.names, points.points, strict=True) if n in place}
-    azimuth = _sense_by_points(local, table, known)
+    places = {place[n]: p for n, p in zip(points.names, points.points, strict=True) if n in place}
+    azimuth = _sense_by_points(local, table, places)
     if azimuth is None:
-        message = f"{len(known)} of its targets have coordinates here, which does not decide whether azimuths run "
+        message = f"{len(places)} of its targets have coordinates here, which does not decide whether azimuths run "
         raise RecordError(message + "clockwise; say which: --hint azimuth=clockwise", file=file)
     return azimuth, [f"azimuths taken as {azimuth}: so the targets fit the coordinates in {file.name}", *points.notes]
 
 
-def _sense_by_points(local: Floats, table: PolarTable, known: Mapping[int, Floats]) -> Azimuth | None:
+def _sense_by_points(local: Floats, table: PolarTable, place_of: Mapping[int, Floats]) -> Azimuth | None:
     """The sense of the azimuth under which a station's targets fit known points (by target index) rigidly.
 
     `local` (n, 3) [m] are the targets with the azimuth taken counter-clockwise. None where neither sense
@@ -206,11 +210,11 @@ def _sense_by_points(local: Floats, table: PolarTable, known: Mapping[int, Float
     """
     votes = []
     for s in np.unique(table.station):
-        rows = np.flatnonzero((table.station == s) & np.isin(table.target, list(known)))
+        rows = np.flatnonzero((table.station == s) & np.isin(table.target, list(place_of)))
         rows = rows[np.all(np.isfinite(local[rows]), axis=1)]
         if len(np.unique(table.target[rows])) < 4:
             continue
-        misfit = _misfits(local[rows], np.array([known[int(t)] for t in table.target[rows]]))
+        misfit = _misfits(local[rows], np.array([place_of[int(t)] for t in table.target[rows]]))
         if max(misfit) > CLEARLY * min(misfit):
             votes.append(int(np.argmin(misfit)))
     return _vote(votes)
@@ -218,15 +222,15 @@ def _sense_by_points(local: Floats, table: PolarTable, known: Mapping[int, Float
 
 def _misfits(source: Floats, goal: Floats) -> list[float]:
     """[m] Median misfit of points (n, 3) and of their mirror image, moved rigidly to others; 1 where none fits."""
-    found = []
+    misfits = []
     for side in (1.0, -1.0):
         image = source * [1.0, side, 1.0]
         try:
             rotation, shift = align(image, goal)
-            found.append(float(np.median(np.linalg.norm(image @ rotation.T + shift - goal, axis=1))) + 1e-9)
+            misfits.append(float(np.median(np.linalg.norm(image @ rotation.T + shift - goal, axis=1))) + 1e-9)
         except NetworkError:
-            found.append(1.0)
-    return found
+            misfits.append(1.0)
+    return misfits
 
 
 def sense_by_poses(local: Floats, table: PolarTable, poses: Mapping[int, Pose]) -> Azimuth | None:
@@ -245,11 +249,11 @@ def sense_by_poses(local: Floats, table: PolarTable, poses: Mapping[int, Pose]) 
 
 def _spread_between_stations(world: Floats, table: PolarTable) -> float:
     """Median distance between sightings of a target from different stations; NaN where none has two."""
-    seen: dict[int, list[Floats]] = {}
+    places_of: dict[int, list[Floats]] = {}
     for cloud in clouds_of(world, table.station, table.target).values():
         for target, point in cloud.items():
-            seen.setdefault(target, []).append(point)
-    gaps = [np.linalg.norm(np.ptp(np.array(places), axis=0)) for places in seen.values() if len(places) > 1]
+            places_of.setdefault(target, []).append(point)
+    gaps = [np.linalg.norm(np.ptp(np.array(places), axis=0)) for places in places_of.values() if len(places) > 1]
     return float(np.median(gaps)) + 1e-9 if gaps else float("nan")
 
 
@@ -290,9 +294,9 @@ def contradictions(recording: Recording) -> tuple[str, ...]:
             "the stated places of the stations fit the readings only as their mirror image: if the azimuths run "
             "clockwise say --hint azimuth=clockwise, otherwise the floor plan is left-handed"
         )
-    for one, other in _mirrored_pairs(local, recording):
+    for first, other in _mirrored_pairs(local, recording):
         notes.append(
-            f"the targets of {recording.stations[one]} and {recording.stations[other]} fit each other only as mirror "
+            f"the targets of {recording.stations[first]} and {recording.stations[other]} fit each other only as mirror "
             "images: the azimuths of one of them run clockwise"
         )
     return tuple(notes[:MOST_NOTES])
@@ -301,7 +305,7 @@ def contradictions(recording: Recording) -> tuple[str, ...]:
 def _mirrored_pairs(local: Floats, recording: Recording) -> list[tuple[int, int]]:
     """Each station that is the mirror image of the one before it with which it shares most targets."""
     clouds = clouds_of(local, recording.station, recording.target)
-    found = []
+    pairs = []
     for s, cloud in clouds.items():
         before = [k for k in clouds if k < s]
         other = max(before, key=lambda k: len(clouds[k].keys() & cloud.keys()), default=s)
@@ -310,16 +314,16 @@ def _mirrored_pairs(local: Floats, recording: Recording) -> list[tuple[int, int]
             continue
         here, there = (np.array([of[t] for t in common]) for of in (cloud, clouds[other]))
         right, mirrored = _misfits(here, there)
-        if right > CLEARLY * mirrored and mirrored < ALIKE * float(np.ptp(there, axis=0).max()):
-            found.append((other, s))
-    return found
+        if right > CLEARLY * mirrored and mirrored < MIRROR_SHARE * float(np.ptp(there, axis=0).max()):
+            pairs.append((other, s))
+    return pairs
 
 
 def poses_of(setup: Setup, names: Sequence[str]) -> dict[int, Pose]:
     """Rough poses of stations by the floor plan: place and direction of zero."""
-    found = {}
+    poses = {}
     for i, name in enumerate(names):
         station = setup.stations.get(name)
         if station is not None and station.position_mm is not None and station.yaw_deg is not None:
-            found[i] = about_z(station.yaw_deg * DEGREE), np.array(station.position_mm) * MILLIMETRE
-    return found
+            poses[i] = about_z(station.yaw_deg * DEGREE), np.array(station.position_mm) * MILLIMETRE
+    return poses

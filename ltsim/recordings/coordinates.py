@@ -21,7 +21,7 @@ import numpy as np
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import RecordError
 from ltsim.core.units import FACTOR, MILLIMETRE
-from ltsim.recordings.files import FilePlace, decoded, shown
+from ltsim.recordings.files import SourceLocation, decoded, shown
 from ltsim.recordings.tables import cells
 from ltsim.recordings.tables.header import (
     PLACE,
@@ -99,18 +99,18 @@ def read_points(path: str | Path, *, strict: bool = True) -> Points:
     """
     path = Path(path)
     for sheet in sheets_of(path):
-        found = _header_of(sheet.rows) or _without_header(sheet)
-        if found is not None:
-            return _List(sheet, *found).points(strict=strict)
+        header = _header_of(sheet.rows) or _without_header(sheet)
+        if header is not None:
+            return _List(sheet, *header).points(strict=strict)
     raise RecordError(f"is no list of coordinates, {EXPECTED}", file=path)
 
 
 def recognises(head: str) -> bool:
     """Whether the first lines of a file are those of a list of points without a header, or its header."""
     rows = rows_of_head(head)
-    found = _header_of(rows)
-    body = [row for row in rows[0 if found is None else found[0] :] if not row.comment]
-    if found is not None:
+    header = _header_of(rows)
+    body = [row for row in rows[0 if header is None else header[0] :] if not row.comment]
+    if header is not None:
         return not body or body[0].values > 1
     whole = [_filled(row) for row in body[: max(1, min(6, len(body)) - 1)]]
     return bool(whole) and all(len(r) in WIDTHS and all(map(cells.is_value, r[1:])) for r in whole)
@@ -128,7 +128,7 @@ def _without_header(sheet: Sheet) -> tuple[int, list[TableColumn]] | None:
         return None
     width = len(_filled(first))
     if width not in WIDTHS:
-        raise FilePlace(sheet.file, first.line).wrong(f"{width} fields, {EXPECTED}")
+        raise SourceLocation(sheet.file, first.line).error(f"{width} fields, {EXPECTED}")
     names = ["target", *PLACE, *(SIGMA_OF[axis] for axis in PLACE if width > 6)]
     covariance = [f"covariance {i}" for i in range(9 * (width > 15))]
     names += [""] * (width - len(names) - len(covariance)) + covariance
@@ -169,53 +169,53 @@ class _List:
     def points(self, *, strict: bool) -> Points:
         """The points that it holds."""
         self.sheet.check_whole(self.width)
-        kept: dict[str, tuple[Row, list[float]]] = {}
+        listed: dict[str, tuple[Row, list[float]]] = {}
         notes = []
         for row in self.rows:
             if row.comment or not any(row.fields):
                 continue
             name, values = self._values(row)
-            if name in kept and not np.array_equal(kept[name][1], values, equal_nan=True):
+            if name in listed and not np.array_equal(listed[name][1], values, equal_nan=True):
                 what = f"the point {shown(name)} was listed before with other coordinates"
                 if strict:
-                    raise FilePlace(self.sheet.file, row.line).wrong(what)
+                    raise SourceLocation(self.sheet.file, row.line).error(what)
                 notes.append(f"{what} in {self.sheet.file.name}: the first are taken")
-            kept.setdefault(name, (row, values))
-        if not kept:
+            listed.setdefault(name, (row, values))
+        if not listed:
             raise RecordError("holds no points", file=self.sheet.file)
-        table = np.array([values for _, values in kept.values()])
-        scale, said = self._scales(table)
+        table = np.array([values for _, values in listed.values()])
+        scale, decisions = self._scales(table)
         numbers = dict(zip(self.numbers, (table * scale).T, strict=True))
-        nothing = np.full(len(kept), np.nan)
+        nothing = np.full(len(listed), np.nan)
         points = np.stack([numbers.get(axis, nothing) for axis in PLACE], axis=1)
         further = [c for c in self.columns if c.is_further and c.role not in self.numbers]
-        texts = {c.title: tuple(row.cell(c.place) for row, _ in kept.values()) for c in further}
-        lines = tuple(row.line for row, _ in kept.values())
-        covariance = _covariance(numbers, len(kept))
-        return Points(tuple(kept), points, covariance, (*notes, *said), texts, lines, len(notes))
+        texts = {c.title: tuple(row.cell(c.place) for row, _ in listed.values()) for c in further}
+        lines = tuple(row.line for row, _ in listed.values())
+        covariance = _covariance(numbers, len(listed))
+        return Points(tuple(listed), points, covariance, (*notes, *decisions), texts, lines, len(notes))
 
     def _values(self, row: Row) -> tuple[str, list[float]]:
         """Name and numbers of one row; NaN where a cell is empty."""
-        where = FilePlace(self.sheet.file, row.line)
+        where = SourceLocation(self.sheet.file, row.line)
         if len(_filled(row)) != self.width:
             row.check_width(self.width, self.sheet.file)
         values = []
         for role, column in self.numbers.items():
             text = row.cell(column.place)
-            found = cells.value(text, self.sheet.grouping)
-            if text and (found is None or abs(found) >= 10**11):
-                raise where.wrong(f"found '{shown(text)}', expected a number", shown(column.title or role))
-            values.append(np.nan if found is None else float(found))
+            number = cells.value(text, self.sheet.grouping)
+            if text and (number is None or abs(number) >= 10**11):
+                raise where.error(f"found '{shown(text)}', expected a number", shown(column.title or role))
+            values.append(np.nan if number is None else float(number))
         return where.name(row.cell(self.name.place), "point"), values
 
     def _scales(self, table: Floats) -> tuple[Floats, list[str]]:
         """Factor of each number to metres (square metres for covariances), and notes on decisions."""
         axes = [c for c in self.numbers.values() if c.role in PLACE]
         largest = np.nanmax(np.abs(table[:, [role in PLACE for role in self.numbers]]), initial=0.0)
-        stated = next((c.unit for c in axes if c.unit in FACTOR and c.unit), "")
+        declared = next((c.unit for c in axes if c.unit in FACTOR and c.unit), "")
         surveyed = largest >= GRID or any(words_of(c.title)[0] in GEODETIC for c in axes)
-        chosen = stated or ("m" if surveyed or largest < LARGEST_M else "mm")
-        notes = [] if stated else [f"coordinates taken as {chosen}: the largest is {largest:.6g}"]
+        chosen = declared or ("m" if surveyed or largest < LARGEST_M else "mm")
+        notes = [] if declared else [f"coordinates taken as {chosen}: the largest is {largest:.6g}"]
         scales = [FACTOR[c.unit if c.unit in FACTOR and c.unit else chosen] for c in self.numbers.values()]
         return np.array(scales) ** [1 + role.startswith("covariance") for role in self.numbers], notes
 
@@ -226,10 +226,10 @@ def _covariance(numbers: Mapping[str, Floats], count: int) -> Floats:
         full = np.stack([numbers[f"covariance {i}"] for i in range(9)], axis=1).reshape(count, 3, 3)
         return np.asarray((full + full.transpose(0, 2, 1)) / 2)
     sigma = [numbers.get(SIGMA_OF[axis], numbers.get(SIGMA, np.full(count, np.nan))) for axis in PLACE]
-    found = np.zeros((count, 3, 3))
-    found[:, range(3), range(3)] = np.square(sigma).T
-    found[~np.isfinite(sigma).any(axis=0)] = np.nan
-    return found
+    covariance = np.zeros((count, 3, 3))
+    covariance[:, range(3), range(3)] = np.square(sigma).T
+    covariance[~np.isfinite(sigma).any(axis=0)] = np.nan
+    return covariance
 
 
 @dataclass(frozen=True)
@@ -274,20 +274,20 @@ def read_coordinates(path: Path) -> Coordinates:
         raise RecordError("there is no such file", file=path)
     with path.open("rb") as stream:
         is_xml = decoded(stream.read(256)).lstrip().startswith("<")
-    found = _from_gama(path) if is_xml else _from_list(path)
-    if len(set(found.names)) < len(found.names):
-        twice = next(name for name in found.names if found.names.count(name) > 1)
+    epoch = _from_gama(path) if is_xml else _from_list(path)
+    if len(set(epoch.names)) < len(epoch.names):
+        twice = next(name for name in epoch.names if epoch.names.count(name) > 1)
         raise RecordError(f"holds the point '{shown(twice)}' twice", file=path)
-    sigma = np.sqrt(np.maximum(np.diag(found.covariance), 0.0))
+    sigma = np.sqrt(np.maximum(np.diag(epoch.covariance), 0.0))
     if not sigma.all():
-        at = divmod(int(np.argmin(sigma)), len(found.axes))
-        what = f"{shown(found.names[at[0]])}.{found.axes[at[1]]}"
+        at = divmod(int(np.argmin(sigma)), len(epoch.axes))
+        what = f"{shown(epoch.names[at[0]])}.{epoch.axes[at[1]]}"
         raise RecordError(f"states no variance of {what}; leave out what is held fixed", file=path)
-    if np.linalg.eigvalsh(found.covariance / np.outer(sigma, sigma))[0] < DEFINITE * len(sigma):
+    if np.linalg.eigvalsh(epoch.covariance / np.outer(sigma, sigma))[0] < DEFINITE * len(sigma):
         raise RecordError(
             "has a covariance that is negative in some direction: some of its entries are wrong", file=path
         )
-    return found
+    return epoch
 
 
 def _from_gama(path: Path) -> Coordinates:
@@ -312,7 +312,7 @@ def _from_gama(path: Path) -> Coordinates:
     matrix = np.zeros((int(size), int(size)))
     matrix[row, column] = matrix[column, row] = values
     title = parts["description"].text if "description" in parts else ""
-    names = tuple(FilePlace(path).name(row["id"].text if "id" in row else "", "target") for row in rows)
+    names = tuple(SourceLocation(path).name(row["id"].text if "id" in row else "", "target") for row in rows)
     return Coordinates(title or path.name, names, axes, points, matrix[:used, :used] * MILLIMETRE**2)
 
 
@@ -322,29 +322,29 @@ def _number(cell: Node) -> float:
 
 def _from_list(path: Path) -> Coordinates:
     """A list of points along the axes that it has, with the covariance beside it or its own."""
-    found = read_points(path)
-    measured = np.isfinite(found.points)
+    listed = read_points(path)
+    measured = np.isfinite(listed.points)
     axes = "".join(axis for axis, any_ in zip(AXES, np.asarray(measured.any(axis=0)).tolist(), strict=True) if any_)
     at = [AXES.index(axis) for axis in axes]
     if not measured[:, at].all():
         row, axis = np.argwhere(~measured[:, at])[0]
-        raise FilePlace(path, found.lines[row], axes[axis]).wrong("found '', expected a number")
-    points = np.where(measured, found.points, 0.0)
-    beside = path.with_suffix(".covariance.csv")
-    if beside.is_file():
-        covariance = _matrix(beside, [f"{name}.{axis}" for name in found.names for axis in axes]) * MILLIMETRE**2
-        return Coordinates(path.stem, found.names, axes, points, covariance, found.notes)
-    blocks = found.covariance[:, at][:, :, at]
+        raise SourceLocation(path, listed.lines[row], axes[axis]).error("found '', expected a number")
+    points = np.where(measured, listed.points, 0.0)
+    companion = path.with_suffix(".covariance.csv")
+    if companion.is_file():
+        covariance = _matrix(companion, [f"{name}.{axis}" for name in listed.names for axis in axes]) * MILLIMETRE**2
+        return Coordinates(path.stem, listed.names, axes, points, covariance, listed.notes)
+    blocks = listed.covariance[:, at][:, :, at]
     if not np.isfinite(blocks).all():
-        what = f"states no precision: neither {beside.name} nor the column sigma_{axes[0]}_mm is there"
+        what = f"states no precision: neither {companion.name} nor the column sigma_{axes[0]}_mm is there"
         raise RecordError(what, file=path)
     count, axes_ = blocks.shape[:2]
     covariance = np.zeros((count, axes_, count, axes_))
     covariance[range(count), :, range(count)] = blocks
     covariance = covariance.reshape(count * axes_, -1)
-    common = f"{path.name} states no covariance between points ({beside.name})"
+    common = f"{path.name} states no covariance between points ({companion.name})"
     note = f"{common}: what all have in common counts as their own"
-    return Coordinates(path.stem, found.names, axes, points, covariance, (*found.notes, note))
+    return Coordinates(path.stem, listed.names, axes, points, covariance, (*listed.notes, note))
 
 
 def covariance_text(coordinates: Sequence[str], covariance: Floats) -> str:
@@ -368,7 +368,7 @@ def _matrix(path: Path, wanted: Sequence[str]) -> Floats:
         raise RecordError(f"lacks {what}", file=path)
     if any(len(row.fields) != len(first.fields) for row in body):
         raise RecordError("holds rows of another length than its header", file=path)
-    matrix = np.array([[FilePlace(path, row.line).number(text) for text in row.fields[1:]] for row in body])
+    matrix = np.array([[SourceLocation(path, row.line).number(text) for text in row.fields[1:]] for row in body])
     size = np.sqrt(np.abs(np.diag(matrix)))
     if np.abs(matrix - matrix.T).max() > SYMMETRIC * float(np.outer(size, size).max()):
         raise RecordError("is not symmetric", file=path)

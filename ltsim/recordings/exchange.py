@@ -55,12 +55,12 @@ def _are_points(path: Path, head: str) -> bool:
 
 
 def _refuse_points(path: Path, hints: Hints) -> Recording:
-    found = coordinates.read_points(path, strict=False)
-    count = len(found.names)
+    listed = coordinates.read_points(path, strict=False)
+    count = len(listed.names)
     message = f"this is a list of {count} points without readings; it serves as nominal or known coordinates"
-    if found.contradictory >= max(count, LEAST_POSES):
+    if listed.contradictory >= max(count, LEAST_POSES):
         names = "one name" if count == 1 else f"{count} names"
-        rows = f"{count + found.contradictory} positions under {names} ('{found.names[0]}')"
+        rows = f"{count + listed.contradictory} positions under {names} ('{listed.names[0]}')"
         message = f"this is a table of {rows}: a target that moves (a robot, a T-MAC), and no list of points"
     more = "if one set-up measured them in its own axes, name it: --format table --hint station=NAME"
     raise RecordError(f"{message} ({more})", file=path)
@@ -102,10 +102,10 @@ def read(path: str | Path, *, format: str | None = None, hints: Hints | None = N
     format = "table" if format is None and hints.columns is not None and path.exists() else format  # noqa: A001
     chosen = recognised(path) if format is None else _named(format, FORMATS)
     try:
-        found = chosen.read(path, hints)
+        recording = chosen.read(path, hints)
     except ValidationError as problem:
         raise RecordError(sentence(problem.errors()[0], Setup), file=path) from None
-    return found.replace(notes=(*found.notes, *contradictions(found), *pace(found)))
+    return recording.replace(notes=(*recording.notes, *contradictions(recording), *pace(recording)))
 
 
 def is_recording(path: Path) -> bool:
@@ -139,8 +139,8 @@ def recognised(path: Path) -> Format:
             raise RecordError(f"cannot be read ({problem.strerror})", file=path) from None
     fitting = [f for f in FORMATS if f.recognises(path, head)]
     if not fitting:
-        known = "; ".join(f"{f.name} ({f.about})" for f in FORMATS)
-        raise RecordError(f"is in no format known here: {known}", file=path)
+        formats = "; ".join(f"{f.name} ({f.about})" for f in FORMATS)
+        raise RecordError(f"is in no format known here: {formats}", file=path)
     return next((f for f in fitting if path.suffix.lower() in f.suffixes), fitting[0])
 
 

@@ -108,15 +108,15 @@ def shown(text: str, length: int = 40) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class FilePlace:
-    """A place in a file. What it holds is checked here, and whatever is wrong there is told with it."""
+class SourceLocation:
+    """Location in a file, which every check of its content names in its error."""
 
     file: object = None
     row: int | None = None
     column: str | None = None
 
-    def wrong(self, message: str, column: str | None = None) -> RecordError:
-        """The error to raise for what is wrong here."""
+    def error(self, message: str, column: str | None = None) -> RecordError:
+        """Error to raise for the content of this location."""
         return RecordError(message, file=self.file, row=self.row, column=self.column if column is None else column)
 
     def number(self, text: str, column: str | None = None, *, limit: float = 1e12, comma: bool = False) -> float:
@@ -128,10 +128,10 @@ class FilePlace:
         if not is_number(text):
             wanted = "expected a finite number" if is_not_finite(text) else "expected a number"
             hint = ", with a point instead of a comma" if is_number(text.replace(",", ".", 1)) else ""
-            raise self.wrong(f"found '{shown(text)}', {wanted}{hint}", column)
+            raise self.error(f"found '{shown(text)}', {wanted}{hint}", column)
         value = float(text)
         if not abs(value) <= limit:
-            raise self.wrong(f"found {shown(text)}, expected a number of at most {limit:g} in size", column)
+            raise self.error(f"found {shown(text)}, expected a number of at most {limit:g} in size", column)
         return value
 
     def name(self, name: str, kind: str, column: str | None = None) -> str:
@@ -141,18 +141,18 @@ class FilePlace:
         """
         if not name or name != name.strip():
             what = "is empty" if not name.strip() else f"'{shown(name)}' begins or ends with a blank"
-            raise self.wrong(f"the name of a {kind} {what}", column)
+            raise self.error(f"the name of a {kind} {what}", column)
         reason = ""
         if len(name) > MAX_NAME:
             reason = f"is longer than {MAX_NAME} characters"
         elif not name.isprintable():
             reason = "holds a control character"
-        elif found := _FORBIDDEN.search(name):
-            reason = f"holds '{found.group()}'; a name may not hold < > / or \\"
+        elif forbidden := _FORBIDDEN.search(name):
+            reason = f"holds '{forbidden.group()}'; a name may not hold < > / or \\"
         elif name in (".", ".."):
             reason = "is the name of a folder"
         if reason:
-            raise self.wrong(f"the name of a {kind}, '{shown(name)}', {reason}", column)
+            raise self.error(f"the name of a {kind}, '{shown(name)}', {reason}", column)
         return name
 
     def text(self, text: str, column: str | None = None) -> str:
@@ -160,13 +160,13 @@ class FilePlace:
         markup = "<" in text or ">" in text or not text.isprintable()
         if len(text) > MAX_TEXT or markup:
             reason = "holds control characters or markup" if markup else f"is longer than {MAX_TEXT} characters"
-            raise self.wrong(f"the text '{shown(text)}' {reason}", column)
+            raise self.error(f"the text '{shown(text)}' {reason}", column)
         return text
 
 
 def comma_number(text: str, *, file: object, row: int | None = None, column: str | None = None) -> float:
-    """`FilePlace.number` with a decimal point or comma."""
-    return FilePlace(file, row, column).number(text, comma=True)
+    """`SourceLocation.number` with a decimal point or comma."""
+    return SourceLocation(file, row, column).number(text, comma=True)
 
 
 def as_title(text: str) -> str:

@@ -11,13 +11,13 @@ if TYPE_CHECKING:
     from ltsim.core.arrays import Floats
 
 
-def _some_length(vector: tuple[float, float, float]) -> tuple[float, float, float]:
+def _nonzero(vector: tuple[float, float, float]) -> tuple[float, float, float]:
     if not max(abs(component) for component in vector) > SHORT:
         raise ValueError("a direction should not have length zero")
     return vector
 
 
-def _one_line(text: str) -> str:
+def _single_line(text: str) -> str:
     if not text.isprintable():
         raise ValueError("it should be one line of printable text")
     return text
@@ -59,14 +59,14 @@ Positive = Annotated[float, Field(gt=0, le=1e9, allow_inf_nan=False)]
 Elevation = Annotated[float, Field(ge=-90, le=90, allow_inf_nan=False)]
 Height = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)]
 Axes = Literal["xyz", "xy", "xz", "yz", "x", "y", "z"]
-Line = Annotated[str, Field(max_length=200), AfterValidator(_one_line)]
+Line = Annotated[str, Field(max_length=200), AfterValidator(_single_line)]
 Date = Annotated[str, AfterValidator(_calendar_date)]
 LEAST_SIGMA = 1e-6
 """[mm, arcsec, ppm] Nobody knows anything better, and numbers lose their digits."""
 Sigma = Annotated[float, Field(ge=LEAST_SIGMA, le=1e9, allow_inf_nan=False)]
 Vector = tuple[Finite, Finite, Finite]
 Covariance = Annotated[tuple[Finite, Finite, Finite, Finite, Finite, Finite], AfterValidator(_definite)]
-Direction = Annotated[Vector, AfterValidator(_some_length)]
+Direction = Annotated[Vector, AfterValidator(_nonzero)]
 EXACT_LEVEL_ARCSEC = 1e-3
 """Levelling sigma of formats whose instruments stand upright without a doubt (gama-local, LGC without ROT3D)."""
 

@@ -16,18 +16,16 @@ from ltsim.core.limits import FIELDS
 from ltsim.core.results import guarded, plain
 from ltsim.core.units import DEGREE, FACTOR, MILLIMETRE, NAMED
 from ltsim.recordings.conventions import NO_HINTS, Hints
-from ltsim.recordings.differences import check_differences
 from ltsim.recordings.files import (
     LONGEST_NUMBER,
     NUMBER,
-    FilePlace,
+    SourceLocation,
     is_not_finite,
     is_number,
     read_lines,
     shown,
     write_texts,
 )
-from ltsim.recordings.lengths import KnownLengths
 from ltsim.recordings.pointings import indices
 from ltsim.recordings.recording import (
     KIND_COLUMN,
@@ -37,17 +35,18 @@ from ltsim.recordings.recording import (
     SIGMA_COLUMNS,
     Recording,
 )
+from ltsim.recordings.references import ReferenceLengths, check_differences
 from ltsim.recordings.reflectors import excess_radii, smrs_of
 from ltsim.recordings.settings import read_setup, setup_from, setup_to_toml
 from ltsim.recordings.setup import Setup
-from ltsim.recordings.slips import check_degrees
 from ltsim.recordings.specification import overruled
 from ltsim.recordings.tables.sheets import Row, is_folder
+from ltsim.recordings.transcription_errors import check_degrees
 
 OBSERVATIONS, SETUP = "observations.csv", "setup.toml"
 REQUIRED = ("station", "target", "face", "azimuth_deg", "elevation_deg", "distance_mm")
 MEASURED = ("distance_mm", "azimuth_deg", "elevation_deg")
-KNOWN = (*REQUIRED, "repeat", "time_s")
+BASIC = (*REQUIRED, "repeat", "time_s")
 WORDS = {MODE_COLUMN: ("adm", "ifm", ""), KIND_COLUMN: ("slope", "horizontal", "")}
 TEXTS = (*WORDS, REFLECTOR_COLUMN, *OCCUPATION_COLUMNS)
 BOUNDS = {
@@ -71,44 +70,46 @@ def recognises(path: Path, head: str) -> bool:
 def read_recording(path: Path, hints: Hints = NO_HINTS) -> Recording:
     """Read a recording folder (or the `observations.csv` in it); raises RecordError.
 
-    Of a recording that is still `hints.growing` a last row without an end is left out, and known lengths may wait for
-    their targets. Azimuths that `hints` says to be clockwise are turned over.
+    Of a recording that is still growing (`hints.incomplete_tail`) a last row without an end is left out, and reference
+    lengths may lack their targets. Azimuths that `hints` says to be clockwise are turned over.
     """
     folder = path.parent if path.name == OBSERVATIONS else path
     if not folder.is_dir():
         message = f"there is no such folder; a recording is a folder with {OBSERVATIONS} and {SETUP}"
         raise RecordError(message, file=path)
-    rows = _table(folder / OBSERVATIONS, growing=hints.growing)
-    found = parse(rows, read_setup(folder / SETUP), folder, growing=hints.growing)
+    rows = _table(folder / OBSERVATIONS, incomplete_tail=hints.incomplete_tail)
+    recording = parse(rows, read_setup(folder / SETUP), folder, incomplete_tail=hints.incomplete_tail)
     sense = [1.0, -1.0 if hints.azimuth == "clockwise" else 1.0, 1.0]
-    return found.with_readings(found.readings * sense)
+    return recording.with_readings(recording.readings * sense)
 
 
-def _table(path: Path, *, growing: bool) -> list[list[str]]:
+def _table(path: Path, *, incomplete_tail: bool) -> list[list[str]]:
     """Header and rows, all of one length."""
     lines = read_lines(path)
-    if lines[-1] and growing:
+    if lines[-1] and incomplete_tail:
         lines = lines[:-1]
     elif lines[-1]:
-        raise FilePlace(path, len(lines) - 1).wrong("the file ends inside this row, without a line break: it was cut")
+        raise SourceLocation(path, len(lines) - 1).error(
+            "the file ends inside this row, without a line break: it was cut"
+        )
     rows: list[list[str]] = []
     try:
         for fields in csv.reader(lines, strict=True):
             cells = [field.strip() for field in fields]
             if any(cells):
                 if len(cells) > FIELDS:
-                    raise FilePlace(path, len(rows)).wrong(f"{len(cells)} columns, expected at most {FIELDS}")
+                    raise SourceLocation(path, len(rows)).error(f"{len(cells)} columns, expected at most {FIELDS}")
                 rows.append(cells)
                 if len(cells) != len(rows[0]):
                     Row(len(rows) - 1, tuple(cells)).check_width(len(rows[0]), path)
     except csv.Error as problem:
-        raise FilePlace(path, len(rows)).wrong(f"is not CSV here ({problem})") from None
+        raise SourceLocation(path, len(rows)).error(f"is not CSV here ({problem})") from None
     if len(rows) < 2:
         raise RecordError("holds a header only, expected one row a pointing", file=path)
     return rows
 
 
-def parse(rows: list[list[str]], setup: Setup, folder: Path, *, growing: bool = False) -> Recording:
+def parse(rows: list[list[str]], setup: Setup, folder: Path, *, incomplete_tail: bool = False) -> Recording:
     """A recording of the header and rows of its table; `folder` is named in errors."""
     file = folder / OBSERVATIONS
     header = rows[0]
@@ -117,14 +118,14 @@ def parse(rows: list[list[str]], setup: Setup, folder: Path, *, growing: bool = 
     stations, station = indices(columns["station"], "station", file)
     targets, target = indices(columns["target"], "target", file)
     count = len(rows) - 1
-    face = _whole(columns["face"], FilePlace(file, column="face"), (1, 2))
+    face = _whole(columns["face"], SourceLocation(file, column="face"), (1, 2))
     repeat = columns.get("repeat", ["1"] * count)
     time = columns.get("time_s", list(map(str, range(count))))
-    measured = np.stack([_floats(columns[name], FilePlace(file, column=name)) for name in MEASURED], axis=1)
+    measured = np.stack([_floats(columns[name], SourceLocation(file, column=name)) for name in MEASURED], axis=1)
     nothing = np.flatnonzero(np.all(np.isnan(measured), axis=1))
     if len(nothing):
         message = "nothing was measured here, expected an azimuth, an elevation or a distance"
-        raise FilePlace(file, int(nothing[0]) + 1).wrong(message)
+        raise SourceLocation(file, int(nothing[0]) + 1).error(message)
     check_degrees(measured, station, target, face, file)
     covariates, labels = _further(columns, file)
     recording = Recording(
@@ -134,14 +135,14 @@ def parse(rows: list[list[str]], setup: Setup, folder: Path, *, growing: bool = 
         station=station,
         target=target,
         face=face,
-        repeat=_whole(repeat, FilePlace(file, column="repeat"), (1, 1_000_000)),
-        time=_floats(time, FilePlace(file, column="time_s"), optional=False),
+        repeat=_whole(repeat, SourceLocation(file, column="repeat"), (1, 1_000_000)),
+        time=_floats(time, SourceLocation(file, column="time_s"), optional=False),
         readings=measured * [MILLIMETRE, DEGREE, DEGREE],
         covariates=covariates,
         labels=labels,
         has_clock="time_s" in columns,
     )
-    if not growing:
+    if not incomplete_tail:
         _check_gauge(recording, folder / SETUP)
         check_differences(recording, folder / SETUP)
     _check_smrs(recording, folder)
@@ -150,38 +151,38 @@ def parse(rows: list[list[str]], setup: Setup, folder: Path, *, growing: bool = 
 
 def _check_header(header: Sequence[str], file: Path) -> None:
     """Every required column once, none in another unit."""
-    where = FilePlace(file, 0)
+    where = SourceLocation(file, 0)
     if any(";" in name or "\t" in name for name in header):
-        raise where.wrong("the header holds ';' or tabs, expected commas between columns")
+        raise where.error("the header holds ';' or tabs, expected commas between columns")
     for i, name in enumerate(header):
         where.text(name)
         if not name:
-            raise where.wrong(f"column {i + 1} has no name")
+            raise where.error(f"column {i + 1} has no name")
         if name in header[:i]:
-            raise where.wrong("this column appears twice in the header", name)
+            raise where.error("this column appears twice in the header", name)
         stem, _, unit = name.rpartition("_")
         right = next((k for k in BOUNDS if k.rpartition("_")[0] == stem and k != name), None)
         if right is not None and unit.lower() in (*NAMED, *FACTOR, *OTHERS) and name not in BOUNDS:
-            raise where.wrong(f"the unit '{unit}' is not one of this format, expected {right}", name)
+            raise where.error(f"the unit '{unit}' is not one of this format, expected {right}", name)
     for name in REQUIRED:
         if name not in header:
             near = difflib.get_close_matches(name, header, n=1, cutoff=0.6)
             hint = f" ('{shown(near[0])}' looks like it)" if near else ""
-            raise where.wrong(f"the required column {name} is missing{hint}")
+            raise where.error(f"the required column {name} is missing{hint}")
 
 
-def _whole(column: list[str], where: FilePlace, bounds: tuple[int, int]) -> Ints:
+def _whole(column: list[str], where: SourceLocation, bounds: tuple[int, int]) -> Ints:
     low, high = bounds
     numbers: dict[str, int] = {}
     for text in dict.fromkeys(column):
         if not (text.isascii() and text.isdigit() and len(text) < 8 and low <= int(text) <= high):
             wanted = f"{low} or {high}" if high == low + 1 else f"a whole number from {low}"
-            raise replace(where, row=column.index(text) + 1).wrong(f"found '{shown(text)}', expected {wanted}")
+            raise replace(where, row=column.index(text) + 1).error(f"found '{shown(text)}', expected {wanted}")
         numbers[text] = int(text)
     return np.array([numbers[text] for text in column], dtype=np.int64)
 
 
-def _floats(column: list[str], where: FilePlace, *, optional: bool = True) -> Floats:
+def _floats(column: list[str], where: SourceLocation, *, optional: bool = True) -> Floats:
     """A column of numbers within the bounds of its name; empty cells are NaN where that is allowed."""
     low, high = BOUNDS.get(where.column or "", (-1e15, 1e15))
     values = np.full(len(column), np.nan)
@@ -196,7 +197,7 @@ def _floats(column: list[str], where: FilePlace, *, optional: bool = True) -> Fl
         values[i] = here.number(column[i], limit=1e15)
         if not low <= values[i] <= high:
             hint = " (it looks like gon)" if where.column == "elevation_deg" and 270 < values[i] < 400 else ""
-            raise here.wrong(f"found {shown(column[i])}, expected a value from {low:g} to {high:g}{hint}")
+            raise here.error(f"found {shown(column[i])}, expected a value from {low:g} to {high:g}{hint}")
     return values
 
 
@@ -205,18 +206,18 @@ def _further(columns: dict[str, list[str]], file: Path) -> tuple[dict[str, Float
     covariates: dict[str, Floats] = {}
     labels: dict[str, tuple[str, ...]] = {}
     for name, column in columns.items():
-        if name in KNOWN:
+        if name in BASIC:
             continue
         filled = [text for text in column if text]
         numeric = bool(filled) and all(is_number(t) or is_not_finite(t) for t in filled)
         if (numeric or name in BOUNDS) and name not in TEXTS:
-            covariates[name] = _floats(column, FilePlace(file, column=name))
+            covariates[name] = _floats(column, SourceLocation(file, column=name))
             continue
         for i, text in enumerate(column):
-            where = FilePlace(file, i + 1, name)
+            where = SourceLocation(file, i + 1, name)
             where.text(text)
             if name in WORDS and text not in WORDS[name]:
-                raise where.wrong(f"found '{shown(text)}', expected {' or '.join(filter(None, WORDS[name]))}")
+                raise where.error(f"found '{shown(text)}', expected {' or '.join(filter(None, WORDS[name]))}")
         labels[name] = tuple(column)
     return covariates, labels
 
@@ -227,9 +228,9 @@ def _check_gauge(recording: Recording, file: Path) -> None:
             if name not in recording.targets:
                 near = difflib.get_close_matches(name, recording.targets, n=3, cutoff=0.3)
                 hint = f"; measured were e.g. {', '.join(near)}" if near else ""
-                where = FilePlace(file, column=f"gauge.distance {i + 1}")
-                raise where.wrong(f"the target '{shown(name)}' was never measured{hint}")
-    KnownLengths.of(recording, file)
+                where = SourceLocation(file, column=f"gauge.distance {i + 1}")
+                raise where.error(f"the target '{shown(name)}' was never measured{hint}")
+    ReferenceLengths.of(recording, file)
 
 
 def _check_smrs(recording: Recording, folder: Path) -> None:
@@ -240,7 +241,7 @@ def _check_smrs(recording: Recording, folder: Path) -> None:
         row = names.index("")
         target = recording.targets[recording.target[row]]
         message = f"no SMR is named here or by targets.{target}.reflector, expected one of tables [reflectors.NAME]"
-        raise FilePlace(folder / OBSERVATIONS, row + 1, REFLECTOR_COLUMN).wrong(message)
+        raise SourceLocation(folder / OBSERVATIONS, row + 1, REFLECTOR_COLUMN).error(message)
 
 
 def _idle_settings(recording: Recording) -> tuple[str, ...]:
@@ -259,7 +260,7 @@ def _idle_settings(recording: Recording) -> tuple[str, ...]:
         for name in setup.stations
         if name not in recording.stations
     ]
-    joined = {name for one in setup.differences for name in (one.from_, one.to)}
+    joined = {name for entry in setup.differences for name in (entry.from_, entry.to)}
     for name, target in setup.targets.items():
         if target.known_mm and name not in recording.targets and name not in marks and name not in joined:
             notes.append(f"targets.{name} is known but was never measured{_near(name, recording.targets)}")
@@ -267,10 +268,10 @@ def _idle_settings(recording: Recording) -> tuple[str, ...]:
             notes.append(
                 f"targets.{name} is of the datum but was never measured: left out{_near(name, recording.targets)}"
             )
-    for place, one in {"instrument": setup.instrument, **setup.instruments}.items():
-        if kept := overruled(one):
+    for place, entry in {"instrument": setup.instrument, **setup.instruments}.items():
+        if keys := overruled(entry):
             notes.append(
-                f"{place}: {', '.join(kept)} stand above those of the data sheet {one.sheet}, which is not used there"
+                f"{place}: {', '.join(keys)} stand above those of the data sheet {entry.sheet}, which is not used there"
             )
     if setup.heads_sigma_mm is not None and not recording.labels.keys() & {*OCCUPATION_COLUMNS}:
         notes.append(f"heads_sigma_mm changes nothing: the table has no column {' or '.join(OCCUPATION_COLUMNS)}")
@@ -279,8 +280,8 @@ def _idle_settings(recording: Recording) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def _near(name: str, known: Iterable[str]) -> str:
-    near = difflib.get_close_matches(name, list(known), n=3, cutoff=0.5)
+def _near(name: str, names: Iterable[str]) -> str:
+    near = difflib.get_close_matches(name, list(names), n=3, cutoff=0.5)
     return f"; did you mean {', '.join(near)}?" if near else ""
 
 

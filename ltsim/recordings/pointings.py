@@ -9,7 +9,7 @@ import numpy as np
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import RecordError
 from ltsim.core.units import MILLIMETRE
-from ltsim.recordings.files import FilePlace
+from ltsim.recordings.files import SourceLocation
 from ltsim.recordings.recording import (
     ENDINGS,
     HEIGHT_COLUMNS,
@@ -70,7 +70,7 @@ def indices(names: Iterable[str], kind: str, file: object) -> tuple[tuple[str, .
     index = []
     for row, name in enumerate(names):
         if name not in place:
-            place[FilePlace(file, row + 1).name(name, kind, kind)] = len(place)
+            place[SourceLocation(file, row + 1).name(name, kind, kind)] = len(place)
         index.append(place[name])
     return tuple(place), np.array(index, dtype=np.int64)
 
@@ -118,7 +118,7 @@ def recording_of_columns(
         raise RecordError("nothing was measured here", file=file, row=int(empty[0]) + 1)
     for texts in columns.labels.values():
         for text in dict.fromkeys(texts):
-            FilePlace(file).text(text)
+            SourceLocation(file).text(text)
     has_clock = bool(np.all(np.isfinite(columns.time)))
     return Recording(
         setup=setup,
@@ -178,20 +178,22 @@ def merged(observed: Iterable[Observed], file: str) -> list[Pointing]:
     """
     rows: list[dict[str, Observed]] = []
     open_rows: dict[tuple[str, str], list[dict[str, Observed]]] = {}
-    for one in observed:
-        candidates = open_rows.setdefault((one.station, one.target), [])
-        row = next((r for r in candidates if one.kind not in r and _at_one_height([*r.values(), one])), None)
+    for observation in observed:
+        candidates = open_rows.setdefault((observation.station, observation.target), [])
+        row = next(
+            (r for r in candidates if observation.kind not in r and _at_equal_heights([*r.values(), observation])), None
+        )
         if row is None:
             row = {}
             candidates.append(row)
             rows.append(row)
-        row[one.kind] = one
+        row[observation.kind] = observation
         if len(row) == len(OBSERVABLES):
             candidates.remove(row)
     return [_pointing(row, file) for row in rows]
 
 
-def _at_one_height(observed: Sequence[Observed]) -> bool:
+def _at_equal_heights(observed: Sequence[Observed]) -> bool:
     return all(len({h for h in heights if h == h}) < 2 for heights in zip(*(o.heights for o in observed), strict=True))
 
 
@@ -200,19 +202,19 @@ def _pointing(row: dict[str, Observed], file: str) -> Pointing:
     heights = zip(HEIGHT_COLUMNS, zip(*(o.heights for o in row.values()), strict=True), strict=True)
     shared = {
         f"shared_{name}_{ENDINGS[OBSERVABLES.index(kind)]}": change / _UNIT[kind]
-        for kind, one in row.items()
-        for name, change in one.shared.items()
+        for kind, observation in row.items()
+        for name, change in observation.shared.items()
     }
-    stated = {name: next((h / MILLIMETRE for h in of if h == h), NAN) for name, of in heights}
+    over_marks = {name: next((h / MILLIMETRE for h in of if h == h), NAN) for name, of in heights}
     flat = "distance" in row and row["distance"].horizontal
-    lines = sorted({one.line for one in row.values() if one.line})
+    lines = sorted({observation.line for observation in row.values() if observation.line})
     first = next(iter(row.values()))
     return Pointing(
         first.station,
         first.target,
         1,
-        **{kind: one.value for kind, one in row.items()},
-        covariates={name: value for name, value in (sigmas | stated | shared).items() if value == value},
+        **{kind: observation.value for kind, observation in row.items()},
+        covariates={name: value for name, value in (sigmas | over_marks | shared).items() if value == value},
         labels={KIND_COLUMN: "horizontal"} if flat else {},
         source=f"{file}, line{'s' * (len(lines) > 1)} {', '.join(map(str, lines))}" if lines else "",
     )
@@ -223,14 +225,14 @@ def settled_heights(pointings: Sequence[Pointing]) -> tuple[list[Pointing], dict
 
     Where those of one name differ, all such heights stay in their column.
     """
-    found: list[dict[str, float]] = []
+    constant: list[dict[str, float]] = []
     for column, kind in zip(HEIGHT_COLUMNS, ("station", "target"), strict=True):
-        stated = [(getattr(p, kind), p.covariates[column]) for p in pointings if column in p.covariates]
-        one = dict(stated)
-        settled = all(one[name] == height for name, height in stated)
-        found.append({name: height for name, height in one.items() if height} if settled else {})
+        values = [(getattr(p, kind), p.covariates[column]) for p in pointings if column in p.covariates]
+        height_of = dict(values)
+        settled = all(height_of[name] == height for name, height in values)
+        constant.append({name: height for name, height in height_of.items() if height} if settled else {})
         pointings = [replace(p, covariates=_without(p.covariates, column, settled=settled)) for p in pointings]
-    return list(pointings), found[0], found[1]
+    return list(pointings), constant[0], constant[1]
 
 
 def _without(covariates: dict[str, float], column: str, *, settled: bool) -> dict[str, float]:

@@ -102,10 +102,10 @@ class Recording(Result):
         faces = np.unique(self.face)
         in_faces = "two faces" if len(faces) == 2 else f"face {faces[0]} only" if len(faces) else "no face"
         title = f"{self.setup.title}: " if self.setup.title else ""
-        apart = f", {len(self.setup.differences)} known differences" if self.setup.differences else ""
+        differences = f", {len(self.setup.differences)} known differences" if self.setup.differences else ""
         return (
             f"{title}{len(self)} pointings, {len(self.stations)} stations, {len(self.targets)} targets, "
-            f"{in_faces}, {len(self.gauge.distance)} known lengths{apart}"
+            f"{in_faces}, {len(self.gauge.distance)} known lengths{differences}"
         )
 
     def _lines(self) -> list[str]:
@@ -183,8 +183,8 @@ class Recording(Result):
         sigma = noise_sigma(noise, self.station, range_, level)
         for column, (name, unit) in enumerate(zip(SIGMA_COLUMNS, SIGMA_UNITS, strict=True)):
             if name in self.covariates:
-                stated = self.covariates[name] * unit
-                sigma[:, column] = np.where(np.isfinite(stated), stated, sigma[:, column])
+                column_sigma = self.covariates[name] * unit
+                sigma[:, column] = np.where(np.isfinite(column_sigma), column_sigma, sigma[:, column])
         return sigma
 
     def heights(self) -> tuple[Floats, Floats]:
@@ -192,21 +192,22 @@ class Recording(Result):
         instrument = [self.station_setup(s).instrument_height_mm for s in self.stations]
         target = [self.target_setup(t).height_mm for t in self.targets]
         constant = np.array(instrument)[self.station], np.array(target)[self.target]
-        stated = [self.covariates.get(name, np.full(len(self), np.nan)) for name in HEIGHT_COLUMNS]
+        by_row = [self.covariates.get(name, np.full(len(self), np.nan)) for name in HEIGHT_COLUMNS]
         first, second = (
-            np.where(np.isfinite(one), one, other) * MILLIMETRE for one, other in zip(stated, constant, strict=True)
+            np.where(np.isfinite(row_height), row_height, other) * MILLIMETRE
+            for row_height, other in zip(by_row, constant, strict=True)
         )
         return first, second
 
     @property
     def circumstances(self) -> Mapping[str, Floats]:
         """Columns (n,) of circumstances that readings may depend on; where both meters were used, 1 for `ifm`."""
-        some = {name: column for name, column in self.covariates.items() if name not in BOOKKEEPING}
-        known = {name: column for name, column in some.items() if not SHARED_COLUMN.fullmatch(name)}
+        columns = {name: column for name, column in self.covariates.items() if name not in BOOKKEEPING}
+        circumstances = {name: column for name, column in columns.items() if not SHARED_COLUMN.fullmatch(name)}
         modes = self.labels.get(MODE_COLUMN, ())
         if {"adm", "ifm"} <= set(modes):
-            known[MODE_COLUMN] = np.array([mode == "ifm" for mode in modes], dtype=np.float64)
-        return known
+            circumstances[MODE_COLUMN] = np.array([mode == "ifm" for mode in modes], dtype=np.float64)
+        return circumstances
 
     @property
     def is_horizontal(self) -> Bools:

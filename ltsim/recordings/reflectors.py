@@ -15,8 +15,8 @@ from ltsim.recordings.setup import Reflector
 def smrs_of(recording: Recording) -> tuple[str, ...]:
     """Name of the SMR of each pointing, '' where none is stated: that of its row, else that of its target."""
     usual = [recording.target_setup(name).reflector or "" for name in recording.targets]
-    own = recording.labels.get(REFLECTOR_COLUMN, ("",) * len(recording))
-    return tuple(name or usual[target] for name, target in zip(own, recording.target, strict=True))
+    by_row = recording.labels.get(REFLECTOR_COLUMN, ("",) * len(recording))
+    return tuple(name or usual[target] for name, target in zip(by_row, recording.target, strict=True))
 
 
 def excess_of(
@@ -24,7 +24,7 @@ def excess_of(
     targets: Sequence[str],
     bare: Collection[str],
     reflectors: Mapping[str, Reflector],
-    stated: float | None,
+    reference_mm: float | None,
     file: object = None,
 ) -> Floats:
     """Distance (n,) [m] of each pointing's SMR centre from the seat of its nest, less that of the reference.
@@ -39,17 +39,17 @@ def excess_of(
     used = [name for name in dict.fromkeys(names) if name]
     for name in used:
         if name not in reflectors:
-            known = ", ".join(reflectors)
-            raise RecordError(f"there is no table [reflectors.{shown(name)}]; reflectors: {known}", file=file)
+            names_of_tables = ", ".join(reflectors)
+            raise RecordError(f"there is no table [reflectors.{shown(name)}]; reflectors: {names_of_tables}", file=file)
     radii = {reflectors[name].radius_mm: name for name in reversed(used)}
-    if stated is None and len(radii) > 1:
-        found = " and ".join(f"{shown(name)} of {radius:g}" for radius, name in sorted(radii.items()))
+    if reference_mm is None and len(radii) > 1:
+        listed = " and ".join(f"{shown(name)} of {radius:g}" for radius, name in sorted(radii.items()))
         raise RecordError(
-            f"the SMRs have different radii ({found} mm): state reference_radius_mm at the head of the file, the "
+            f"the SMRs have different radii ({listed} mm): state reference_radius_mm at the head of the file, the "
             "radius of the SMR whose centre a target's coordinates mean, or 0 for the seat of its nest",
             file=file,
         )
-    reference = next(iter(radii), 0.0) if stated is None else stated
+    reference = next(iter(radii), 0.0) if reference_mm is None else reference_mm
     off = {name: reflectors[name].radius_mm - reference for name in used} | {"": 0.0}
     for name, target in zip(names, targets, strict=True):
         if off[name] and target in bare:
@@ -76,7 +76,7 @@ def excess_radii(recording: Recording, file: object = "setup.toml") -> Floats | 
     return excess if np.any(excess) else None
 
 
-def require_one_radius(recording: Recording, what: str) -> None:
+def require_equal_radii(recording: Recording, what: str) -> None:
     """NetworkError where SMRs stand off the targets' places and `what` knows of none."""
     if excess_radii(recording) is not None:
         raise NetworkError(

@@ -39,16 +39,16 @@ OFFSET = 1.0 / np.pi
 """Tolerance of the rounding, in steps: decimal readings lie off its limits."""
 
 
-def known(value: Any) -> Any:
+def finite_or_none(value: Any) -> Any:
     """A value itself, None for a number that is not finite."""
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 Finite = FiniteFloat
-Known = Annotated[FiniteFloat | None, BeforeValidator(known)]
+Known = Annotated[FiniteFloat | None, BeforeValidator(finite_or_none)]
 """A number, or null where there is none: JSON has neither NaN nor infinities."""
 NotNegative = Annotated[Finite, Field(ge=0)]
-Sigma = Annotated[NotNegative | None, BeforeValidator(known)]
+Sigma = Annotated[NotNegative | None, BeforeValidator(finite_or_none)]
 Positive = Annotated[Finite, Field(gt=0)]
 Vector = tuple[Finite, Finite, Finite]
 
@@ -101,10 +101,14 @@ class SourceEntry(Entry):
         return cls(title=recording.setup.title, pointings=len(recording), digest=digest_of(recording), **when)
 
     @classmethod
-    def listed(cls, found: Coordinates) -> SourceEntry:
+    def listed(cls, coordinates: Coordinates) -> SourceEntry:
         """Entry of a list of coordinates, whose pointings are unknown, in a result."""
-        content = "\t".join((*found.names, found.axes)).encode() + found.points.tobytes() + found.covariance.tobytes()
-        return cls(title=found.title, pointings=0, digest=hashlib.sha256(content).hexdigest())
+        content = (
+            "\t".join((*coordinates.names, coordinates.axes)).encode()
+            + coordinates.points.tobytes()
+            + coordinates.covariance.tobytes()
+        )
+        return cls(title=coordinates.title, pointings=0, digest=hashlib.sha256(content).hexdigest())
 
 
 class ResultFile(Entry):
@@ -120,9 +124,9 @@ class ResultFile(Entry):
 
     def content(self) -> dict[str, Any]:
         """Content of the file: its format and the fields that were set, as JSON values."""
-        said = self.model_dump(mode="json", by_alias=True, exclude_unset=True)
-        last = {name: value for name in ("recording", "files") if (value := said.pop(name, None))}
-        return {"format": self.format} | said | last
+        values = self.model_dump(mode="json", by_alias=True, exclude_unset=True)
+        last = {name: value for name in ("recording", "files") if (value := values.pop(name, None))}
+        return {"format": self.format} | values | last
 
     def text(self) -> str:
         """The text of the file."""
@@ -152,14 +156,14 @@ def digest_of(recording: Recording) -> str:
 File = TypeVar("File", bound=ResultFile)
 
 
-def write_result(folder: Path, result: File, beside: Mapping[str, str | bytes]) -> File:
+def write_result(folder: Path, result: File, companions: Mapping[str, str | bytes]) -> File:
     """Write a result and the files beside it; give the result with their digests, as it was written.
 
     Raises RecordError when the folder cannot be written to; nothing half-written stays behind.
     """
-    digests = {name: _digest(t.encode() if isinstance(t, str) else t) for name, t in beside.items()}
+    digests = {name: _digest(t.encode() if isinstance(t, str) else t) for name, t in companions.items()}
     written = result.model_copy(update={"files": digests})
-    write_texts(folder, {**beside, result.FILE: written.text()})
+    write_texts(folder, {**companions, result.FILE: written.text()})
     return written
 
 
@@ -167,10 +171,10 @@ def read_result(path: Path, model: type[File]) -> File:
     """A result file (or that of a folder), checked against its model; raises RecordError."""
     file = path / model.FILE if path.is_dir() else path
     content = read_json(file, model.FILE)
-    found = content.get("format")
+    version = content.get("format")
     expected = model.model_fields["format"].default
-    if found != expected:
-        raise RecordError(f"format is '{shown(str(found))}', expected '{expected}'", file=file)
+    if version != expected:
+        raise RecordError(f"format is '{shown(str(version))}', expected '{expected}'", file=file)
     try:
         return model.model_validate(content)
     except ValidationError as problem:
@@ -222,12 +226,12 @@ def companion(folder: Path, name: str, result: ResultFile) -> Path | None:
 
 def check_source(result: ResultFile, recording: Recording | None, folder: Path) -> None:
     """Raise RecordError where a recording is not the one behind a result."""
-    said = result.recording
-    if recording is None or said is None or said.digest == digest_of(recording):
+    source = result.recording
+    if recording is None or source is None or source.digest == digest_of(recording):
         return
-    title = f"'{shown(said.title)}', " if said.title else ""
+    title = f"'{shown(source.title)}', " if source.title else ""
     raise RecordError(
-        f"is the result of another recording ({title}{said.pointings} pointings) than the one given "
+        f"is the result of another recording ({title}{source.pointings} pointings) than the one given "
         f"({len(recording)} pointings)",
         file=folder / result.FILE,
     )

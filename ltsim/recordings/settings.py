@@ -14,7 +14,7 @@ from pydantic_core import ErrorDetails
 
 from ltsim.core.errors import ModelError, RecordError, as_setup_error
 from ltsim.core.limits import TOML_BYTES, TOML_DEPTH, TOML_KEYS, TOML_VALUES
-from ltsim.recordings.files import FilePlace, read_text, shown, universal
+from ltsim.recordings.files import SourceLocation, read_text, shown, universal
 from ltsim.recordings.setup import Instrument, Setup
 
 Settings = TypeVar("Settings", bound=BaseModel)
@@ -42,7 +42,7 @@ def read_toml(path: Path, kind: str) -> dict[str, Any]:
     try:
         return tomllib.loads(text)
     except (tomllib.TOMLDecodeError, ValueError) as problem:
-        raise RecordError(f"is not TOML: {_one_line(problem)}", file=path) from None
+        raise RecordError(f"is not TOML: {_in_a_line(problem)}", file=path) from None
     except RecursionError:
         raise RecordError(f"is nested too deeply to be a {kind}", file=path) from None
 
@@ -68,7 +68,7 @@ def check_toml(text: str, file: object) -> None:
             line, parts = token.end() if mark == "\n" else line, 0
         if brackets + parts > TOML_DEPTH:
             row = text.count("\n", 0, token.start()) + 1
-            raise FilePlace(file, row).wrong(
+            raise SourceLocation(file, row).error(
                 f"tables or keys are nested deeper than {TOML_DEPTH}, the most that is read"
             )
         if keys > TOML_KEYS or values > TOML_VALUES:
@@ -97,19 +97,19 @@ def with_instruments(data: Mapping[str, Any], filled: Callable[[Any, str], Any])
 def _with_sheet(table: Any, place: str, file: object) -> Any:
     if not isinstance(table, dict) or not isinstance(table.get("sheet"), str):
         return table
-    from ltsim.recordings.specification import figures, stated_by  # most files name no sheet and need not wait
+    from ltsim.recordings.specification import figures, tables_from_sheet  # most files name no sheet and need not wait
 
     try:
-        below = stated_by(table["sheet"], table)
+        below = tables_from_sheet(table["sheet"], table)
     except ModelError as problem:
         raise RecordError(str(problem), file=file, column=f"{place}.sheet") from None
-    return above({"model": figures(table["sheet"])["name"], **table}, below)
+    return merge_defaults({"model": figures(table["sheet"])["name"], **table}, below)
 
 
-def above(table: Mapping[str, Any], below: Mapping[str, Any]) -> dict[str, Any]:
+def merge_defaults(table: Mapping[str, Any], below: Mapping[str, Any]) -> dict[str, Any]:
     """A table with what another says besides; tables in both are laid over each other in the same way."""
     both = [key for key, value in below.items() if isinstance(value, dict) and isinstance(table.get(key), dict)]
-    return {**below, **table, **{key: above(table[key], below[key]) for key in both}}
+    return {**below, **table, **{key: merge_defaults(table[key], below[key]) for key in both}}
 
 
 def checked(data: Mapping[str, Any], model: type[Settings], kind: str, file: object) -> Settings:
@@ -126,9 +126,9 @@ def checked(data: Mapping[str, Any], model: type[Settings], kind: str, file: obj
     try:
         return model.model_validate_json(json.dumps(data, default=str), strict=True)
     except ValidationError as problem:
-        found = problem.errors()
-        misspelt = [error for error in found if error["type"] == "extra_forbidden"]
-        raise RecordError(sentence((misspelt or found)[0], model), file=file) from None
+        errors = problem.errors()
+        misspelt = [error for error in errors if error["type"] == "extra_forbidden"]
+        raise RecordError(sentence((misspelt or errors)[0], model), file=file) from None
     except (ValueError, RecursionError):
         raise RecordError(f"holds a value that no {kind} can hold", file=file) from None
 
@@ -139,7 +139,7 @@ def load_settings(path: Path, model: type[Settings], kind: str) -> Settings:
         return checked(read_toml(path, kind), model, kind, path)
 
 
-def _one_line(problem: Exception) -> str:
+def _in_a_line(problem: Exception) -> str:
     return shown(" ".join(str(problem).split()), 160)
 
 
@@ -152,28 +152,28 @@ def _check_names(setup: Setup, file: object) -> None:
         ("reflector", setup.reflectors),
     ):
         for name in names:
-            FilePlace(file).name(name, kind)
+            SourceLocation(file).name(name, kind)
     for name, station in setup.stations.items():
         wanted = station.instrument
         if wanted is not None and wanted not in setup.instruments:
-            known = ", ".join(_close(wanted, setup.instruments)) or "none is declared"
-            where = FilePlace(file, column=f"stations.{name}.instrument")
-            raise where.wrong(f"there is no table [instruments.{shown(wanted)}]; instruments: {known}")
+            names_of_tables = ", ".join(_close(wanted, setup.instruments)) or "none is declared"
+            where = SourceLocation(file, column=f"stations.{name}.instrument")
+            raise where.error(f"there is no table [instruments.{shown(wanted)}]; instruments: {names_of_tables}")
     for i, line in enumerate(setup.gauge.distance if setup.gauge else ()):
         if line.from_ == line.to:
-            where = FilePlace(file, column=f"gauge.distance {i + 1}")
-            raise where.wrong(f"a length from '{shown(line.to)}' to itself, expected two different targets")
-    called = [one.called for one in setup.differences]
-    for i, one in enumerate(setup.differences):
-        where = FilePlace(file, column=f"differences {i + 1}")
-        if one.from_ == one.to:
-            raise where.wrong(f"a difference from '{shown(one.to)}' to itself, expected two different marks")
-        if one.called in called[:i]:
-            raise where.wrong(f"'{shown(one.called)}' is there already, expected a name of its own (name)")
+            where = SourceLocation(file, column=f"gauge.distance {i + 1}")
+            raise where.error(f"a length from '{shown(line.to)}' to itself, expected two different targets")
+    called = [difference.called for difference in setup.differences]
+    for i, difference in enumerate(setup.differences):
+        where = SourceLocation(file, column=f"differences {i + 1}")
+        if difference.from_ == difference.to:
+            raise where.error(f"a difference from '{shown(difference.to)}' to itself, expected two different marks")
+        if difference.called in called[:i]:
+            raise where.error(f"'{shown(difference.called)}' is there already, expected a name of its own (name)")
 
 
-def _close(name: str, known: Any) -> list[str]:
-    choices = sorted(str(k) for k in known)
+def _close(name: str, candidates: Any) -> list[str]:
+    choices = sorted(str(k) for k in candidates)
     return difflib.get_close_matches(name, choices, n=3, cutoff=0.5) or choices[:12]
 
 
@@ -183,18 +183,18 @@ def sentence(error: ErrorDetails, root: type[BaseModel]) -> str:
     stays = len(error["loc"]) - 1 if error["type"] == "extra_forbidden" else -1
     place = [part for i, part in enumerate(error["loc"]) if i == stays or "[" not in str(part)]
     key = ".".join(str(p + 1) if isinstance(p, int) else p for p in place)
-    found = shown(json.dumps(error["input"], default=str), 60)
+    value = shown(json.dumps(error["input"], default=str), 60)
     if error["type"] == "extra_forbidden":
-        known = _keys_at(root, place[:-1])
-        inside = {name: f"{table}.{name}" for table in known for name in _keys_at(root, [*place[:-1], table])}
-        alike = partial(difflib.get_close_matches, str(place[-1]), cutoff=0.7)
-        near = alike(known) or [inside[name] for name in alike(inside)] or _close(str(place[-1]), known)
+        keys = _keys_at(root, place[:-1])
+        inside = {name: f"{table}.{name}" for table in keys for name in _keys_at(root, [*place[:-1], table])}
+        close_to = partial(difflib.get_close_matches, str(place[-1]), cutoff=0.7)
+        near = close_to(keys) or [inside[name] for name in close_to(inside)] or _close(str(place[-1]), keys)
         return f"unknown key {shown(key, 100)}; did you mean {', '.join(near)}?"
     if error["type"] == "missing":
         return f"the key {shown(key, 100)} is missing"
     wanted = error["msg"][0].lower() + error["msg"][1:]
-    said = shown(_expected(wanted), 120)
-    return f"{shown(key, 100)} is {found}, but {said}" if key else said
+    expected = shown(_expected(wanted), 120)
+    return f"{shown(key, 100)} is {value}, but {expected}" if key else expected
 
 
 def _keys_at(root: type[BaseModel], path: Iterable[object]) -> list[str]:
@@ -226,10 +226,10 @@ def schemas_at(root: type[BaseModel], path: Iterable[object]) -> list[tuple[Sche
             return choices(_schema(root)["$defs"][node["$ref"].rpartition("/")[2]])
         return [choice for entry in node["anyOf"] for choice in choices(entry)] if "anyOf" in node else [node]
 
-    found = [_schema(root)]
+    nodes = [_schema(root)]
     for part in map(str, path):
-        found = [below for node in found for choice in choices(node) if (below := _below(choice, part)) is not None]
-    return [(node, choices(node)) for node in found]
+        nodes = [below for node in nodes for choice in choices(node) if (below := _below(choice, part)) is not None]
+    return [(node, choices(node)) for node in nodes]
 
 
 def _below(node: Schema, part: str) -> Schema | None:

@@ -46,7 +46,7 @@ class Noise(TomlSection):
     """Standard deviation of elevation readings."""
 
     @model_validator(mode="after")
-    def _some_range_noise(self) -> Noise:
+    def _positive_range_noise(self) -> Noise:
         if max(self.distance_mm, self.distance_ppm) < LEAST_SIGMA:
             raise ValueError("it should not be 0 in both distance_mm and distance_ppm")
         return self
@@ -229,7 +229,7 @@ class Target(TomlSection):
     """Height of the reflector above the mark that the name stands for."""
 
 
-class KnownDifference(TomlSection):
+class ReferenceDifference(TomlSection):
     """Known vector from one mark to another, as by levelling (along z) or by satellites: a weighted constraint.
 
     Marks are targets, or those under set-ups; one that nobody measured has to be known, ten times better than this.
@@ -337,7 +337,7 @@ class Setup(TomlSection):
     """Prior knowledge about set-ups, tables `[stations.NAME]`."""
     targets: dict[str, Target] = Field(default_factory=dict)
     """Prior knowledge about reflector positions, tables `[targets.NAME]`."""
-    differences: tuple[KnownDifference, ...] = ()
+    differences: tuple[ReferenceDifference, ...] = ()
     """Known differences of marks, a table `[[differences]]` each."""
     reflectors: dict[str, Reflector] = Field(default_factory=dict)
     """SMRs with radii of their own, tables `[reflectors.NAME]`; the difference to the reference lies along the nest's
@@ -369,8 +369,8 @@ class Setup(TomlSection):
     @property
     def instruments_in_words(self) -> str:
         """Model and serial number of each instrument that states them, with its name where there are several."""
-        stated = self.instruments or {"": self.instrument}
-        said = {name: [word for word in (i.model, i.serial) if word] for name, i in stated.items()}
+        tables = self.instruments or {"": self.instrument}
+        words_of = {name: [word for word in (i.model, i.serial) if word] for name, i in tables.items()}
         return "; ".join(
-            ", ".join([*([name] if len(stated) > 1 else []), *words]) for name, words in said.items() if words
+            ", ".join([*([name] if len(tables) > 1 else []), *words]) for name, words in words_of.items() if words
         )

@@ -1,4 +1,4 @@
-"""Maximum permissible errors (MPE) of data sheets, as limits of tests and as standard deviations and priors."""
+"""Noise of instruments: by kind where a file declares none, by the maximum permissible errors (MPE) of data sheets."""
 
 import csv
 import functools
@@ -23,6 +23,19 @@ LIMITS = ("transverse_um", "transverse_um_per_m", "range_um", "range_um_per_m")
 """Keys of a specification without which no test has a limit."""
 RANGES = ("distance_", "range_")
 """Prefixes of the keys of noise and prior that follow from the limit of a range."""
+
+TOTAL_STATION_NOISE = Noise(distance_mm=1.0, distance_ppm=1.5, azimuth_arcsec=1.0, elevation_arcsec=1.0)
+"""Standard deviations of a total station of the first class by ISO 17123, as makers' data sheets state them."""
+TOTAL_STATION = Instrument(noise=TOTAL_STATION_NOISE, corrected=True)
+"""A total station: its own corrections are in the readings."""
+NO_NOISE = (
+    "the file states no noise: that of the default laser tracker is taken (3 um + 0.3 ppm, 0.37 arcsec); edit "
+    "setup.toml to state it, or let the readings say (--noise-from-data)"
+)
+LIKE_TOTAL_STATION = (
+    "the file states no noise: that of a total station is taken (1 mm + 1.5 ppm, 1 arcsec), because {reason}; edit "
+    "setup.toml to state it, or let the readings say (--noise-from-data)"
+)
 
 
 class Specification(TomlSection):
@@ -84,12 +97,12 @@ class Specification(TomlSection):
         sigma = 1.0 / COVERAGE
         noise, rest = np.sqrt(self.noise_share), np.sqrt(1 - self.noise_share)
         angle = sigma * self.transverse_um_per_m * MICROMETRE / ARCSECOND
-        apart = self.range_offset_um > 0
-        offset = self.range_offset_um if apart else rest * self.range_um
+        has_offset = self.range_offset_um > 0
+        offset = self.range_offset_um if has_offset else rest * self.range_um
         return Instrument(
             construction=construction,  # type: ignore[arg-type]
             noise=Noise(
-                distance_mm=sigma * self.range_um * (1.0 if apart else noise) * MICROMETRE / MILLIMETRE,
+                distance_mm=sigma * self.range_um * (1.0 if has_offset else noise) * MICROMETRE / MILLIMETRE,
                 distance_ppm=sigma * self.range_um_per_m * noise,
                 azimuth_arcsec=_least(angle * noise),
                 elevation_arcsec=_least(angle * noise),
@@ -130,20 +143,20 @@ def figures(name: str) -> dict[str, Any]:
     return dict(_sheets()[name])
 
 
-def completed(name: str, stated: Mapping[str, Any]) -> dict[str, Any]:
+def completed(name: str, declared: Mapping[str, Any]) -> dict[str, Any]:
     """A specification as keys: a built-in data sheet with what a person states of the instrument above it.
 
     Raises ModelError when there is no such sheet, or both leave a limit open.
     """
-    known = figures(name)
-    left = [key for key in LIMITS if key not in known and key not in stated]
-    if left:
+    keys = figures(name)
+    missing = [key for key in LIMITS if key not in keys and key not in declared]
+    if missing:
         raise ModelError(
-            f"the data sheet {name} leaves {' and '.join(left)} open; state it in the table [specification]"
+            f"the data sheet {name} leaves {' and '.join(missing)} open; state it in the table [specification]"
         )
-    if stated:
-        known["source"] += f"; not from there: {', '.join(stated)}"
-    return {**known, **stated}
+    if declared:
+        keys["source"] += f"; not from there: {', '.join(declared)}"
+    return {**keys, **declared}
 
 
 def sheet(name: str) -> Specification:
@@ -151,7 +164,7 @@ def sheet(name: str) -> Specification:
     return Specification.model_validate(completed(name, {}))
 
 
-def stated_by(name: str, given: Mapping[str, Any], limits: Iterable[str] = ()) -> dict[str, dict[str, float]]:
+def tables_from_sheet(name: str, given: Mapping[str, Any], limits: Iterable[str] = ()) -> dict[str, dict[str, float]]:
     """Tables ``noise`` and ``prior`` that a built-in data sheet makes of an instrument whose tables are `given`.
 
     No sheet that could be read states how far and how steeply an instrument can point: `limits` are the keys of that
@@ -159,16 +172,18 @@ def stated_by(name: str, given: Mapping[str, Any], limits: Iterable[str] = ()) -
 
     Raises ModelError when there is no such sheet, or it leaves something open that `given` does not state.
     """
-    stated = figures(name)
-    whole = Specification.model_validate({**dict.fromkeys(LIMITS, 1.0), **stated}).instrument()
+    published = figures(name)
+    whole = Specification.model_validate({**dict.fromkeys(LIMITS, 1.0), **published}).instrument()
     exact = {"noise": whole.noise.model_dump(), "prior": whole.prior.model_dump(exclude={"parameters"})}
     tables = {table: {key: float(f"{x:.6g}") for key, x in values.items()} for table, values in exact.items()}
-    if any(key not in stated for key in LIMITS):
-        own = {f"{table}.{key}" for table in tables if isinstance(given.get(table), Mapping) for key in given[table]}
+    if any(key not in published for key in LIMITS):
+        declared = {
+            f"{table}.{key}" for table in tables if isinstance(given.get(table), Mapping) for key in given[table]
+        }
         ranges = [f"{table}.{key}" for table, values in tables.items() for key in values if key.startswith(RANGES)]
-        left = [key for key in ranges if key not in own]
-        if left:
-            raise ModelError(f"the data sheet {name} leaves the ranges open; state {', '.join(left)}")
+        missing = [key for key in ranges if key not in declared]
+        if missing:
+            raise ModelError(f"the data sheet {name} leaves the ranges open; state {', '.join(missing)}")
     travel = given.get("limits")
     open_ = [f"limits.{key}" for key in limits if not isinstance(travel, Mapping) or key not in travel]
     if open_:
@@ -180,10 +195,14 @@ def overruled(instrument: Instrument) -> list[str]:
     """Keys of noise and prior in which an instrument differs from what its data sheet says of them."""
     if instrument.sheet is None:
         return []
-    own: dict[str, dict[str, float]] = instrument.model_dump(include={"noise", "prior"})
-    left = () if all(key in figures(instrument.sheet) for key in LIMITS) else RANGES
-    pairs = [(t, k, x) for t, values in stated_by(instrument.sheet, own).items() for k, x in values.items()]
-    return [f"{t}.{k}" for t, k, x in pairs if not np.isclose(own[t][k], x, rtol=1e-5) and not k.startswith(left)]
+    specified: dict[str, dict[str, float]] = instrument.model_dump(include={"noise", "prior"})
+    skipped = () if all(key in figures(instrument.sheet) for key in LIMITS) else RANGES
+    return [
+        f"{table}.{key}"
+        for table, values in tables_from_sheet(instrument.sheet, specified).items()
+        for key, value in values.items()
+        if not np.isclose(specified[table][key], value, rtol=1e-5) and not key.startswith(skipped)
+    ]
 
 
 @functools.cache

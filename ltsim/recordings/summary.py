@@ -23,7 +23,7 @@ def summary(recording: Recording) -> dict[str, str]:
         "heights": _heights(recording),
         "time": _time(recording),
         "noise": _noise(recording),
-        "known": _known(recording),
+        "known": _reference_values(recording),
     }
     return {topic: words for topic, words in topics.items() if words}
 
@@ -46,10 +46,10 @@ def _pointings(recording: Recording) -> str:
 
 
 def _faces(recording: Recording) -> str:
-    seen = {face: {*_sighted(recording, face)} for face in (1, 2)}
-    every, both = len(seen[1] | seen[2]), len(seen[1] & seen[2])
+    sights = {face: {*_sighted(recording, face)} for face in (1, 2)}
+    every, both = len(sights[1] | sights[2]), len(sights[1] & sights[2])
     if not both:
-        return f"face {1 if seen[1] else 2} only"
+        return f"face {1 if sights[1] else 2} only"
     return "every target in both" if both == every else f"{both} of {every} sights in both"
 
 
@@ -74,8 +74,8 @@ def _heights(recording: Recording) -> str:
     if not instrument.any() and not target.any():
         given = recording.setup.heads_sigma_mm
         return "none" if given is None else f"between heads, each known to {given:g} mm"
-    stated = " (by row)" if any(name in recording.covariates for name in HEIGHT_COLUMNS) else ""
-    return f"instruments {_span(instrument, '.4g')} m, targets {_span(target, '.4g')} m over their marks{stated}"
+    origin = " (by row)" if any(name in recording.covariates for name in HEIGHT_COLUMNS) else ""
+    return f"instruments {_span(instrument, '.4g')} m, targets {_span(target, '.4g')} m over their marks{origin}"
 
 
 def _time(recording: Recording) -> str:
@@ -92,8 +92,8 @@ def _noise(recording: Recording) -> str:
     words = [noise_words(noise) for noise in by_name]
     if len(words) > 1:
         words = [f"{text} ({by_name[noise]})" for noise, text in zip(by_name, words, strict=True)]
-    own = [np.isfinite(recording.covariates[name]).mean() for name in SIGMA_COLUMNS if name in recording.covariates]
-    by_row = ["stated by row"] if own else []
+    shares = [np.isfinite(recording.covariates[name]).mean() for name in SIGMA_COLUMNS if name in recording.covariates]
+    by_row = ["stated by row"] if shares else []
     return "; ".join([*by_row, *words][:MOST_NAMED])
 
 
@@ -106,7 +106,7 @@ def noise_words(noise: Noise) -> str:
     )
 
 
-def _known(recording: Recording) -> str:
+def _reference_values(recording: Recording) -> str:
     setup = recording.setup
     counts = {
         "control points": sum(t.known_mm is not None for t in setup.targets.values()),

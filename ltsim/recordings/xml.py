@@ -16,7 +16,7 @@ from defusedxml.ElementTree import DefusedXMLParser
 from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import RecordError
 from ltsim.core.limits import TAG_ATTRIBUTES, XML_ATTRIBUTES, XML_DEPTH, XML_TAGS
-from ltsim.recordings.files import FilePlace, read_bytes, shown
+from ltsim.recordings.files import SourceLocation, read_bytes, shown
 
 _LONG_TAG = re.compile(rb"<[^<]{4096,}+")
 """From one tag to the next, where there is room for too many attributes."""
@@ -134,9 +134,9 @@ class Node:
         return int(self.element.get(LINE, "0"))
 
     @property
-    def where(self) -> FilePlace:
+    def where(self) -> SourceLocation:
         """Its place."""
-        return FilePlace(self.file, self.line)
+        return SourceLocation(self.file, self.line)
 
     @property
     def text(self) -> str:
@@ -153,7 +153,7 @@ class Node:
     def attribute(self, name: str) -> str:
         """An attribute that has to be there; raises RecordError."""
         if name not in self:
-            raise self.where.wrong(f"<{shown(self.tag)}> lacks the attribute {name}")
+            raise self.where.error(f"<{shown(self.tag)}> lacks the attribute {name}")
         return self.get(name)
 
     def number(self, name: str, default: float | None = None, limit: float = 1e12) -> float:
@@ -176,6 +176,6 @@ def banded(node: Node, size: float, band: float, values: Sequence[float]) -> tup
     last = np.minimum(rows + max(int(band), 0), int(size) - 1)
     counts = last - rows + 1
     if not 0 <= band < size or len(rows) < size or len(values) != counts.sum():
-        raise node.where.wrong("a <cov-mat> whose numbers do not match dim and band")
+        raise node.where.error("a <cov-mat> whose numbers do not match dim and band")
     column = np.concatenate([np.arange(i, j + 1) for i, j in zip(rows, last, strict=True)])
     return np.repeat(rows, counts), column, np.array(values)

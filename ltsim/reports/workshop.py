@@ -13,7 +13,7 @@ from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import SetupError
 from ltsim.core.units import DEGREE, MILLIMETRE
 from ltsim.core.values import ValueEquality
-from ltsim.physics.model.construction import stated_construction
+from ltsim.physics.model.construction import declared_construction
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Limits, Setup
 from ltsim.scene.cad import read_mesh, size_question
@@ -144,7 +144,7 @@ def from_recording(recording: Recording) -> PlacedWorkshop:
     """The workshop of a recording, adjusted with the instrument's parameters; arrows show what they change."""
     plain = adjust(recording)
     plain.solution.require_success()
-    full = adjust(recording, stated_construction(recording))
+    full = adjust(recording, declared_construction(recording))
     return from_adjustment(full if full.solution.converged else plain, plain=plain)
 
 

@@ -71,15 +71,15 @@ def read_mesh(path: Path, unit: str | None = None, up: str | None = None) -> Cad
     if suffix in EXACT and unit is not None:
         raise SetupError(f"{path}: {suffix[1:].upper()} states its own unit; leave out unit")
     turned = up or ("y" if suffix in GLTF else "z")
-    own = "" if suffix in EXACT else unit or ("m" if suffix in GLTF else "mm")
+    file_unit = "" if suffix in EXACT else unit or ("m" if suffix in GLTF else "mm")
     try:
-        found = path.stat()
-        if found.st_size > CAD_BYTES:
+        status = path.stat()
+        if status.st_size > CAD_BYTES:
             raise SetupError(f"{path}: is larger than {CAD_BYTES // MIB} MiB, the most that is read")
-        triangles = _triangles(path, found.st_mtime_ns, FACTOR[own or "m"], turned)
+        triangles = _triangles(path, status.st_mtime_ns, FACTOR[file_unit or "m"], turned)
     except OSError as problem:
         raise SetupError(f"{path}: cannot be read ({problem.strerror or 'not a usable file'})") from None
-    return Cad(path, triangles, own, turned, suffix in EXACT or unit is not None)
+    return Cad(path, triangles, file_unit, turned, suffix in EXACT or unit is not None)
 
 
 @lru_cache(maxsize=8)

@@ -39,15 +39,15 @@ def triangles_in(path: Path) -> Floats:
         _check_count(path, facets_of_stl(content))
     if suffix == ".stl" or (suffix in FACETS and len(content) <= SMALL_CAD_BYTES):
         try:
-            found = loaded(content, suffix)
+            triangles = loaded(content, suffix)
         except Exception as problem:  # readers of all these formats raise whatever they meet
             raise _not_whole(path, type(problem).__name__) from None
     else:
-        found = _elsewhere(path, len(content))
-    _check_count(path, len(found))
-    if not len(found) or not np.all(np.isfinite(found)):
+        triangles = _elsewhere(path, len(content))
+    _check_count(path, len(triangles))
+    if not len(triangles) or not np.all(np.isfinite(triangles)):
         raise SetupError(f"{path}: holds no surface of triangles with finite coordinates")
-    return found
+    return triangles
 
 
 def facets_of_stl(content: bytes) -> int:
@@ -93,13 +93,13 @@ def main() -> None:
     limit_to(memory, seconds)
     try:
         with path.open("rb") as stream, silenced():
-            found = loaded(stream.read(), path.suffix.lower())
-        if len(found) > TRIANGLES:
+            triangles = loaded(stream.read(), path.suffix.lower())
+        if len(triangles) > TRIANGLES:
             raise MemoryError
     except Exception as problem:  # whatever the libraries raise
         sys.stderr.write(type(problem).__name__)
         sys.exit(_REFUSED)
-    sys.stdout.buffer.write(np.ascontiguousarray(found).tobytes())
+    sys.stdout.buffer.write(np.ascontiguousarray(triangles).tobytes())
 
 
 def limit_to(memory: int, seconds: int) -> None:

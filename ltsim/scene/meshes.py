@@ -88,9 +88,9 @@ class Obstacles:
         side, other = perpendicular(sight / np.linalg.norm(sight, axis=1, keepdims=True))
         hit = np.zeros(len(origins), dtype=bool)
         for across, up in product((-play, play), repeat=2):
-            left = np.flatnonzero(~hit)
-            start = origins[left] + across * side[left] + up * other[left]
-            hit[left] = self._met(start, ends[left])  # at such a distance single precision is enough
+            open_rows = np.flatnonzero(~hit)
+            start = origins[open_rows] + across * side[open_rows] + up * other[open_rows]
+            hit[open_rows] = self._met(start, ends[open_rows])  # at such a distance single precision is enough
         return hit
 
     def _met(self, origins: Floats, ends: Floats) -> Bools:
@@ -109,13 +109,13 @@ class Obstacles:
 
     def holds(self, points: Floats) -> Bools:
         """(n,): points (n, 3) [m] inside a closed body: a ray to the sky leaves through an odd number of surfaces."""
-        (left, back), (right, front) = self._above
+        (west, south), (east, north) = self._above
         flat = _from_sky(points)
         count = np.zeros(len(points), dtype=np.int64)
         step = max(1, CHUNK // max(len(self.triangles), 1))
         for start in range(0, len(points), step):
             x, y = flat[start : start + step].T[..., None]
-            i, t = np.nonzero((left <= x) & (x <= right) & (back <= y) & (y <= front))
+            i, t = np.nonzero((west <= x) & (x <= east) & (south <= y) & (y <= north))
             met = _meets(self.triangles[t], points[start + i], SKY, np.inf)
             count[start : start + step] = np.bincount(i[met], minlength=len(x))
         return count % 2 == 1
@@ -156,14 +156,14 @@ class Obstacles:
     def over_skin(self, points: Floats) -> Floats:
         """Points (n, 3) [m], those inside a body by no more than its triangles leave open put just over it."""
         if (key := points.tobytes()) not in self._put:
-            found = points.copy()
+            projected = points.copy()
             for i in np.flatnonzero(self.holds(points)):
                 nearest = nearest_points(self.triangles, points[i])
                 gap = np.linalg.norm(nearest - points[i], axis=1)
                 best = int(gap.argmin())
                 if END < gap[best] < self._open[best] + GRAZE:
-                    found[i] = nearest[best] + GRAZE * (nearest[best] - points[i]) / gap[best]
-            self._put[key] = found
+                    projected[i] = nearest[best] + GRAZE * (nearest[best] - points[i]) / gap[best]
+            self._put[key] = projected
         return self._put[key]
 
     def encloses(self, points: Floats) -> Bools:
@@ -266,53 +266,53 @@ def together(parts: Iterable[Floats], floor: float = 0.0) -> Obstacles:
 
 
 def nest_places(
-    body: Floats, reach: float, apart: float, around: Obstacles | None = None, *, closed: bool = True
+    body: Floats, reach: float, spacing: float, around: Obstacles | None = None, *, closed: bool = True
 ) -> Floats:
     """Places (P, 3) [m] of reflectors on the surfaces of a body, triangles (m, 3, 3) [m].
 
-    Their centres are `reach` [m] over the surface, at least `apart` [m] from each other, and in nothing of what stands
+    Their centres are `reach` [m] over the surface, at least `spacing` [m] from each other, and outside all bodies of
     `around`. The outer side of a `closed` body is found, whatever way its triangles are wound; of an open surface it is
     that of the normals.
     """
-    drawn, normal = _drawn(body, apart)
-    own = Obstacles(body)
+    drawn, normal = _drawn(body, spacing)
+    surface = Obstacles(body)
     if closed:
-        normal[own.holds(drawn + reach * normal)] *= -1.0
+        normal[surface.holds(drawn + reach * normal)] *= -1.0
     places = drawn + reach * normal
     good = normal[:, 2] > STEEPEST
-    good &= ~(closed & own.holds(places))
+    good &= ~(closed & surface.holds(places))
     if around is not None:
         good &= ~around.holds(places)
-    good[good] = _flat(own, places[good], normal[good], reach)
-    return _spread(places[good], apart)
+    good[good] = _flat(surface, places[good], normal[good], reach)
+    return _spread(places[good], spacing)
 
 
-def _drawn(body: Floats, apart: float) -> tuple[Floats, Floats]:
+def _drawn(body: Floats, spacing: float) -> tuple[Floats, Floats]:
     """Points spread evenly by chance over triangles, and their normals (n, 3)."""
     normal, area = _normals(body)
     rng = stream(0, "nests")
-    count = int(np.clip(DENSE * area.sum() / apart**2, 200, MOST_DRAWN))
+    count = int(np.clip(DENSE * area.sum() / spacing**2, 200, MOST_DRAWN))
     face = rng.choice(len(body), size=count, p=area / area.sum())
     root, share = np.sqrt(rng.random(count))[:, None], rng.random(count)[:, None]
     a, b, c = np.moveaxis(body[face], 1, 0)
     return (1 - root) * a + root * (1 - share) * b + root * share * c, normal[face]
 
 
-def _flat(own: Obstacles, places: Floats, normal: Floats, reach: float) -> Bools:
+def _flat(surface: Obstacles, places: Floats, normal: Floats, reach: float) -> Bools:
     """(n,): around the foot of a nest the surface lies where the nest needs it."""
     side, other = perpendicular(normal)
     good = np.ones(len(places), dtype=bool)
     for shift in (side, -side, other, -other):
         rim = places + FOOT * shift
-        good &= own.blocked(rim, rim - (reach + UNEVEN) * normal)
-        good &= ~own.blocked(rim, rim - (reach - UNEVEN) * normal)
+        good &= surface.blocked(rim, rim - (reach + UNEVEN) * normal)
+        good &= ~surface.blocked(rim, rim - (reach - UNEVEN) * normal)
     return good
 
 
-def _spread(places: Floats, apart: float) -> Floats:
-    """Places at least `apart` [m] from each retained place before them."""
-    kept: list[int] = []
+def _spread(places: Floats, spacing: float) -> Floats:
+    """Places at least `spacing` [m] from each retained place before them."""
+    chosen: list[int] = []
     for i, place in enumerate(places):
-        if not kept or np.linalg.norm(places[kept] - place, axis=1).min() >= apart:
-            kept.append(i)
-    return places[kept]
+        if not chosen or np.linalg.norm(places[chosen] - place, axis=1).min() >= spacing:
+            chosen.append(i)
+    return places[chosen]

@@ -130,8 +130,8 @@ class Sightings:
     def unit_vectors(self) -> tuple[Floats, Floats, Floats]:
         """Beam, left and up (n, 3) each, in the network frame."""
         turn = self.rotation[self.station]
-        beam, left, up = (np.einsum("nij,nj->ni", turn, v) for v in unit_vectors(self.azimuth, self.elevation))
-        return beam, left, up
+        beam, across, up = (np.einsum("nij,nj->ni", turn, v) for v in unit_vectors(self.azimuth, self.elevation))
+        return beam, across, up
 
     @cached_property
     def slot_responses(self) -> dict[str, Floats]:
@@ -175,9 +175,9 @@ class Sightings:
         rows = self._by_set_up
         first = np.maximum.accumulate(np.where(self.previous[rows] < 0, np.arange(len(rows)), 0))
         sums = np.cumsum(steps[rows], dtype=np.float64)
-        found = np.empty_like(sums)
-        found[rows] = sums - sums[first]
-        return found
+        sums_by_row = np.empty_like(sums)
+        sums_by_row[rows] = sums - sums[first]
+        return sums_by_row
 
     @cached_property
     def move(self) -> Floats:
@@ -221,7 +221,7 @@ class Sightings:
         place = self.points[self.target]
         came = self.previous >= 0
         last = np.where(came[:, None], self.polar[self.previous], 0.0)
-        known = {
+        quantities = {
             "azimuth": self.azimuth,
             "elevation": self.elevation,
             "circle": wrap(self.raw[:, 1]),
@@ -251,8 +251,8 @@ class Sightings:
             x = np.nan_to_num(column)
             changing[name] = np.where(came, x[self.previous], x), np.where(came, x - x[self.previous], 0.0)
         for name, (before, move) in changing.items():
-            known |= {f"last-{name}": before, f"move-{name}": move, f"work-{name}": self._summed(np.abs(move))}
-        return {name: np.nan_to_num(values) for name, values in (dict(self.covariates) | known).items()}
+            quantities |= {f"last-{name}": before, f"move-{name}": move, f"work-{name}": self._summed(np.abs(move))}
+        return {name: np.nan_to_num(values) for name, values in (dict(self.covariates) | quantities).items()}
 
     @cached_property
     def _nest(self) -> tuple[Floats, Floats]:
@@ -280,7 +280,7 @@ class Sightings:
 
 
 def _places(names: Sequence[str]) -> dict[str, list[int]]:
-    found: dict[str, list[int]] = {}
+    places: dict[str, list[int]] = {}
     for i, name in enumerate(names):
-        found.setdefault(name, []).append(i)
-    return found
+        places.setdefault(name, []).append(i)
+    return places

@@ -19,8 +19,8 @@ from ltsim.core.randomness import trials_normal
 from ltsim.core.units import MILLIMETRE
 from ltsim.physics.effects.effect import Effect, NoiseEffect
 from ltsim.physics.model.construction import Construction
-from ltsim.recordings.lengths import KnownLengths
 from ltsim.recordings.recording import OBSERVABLES
+from ltsim.recordings.references import ReferenceLengths
 from ltsim.scene.sightings import Sightings
 from ltsim.simulation.physics import reflector_error
 from ltsim.simulation.scenario import Scenario
@@ -120,7 +120,7 @@ class TrialDraws:
     """(I, p) [SI]: the instruments' errors are drawn from N(mean, sigma^2)."""
     noise: Floats
     """(n, 3) [m, rad, rad]: standard deviations of the readings, without what effects on the noise add."""
-    lengths: KnownLengths
+    lengths: ReferenceLengths
     """True lengths, with the sigmas of their certificates."""
     names: tuple[str, ...]
     """Names of the targets between which the lengths are."""

@@ -13,10 +13,10 @@ from ltsim.core.errors import SetupError, as_setup_error
 from ltsim.core.results import Result
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.effects.verbs import Sized, effect_from
-from ltsim.recordings.files import FilePlace, shown
-from ltsim.recordings.settings import above, checked, read_toml, to_toml, with_instruments
+from ltsim.recordings.files import SourceLocation, shown
+from ltsim.recordings.settings import checked, merge_defaults, read_toml, to_toml, with_instruments
 from ltsim.recordings.setup import Material, NonNegative, Reflector, TomlSection
-from ltsim.recordings.specification import sheet_names, stated_by
+from ltsim.recordings.specification import sheet_names, tables_from_sheet
 from ltsim.simulation.builtin import builtin_names, builtin_path
 from ltsim.simulation.sections import (
     PRESETS,
@@ -191,7 +191,7 @@ def _with_base(data: Mapping[str, Any]) -> Mapping[str, Any]:
     if data.get("base") is None:
         return data
     below = _with_base(read_toml(builtin_path(str(data["base"])), "scenario"))
-    return {key: value for key, value in above(data, below).items() if key != "base" and value != NONE}
+    return {key: value for key, value in merge_defaults(data, below).items() if key != "base" and value != NONE}
 
 
 def _with_preset(instrument: Any, file: Path) -> Any:
@@ -200,10 +200,10 @@ def _with_preset(instrument: Any, file: Path) -> Any:
         return instrument
     name = instrument.get("preset")
     if name not in sheet_names():
-        return above(instrument, PRESETS.get(str(name), {}))
+        return merge_defaults(instrument, PRESETS.get(str(name), {}))
     with as_setup_error(f"{file}: instrument.preset"):
-        below = stated_by(name, instrument, PointingLimits.model_fields)
-    return above(instrument, below)
+        below = tables_from_sheet(name, instrument, PointingLimits.model_fields)
+    return merge_defaults(instrument, below)
 
 
 def _in_use(scenario: Scenario, file: Path) -> Scenario:
@@ -314,7 +314,7 @@ def _wrong_names(scenario: Scenario, file: Path) -> Iterator[str]:
     for kind, listed in (("station", scenario.stations), ("target", names), ("instrument", scenario.instruments)):
         for name in listed:
             with as_setup_error():
-                FilePlace(file).name(name, kind)
+                SourceLocation(file).name(name, kind)
 
 
 def _wrong_instruments(scenario: Scenario) -> Iterator[str]:

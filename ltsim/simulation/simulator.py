@@ -10,8 +10,8 @@ from ltsim.core.arrays import Floats
 from ltsim.core.units import MICROMETRE, MILLIMETRE
 from ltsim.geometry.polar import wrap
 from ltsim.physics.effects.effect import Effect, Mistake, NoiseEffect
-from ltsim.recordings.lengths import KnownLengths
 from ltsim.recordings.recording import OBSERVABLES, REFLECTOR_COLUMN, Recording
+from ltsim.recordings.references import ReferenceLengths
 from ltsim.recordings.setup import (
     Gauge,
     GaugeDistance,
@@ -83,7 +83,7 @@ def error_free(work: Fieldwork) -> Recording:
         labels={REFLECTOR_COLUMN: smrs_of(scenario, s)} if told else {},
     )
     blank = exact_lengths(bare, work)
-    return blank.replace(notes=(*work.notes, *_idle(work, KnownLengths.of(blank))))
+    return blank.replace(notes=(*work.notes, *_idle(work, ReferenceLengths.of(blank))))
 
 
 def population_of(work: Fieldwork, blank: Recording) -> TrialDraws:
@@ -97,7 +97,7 @@ def population_of(work: Fieldwork, blank: Recording) -> TrialDraws:
         mean=mean,
         sigma=sigma,
         noise=stated_noise(scenario, work.sightings),
-        lengths=KnownLengths.of(blank),
+        lengths=ReferenceLengths.of(blank),
         names=blank.targets,
         effects=effect_laws(scenario, work.effects),
         certificate_factor=scenario.cmm.noise_factor,
@@ -145,7 +145,7 @@ def idle_effects(work: Fieldwork) -> Iterator[str]:
     yield from error_free(work).notes[len(work.notes) :]
 
 
-def _idle(work: Fieldwork, known: KnownLengths) -> Iterator[str]:
+def _idle(work: Fieldwork, known: ReferenceLengths) -> Iterator[str]:
     for effect in work.effects:
         if isinstance(effect, NoiseEffect) or np.any(effect.design(work.sightings)):
             continue
@@ -258,7 +258,7 @@ def exact_lengths(recording: Recording, work: Fieldwork) -> Recording:
     lines = tuple(line for line, _ in known)
     stated = Gauge(measured_at_c=warm, materials=scenario.materials or None, distance=lines, **own)
     blank = recording.replace(setup=recording.setup.model_copy(update={"gauge": stated}))
-    there = KnownLengths.of(blank)
+    there = ReferenceLengths.of(blank)
     certified = np.linalg.norm(points[there.first] - points[there.second], axis=1) / there.factor
     by_machine = length_sigma(scenario.cmm, certified).tolist()
     sigma = [own if um is None else um * MICROMETRE for (_, um), own in zip(known, by_machine, strict=True)]

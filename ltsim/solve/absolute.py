@@ -41,8 +41,8 @@ def least_absolute(design: Floats, goal: Floats, *, near: Floats | None = None) 
             weighted = design / np.maximum(np.abs(goal - design @ x), floor)[:, None]
             x = np.asarray(np.linalg.solve(weighted.T @ design, weighted.T @ goal), dtype=np.float64)
     # By the square of the row's number: multiples of the number itself add up, as differences of the same lengths do.
-    apart = (0.6180339887498949 * np.arange(len(goal), dtype=np.float64) ** 2) % 1.0 - 0.5
-    met = _descended(design, goal + SPLIT * usual * apart, x)
+    split = (0.6180339887498949 * np.arange(len(goal), dtype=np.float64) ** 2) % 1.0 - 0.5
+    met = _descended(design, goal + SPLIT * usual * split, x)
     return np.asarray(np.linalg.solve(design[met], goal[met]), dtype=np.float64)
 
 

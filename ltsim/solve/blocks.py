@@ -1,6 +1,6 @@
 """One linear least-squares step with most unknowns eliminated block by block.
 
-Unknowns come in two kinds: *kept* ones (K columns) and *eliminated* ones, in blocks of three that no row shares with
+Unknowns come in two kinds: *reduced* ones (K columns) and *eliminated* ones, in blocks of three that no row shares with
 another such block. Normal equations then have a block-diagonal part that is inverted block by block, and what remains
 is the Schur complement of size K: cost is linear in the number of blocks.
 
@@ -19,7 +19,7 @@ from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import NetworkError
 from ltsim.solve.design import DOUBTFUL, RANK, Design
 from ltsim.solve.elimination import DenseElimination, SparseElimination
-from ltsim.solve.threads import in_one_thread
+from ltsim.solve.threads import single_threaded
 
 UNDETERMINED = "the observations leave some unknowns undetermined: let stations share more targets, check stated noise"
 
@@ -29,11 +29,11 @@ class BlockSystem:
     """A whitened linear system: minimise |design @ step - residual|^2."""
 
     design: Design
-    """(m, K + 3 E): kept columns first."""
+    """(m, K + 3 E): reduced columns first."""
     residual: Floats
     """(m,): observed minus predicted, over sigma."""
-    kept: int
-    """K."""
+    n_reduced: int
+    """K, the number of unknowns that are not eliminated: the size of the Schur complement."""
 
     @property
     def cost(self) -> float:
@@ -57,15 +57,15 @@ class BlockFactor:
         Added to the unit diagonal of the scaled normal matrix.
     """
 
-    @in_one_thread
+    @single_threaded
     def __init__(self, system: BlockSystem, damping: float = 0.0) -> None:
         self._system, self._damping, design = system, damping, system.design
         self._elimination: DenseElimination | SparseElimination
         try:
             if isinstance(design, np.ndarray):
-                self._elimination = DenseElimination(design, system.kept, damping)
+                self._elimination = DenseElimination(design, system.n_reduced, damping)
             else:
-                self._elimination = SparseElimination(design, system.kept, damping)
+                self._elimination = SparseElimination(design, system.n_reduced, damping)
         except np.linalg.LinAlgError as error:
             raise SingularSystemError(UNDETERMINED) from error
         self._scale = self._elimination.scale
@@ -89,25 +89,25 @@ class BlockFactor:
         right = self._system.design.T @ (self._system.residual if residual is None else residual)
         return self.covariance_columns(right[:, None])[:, 0]
 
-    @in_one_thread
-    def kept_covariance(self) -> Floats:
-        """Covariance (K, K) of the kept unknowns."""
-        scale = self._scale[: self._system.kept]
-        return self._elimination.kept_inverse * np.outer(scale, scale)
+    @single_threaded
+    def reduced_covariance(self) -> Floats:
+        """Covariance (K, K) of the reduced unknowns."""
+        scale = self._scale[: self._system.n_reduced]
+        return self._elimination.reduced_inverse * np.outer(scale, scale)
 
-    @in_one_thread
-    def kept_sets(self, columns: Ints) -> Floats:
-        """Covariance (c, k, k) of sets (c, k) of kept unknowns; cheap where each set meets in one row of the design."""
+    @single_threaded
+    def reduced_sets(self, columns: Ints) -> Floats:
+        """Covariance (c, k, k) of sets (c, k) of reduced unknowns; cheap where a row of the design holds each set."""
         scale = self._scale[columns]
-        return self._elimination.kept_sets(columns) * scale[:, :, None] * scale[:, None, :]
+        return self._elimination.reduced_sets(columns) * scale[:, :, None] * scale[:, None, :]
 
-    @in_one_thread
+    @single_threaded
     def block_covariance(self) -> Floats:
         """Covariance (E, 3, 3) of each eliminated block."""
-        scale = self._scale[self._system.kept :].reshape(-1, 3)
+        scale = self._scale[self._system.n_reduced :].reshape(-1, 3)
         return self._elimination.blocks_and_leverage[0] * scale[:, :, None] * scale[:, None, :]
 
-    @in_one_thread
+    @single_threaded
     def covariance_columns(self, rows: Floats) -> Floats:
         """Covariance times given directions: (K + 3 E, c) for `rows` (K + 3 E, c)."""
         return self._scale[:, None] * self._elimination.solve(self._scale[:, None] * rows)
@@ -121,7 +121,7 @@ class BlockFactor:
         """Covariance R N^-1 R' of groups of functions (q, K + 3 E): group i are the rows edges[i] to edges[i + 1]."""
         return self._elimination.forms(rows, edges)
 
-    @in_one_thread
+    @single_threaded
     def leverage(self) -> Floats:
         """Leverage (m,) of each row: the share of its own value in its fitted value; redundancy is one minus it."""
         return self._elimination.blocks_and_leverage[1]

@@ -142,20 +142,20 @@ class BlockChain:
         windows = []
         for i in reversed(range(len(self._root))):
             low, high, far = self._span(i)
-            own = high - low
-            whole = np.zeros((own + len(later), own + len(later)))
-            whole[:own, :own] = inverse_of(self._root[i])
+            width = high - low
+            whole = np.zeros((width + len(later), width + len(later)))
+            whole[:width, :width] = inverse_of(self._root[i])
             if len(later):
                 reach = scipy.linalg.solve_triangular(
                     self._root[i], self._next[i].T, lower=True, trans=1, check_finite=False
                 ).T
                 across = later @ reach
-                whole[own:, own:], whole[own:, :own], whole[:own, own:] = later, -across, -across.T
-                whole[:own, :own] += reach.T @ across
+                whole[width:, width:], whole[width:, :width], whole[:width, width:] = later, -across, -across.T
+                whole[:width, :width] += reach.T @ across
             place = np.full(size, -1)
             place[np.concatenate([self._order[low:far], self._order[border:]])] = np.arange(len(whole))
             windows.append(BlockWindow(place, whole))
-            stay = np.concatenate([np.arange(own), np.arange(own + far - high, len(whole))])
+            stay = np.concatenate([np.arange(width), np.arange(width + far - high, len(whole))])
             later = whole[np.ix_(stay, stay)]
         return windows[::-1]
 

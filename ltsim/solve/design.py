@@ -103,10 +103,10 @@ def cholesky_where_determined(matrices: Floats) -> tuple[Floats, Bools]:
     except np.linalg.LinAlgError:
         roots, doubtful = np.full_like(matrices, np.nan), np.ones(len(matrices), dtype=bool)
     if doubtful.any():
-        known = np.linalg.eigvalsh(matrices[doubtful])[:, 0] > FORMED
-        found = np.full_like(matrices[doubtful], np.nan)
-        found[known] = np.linalg.cholesky(matrices[doubtful][known])
-        roots[doubtful] = found
+        definite = np.linalg.eigvalsh(matrices[doubtful])[:, 0] > FORMED
+        factors = np.full_like(matrices[doubtful], np.nan)
+        factors[definite] = np.linalg.cholesky(matrices[doubtful][definite])
+        roots[doubtful] = factors
     determined: Bools = ~np.isnan(roots[:, -1, -1])
     return roots, determined
 

@@ -20,8 +20,8 @@ from ltsim.solve.design import column_scale, scaled, unit_diagonal
 class DenseElimination:
     """Everything as dense matrices; design (m, K + 3 E)."""
 
-    def __init__(self, design: Floats, kept: int, damping: float) -> None:
-        self._design, self._kept = design, kept
+    def __init__(self, design: Floats, n_reduced: int, damping: float) -> None:
+        self._design, self._n_reduced = design, n_reduced
         normal = design.T @ design
         normal, self.scale = unit_diagonal(normal, np.diag(normal))
         normal.flat[:: len(normal) + 1] += damping
@@ -43,21 +43,21 @@ class DenseElimination:
         return inverse_of(self._root)
 
     @property
-    def kept_inverse(self) -> Floats:
-        """The inverse (K, K) on the kept unknowns."""
-        return self._inverse[: self._kept, : self._kept]
+    def reduced_inverse(self) -> Floats:
+        """The inverse (K, K) on the reduced unknowns."""
+        return self._inverse[: self._n_reduced, : self._n_reduced]
 
-    def kept_sets(self, columns: Ints) -> Floats:
-        """The inverse (c, k, k) on sets (c, k) of kept unknowns."""
+    def reduced_sets(self, columns: Ints) -> Floats:
+        """The inverse (c, k, k) on sets (c, k) of reduced unknowns."""
         return self._inverse[columns[:, :, None], columns[:, None, :]]
 
     @cached_property
     def blocks_and_leverage(self) -> tuple[Floats, Floats]:
         """The inverse (E, 3, 3) on every block, and the leverage (m,) of every row."""
-        at = np.arange(self._kept, len(self._root)).reshape(-1, 3)
+        at = np.arange(self._n_reduced, len(self._root)).reshape(-1, 3)
         rows = (self._design * self.scale).T
         whitened = scipy.linalg.solve_triangular(self._root, rows, lower=True, check_finite=False)
-        return self.kept_sets(at), np.einsum("um,um->m", whitened, whitened)
+        return self.reduced_sets(at), np.einsum("um,um->m", whitened, whitened)
 
     def forms(self, rows: sp.csr_array, edges: Ints) -> Iterator[Floats]:
         """R N^-1 R' for groups of neighbouring rows."""
@@ -69,18 +69,18 @@ class DenseElimination:
 class SparseElimination:
     """Sparse elimination; the Schur complement is a chain of blocks where its structure allows."""
 
-    def __init__(self, design: sp.csr_array, kept: int, damping: float) -> None:
+    def __init__(self, design: sp.csr_array, n_reduced: int, damping: float) -> None:
         self.scale = column_scale(design)
-        self._design, self._kept = scaled(design, self.scale), kept
+        self._design, self._n_reduced = scaled(design, self.scale), n_reduced
         normal = sp.csr_array(self._design.T @ self._design)
-        count = (normal.shape[0] - kept) // 3
-        blocks = _diagonal_blocks(normal[kept:, kept:], count) + damping * np.eye(3)
+        count = (normal.shape[0] - n_reduced) // 3
+        blocks = _diagonal_blocks(normal[n_reduced:, n_reduced:], count) + damping * np.eye(3)
         self._inverse, self._least = block_inverse(blocks)
-        across = normal[:kept, kept:]
+        across = normal[:n_reduced, n_reduced:]
         self._carry = sp.csc_array(across @ _block_diagonal(self._inverse))
-        schur = normal[:kept, :kept] - self._carry @ across.T
+        schur = normal[:n_reduced, :n_reduced] - self._carry @ across.T
         if damping:
-            schur = schur + damping * sp.eye_array(kept)
+            schur = schur + damping * sp.eye_array(n_reduced)
         self._chain = BlockChain(sp.csr_array(schur))
 
     @property
@@ -90,28 +90,28 @@ class SparseElimination:
 
     def solve(self, right: Floats) -> Floats:
         """Solve for a right-hand side (K + 3 E, c)."""
-        front, back = right[: self._kept], right[self._kept :]
-        kept = self._chain.solve(front - self._carry @ back)
+        front, back = right[: self._n_reduced], right[self._n_reduced :]
+        reduced = self._chain.solve(front - self._carry @ back)
         blocks = back.reshape(len(back) // 3, 3, right.shape[1])  # of no columns too
-        return np.concatenate([kept, (self._inverse @ blocks).reshape(back.shape) - self._carry.T @ kept])
+        return np.concatenate([reduced, (self._inverse @ blocks).reshape(back.shape) - self._carry.T @ reduced])
 
     @cached_property
-    def kept_inverse(self) -> Floats:
-        """The inverse (K, K) on the kept unknowns."""
+    def reduced_inverse(self) -> Floats:
+        """The inverse (K, K) on the reduced unknowns."""
         return self._chain.inverse()
 
-    def kept_sets(self, columns: Ints) -> Floats:
-        """The inverse (c, k, k) on sets (c, k) of kept unknowns."""
-        found = np.full((*columns.shape, columns.shape[1]), np.nan)
+    def reduced_sets(self, columns: Ints) -> Floats:
+        """The inverse (c, k, k) on sets (c, k) of reduced unknowns."""
+        inverses = np.full((*columns.shape, columns.shape[1]), np.nan)
         lowest = self._lowest(columns, axis=1)
         for i in np.unique(lowest):
             mine, window = np.flatnonzero(lowest == i), self._chain.windows[i]
             places = window.place[columns[mine]]
-            found[mine] = window.inverse[places[:, :, None], places[:, None, :]]
-            found[mine[np.any(places < 0, axis=1)]] = np.nan
-        if np.isnan(found).any():
-            return self.kept_inverse[columns[:, :, None], columns[:, None, :]]
-        return found
+            inverses[mine] = window.inverse[places[:, :, None], places[:, None, :]]
+            inverses[mine[np.any(places < 0, axis=1)]] = np.nan
+        if np.isnan(inverses).any():
+            return self.reduced_inverse[columns[:, :, None], columns[:, None, :]]
+        return inverses
 
     def _lowest(self, columns: Ints, axis: int) -> Ints:
         """The first block of the chain that sets of columns touch."""
@@ -124,8 +124,8 @@ class SparseElimination:
         Rows are taken by the block they touch, those without one each alone: what a block couples lies in one window.
         """
         blocks, leverage = self._inverse.copy(), np.zeros(self._design.shape[0])
-        order, edges, back = _by_block(self._design, self._kept, len(blocks))
-        front, carries = sp.csr_array(self._design[order][:, : self._kept]), sp.csr_array(self._carry.T)
+        order, edges, back = _by_block(self._design, self._n_reduced, len(blocks))
+        front, carries = sp.csr_array(self._design[order][:, : self._n_reduced]), sp.csr_array(self._carry.T)
         for g, (low, high) in enumerate(pairwise(edges.tolist())):
             if g < len(blocks):
                 carry, columns = dense_rows(carries, 3 * g, 3 * g + 3)
@@ -136,37 +136,37 @@ class SparseElimination:
                 carry, (reduced, columns) = None, dense_rows(front, low, high)
             window = self._chain.windows[int(self._lowest(columns, axis=0))]
             at = window.place[columns]
-            kept = window.inverse[at[:, None], at]
-            leverage[order[low:high]] += np.sum((reduced @ kept) * reduced, axis=1)
+            inverse = window.inverse[at[:, None], at]
+            leverage[order[low:high]] += np.sum((reduced @ inverse) * reduced, axis=1)
             if carry is not None:
-                blocks[g] += carry @ kept @ carry.T
+                blocks[g] += carry @ inverse @ carry.T
         return blocks, leverage
 
     def forms(self, rows: sp.csr_array, edges: Ints) -> Iterator[Floats]:
         """R N^-1 R' for groups of neighbouring rows: each asks for the inverse where it has entries only."""
         rows = scaled(rows, self.scale)
-        back = sp.csr_array(rows[:, self._kept :])
-        reduced = sp.csr_array(rows[:, : self._kept] - back @ self._carry.T)
+        back = sp.csr_array(rows[:, self._n_reduced :])
+        reduced = sp.csr_array(rows[:, : self._n_reduced] - back @ self._carry.T)
         carried = sp.csr_array(back @ _block_diagonal(self._inverse))
         if not len(edges) > 1:
             return
-        kept = self.kept_inverse
+        inverse = self.reduced_inverse
         for low, high in pairwise(edges.tolist()):
             front, columns = dense_rows(reduced, low, high)
-            form = front @ kept[columns[:, None], columns] @ front.T
-            own, columns = dense_rows(carried, low, high)
-            form += own @ dense_rows(back, low, high, columns)[0].T
+            form = front @ inverse[columns[:, None], columns] @ front.T
+            carry, columns = dense_rows(carried, low, high)
+            form += carry @ dense_rows(back, low, high, columns)[0].T
             yield form
 
 
-def _by_block(design: sp.csr_array, kept: int, count: int) -> tuple[Ints, Ints, Floats]:
+def _by_block(design: sp.csr_array, n_reduced: int, count: int) -> tuple[Ints, Ints, Floats]:
     """Rows (m,) by the block they touch, then those without one; edges of these groups; rows (m, 3) on their block."""
-    rows, behind = np.repeat(np.arange(design.shape[0]), np.diff(design.indptr)), design.indices >= kept
+    rows, behind = np.repeat(np.arange(design.shape[0]), np.diff(design.indptr)), design.indices >= n_reduced
     block, back = np.full(design.shape[0], -1), np.zeros((design.shape[0], 3))
-    block[rows[behind]] = (design.indices[behind] - kept) // 3
+    block[rows[behind]] = (design.indices[behind] - n_reduced) // 3
     alone = np.flatnonzero(block < 0)
     block[alone] = count + np.arange(len(alone))
-    np.add.at(back, (rows[behind], (design.indices[behind] - kept) % 3), design.data[behind])
+    np.add.at(back, (rows[behind], (design.indices[behind] - n_reduced) % 3), design.data[behind])
     order = np.argsort(block, kind="stable")
     return order, np.searchsorted(block[order], np.arange(count + len(alone) + 1)), back
 

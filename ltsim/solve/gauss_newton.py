@@ -138,7 +138,7 @@ def _last_step(problem: Problem[X], x: X, system: BlockSystem, factor: BlockFact
 
 def _after(system: BlockSystem, residual: Floats, step: Floats) -> BlockSystem:
     """The system where a step led from `residual`, by the same design."""
-    return BlockSystem(system.design, residual - system.design @ step, system.kept)
+    return BlockSystem(system.design, residual - system.design @ step, system.n_reduced)
 
 
 def _damped(system: BlockSystem, damping: float) -> tuple[BlockFactor | None, float]:

@@ -47,8 +47,8 @@ class BasisProjection:
 
         Group i are the columns edges[i] to edges[i + 1].
         """
-        own, inside = _squares(columns, edges), _squares(self.basis[rows].T @ columns, edges)
-        return [whole - lost for whole, lost in zip(own, inside, strict=True)]
+        whole_grams, inside = _squares(columns, edges), _squares(self.basis[rows].T @ columns, edges)
+        return [whole - lost for whole, lost in zip(whole_grams, inside, strict=True)]
 
     def leverage(self) -> Floats:
         """Diagonal (m,) of the hat matrix."""
@@ -84,23 +84,23 @@ class FactorProjection:
 
     def project(self, rows: Floats) -> Floats:
         """Residual part of vectors (m, q); projected again once where the factor's rounding shows."""
-        return self._left(rows, slice(None))
+        return self._residual_part(rows, slice(None))
 
     def grams(self, columns: Floats, edges: Ints, rows: Ints | slice) -> list[Floats]:
         """The same."""
-        return _squares(self._left(columns, rows), edges)
+        return _squares(self._residual_part(columns, rows), edges)
 
-    def _left(self, columns: Floats, rows: Ints | slice) -> Floats:
+    def _residual_part(self, columns: Floats, rows: Ints | slice) -> Floats:
         """Residual part (m, q) of vectors that are zero on all but some rows."""
         inside = (self._transposed if len(columns) == len(self.added) else self.design[rows].T) @ columns
-        left: Floats = self.design @ -self.factor.covariance_columns(inside)
-        left[rows] += columns
-        again = self._transposed @ left
+        residual: Floats = self.design @ -self.factor.covariance_columns(inside)
+        residual[rows] += columns
+        again = self._transposed @ residual
         if np.any(np.abs(again) * self._scale[:, None] > ORTHOGONAL * np.linalg.norm(columns, axis=0)):
-            left -= self.design @ self.factor.covariance_columns(again)
+            residual -= self.design @ self.factor.covariance_columns(again)
         if self.added.shape[1]:
-            left -= self.added @ (self.added.T @ left)
-        return left
+            residual -= self.added @ (self.added.T @ residual)
+        return residual
 
     def leverage(self) -> Floats:
         """Diagonal (m,) of the hat matrix."""
@@ -155,5 +155,5 @@ def _squares(columns: Floats, edges: Ints) -> list[Floats]:
 def _thin(root: Floats) -> tuple[Floats, Floats]:
     """Eigenvalues other than zero, and their vectors, of root root' for a root (f, k) of fewer columns than rows."""
     values, vectors = np.linalg.eigh(root.T @ root)
-    seen = values > NOTHING
-    return values[seen], root @ (vectors[:, seen] / np.sqrt(values[seen]))
+    nonzero = values > NOTHING
+    return values[nonzero], root @ (vectors[:, nonzero] / np.sqrt(values[nonzero]))

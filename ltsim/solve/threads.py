@@ -20,7 +20,7 @@ def _pools() -> ThreadpoolController:
     return ThreadpoolController()
 
 
-def in_one_thread(function: Callable[P, R]) -> Callable[P, R]:
+def single_threaded(function: Callable[P, R]) -> Callable[P, R]:
     """The function with the libraries' threads limited to one: faster here, and sums keep their order."""
 
     @wraps(function)

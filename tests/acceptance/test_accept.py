@@ -13,7 +13,7 @@ from ltsim.acceptance.judged import by_network
 from ltsim.adjustment import adjust
 from ltsim.cli.main import run
 from ltsim.core.errors import NetworkError
-from ltsim.physics.model.construction import stated_construction
+from ltsim.physics.model.construction import declared_construction
 from ltsim.recordings.specification import Specification
 
 SHEET = {"standard": "asme-b89.4.19-2006", "instrument": "leica-at500"}
@@ -160,7 +160,7 @@ def test_uncertainty_of_a_network_length_holds_over_many_networks():
         recording, truth = lt.simulate("paper-workshop", seed=seed)
         own = by_network(recording, sheet)
         ends = {target: truth.points[recording.targets.index(target)] for target in recording.targets}
-        adjusted = adjust(recording, stated_construction(recording))
+        adjusted = adjust(recording, declared_construction(recording))
         placed = dict(zip(recording.targets, adjusted.state.points, strict=True))
         for found in own:
             if found.group != "lengths from S1":
@@ -175,7 +175,7 @@ def test_uncertainty_of_a_network_length_holds_over_many_networks():
 
 def test_uncertainty_of_a_network_length_is_that_of_the_whole_normal_matrix():
     recording, _ = lt.simulate("paper-workshop", seed=3)
-    found = adjust(recording, stated_construction(recording))
+    found = adjust(recording, declared_construction(recording))
     design = np.asarray(found.solution.system.design)
     covariance = np.linalg.inv(design.T @ design)
     points, at = found.state.points, found.problem.unknowns.target

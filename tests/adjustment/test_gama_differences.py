@@ -15,7 +15,7 @@ from ltsim.adjustment.verdict import verdict
 from ltsim.core.errors import NetworkError, RecordError
 from ltsim.diagnosis import instruments
 from ltsim.measurands.inputs import observed_sources, reach_of
-from ltsim.physics.laws.offered import drivers_of
+from ltsim.physics.laws.regressor_library import regressors_of
 from ltsim.physics.model.construction import misalignment
 from ltsim.recordings import read, write
 
@@ -428,7 +428,7 @@ def test_of_noise_and_a_shift_below_the_threshold_the_likelier_is_told(tmp_path:
 def test_what_is_constant_in_a_plan_drives_no_law(tmp_path: Path) -> None:
     """Elevations of a plan differ by 1e-31: a smooth function of them was a random one."""
     found = adjust(read(DIRECTIONS.write(tmp_path / "network.gkf")))
-    names = {name for drivers in drivers_of(found.sightings).values() for one in drivers for name in one.covariates}
+    names = {name for drivers in regressors_of(found.sightings).values() for one in drivers for name in one.covariates}
     assert {"azimuth", "distance"} <= names
     assert not {name for name in names if "elevation" in name or "height" in name}
 

@@ -10,13 +10,13 @@ from ltsim.adjustment.doubt import doubts
 from ltsim.adjustment.gross import mend_faces, mend_stations
 from ltsim.adjustment.identification import identified, outcomes
 from ltsim.recordings.recording import Recording
-from ltsim.recordings.slips import UNIT_SLIPS, Slip
+from ltsim.recordings.transcription_errors import UNIT_ERRORS, TranscriptionError
 from tests.networks import network
 
-SLIPS = {slip.name: slip for slip in UNIT_SLIPS}
+SLIPS = {slip.name: slip for slip in UNIT_ERRORS}
 
 
-def written(recording: Recording, rows: np.ndarray, slip: Slip) -> Recording:
+def written(recording: Recording, rows: np.ndarray, slip: TranscriptionError) -> Recording:
     """The recording with some rows written down in another unit."""
     readings = recording.readings.copy()
     readings[rows] = slip.written(readings[rows])

@@ -14,8 +14,8 @@ from ltsim.adjustment import adjust
 from ltsim.adjustment.rows import GaugeRows
 from ltsim.core.errors import LtsimError, RecordError
 from ltsim.geometry.expansion import Expansion
-from ltsim.recordings.lengths import KnownLengths
 from ltsim.recordings.recording import Recording
+from ltsim.recordings.references import ReferenceLengths
 from ltsim.recordings.setup import Gauge, GaugeDistance
 from ltsim.solve.design import as_dense
 from tests.networks import network
@@ -49,7 +49,7 @@ def test_a_length_grows_with_its_own_material_and_temperature(measured: Recordin
         sigma_temperature_k=0.5,
         expansion_per_k=23e-6,
     )
-    known = KnownLengths.of(recording)
+    known = ReferenceLengths.of(recording)
     np.testing.assert_allclose(known.factor - 1.0, [7 * 11.5e-6, 3 * 11.5e-6, 3 * 1.2e-6, 0.0], atol=1e-15)
     np.testing.assert_allclose(known.length, 2.0 * known.factor, rtol=1e-15)
     expected = {
@@ -67,14 +67,14 @@ def test_a_column_gives_the_temperature_while_both_ends_were_measured(measured: 
     warm = np.where(np.isin(measured.target, [0, 1]), 25.0 + measured.station, np.nan)
     recording = measured.replace(covariates={**measured.covariates, "bar_c": warm})
     stated = with_gauge(recording, line("T01", "T02", material="steel", measured_at_c="bar_c"))
-    assert KnownLengths.of(stated).factor[0] == pytest.approx(1 + 7 * 11.5e-6, abs=1e-12)
+    assert ReferenceLengths.of(stated).factor[0] == pytest.approx(1 + 7 * 11.5e-6, abs=1e-12)
     for wrong, said in (
         (line("T01", "T02", measured_at_c="bar_k"), "no column of numbers"),
         (line("T03", "T04", measured_at_c="bar_c"), "is empty where T03 and T04"),
         (line("T01", "T02", material="brass"), "expected one of steel, invar"),
     ):
         with pytest.raises(RecordError, match=said):
-            KnownLengths.of(with_gauge(recording, wrong))
+            ReferenceLengths.of(with_gauge(recording, wrong))
 
 
 def test_the_rows_have_the_covariance_of_what_lengths_share(measured: Recording) -> None:

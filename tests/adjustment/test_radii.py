@@ -26,7 +26,7 @@ from ltsim.recordings.native import read_recording, write_recording
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.reflectors import excess_radii
 from ltsim.recordings.setup import Target
-from ltsim.recordings.slips import UNIT_SLIPS
+from ltsim.recordings.transcription_errors import UNIT_ERRORS
 from ltsim.simulation.scenario import Scenario, changed, load_scenario, scenario_from, scenario_to_toml
 from ltsim.simulation.truth import Truth
 
@@ -229,7 +229,7 @@ def test_a_pointing_in_gon_to_a_small_ball_is_mended() -> None:
     recording, truth = lt.simulate(scenario(), seed=3)
     row = recording.labels["reflector"].index("small")
     readings = recording.readings.copy()
-    readings[[row]] = next(slip for slip in UNIT_SLIPS if slip.name == "gon").written(readings[[row]])
+    readings[[row]] = next(slip for slip in UNIT_ERRORS if slip.name == "gon").written(readings[[row]])
     selection = identified(controlled(recording.with_readings(readings), truth))
     assert selection is not None
     (choice,) = selection.choices

@@ -13,7 +13,7 @@ from ltsim.campaigns.truth import CellTruth
 from ltsim.core.units import ARCSECOND
 from ltsim.physics.model.construction import Construction, misalignment
 from ltsim.physics.model.measurement import sightings_of
-from ltsim.recordings.lengths import KnownLengths
+from ltsim.recordings.references import ReferenceLengths
 from ltsim.simulation.draws import EffectLaw, TrialDraws
 from tests.campaigns.small import FILE
 
@@ -48,7 +48,7 @@ def truth_of(
         mean=np.zeros_like(sigma),
         sigma=scale * sigma,
         noise=recording.sigma(),
-        lengths=KnownLengths.of(recording),
+        lengths=ReferenceLengths.of(recording),
         names=recording.targets,
         effects=effects,
     )

@@ -18,7 +18,7 @@ from ltsim.geometry.polar import wrap
 from ltsim.physics.effects import CATALOGUE, find_effect
 from ltsim.physics.effects.effect import Mistake, NoiseEffect
 from ltsim.physics.model.construction import misalignment
-from ltsim.recordings.lengths import KnownLengths
+from ltsim.recordings.references import ReferenceLengths
 from ltsim.simulation.draws import Normal
 from ltsim.simulation.fieldwork import fieldwork
 from ltsim.simulation.scenario import Scenario, load_scenario, scenario_from
@@ -73,7 +73,7 @@ def test_a_trial_is_the_recording_that_simulate_writes(name: str) -> None:
     np.testing.assert_array_equal(block.values[0, :, TRIAL], list(true.instrument.values()))
     np.testing.assert_array_equal(block.amounts[0][:, TRIAL], true.effects[0].values)
     lengths = truth.population.lengths.length + block.gauge_error[:, TRIAL]
-    np.testing.assert_allclose(lengths, KnownLengths.of(recording).length, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(lengths, ReferenceLengths.of(recording).length, rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize("name", BUILTIN)

@@ -11,9 +11,9 @@ from ltsim.diagnosis.averaging import HARM, WORSE, averaged_targets, safe_share,
 from ltsim.diagnosis.case import Case
 from ltsim.diagnosis.hypotheses import Hypothesis, Ranking
 from ltsim.geometry.rigid import less_rigid
-from ltsim.physics.laws.carriers import CARRIERS
-from ltsim.physics.laws.drivers import smooth
 from ltsim.physics.laws.law import Law
+from ltsim.physics.laws.regressors import smooth
+from ltsim.physics.laws.responses import RESPONSES
 from tests.networks import network
 
 
@@ -43,7 +43,7 @@ def test_a_law_that_does_much_is_taken_off_whole():
 def test_what_two_laws_that_share_much_do_to_the_targets_is_what_a_refit_with_both_does():
     baseline = adjust(network(faces=1, seed=3)[0])
     case = Case(baseline, baseline.problem.use, 0)
-    elevation = CARRIERS["elevation"][0]
+    elevation = RESPONSES["elevation"][0]
     laws = [Law((), (), elevation, smooth(name)) for name in ("time", "station-time")]
     fitted = case.refit(laws, case.sigma)
     found = case.searcher.with_members([Hypothesis(law, 0.0, 0.0, "unknown") for law in laws])

@@ -14,7 +14,7 @@ from ltsim.core.randomness import stream
 from ltsim.diagnosis.noise import FACTORS, NoiseBank, noise_hypotheses, repeat_means
 from ltsim.diagnosis.prior import PRIOR
 from ltsim.physics.effects.turbulence import Turbulence
-from ltsim.physics.laws.scatter import BOTH_FACES, NoisePattern
+from ltsim.physics.laws.variance import BOTH_FACES, VarianceFunction
 from ltsim.physics.model.construction import misalignment
 from tests.networks import network
 
@@ -189,6 +189,6 @@ def test_ranges_that_err_alike_in_both_faces_are_no_noise():
         evidence = evidence_of(bank, left, space.redundancy)
         more[name] = evidence["unknown:noise:repeating"] - evidence["noise-level"]
     assert more["alike"] > 10.0 > -10.0 > more["each"]
-    found = NoisePattern(("distance",), repeating=BOTH_FACES)
+    found = VarianceFunction(("distance",), repeating=BOTH_FACES)
     assert (found.carrier, found.driver) == ("distance", "station and target")
     assert "in both faces" in found.law

@@ -9,9 +9,9 @@ from ltsim.adjustment import adjust
 from ltsim.adjustment.residual_space import ResidualSpace, orthonormal
 from ltsim.diagnosis.held_out import folds, held_out
 from ltsim.diagnosis.search import Searcher
-from ltsim.physics.laws.carriers import CARRIERS
-from ltsim.physics.laws.drivers import Driver, simple
 from ltsim.physics.laws.law import Law
+from ltsim.physics.laws.regressors import Regressor, simple
+from ltsim.physics.laws.responses import RESPONSES
 from ltsim.physics.model.construction import misalignment
 from tests.networks import drawn, network
 
@@ -22,12 +22,12 @@ def space() -> ResidualSpace:
     return ResidualSpace.of(adjust(recording, misalignment()))
 
 
-def law(carrier: str, driver: Driver) -> Law:
-    return Law((), (), CARRIERS[carrier][0], driver)
+def law(carrier: str, driver: Regressor) -> Law:
+    return Law((), (), RESPONSES[carrier][0], driver)
 
 
 def test_the_drop_of_chi2_is_that_of_a_refit(space):
-    wave = law("distance", Driver("wave", ("azimuth",), constant=3.0))
+    wave = law("distance", Regressor("wave", ("azimuth",), constant=3.0))
     signature = space.signature(wave)
     columns = orthonormal(space.project(signature), np.linalg.norm(signature, axis=0))
     again = adjust(space.adjustment.recording, misalignment(), effects=[wave])
@@ -86,7 +86,7 @@ def test_a_spurious_finding_does_not_predict_what_its_search_has_not_seen():
 
 
 def test_a_real_finding_predicts_what_its_search_has_not_seen(space):
-    wave = space.signature(law("distance", Driver("wave", ("azimuth",), constant=3.0)))[:, 0]
+    wave = space.signature(law("distance", Regressor("wave", ("azimuth",), constant=3.0)))[:, 0]
     hidden = replace(space, residual=space.residual + 8e-6 * space.project(wave))
     error = held_out(hidden, 0, Searcher(hidden, 0), 2.0)
     assert error.after < 0.97 * error.before

@@ -19,9 +19,9 @@ from ltsim.diagnosis.probe import Probe
 from ltsim.diagnosis.space import panels
 from ltsim.physics.effects import find_effect
 from ltsim.physics.effects.signature import Tunable
-from ltsim.physics.laws.carriers import CARRIERS
-from ltsim.physics.laws.drivers import CONSTANT, simple
 from ltsim.physics.laws.law import Law
+from ltsim.physics.laws.regressors import CONSTANT, simple
+from ltsim.physics.laws.responses import RESPONSES
 from ltsim.physics.model.construction import misalignment
 from tests.networks import drawn, network
 
@@ -115,7 +115,7 @@ def test_scores_by_sums_over_places_are_those_of_single_laws(space, made):
 
 def test_beside_what_was_found_nothing_of_it_is_left_to_score(space, made):
     probe, found, _ = made
-    law = Law((), (), CARRIERS["elevation"][0], simple("move-elevation", "abs"))
+    law = Law((), (), RESPONSES["elevation"][0], simple("move-elevation", "abs"))
     left = space.project(space.signature(law))
     left /= np.linalg.norm(left)
     residual = space.residual + 20.0 * left[:, 0]
@@ -130,8 +130,8 @@ def test_beside_what_was_found_nothing_of_it_is_left_to_score(space, made):
 
 
 def test_many_effects_at_once_are_each_what_it_is_alone(space):
-    law = Law((), (), CARRIERS["elevation"][0], simple("time", "power"))
-    local = [Law(("S2",), (), CARRIERS["distance"][0], CONSTANT), Law(("S2",), (), law.carrier, law.driver)]
+    law = Law((), (), RESPONSES["elevation"][0], simple("time", "power"))
+    local = [Law(("S2",), (), RESPONSES["distance"][0], CONSTANT), Law(("S2",), (), law.carrier, law.driver)]
     effects = [law, find_effect("index-drift")(), *local, find_effect("station-weather")(("S1",)), law]
     found = find_effect("range-drift")()
     signature = space.signature(found)
@@ -205,7 +205,7 @@ def test_a_negative_thickness_is_no_explanation():
 
 def test_unknown_is_told_where_it_is_likelier_than_all_names_together():
     def ranking(**values: float) -> Ranking:
-        law = Law((), (), CARRIERS["distance"][0], CONSTANT)
+        law = Law((), (), RESPONSES["distance"][0], CONSTANT)
         return Ranking(tuple(Hypothesis(law, 0.0, v, n) for n, v in values.items()), 0.0)
 
     assert ranking(unknown=10.0, window=9.5, backlash=9.4).name() == "window"
@@ -213,7 +213,7 @@ def test_unknown_is_told_where_it_is_likelier_than_all_names_together():
 
 
 def test_what_an_unknown_law_leaves_is_no_further_cause(space):
-    law = Law((), (), CARRIERS["distance"][0], simple("time", "power"))
+    law = Law((), (), RESPONSES["distance"][0], simple("time", "power"))
     left = space.project(space.signature(law))
     unknown = Hypothesis(law, 0.0, 0.0, "unknown")
     known = Hypothesis(find_effect("index-drift")(), 0.0, 0.0, "index-drift")

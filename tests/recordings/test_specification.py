@@ -11,7 +11,15 @@ import pytest
 import ltsim as lt
 from ltsim.core.errors import ModelError, RecordError, SetupError
 from ltsim.core.units import ARCSECOND, MICROMETRE, MILLIMETRE
-from ltsim.recordings.specification import COVERAGE, LIMITS, Specification, figures, sheet, sheet_names, stated_by
+from ltsim.recordings.specification import (
+    COVERAGE,
+    LIMITS,
+    Specification,
+    figures,
+    sheet,
+    sheet_names,
+    tables_from_sheet,
+)
 
 RANGE_TABLES = {
     "noise": {"distance_mm": 0.004, "distance_ppm": 0.1},
@@ -36,7 +44,7 @@ def limits_of(noise: dict[str, float], prior: dict[str, float], *, own_zero: boo
 @pytest.mark.parametrize("name", sheet_names())
 def test_noise_and_prior_give_the_stated_limits_back(name: str) -> None:
     stated = figures(name)
-    tables = stated_by(name, RANGE_TABLES)
+    tables = tables_from_sheet(name, RANGE_TABLES)
     made = limits_of(tables["noise"], tables["prior"], own_zero="range_offset_um" in stated)
     known = [key for key in made if key in stated and (name in WHOLE or key.startswith("transverse"))]
     assert known[:2] == ["transverse_um", "transverse_um_per_m"]
@@ -54,7 +62,7 @@ def test_no_range_is_guessed() -> None:
     with pytest.raises(ModelError, match="leica-at960 leaves range_um open"):
         sheet("leica-at960")
     with pytest.raises(ModelError, match=r"leaves the ranges open; state prior\.range_scale_ppm, prior\.range_offset"):
-        stated_by("api-radian", {"noise": RANGE_TABLES["noise"]})
+        tables_from_sheet("api-radian", {"noise": RANGE_TABLES["noise"]})
 
 
 def test_a_specification_completes_a_sheet() -> None:
@@ -86,7 +94,7 @@ def test_no_limit_of_another_instrument_is_kept() -> None:
 def test_a_scenario_takes_a_sheet_as_preset() -> None:
     tracker = lt.scenario("paper-workshop", {"instrument.preset": "faro-vantage", **LIMITS_KNOWN}).instrument
     assert tracker.limits.range_max_mm == 35_000.0
-    assert tracker.noise.model_dump() == stated_by("faro-vantage", {})["noise"]
+    assert tracker.noise.model_dump() == tables_from_sheet("faro-vantage", {})["noise"]
     with pytest.raises(SetupError, match="leaves the ranges open"):
         lt.scenario("paper-workshop", {"instrument.preset": "leica-at901"})
     own = {f"instrument.{table}.{key}": x for table, values in RANGE_TABLES.items() for key, x in values.items()}

@@ -9,7 +9,7 @@ import pytest
 
 import ltsim as lt
 from ltsim.recordings import Recording, read
-from ltsim.recordings.kinds import TOTAL_STATION_NOISE
+from ltsim.recordings.specification import TOTAL_STATION_NOISE
 
 MARKS = {"A": (0.0, 0.0, 1.0), "B": (30.0, 2.0, 1.4)}
 RNG_SEED = 5

@@ -13,7 +13,7 @@ from ltsim.adjustment import adjust
 from ltsim.cli.main import run
 from ltsim.core.errors import ModelError
 from ltsim.geometry.polar import wrap
-from ltsim.physics.model.construction import stated_construction
+from ltsim.physics.model.construction import declared_construction
 from ltsim.recordings import Recording
 
 TWICE = {"work.faces": 2}
@@ -58,10 +58,10 @@ def test_it_is_what_the_simulator_does() -> None:
 @pytest.mark.parametrize("cause", ["vertical-index:S2", "azimuth ~ sin(2 elevation)", "gauge-scale", "range-cyclic"])
 def test_noncentrality_is_what_the_adjustment_is_left_with(recording: Recording, cause: str) -> None:
     """On readings without noise the chi-square grows by the noncentrality, with all that is known believed."""
-    still = adjust(recording, stated_construction(recording))
+    still = adjust(recording, declared_construction(recording))
     exact = recording.with_readings(still.problem.model.predict(still.state))
     made, truth = lt.inject(exact, cause, noncentrality=200.0, seed=3)
-    before, after = (adjust(r, stated_construction(r), judging=()).chi2 for r in (exact, made))
+    before, after = (adjust(r, declared_construction(r), judging=()).chi2 for r in (exact, made))
     assert truth.causes[0].noncentrality == pytest.approx(200.0, rel=1e-3)
     assert after - before == pytest.approx(200.0, rel=0.03)
 

@@ -74,7 +74,7 @@ def test_spectra_give_back_the_blocks_of_the_hat_matrix(projection, root, groups
 
 def test_a_small_system_or_one_without_factor_gets_a_basis():
     assert isinstance(projection_of(SYSTEM, None), BasisProjection)
-    small = BlockSystem(SYSTEM.design, SYSTEM.residual, SYSTEM.kept)
+    small = BlockSystem(SYSTEM.design, SYSTEM.residual, SYSTEM.n_reduced)
     assert isinstance(projection_of(small, BlockFactor(small)), BasisProjection)
-    tall = BlockSystem(sp.csr_array(sp.vstack([SYSTEM.design] * 3)), np.tile(SYSTEM.residual, 3), SYSTEM.kept)
+    tall = BlockSystem(sp.csr_array(sp.vstack([SYSTEM.design] * 3)), np.tile(SYSTEM.residual, 3), SYSTEM.n_reduced)
     assert isinstance(projection_of(tall, BlockFactor(tall)), FactorProjection)

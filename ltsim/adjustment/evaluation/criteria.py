@@ -26,7 +26,7 @@ from ltsim.core.values import ValueEquality
 from ltsim.physics.model.construction import Construction
 from ltsim.recordings.coordinates import read_points
 from ltsim.recordings.recording import Recording
-from ltsim.recordings.reflectors import require_one_radius
+from ltsim.recordings.reflectors import require_equal_radii
 from ltsim.recordings.result_file import Entry, Known, ResultFile
 
 MOST_PLACES = 20_000_000
@@ -220,7 +220,7 @@ def evaluate(
     fewer than two stations share targets, the network is too large to compare every station's cloud, or SMRs of
     several radii stood at different places.
     """
-    require_one_radius(recording, "the comparison of stations")
+    require_equal_radii(recording, "the comparison of stations")
     stations, targets = len(recording.stations), len(recording.targets)
     if stations * targets > MOST_PLACES:
         raise NetworkError(

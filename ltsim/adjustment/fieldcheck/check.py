@@ -39,7 +39,7 @@ from ltsim.physics.effects.index_drift import IndexDrift
 from ltsim.physics.effects.motions import StationMotion
 from ltsim.physics.effects.range_drift import RangeDrift
 from ltsim.physics.effects.station_bump import StationBump
-from ltsim.physics.model.construction import Construction, stated_construction
+from ltsim.physics.model.construction import Construction, declared_construction
 from ltsim.recordings.exchange import RecordingSource, recording_of
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.result_file import SourceEntry, write_result
@@ -215,7 +215,7 @@ def _set_up(
     """Tests of a set-up; its two faces are compared as `paired` has them, outliers among them."""
     at = np.flatnonzero(whole.station == station)
     recording, rows, name = whole.select(at), at + 1, whole.stations[station]
-    construction = stated_construction(recording)
+    construction = declared_construction(recording)
     visit = StationOccupation.of(recording, construction)
     judged = _judged(visit, construction, family, rows) if visit.dof > 0 else _Judged((), visit, (), recording)
     two_faced, motionless = paired.select(at), judged.still.readings

@@ -21,7 +21,7 @@ from ltsim.core.arrays import Bools
 from ltsim.core.errors import ConvergenceError, LtsimError, NetworkError
 from ltsim.core.units import ARCSECOND, MILLIMETRE
 from ltsim.physics.effects.motions import StationMotion
-from ltsim.physics.model.construction import stated_construction
+from ltsim.physics.model.construction import declared_construction
 from ltsim.recordings.recording import SIGMA_COLUMNS, Recording
 from ltsim.solve.design import median_deviation
 
@@ -54,7 +54,7 @@ def with_own_noise(recording: Recording, plain: Adjustment) -> tuple[Recording, 
     if plain.wrong or not len(plain.restless[0]):
         return recording, ()
     with suppress(NetworkError):  # of two designs: nothing is known of their errors
-        plain = adjust(recording, stated_construction(recording), effects=plain.effects, judging=TESTED)
+        plain = adjust(recording, declared_construction(recording), effects=plain.effects, judging=TESTED)
     named, own, rest = plain.restless
     if not len(named) or not own > 1.0 or verdict(plain).case is not Agreement.LARGER_NOISE:
         return recording, ()
@@ -82,7 +82,7 @@ def items_of_network(
     `motions` of stations are known from their own set-ups.
     """
     try:
-        built = stated_construction(recording)
+        built = declared_construction(recording)
     except NetworkError as problem:
         return (Item.of("", "network", True, f"the stations are not compared: {problem}"),)
     try:

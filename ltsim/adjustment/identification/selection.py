@@ -18,9 +18,9 @@ from ltsim.adjustment.prior import ParameterPrior
 from ltsim.adjustment.snooping import LARGEST_ERROR
 from ltsim.core.arrays import Floats
 from ltsim.core.errors import LtsimError, NetworkError
-from ltsim.physics.model.construction import Construction, stated_construction
+from ltsim.physics.model.construction import Construction, declared_construction
 from ltsim.recordings.recording import Recording
-from ltsim.solve.threads import in_one_thread
+from ltsim.solve.threads import single_threaded
 
 LEAST_GAIN = 3.0
 """Log evidence that a hypothesis must gain: odds of 20 to 1, on the scale of Kass and Raftery (1995) strong."""
@@ -121,7 +121,7 @@ Looked = tuple[Fit, list[tuple[Hypothesis, Fit]]]
 """A fit, and the hypotheses that were fitted beside its own."""
 
 
-@in_one_thread
+@single_threaded
 def select(network: Network, least: float = LEAST_GAIN) -> Selection:
     """Select the simple causes of a recording.
 
@@ -172,7 +172,7 @@ def identified(
 ) -> Selection | None:
     """The simple causes of a recording, by default beside the errors of its instrument; None where it is no network."""
     try:
-        return select(Network(recording, construction or stated_construction(recording), prior))
+        return select(Network(recording, construction or declared_construction(recording), prior))
     except LtsimError:
         return None
 

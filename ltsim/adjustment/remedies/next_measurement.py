@@ -36,7 +36,7 @@ from ltsim.physics.effects import find_effect
 from ltsim.physics.effects.effect import Effect, NoiseEffect
 from ltsim.physics.effects.signature import Signature
 from ltsim.physics.effects.verbs import each_of
-from ltsim.physics.model.construction import stated_construction
+from ltsim.physics.model.construction import declared_construction
 from ltsim.recordings.exchange import RecordingSource, recording_of
 
 DECISIVE = 10.0
@@ -259,7 +259,7 @@ def next_measurement(
     True
     """
     seen = recording_of(recording)
-    adjustment = adjust(seen, stated_construction(seen))
+    adjustment = adjust(seen, declared_construction(seen))
     adjustment.solution.require_success()
     if len(between) > 1:
         plain = space_of(adjustment)

@@ -51,11 +51,11 @@ class AirGradient(WarmAir):
     def design(self, sightings: Sightings) -> Floats:
         steep = bending() * self.mask(sightings) * sightings.range_
         heights = sightings.position[sightings.station, 2] + sightings.points[sightings.target, 2]
-        _, left, up = sightings.unit_vectors
+        _, across, up = sightings.unit_vectors
         column = on_readings(
             sightings,
             distance=steep * (0.5 * heights - self._sensor_height(sightings)),
-            azimuth=-0.5 * steep * left[:, 2] / np.cos(sightings.elevation),
+            azimuth=-0.5 * steep * across[:, 2] / np.cos(sightings.elevation),
             elevation=-0.5 * steep * up[:, 2],
         )
         return column[:, :, None]

@@ -63,8 +63,8 @@ class BearingWobble(Effect):
             )
             object.__setattr__(self, "parameters", run_out)
         else:
-            seen = ("azimuth",) if self.kind == "transit" else ("azimuth", "elevation")
-            object.__setattr__(self, "observables", seen)
+            observables = ("azimuth",) if self.kind == "transit" else ("azimuth", "elevation")
+            object.__setattr__(self, "observables", observables)
         along = "elevation" if self.kind == "transit" else "azimuth"
         object.__setattr__(self, "covariates", (along,))
 

@@ -47,7 +47,7 @@ class Card:
     """Name of the cause (`title`), and description of what happens (`cause`)."""
     law: str
     """The equation with its sign, in lines as they are written; often with what gives it away."""
-    told: tuple[str, ...]
+    texts: tuple[str, ...]
     """The texts of `PARTS`."""
 
     @classmethod
@@ -59,24 +59,24 @@ class Card:
             raise ModelError(f"a card begins with 'Title: what happens.', found {head.partition(chr(10))[0]!r}")
         pieces = _PART.split(rest)
         if tuple(pieces[1::2]) != PARTS:
-            found = ", ".join(pieces[1::2]) or "none"
-            raise ModelError(f"a card has the parts {', '.join(PARTS)} in this order, found {found}")
-        law, *told = (piece.strip() for piece in pieces[::2])
-        for name, part in zip(("law", *PARTS), (law, *told), strict=True):
+            pieces_in_bold = ", ".join(pieces[1::2]) or "none"
+            raise ModelError(f"a card has the parts {', '.join(PARTS)} in this order, found {pieces_in_bold}")
+        law, *sections = (piece.strip() for piece in pieces[::2])
+        for name, part in zip(("law", *PARTS), (law, *sections), strict=True):
             if not part:
                 raise ModelError(f"the part {name} of a card is empty")
-        return cls(title, cause, law, tuple(" ".join(part.split()) for part in told))
+        return cls(title, cause, law, tuple(" ".join(part.split()) for part in sections))
 
     def parts(self) -> tuple[tuple[str, str], ...]:
         """(name, text) of the parts after the law."""
-        return tuple(zip(PARTS, self.told, strict=True))
+        return tuple(zip(PARTS, self.texts, strict=True))
 
 
 @cache
 def card_of(kind: type) -> Card:
     """The card of an effect; raises ModelError when neither the class nor its file has one that is complete."""
-    own = kind.__dict__.get("__doc__") or ""
-    text = own if _PART.search(inspect.cleandoc(own)) else sys.modules[kind.__module__].__doc__
+    doc = kind.__dict__.get("__doc__") or ""
+    text = doc if _PART.search(inspect.cleandoc(doc)) else sys.modules[kind.__module__].__doc__
     try:
         return Card.read(text or "")
     except ModelError as problem:
@@ -94,8 +94,8 @@ class Listed:
 
 def installed() -> list[EntryPoint]:
     """Entry points that name effects; a package that is found twice on the path counts once."""
-    found = {(_package(point), point.name, point.value): point for point in entry_points(group=GROUP)}
-    return [found[key] for key in sorted(found)]
+    points = {(_package(point), point.name, point.value): point for point in entry_points(group=GROUP)}
+    return [points[key] for key in sorted(points)]
 
 
 class Catalogue(Sequence[type[Effect]]):
@@ -118,9 +118,9 @@ class Catalogue(Sequence[type[Effect]]):
         added: dict[str, Listed] = {}
         for point in self._points():
             entry = _loaded(point)
-            known = (self._shipped | added).get(entry.kind.name)
-            if known is not None:
-                raise _refused(point, f"{known.origin} has an effect '{entry.kind.name}' already")
+            earlier = (self._shipped | added).get(entry.kind.name)
+            if earlier is not None:
+                raise _refused(point, f"{earlier.origin} has an effect '{entry.kind.name}' already")
             added[entry.kind.name] = entry
         return self._shipped | {name: added[name] for name in sorted(added)}
 
@@ -131,9 +131,9 @@ class Catalogue(Sequence[type[Effect]]):
         """
         if why := fault_of(kind):
             raise ModelError(f"{kind!r} cannot be an effect: {why}")
-        known = self.entries.get(kind.name)
-        if known is not None and known.group != SESSION:
-            raise ModelError(f"{known.origin} has an effect '{kind.name}' already: take another name")
+        earlier = self.entries.get(kind.name)
+        if earlier is not None and earlier.group != SESSION:
+            raise ModelError(f"{earlier.origin} has an effect '{kind.name}' already: take another name")
         try:
             card_of(kind)
         except ModelError:

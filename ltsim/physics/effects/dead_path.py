@@ -35,13 +35,17 @@ class DeadPath(Effect):
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
         """One, where the temperature varies."""
-        known = sightings.covariates.get(COLUMN)
-        varies = known is not None and np.isfinite(known).any() and np.nanmax(known) - np.nanmin(known) > STEADY
+        temperature = sightings.covariates.get(COLUMN)
+        varies = (
+            temperature is not None
+            and np.isfinite(temperature).any()
+            and np.nanmax(temperature) - np.nanmin(temperature) > STEADY
+        )
         return [cls()] if varies else []
 
     def design(self, sightings: Sightings) -> Floats:
         temperature = sightings.covariates.get(COLUMN, np.full(len(sightings), np.nan))
         ordered = temperature[sightings.order]
-        known = ordered[np.isfinite(ordered)]
-        warmer = np.nan_to_num(temperature - (known[0] if len(known) else 0.0))
+        measured = ordered[np.isfinite(ordered)]
+        warmer = np.nan_to_num(temperature - (measured[0] if len(measured) else 0.0))
         return on_readings(sightings, distance=self.mask(sightings) * warmer)[:, :, None]

@@ -132,7 +132,7 @@ class Mistake(Effect):
 Basis = Callable[[Floats], Floats]
 
 
-def one(raw: Floats) -> Floats:
+def unity(raw: Floats) -> Floats:
     """The constant basis."""
     return np.ones(len(raw))
 
@@ -167,7 +167,7 @@ class Term:
     """A parameter's part in a kinematic chain: ``error[slot] += value * basis(raw)``."""
 
     slot: str
-    basis: Basis = one
+    basis: Basis = unity
 
 
 @dataclass(frozen=True)

@@ -52,8 +52,8 @@ class NestLift(TargetMotion):
         pairs = visited_pairs(sightings)
         if len(pairs) > MOST_PAIRS:
             return []
-        known = np.flatnonzero(np.isfinite(sightings.nest_normal).all(axis=1))
-        nests = {sightings.target_names[t] for t in known}
+        oriented = np.flatnonzero(np.isfinite(sightings.nest_normal).all(axis=1))
+        nests = {sightings.target_names[t] for t in oriented}
         along = [cls((s,), (t,), "normal") for s, t in pairs if t in nests]
         return [*along, *(cls((s,), (t,), "free") for s, t in pairs)]
 

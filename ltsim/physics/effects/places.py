@@ -22,10 +22,10 @@ def change_times(times: Floats, *, least: int, most: int) -> list[float]:
     ordered = np.sort(times)
     middle, gap = 0.5 * (ordered[1:] + ordered[:-1]), np.diff(ordered)
     inner = slice(least - 1, max(len(middle) - least + 1, least - 1))
-    found = middle[inner][gap[inner] > 0]
-    if len(found) > most:
-        found = found[np.unique(np.linspace(0, len(found) - 1, most).round().astype(int))]
-    return [float(t) for t in found]
+    middles = middle[inner][gap[inner] > 0]
+    if len(middles) > most:
+        middles = middles[np.unique(np.linspace(0, len(middles) - 1, most).round().astype(int))]
+    return [float(t) for t in middles]
 
 
 def station_change_times(sightings: Sightings, *, least: int) -> list[tuple[str, float]]:
@@ -70,7 +70,7 @@ def start_time(sightings: Sightings) -> float:
     return float(sightings.time.min(initial=np.inf))
 
 
-Law = Literal["visit", "linear", "exponential"]
+TimeLaw = Literal["visit", "linear", "exponential"]
 
 WARM_UP = ShapeParameter(
     "time_constant", "min", "time constant of the warm-up", 600.0, 14_400.0, logarithmic=True, steps=6
@@ -85,7 +85,7 @@ SLOWEST, OF_SPAN = 2.0, (0.3, 1.0)
 class Drift(Effect):
     """A correction of one slot that follows the clock."""
 
-    law: Law = "linear"
+    law: TimeLaw = "linear"
     """``visit``: rate times the time since the station's first pointing; ``linear``: rate times the time since the
     recording's first pointing; ``exponential``: amplitude times exp(-t / time_constant) of the same time.
     """
@@ -97,7 +97,7 @@ class Drift(Effect):
     slot: ClassVar[str]
     rate: ClassVar[Parameter]
     amplitude: ClassVar[Parameter]
-    laws: ClassVar[tuple[Law, ...]]
+    laws: ClassVar[tuple[TimeLaw, ...]]
     """Linear laws that are tried at all stations together: the first, and the others where there are several."""
     alone: ClassVar[bool] = False
     """The law of a visit is tried at single stations too."""

@@ -49,7 +49,7 @@ def first_order(sightings: Sightings, field: AirField, acts: Bools | None = None
     Only pointings on which the field `acts` (n,) are integrated where that is given, the others do not change.
     """
     rows = np.arange(len(sightings)) if acts is None else np.flatnonzero(acts)
-    beam, left, up = (way[rows] for way in sightings.unit_vectors)
+    beam, across, up = (way[rows] for way in sightings.unit_vectors)
     length = sightings.range_[rows]
     share = 0.5 * (1.0 + NODES)
     start = sightings.position[sightings.station[rows]]
@@ -62,7 +62,7 @@ def first_order(sightings: Sightings, field: AirField, acts: Bools | None = None
     bend = -beta * length[:, None] * pull  # D over d: an angle
     change = np.zeros((3, len(sightings)))
     change[0, rows] = beta * length * mean
-    change[1, rows] = np.sum(bend * left, axis=1) / np.cos(sightings.elevation[rows])
+    change[1, rows] = np.sum(bend * across, axis=1) / np.cos(sightings.elevation[rows])
     change[2, rows] = np.sum(bend * up, axis=1)
     return on_readings(sightings, distance=change[0], azimuth=change[1], elevation=change[2])
 
@@ -89,10 +89,10 @@ def bent(sightings: Sightings, field: AirField, *, steps: int = STEPS) -> Floats
 
 def _aim(sightings: Sightings, field: AirField) -> Floats:
     """Unit vectors (n, 3) toward where the targets appear, first order."""
-    beam, left, up = sightings.unit_vectors
+    beam, across, up = sightings.unit_vectors
     change = first_order(sightings, field)
     aside = change[:, 1] * np.cos(sightings.elevation)
-    aim = beam + aside[:, None] * left + (change[:, 2] * sightings.face_sign)[:, None] * up
+    aim = beam + aside[:, None] * across + (change[:, 2] * sightings.face_sign)[:, None] * up
     return aim / np.linalg.norm(aim, axis=1, keepdims=True)
 
 

@@ -155,9 +155,9 @@ class Signature(Protocol):
         return acts.astype(np.float64)
 
 
-def _among(values: Ints, known: Mapping[str, Sequence[int]], names: Sequence[str]) -> Bools:
+def _among(values: Ints, places: Mapping[str, Sequence[int]], names: Sequence[str]) -> Bools:
     """(n,): whether each value is that of one of a few names; one is the common case, and much faster alone."""
-    ids = [i for name in names for i in known.get(name, ())]
+    ids = [i for name in names for i in places.get(name, ())]
     return values == ids[0] if len(ids) == 1 else np.isin(values, ids)
 
 
@@ -244,8 +244,8 @@ def by_displacement(sightings: Sightings, displacement: Floats) -> Floats:
 
 def constants_of(effect: Tunable) -> int:
     """Number of constants of an effect: its parameters, and those of its shape and place."""
-    own = (value for name, value in vars(effect).items() if name != "coarse")
-    return len(effect.parameters) + sum(np.size(value) for value in own if _is_number(value))
+    constants = (value for name, value in vars(effect).items() if name != "coarse")
+    return len(effect.parameters) + sum(np.size(value) for value in constants if _is_number(value))
 
 
 def _is_number(value: object) -> bool:

@@ -34,5 +34,5 @@ class SmrDihedral(Effect):
 
     def design(self, sightings: Sightings) -> Floats:
         acts = self.mask(sightings)
-        left = on_readings(sightings, azimuth=acts / np.cos(sightings.elevation))
-        return np.stack([left, on_readings(sightings, elevation=acts)], axis=2)
+        lateral = on_readings(sightings, azimuth=acts / np.cos(sightings.elevation))
+        return np.stack([lateral, on_readings(sightings, elevation=acts)], axis=2)

@@ -32,8 +32,8 @@ class SmrOffset(TargetMotion):
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
         """Every station, where nests are known."""
-        known = np.isfinite(sightings.nest_normal).all(axis=1).any()
-        return [cls((name,)) for name in sightings.station_names] if known else []
+        has_normals = np.isfinite(sightings.nest_normal).all(axis=1).any()
+        return [cls((name,)) for name in sightings.station_names] if has_normals else []
 
     def displacement(self, sightings: Sightings) -> Floats:
         normal = np.nan_to_num(sightings.nest_normal[sightings.target])

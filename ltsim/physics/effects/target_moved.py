@@ -48,12 +48,12 @@ class TargetMoved(TargetMotion):
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
         """Every target with a step between any two of its visits, and with a creep."""
-        found = []
+        candidates = []
         for t, name in enumerate(sightings.target_names):
             steps = visit_change_times(sightings, t, most=MOST_STEPS)
-            found += [cls((), (name,), time) for time in steps]
-            found += [cls((), (name,), kind="creep")] if len(steps) > 1 else []
-        return found
+            candidates += [cls((), (name,), time) for time in steps]
+            candidates += [cls((), (name,), kind="creep")] if len(steps) > 1 else []
+        return candidates
 
     def finer(self, sightings: Sightings) -> list[Self]:
         """For a step the gaps between pointings around this one, inside the stations' visits too."""

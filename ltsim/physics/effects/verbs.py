@@ -90,8 +90,8 @@ def effect_from(name: str, places: Mapping[str, tuple[str, ...]], shape: Mapping
     constants: dict[str, Any] = {}
     for key, value in shape.items():
         if key not in fields:
-            known, sizes = ", ".join(sorted(fields)) or "none", ", ".join(p.name for p in kind.parameters)
-            raise ModelError(f"{name} has no constant called '{key}'; constants: {known}; sizes, where drawn: {sizes}")
+            names, sizes = ", ".join(sorted(fields)) or "none", ", ".join(p.name for p in kind.parameters)
+            raise ModelError(f"{name} has no constant called '{key}'; constants: {names}; sizes, where drawn: {sizes}")
         constants[key] = _fitted(f"{name}.{key}", value, fields[key], units.get(key, 1.0))
     effect = kind(**{**places, **constants})
     _check_constants(effect)
@@ -105,9 +105,9 @@ def _check_constants(effect: AnyEffect) -> None:
     """
     hints = get_type_hints(type(effect))
     for field in dataclasses.fields(effect):
-        known, value = get_args(hints[field.name]), getattr(effect, field.name)
-        if get_origin(hints[field.name]) is Literal and value not in known:
-            raise ModelError(f"{effect.name}.{field.name} is {value!r}, expected one of {', '.join(map(str, known))}")
+        choices, value = get_args(hints[field.name]), getattr(effect, field.name)
+        if get_origin(hints[field.name]) is Literal and value not in choices:
+            raise ModelError(f"{effect.name}.{field.name} is {value!r}, expected one of {', '.join(map(str, choices))}")
     for shape in effect.shape:
         value, unit = getattr(effect, shape.name), FACTOR[shape.unit]
         low, high = shape.low / WIDER, shape.high * WIDER

@@ -20,8 +20,8 @@ def _around(sightings: Sightings, station: str) -> list[int]:
     """Targets that a station measured, in the order of their azimuths."""
     s = sightings.station_names.index(station)
     arm = sightings.points - sightings.position[s]
-    seen = np.unique(sightings.target[sightings.station == s])
-    return [int(t) for t in seen[np.argsort(np.arctan2(arm[seen, 1], arm[seen, 0]))]]
+    sighted = np.unique(sightings.target[sightings.station == s])
+    return [int(t) for t in sighted[np.argsort(np.arctan2(arm[sighted, 1], arm[sighted, 0]))]]
 
 
 @dataclass(frozen=True)
@@ -51,15 +51,15 @@ class Window(TargetMotion):
     @classmethod
     def candidates(cls, sightings: Sightings) -> list[Self]:
         """At every station an upright pane across runs of neighbouring targets, in the order of their azimuths."""
-        found = []
+        candidates = []
         for station in sightings.station_names:
             order = _around(sightings, station)
             for share in SHARES:
                 length = max(2, round(share * len(order)))
                 for first in range(0, len(order), max(1, length // 2)):
                     block = [order[(first + k) % len(order)] for k in range(min(length, len(order)))]
-                    found += cls._across(sightings, station, block)
-        return found
+                    candidates += cls._across(sightings, station, block)
+        return candidates
 
     @classmethod
     def _across(cls, sightings: Sightings, station: str, block: list[int]) -> list[Self]:
@@ -76,14 +76,14 @@ class Window(TargetMotion):
         order = _around(sightings, self.stations[0])
         behind = {sightings.target_names.index(name) for name in self.targets}
         inside = [t in behind for t in order]
-        found: list[Self] = []
+        windows: list[Self] = []
         for k, t in enumerate(order):
             at_edge = inside[k] != inside[k - 1] or inside[k] != inside[(k + 1) % len(order)]
             if at_edge:
-                found += self._across(sightings, self.stations[0], sorted(behind ^ {t}))
+                windows += self._across(sightings, self.stations[0], sorted(behind ^ {t}))
         x, y, _ = self.normal
         turned = [np.arctan2(y, x) + angle for angle in TURNS]
-        return found + [self.reshaped(normal=(float(np.cos(a)), float(np.sin(a)), 0.0)) for a in turned]
+        return windows + [self.reshaped(normal=(float(np.cos(a)), float(np.sin(a)), 0.0)) for a in turned]
 
     def displacement(self, sightings: Sightings) -> Floats:
         beam = sightings.unit_vectors[0]

@@ -7,10 +7,10 @@ from ltsim.core.arrays import Floats
 from ltsim.core.errors import unknown_name
 from ltsim.physics.effects.effect import Mistake, Parameter, Stage
 from ltsim.recordings.recording import OBSERVABLES
-from ltsim.recordings.slips import UNIT_SLIPS, Slip
+from ltsim.recordings.transcription_errors import UNIT_ERRORS, TranscriptionError
 from ltsim.scene.sightings import Sightings
 
-SLIPS = {slip.name: slip for slip in UNIT_SLIPS}
+SLIPS = {slip.name: slip for slip in UNIT_ERRORS}
 
 
 @dataclass(frozen=True)
@@ -42,8 +42,8 @@ class WrongUnit(Mistake):
         object.__setattr__(self, "observables", tuple(OBSERVABLES[c] for c in self.slip.columns))
 
     @property
-    def slip(self) -> Slip:
-        """Slip of this mistake: the unit or convention that is written, and the expected one."""
+    def slip(self) -> TranscriptionError:
+        """TranscriptionError of this mistake: the unit or convention that is written, and the expected one."""
         return SLIPS[self.mistake]
 
     @classmethod

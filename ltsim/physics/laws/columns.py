@@ -41,16 +41,16 @@ SIMPLE = {
     "fading": lambda x, k: np.exp(-np.abs(x) / k),
 }
 """Functions of a covariate and a constant, of which the shortest laws are made."""
-RESTING = 0.02
+ZERO_FRACTION = 0.02
 """Share of its largest value up to which a column counts as zero."""
 
 
 def has_zero(x: Floats) -> bool:
     """Whether a column rests at zero, as a load does; one that does not, a temperature say, is told from its mean."""
-    return bool(np.nanmin(np.abs(x)) < RESTING * np.nanmax(np.abs(x)))
+    return bool(np.nanmin(np.abs(x)) < ZERO_FRACTION * np.nanmax(np.abs(x)))
 
 
-def sized(column: Floats) -> Floats:
+def unit_rms(column: Floats) -> Floats:
     """A column (n, 1) with an rms of one."""
     size = float(np.sqrt(np.mean(column**2)))
     return column / size if size > 0 else column
@@ -60,7 +60,7 @@ OVERTONES = 5
 """Waves of which a cycle of any shape is made."""
 
 
-def waves_of(phase: Floats, count: int) -> Floats:
+def fourier_columns(phase: Floats, count: int) -> Floats:
     """Cosines and sines (n, 2 count) of a phase (n,) and its multiples."""
     return np.sqrt(2.0) * _turns(phase, count).view(np.float64)
 
@@ -74,7 +74,7 @@ def _turns(phase: Floats, count: int) -> NDArray[np.complex128]:
 def curve(name: str, x: Floats, count: int) -> Floats:
     """Columns of a smooth curve over a covariate (n,)."""
     if name in CIRCULAR:
-        return waves_of(x, (count + 1) // 2)
+        return fourier_columns(x, (count + 1) // 2)
     low, high = float(x.min()), float(x.max())
     half = max(0.5 * (high - low), 1e-300)
     u = (x - 0.5 * (low + high)) / half
@@ -85,15 +85,15 @@ def curve(name: str, x: Floats, count: int) -> Floats:
 @cache
 def curve_spreads(circular: bool, count: int) -> tuple[Floats, ...]:
     """Prior deviations of a curve's coefficients, one set a length scale."""
-    found = []
+    spreads = []
     if circular:
         orders = np.repeat(np.arange(1, count // 2 + 1 + count % 2), 2)
-        found = [np.exp(-0.25 * (orders * scale) ** 2) for scale in SCALES[count]]
+        spreads = [np.exp(-0.25 * (orders * scale) ** 2) for scale in SCALES[count]]
     else:
         rates = 0.5 * np.pi * np.arange(1, count + 1) / EDGE
-        found = [np.concatenate([[0.5], np.exp(-0.25 * (rates * scale) ** 2)]) for scale in SCALES[count]]
-        found += [np.concatenate([[0.5], 1.0 / np.arange(1, count + 1)])] if count != LOW else []
-    return tuple(spread / np.linalg.norm(spread) for spread in found)
+        spreads = [np.concatenate([[0.5], np.exp(-0.25 * (rates * scale) ** 2)]) for scale in SCALES[count]]
+        spreads += [np.concatenate([[0.5], 1.0 / np.arange(1, count + 1)])] if count != LOW else []
+    return tuple(spread / np.linalg.norm(spread) for spread in spreads)
 
 
 def function(sightings: Sightings, name: str, how: str, constant: float) -> Floats:
@@ -103,7 +103,7 @@ def function(sightings: Sightings, name: str, how: str, constant: float) -> Floa
         x = x - x.mean()
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         values = SIMPLE[how](x, constant)
-    return sized(np.nan_to_num(values, posinf=0.0, neginf=0.0)[:, None])
+    return unit_rms(np.nan_to_num(values, posinf=0.0, neginf=0.0)[:, None])
 
 
 def field(sightings: Sightings, names: Sequence[str], around: Sequence[str], *, bent: bool) -> Floats:
@@ -117,7 +117,7 @@ def field(sightings: Sightings, names: Sequence[str], around: Sequence[str], *, 
     return np.hstack([np.ones((len(place), 1)), place, *more])
 
 
-def lagging(sightings: Sightings, name: str, memory: float) -> Floats:
+def first_order_lag(sightings: Sightings, name: str, memory: float) -> Floats:
     """A covariate, or the amount of a move, after a first-order lag with a memory [s]; how far it is behind (n, 2)."""
     x = sightings.quantities[name]
     x = np.abs(x) if name.startswith(MEMORY) else x - x.mean()
@@ -128,16 +128,16 @@ def lagging(sightings: Sightings, name: str, memory: float) -> Floats:
     for row, value, gain in zip(rows.tolist(), x[rows].tolist(), share.tolist(), strict=True):
         now += gain * (value - now)
         slow[row] = now
-    return np.hstack([sized(slow[:, None]), sized((x - slow)[:, None])])
+    return np.hstack([unit_rms(slow[:, None]), unit_rms((x - slow)[:, None])])
 
 
 def group_means(columns: Floats, groups: Ints) -> Floats:
     """Means (n, k) of columns (n, k) over the pointings of the same group (n,)."""
-    at = one_each(groups, np.unique(groups)) > 0
+    at = indicator_columns(groups, np.unique(groups)) > 0
     means: Floats = at @ ((at.T @ columns) / at.sum(axis=0)[:, None])
     return means
 
 
-def one_each(what: Ints, ids: Ints | Sequence[int]) -> Floats:
+def indicator_columns(what: Ints, ids: Ints | Sequence[int]) -> Floats:
     """One where something (n,) has one of the ids (k,), (n, k)."""
     return (what[:, None] == np.asarray(ids)).astype(np.float64)

@@ -14,11 +14,11 @@ import numpy as np
 
 from ltsim.core.arrays import Floats
 from ltsim.physics.effects.signature import Parameter, Tunable
-from ltsim.physics.laws.carriers import CARRIERS, Carrier
-from ltsim.physics.laws.columns import CIRCULAR, FINE, LOW, MODES, one_each
-from ltsim.physics.laws.drivers import CLOCKS, CONSTANT, Driver, pieces, simple, smooth
-from ltsim.physics.laws.offered import MOST_VISITS, WAVE_STEP
+from ltsim.physics.laws.columns import CIRCULAR, FINE, LOW, MODES, indicator_columns
 from ltsim.physics.laws.places import LEAST_GROUP
+from ltsim.physics.laws.regressor_library import MOST_VISITS, WAVE_STEP
+from ltsim.physics.laws.regressors import CLOCKS, CONSTANT, Regressor, pieces, simple, smooth
+from ltsim.physics.laws.responses import RESPONSES, ResponseTerm
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.scene.sightings import Sightings
 
@@ -49,8 +49,8 @@ class Law(Tunable):
     ----------
     stations, targets : tuple of str
         Where it acts; empty for everywhere.
-    carrier : Carrier
-    driver : Driver
+    carrier : ResponseTerm
+    driver : Regressor
     instruments : tuple of str
         Named where the stations are those of one instrument.
     scale : int
@@ -61,8 +61,8 @@ class Law(Tunable):
 
     stations: tuple[str, ...] = ()
     targets: tuple[str, ...] = ()
-    carrier: Carrier = CARRIERS["distance"][0]
-    driver: Driver = CONSTANT
+    carrier: ResponseTerm = RESPONSES["distance"][0]
+    driver: Regressor = CONSTANT
     instruments: tuple[str, ...] = ()
     scale: int = 0
     each: bool = False
@@ -86,13 +86,13 @@ class Law(Tunable):
     @property
     def covariates(self) -> tuple[str, ...]:
         """Quantities that the law depends on, in the words of the interface."""
-        return self.driver.told
+        return self.driver.covariate_labels
 
     def design(self, sightings: Sightings) -> Floats:
         """Change (n, 3, k) of the raw readings per unit of each coefficient."""
-        moved = CARRIERS[self.carrier.name][1](sightings)
-        found: Floats = moved[:, :, :, None] * self.columns(sightings)[:, None, None, :]
-        return found.reshape(len(sightings), 3, -1)
+        moved = RESPONSES[self.carrier.name][1](sightings)
+        design: Floats = moved[:, :, :, None] * self.columns(sightings)[:, None, None, :]
+        return design.reshape(len(sightings), 3, -1)
 
     def columns(self, sightings: Sightings) -> Floats:
         """Regressors (n, k) of each component of the carrier, zero at other places; (n, S k) for separate set-ups."""
@@ -100,7 +100,7 @@ class Law(Tunable):
         columns = columns * self.mask(sightings)[:, None]
         if not self.each:
             return columns
-        at = one_each(sightings.station, [sightings.station_names.index(name) for name in self.stations])
+        at = indicator_columns(sightings.station, [sightings.station_names.index(name) for name in self.stations])
         return (at[:, :, None] * columns[:, None, :]).reshape(len(sightings), -1)
 
     def finer(self, sightings: Sightings) -> list[Law]:
@@ -111,23 +111,23 @@ class Law(Tunable):
             rates = driver.constant + step * np.linspace(-0.9, 0.9, 19)
             return [replace(self, driver=replace(driver, constant=float(r))) for r in rates if r > 0]
         if driver.kind == "pieces" and len(driver.factors) <= MOVED:
-            return self._with_one_moved(sightings)
+            return self._with_moved_pieces(sightings)
         if driver.function in SCALED or driver.kind in SCALED:
             return [replace(self, driver=replace(driver, constant=driver.constant * s)) for s in (0.6, 0.8, 1.25, 1.7)]
         return []
 
-    def _with_one_moved(self, sightings: Sightings) -> list[Law]:
+    def _with_moved_pieces(self, sightings: Sightings) -> list[Law]:
         """The law with one of its steps and ramps at another gap between the values of their covariate."""
         factors = self.driver.factors
         x = np.unique(sightings.quantities[self.driver.covariates[0]][self.mask(sightings) > 0])
         gaps = np.searchsorted(x, [piece.constant for piece in factors])
-        found = []
+        laws = []
         for i, piece in enumerate(factors):
             for k in range(max(gaps[i] - NEAR, 1), min(gaps[i] + NEAR, len(x) - 1) + 1):
                 if np.abs(np.delete(gaps, i) - k).min(initial=NEAR) >= NEAR:
                     moved = replace(piece, constant=float(0.5 * (x[k - 1] + x[k])))
-                    found.append(self.in_pieces([*factors[:i], moved, *factors[i + 1 :]]))
-        return found
+                    laws.append(self.in_pieces([*factors[:i], moved, *factors[i + 1 :]]))
+        return laws
 
     def formulas(self, sightings: Sightings) -> list[Law]:
         """Short laws that a smooth one may turn out to be."""
@@ -141,25 +141,25 @@ class Law(Tunable):
             list(_short(sightings, f.covariates[0], few=True)) if f.kind == "smooth" else [f]
             for f in self.driver.factors
         ]
-        return [replace(self, driver=Driver("product", factors=factors), scale=0) for factors in product(*options)]
+        return [replace(self, driver=Regressor("product", factors=factors), scale=0) for factors in product(*options)]
 
     def forms(self, sightings: Sightings) -> dict[str, list[list[Law]]]:
         """Forms that a law may approximate, by kind, each with its scales: the curve, short formulas, a finer curve."""
-        driver, found = self.driver, {"curve": [self], "formula": self.formulas(sightings)}
+        driver, forms = self.driver, {"curve": [self], "formula": self.formulas(sightings)}
         if driver.kind == "smooth":
             finer = smooth(driver.covariates[0], FINE if driver.constant > LOW else MODES)
-            found["fine"] = [replace(self, driver=finer)]
+            forms["fine"] = [replace(self, driver=finer)]
         if LEAST_GROUP <= len(self.targets) <= MOST_MEMBERS and self.carrier.kind == "target":
-            found["members"] = [replace(self, driver=driver.for_each(self.targets), scale=0)]
+            forms["members"] = [replace(self, driver=driver.per_target(self.targets), scale=0)]
         if driver.kind == "wave":
-            found["cycle"] = [replace(self, driver=replace(driver, kind="cycle"))]
+            forms["cycle"] = [replace(self, driver=replace(driver, kind="cycle"))]
         return {
             kind: [[replace(law, scale=k) for k in range(len(law.driver.spreads))] for law in laws]
-            for kind, laws in found.items()
+            for kind, laws in forms.items()
             if laws
         }
 
-    def atoms(self, sightings: Sightings) -> list[Driver]:
+    def atoms(self, sightings: Sightings) -> list[Regressor]:
         """Steps and ramps of which a smooth driver may be made instead."""
         curved = [f for f in (self.driver, *self.driver.factors) if f.kind == "smooth"]
         if len(curved) != 1:
@@ -170,7 +170,7 @@ class Law(Tunable):
         edges = 0.5 * (x[1:] + x[:-1])
         return [simple(name, function, float(edge)) for function in ("step", "ramp") for edge in edges]
 
-    def in_pieces(self, steps: Sequence[Driver]) -> Law:
+    def in_pieces(self, steps: Sequence[Regressor]) -> Law:
         """The law with steps and ramps in the place of its smooth driver."""
         made, driver = pieces(steps), self.driver
         if driver.kind == "product":
@@ -184,10 +184,10 @@ class Law(Tunable):
         """
         if self.carrier.name != "elevation":
             return self
-        index, driver = replace(CARRIERS["vertical index"][0], size=self.carrier.size), self.driver
+        index, driver = replace(RESPONSES["vertical index"][0], size=self.carrier.size), self.driver
         names = {*driver.covariates, *(n for f in driver.factors for n in f.covariates)}
-        one_face = not np.ptp(sightings.face)
-        if one_face and names <= {*CLOCKS, *sightings.covariates}:
+        single_face = not np.ptp(sightings.face)
+        if single_face and names <= {*CLOCKS, *sightings.covariates}:
             return replace(self, carrier=index)
         face, *rest = driver.factors or (driver, CONSTANT)
         return replace(self, carrier=index, driver=rest[0]) if face == FACE and len(rest) == 1 else self
@@ -219,13 +219,13 @@ class Law(Tunable):
         return law, way, means[:, top], spread[:, top, :, :, top, :]
 
 
-def _short(sightings: Sightings, name: str, *, few: bool = False) -> Iterator[Driver]:
+def _short(sightings: Sightings, name: str, *, few: bool = False) -> Iterator[Regressor]:
     """Short drivers in a covariate; `few` where several are tried together."""
     times = OF_SPAN * float(np.ptp(sightings.quantities[name]))
     circular = name in CIRCULAR
     if circular:
         for order in range(1, 4 if few else 7):
-            yield Driver("wave", (name,), constant=float(order))
+            yield Regressor("wave", (name,), constant=float(order))
     tried: list[tuple[str, Sequence[float] | Floats]] = [] if circular and few else [("power", (1.0, 2.0))]
     if name in ANGULAR and not (circular and few):
         tried += [("sin", (1.0, 2.0, 3.0)), ("cos", (1.0, 2.0, 3.0)), ("tan", (1.0,))]

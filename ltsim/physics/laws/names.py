@@ -1,7 +1,7 @@
 """Names that the catalogue has for laws: a vertical index that decays is `index-drift`; laws that look like cards."""
 
-from ltsim.physics.laws.drivers import CLOCKS
 from ltsim.physics.laws.law import Law
+from ltsim.physics.laws.regressors import CLOCKS
 
 NAMED = {
     **{("vertical index", clock): "index-drift" for clock in CLOCKS},

@@ -11,7 +11,7 @@ from ltsim.scene.sightings import Sightings
 
 NEIGHBOURS = (3, 6)
 """Targets around one that may move with it."""
-LEVEL = 5.0
+Z_WEIGHT = 5.0
 """Weight of heights in the tree of levels: a fifth of the room up counts as much as a surface turned by 60 deg."""
 LEAST_GROUP = 3
 """Targets of a group, and targets beside it, at least."""
@@ -44,7 +44,7 @@ def trackers_of(s: Sightings, names: Sequence[str]) -> tuple[Place, ...]:
     return places if len(places) > 1 else ()
 
 
-def branches(s: Sightings) -> set[tuple[int, ...]]:
+def clusters(s: Sightings) -> set[tuple[int, ...]]:
     """Targets that belong together: by where they stand, and by the surface that they hang on or its level.
 
     These are the branches of three trees (average linkage); a surface is known by where its nests look.
@@ -52,22 +52,22 @@ def branches(s: Sightings) -> set[tuple[int, ...]]:
     if len(s.points) < 2 * LEAST_GROUP:
         return set()
     look = np.nan_to_num(s.nest_normal) * np.ptp(s.points, axis=0).max()
-    found = set()
-    for features in (s.points, np.hstack([s.points, look]), np.hstack([s.points[:, 2:] * LEVEL, look])):
+    groups = set()
+    for features in (s.points, np.hstack([s.points, look]), np.hstack([s.points[:, 2:] * Z_WEIGHT, look])):
         tree = [[t] for t in range(len(features))]
-        for one, other in linkage(features, "average")[:, :2].astype(int):
-            tree.append(sorted(tree[one] + tree[other]))
-        found |= {tuple(b) for b in tree if LEAST_GROUP <= len(b) <= len(features) - LEAST_GROUP}
-    return found
+        for first, second in linkage(features, "average")[:, :2].astype(int):
+            tree.append(sorted(tree[first] + tree[second]))
+        groups |= {tuple(b) for b in tree if LEAST_GROUP <= len(b) <= len(features) - LEAST_GROUP}
+    return groups
 
 
-def corners_of(s: Sightings) -> set[tuple[int, ...]]:
+def neighbour_groups(s: Sightings) -> set[tuple[int, ...]]:
     """Groups of a target and the few that stand nearest to it."""
     near = [np.argsort(np.linalg.norm(s.points - point, axis=1), kind="stable") for point in s.points]
     return {tuple(sorted(n[: k + 1].tolist())) for n in near for k in NEIGHBOURS if 2 * k < len(n)}
 
 
-def together(s: Sightings, sets: set[tuple[int, ...]]) -> Iterator[Place]:
+def group_places(s: Sightings, sets: set[tuple[int, ...]]) -> Iterator[Place]:
     """Places of some targets, with pointings to them."""
     for members in sorted(sets):
         rows = np.flatnonzero(np.isin(s.target, members))

@@ -7,18 +7,18 @@ from dataclasses import replace
 import numpy as np
 
 from ltsim.core.errors import ModelError
-from ltsim.physics.laws.carriers import CARRIERS
 from ltsim.physics.laws.columns import LOW, MODES
-from ltsim.physics.laws.drivers import CLOCKS, PLACE, Driver, amounts, pieces
 from ltsim.physics.laws.law import Law
-from ltsim.physics.laws.offered import FOLLOWED, OPERATORS
+from ltsim.physics.laws.regressor_library import FOLLOWED, OPERATORS
+from ltsim.physics.laws.regressors import CLOCKS, PLACE, Regressor, amounts, pieces
+from ltsim.physics.laws.responses import RESPONSES
 from ltsim.recordings.recording import Recording
 
 ANGLES = ("azimuth", "bearing", "circle", "elevation", "nest-direction")
 SECONDS = (*CLOCKS, "lapse")
 METRES = ("distance", "height", "move-distance", "last-distance", "x", "y", "z")
 """Covariates that are told in degrees, in minutes or seconds, in metres."""
-SAID = {
+PHRASE_OF = {
     "parity": "the parity of the order (every other pointing)",
     "seating-parity": "the parity of the seatings (every other target)",
     "station": "the station",
@@ -62,7 +62,7 @@ UNIT_OF = {"lagging": "time"}
 """Covariates whose unit the constant of such a driver has."""
 LEAST = {"min": 2.0, "m": 1.0}
 """Values from which a unit is used that has a smaller one beside it: 90 s, but 2 min; 400 mm, but 1 m."""
-IN_ITS_OWN_WAY = ", in its own way at each set-up"
+AT_EACH_SET_UP = ", in its own way at each set-up"
 """Said after the driver of a law that has coefficients of its own for each set-up."""
 AT_EACH = ", another at each instrument"
 """Said after the other factor of a product that each instrument has of its own."""
@@ -87,9 +87,9 @@ def _units(name: str, clock: bool) -> dict[str, float]:
     return {"m": 1.0, "mm": 1e-3} if name in METRES else {"": 1.0}
 
 
-def describe(driver: Driver, *, clock: bool = True) -> str:
+def describe(driver: Regressor, *, clock: bool = True) -> str:
     """A driver in words."""
-    if driver.owned:
+    if driver.is_per_instrument:
         return describe(driver.factors[0], clock=clock) + AT_EACH
     if driver.kind in BETWEEN:
         return BETWEEN[driver.kind].join(describe(f, clock=clock) for f in driver.factors)
@@ -99,7 +99,7 @@ def describe(driver: Driver, *, clock: bool = True) -> str:
     phrase = PHRASES.get((driver.kind, how, k)) or PHRASES[driver.kind, how, None]
     unit = UNIT_OF.get(driver.kind, name)
     value = value_of(unit, 2 * np.pi / k if how == "period" else k, clock=clock)
-    return phrase.format(x=SAID.get(name, name), k=f"{k:.4g}", value=value)
+    return phrase.format(x=PHRASE_OF.get(name, name), k=f"{k:.4g}", value=value)
 
 
 EXAMPLES = (
@@ -122,13 +122,13 @@ def read_law(
     carrier: str, words: str, recording: Recording, *, stations: tuple[str, ...] = (), targets: tuple[str, ...] = ()
 ) -> Law:
     """The law of a carrier that follows a driver, as `describe` tells it, at some places; raises ModelError."""
-    if carrier not in CARRIERS:
-        raise ModelError(f"there is no carrier called '{carrier}'; carriers are {', '.join(CARRIERS)}")
-    driver, each = read_driver(words.removesuffix(IN_ITS_OWN_WAY), recording), words.endswith(IN_ITS_OWN_WAY)
+    if carrier not in RESPONSES:
+        raise ModelError(f"there is no carrier called '{carrier}'; carriers are {', '.join(RESPONSES)}")
+    driver, each = read_driver(words.removesuffix(AT_EACH_SET_UP), recording), words.endswith(AT_EACH_SET_UP)
     if each and (stations or targets):
         raise ModelError(f"'{words}' goes with all set-ups, not with {', '.join((*stations, *targets))}")
     owned = [f for f in (driver, *driver.factors) if f.covariates == ("target",)]
-    driver = Driver("product", factors=(driver,)) if owned == [driver] else driver
+    driver = Regressor("product", factors=(driver,)) if owned == [driver] else driver
     if not targets and owned:
         raise ModelError(f"'{words}' goes with some targets, named behind the law: {carrier} ~ {words}:TARGET,TARGET")
     if targets or any(factor.kind == "wave" for factor in driver.factors):  # a group tilts, the whole may bend
@@ -138,52 +138,52 @@ def read_law(
             for f in driver.factors
         )
         driver = replace(driver, factors=tuple(factors))
-    return Law(recording.stations if each else stations, targets, CARRIERS[carrier][0], driver, each=each)
+    return Law(recording.stations if each else stations, targets, RESPONSES[carrier][0], driver, each=each)
 
 
-def read_driver(words: str, recording: Recording, modes: int = MODES) -> Driver:
+def read_driver(words: str, recording: Recording, modes: int = MODES) -> Regressor:
     """The driver that some words describe, `describe` backwards; a smooth one has so many modes; raises ModelError."""
     factors, steps = words.split(BETWEEN["product"]), _STEPS.split(words)
     if words.endswith(AT_EACH):
-        own = amounts("instrument", len(recording.instruments))
-        return Driver("product", factors=(read_driver(words.removesuffix(AT_EACH), recording, LOW), own))
+        by_instrument = amounts("instrument", len(recording.instruments))
+        return Regressor("product", factors=(read_driver(words.removesuffix(AT_EACH), recording, LOW), by_instrument))
     if len(factors) > 1:
-        return Driver("product", factors=tuple(read_driver(factor.strip(), recording, LOW) for factor in factors))
+        return Regressor("product", factors=tuple(read_driver(factor.strip(), recording, LOW) for factor in factors))
     if len(steps) > 1:
         return pieces([read_driver(step, recording) for step in steps])
     further = recording.circumstances
-    known = (*FOLLOWED, *further, *(f"{how}-{name}" for how in OPERATORS for name in further))
-    names = {"": ""} | {SAID.get(name, name): name for name in (*known, *OWNERS)}
+    covariates = (*FOLLOWED, *further, *(f"{how}-{name}" for how in OPERATORS for name in further))
+    names = {"": ""} | {PHRASE_OF.get(name, name): name for name in (*covariates, *OWNERS)}
     for (kind, how, constant), phrase in PHRASES.items():
         pattern = re.sub(r"\\{(\w+)\\}", lambda group: _GROUPS[group[1]], re.escape(phrase))
-        if not (found := re.fullmatch(pattern, words)):
+        if not (match := re.fullmatch(pattern, words)):
             continue
-        said: dict[str, str] = found.groupdict()
-        name = names.get(said.get("x", ""))
+        groups: dict[str, str] = match.groupdict()
+        name = names.get(groups.get("x", ""))
         if name is None or (how == "turn" and not name.endswith(ANGLES)) or (name in OWNERS) != (kind == "amounts"):
             continue
         many = len(np.unique(recording.station)) if name == "station" else len(recording.targets)
         k = constant or {"smooth": modes, "field": 2.0, "amounts": many}.get(kind, 0.0)
-        if "k" in said or "value" in said:
-            k = _constant(words, UNIT_OF.get(kind, name), said, recording.has_clock)
+        if "k" in groups or "value" in groups:
+            k = _constant(words, UNIT_OF.get(kind, name), groups, recording.has_clock)
             if k <= 0.0 and how not in ("step", "ramp", "power"):
                 raise ModelError(f"'{words}': expected a number above zero")
         along = PLACE if kind == "field" else (name,) if name else ()
         constant = 2 * np.pi / k if how == "period" else k
-        return Driver(kind, along, how if kind == "simple" else "", constant)
+        return Regressor(kind, along, how if kind == "simple" else "", constant)
     raise ModelError(
         f"'{words}' is nothing that a law can follow here; expected words such as {'; '.join(EXAMPLES)}; with one of "
-        f"{', '.join(known)}"
+        f"{', '.join(covariates)}"
     )
 
 
-def _constant(words: str, name: str, said: Mapping[str, str], clock: bool) -> float:
+def _constant(words: str, name: str, groups: Mapping[str, str], clock: bool) -> float:
     """The number in some words [SI]."""
-    if "k" in said:
-        return float(said["k"])
-    units, unit = _units(name, clock), said["unit"]
+    if "k" in groups:
+        return float(groups["k"])
+    units, unit = _units(name, clock), groups["unit"]
     if unit not in units:
         raise ModelError(
             f"'{words}': expected a value of {name} {' or '.join(f'in {u}' if u else 'alone' for u in units)}"
         )
-    return float(said["value"]) * units[unit]
+    return float(groups["value"]) * units[unit]

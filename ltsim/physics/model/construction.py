@@ -18,7 +18,7 @@ from ltsim.geometry.polar import polar_jacobian, to_face, to_polar, wrap
 from ltsim.physics.effects import BASELINE
 from ltsim.physics.effects.azimuth_eccentricity import AzimuthEccentricity
 from ltsim.physics.effects.azimuth_second_order import AzimuthSecondOrder
-from ltsim.physics.effects.effect import Basis, Lobe, Parameter, Power, SlotEffect, Term, one
+from ltsim.physics.effects.effect import Basis, Lobe, Parameter, Power, SlotEffect, Term, unity
 from ltsim.physics.effects.range_offset import RangeOffset
 from ltsim.physics.effects.range_scale import RangeScale
 from ltsim.physics.effects.signature import PriorKind
@@ -66,8 +66,8 @@ class Construction:
 
     def only(self, places: Iterable[int]) -> Self:
         """The same chain with some of the parameters."""
-        kept = [int(k) for k in places]
-        parameters, terms = tuple(self.parameters[k] for k in kept), tuple(self.terms[k] for k in kept)
+        numbers = [int(k) for k in places]
+        parameters, terms = tuple(self.parameters[k] for k in numbers), tuple(self.terms[k] for k in numbers)
         return replace(self, parameters=parameters, terms=terms)
 
     @cached_property
@@ -85,15 +85,15 @@ class Construction:
 
     def bases(self, raw: Floats) -> Floats:
         """(n, p): each parameter's basis at raw readings (n, 3)."""
-        found = np.ones((len(self.terms), len(raw)))
+        bases = np.ones((len(self.terms), len(raw)))
         for k, term in self._varying:
-            found[k] = term.basis(raw)
-        return found.T
+            bases[k] = term.basis(raw)
+        return bases.T
 
     @cached_property
     def _varying(self) -> list[tuple[int, Term]]:
         """Terms whose basis is not 1 everywhere, with their places."""
-        return [(k, term) for k, term in enumerate(self.terms) if term.basis is not one]
+        return [(k, term) for k, term in enumerate(self.terms) if term.basis is not unity]
 
     def errors(self, raw: Floats, values: Floats) -> dict[str, Floats]:
         """Amount (n,) added to each slot; `values` (p,) or one row a pointing (n, p) [SI]."""
@@ -242,7 +242,7 @@ def dh(harmonics: int = 2, degree: int = 2, *, extra: float = 0.05) -> Construct
 
 def _harmonic(column: int, k: int) -> Basis:
     """Basis number k of a joint's error function: 1, sin x, cos x, sin 2x, cos 2x, ..."""
-    return Lobe("sin" if k % 2 else "cos", column, (k + 1) // 2) if k else one
+    return Lobe("sin" if k % 2 else "cos", column, (k + 1) // 2) if k else unity
 
 
 SHARED: tuple[SlotEffect, ...] = (
@@ -337,7 +337,7 @@ def with_parameters(name: str, parameters: Iterable[str]) -> Construction:
 def every_parameter_name() -> frozenset[str]:
     """Names of the parameters of all constructions, of the D-H chain to its highest orders."""
     built = misalignment(), steering_mirror(), dh(HIGHEST_ORDER, HIGHEST_DEGREE)
-    return frozenset(name for one_of in built for name in one_of.names)
+    return frozenset(name for construction_ in built for name in construction_.names)
 
 
 def of_design(design: str) -> Construction:
@@ -345,7 +345,7 @@ def of_design(design: str) -> Construction:
     return steering_mirror() if design == "steering-mirror" else misalignment()
 
 
-def stated_construction(recording: Recording) -> Construction:
+def declared_construction(recording: Recording) -> Construction:
     """The construction that a recording's set-up states: where the beam comes from in its instruments.
 
     NetworkError when instruments of both designs measured together: their parameters are not the same.

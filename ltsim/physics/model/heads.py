@@ -47,12 +47,12 @@ def head_heights(recording: Recording, vertical: Floats) -> tuple[HeadHeights, .
     sigma = recording.setup.heads_sigma_mm
     if sigma is None:
         return ()
-    told = [recording.labels.get(column, ("",) * len(recording)) for column in OCCUPATION_COLUMNS]
+    occupations = [recording.labels.get(column, ("",) * len(recording)) for column in OCCUPATION_COLUMNS]
     marks = [recording.targets[t] for t in recording.target]
-    ends = [[("", one) for one in told[0]], list(zip(marks, told[1], strict=True))]
-    seen = {key: i for i, key in enumerate(dict.fromkeys(key for end in ends for key in end if key[1]))}
-    if not seen:
+    ends = [[("", occupation) for occupation in occupations[0]], list(zip(marks, occupations[1], strict=True))]
+    number_of = {key: i for i, key in enumerate(dict.fromkeys(key for end in ends for key in end if key[1]))}
+    if not number_of:
         return ()
-    own = np.eye(len(seen) + 1, len(seen))
-    at, to = (own[[seen.get(key, len(seen)) for key in end]] for end in ends)
+    rows = np.eye(len(number_of) + 1, len(number_of))
+    at, to = (rows[[number_of.get(key, len(number_of)) for key in end]] for end in ends)
     return (HeadHeights(sigma * MILLIMETRE, to - at, vertical[recording.station]),)

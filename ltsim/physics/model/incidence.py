@@ -67,7 +67,7 @@ def incidence_errors(recording: Recording) -> tuple[IncidenceErrors, ...]:
 
 def _incidence_errors(recording: Recording) -> Iterator[IncidenceErrors]:
     setups = [recording.target_setup(name) for name in recording.targets]
-    nests = np.array([not one.reaimed and one.nest_normal is not None for one in setups], dtype=bool)
+    nests = np.array([not setup.reaimed and setup.nest_normal is not None for setup in setups], dtype=bool)
     fixed = nests[recording.target]
     if not fixed.any():
         return
@@ -89,7 +89,7 @@ def conditioned(test: BenchTest | None) -> tuple[Floats, Floats]:
     terms = -SmrIncidence.terms(np.abs(angle) * DEGREE, positive)
     used = np.arange(len(angle)) != middle
     spread = np.maximum(sigma[used, None] * MICROMETRE, EXACT)
-    seen = (terms - terms[middle])[used] @ root / spread
+    sensitivity = (terms - terms[middle])[used] @ root / spread
     whitened = ((error - error[middle]) * MICROMETRE)[used] / spread[:, 0]
-    left = np.linalg.inv(np.linalg.cholesky(np.eye(len(mean)) + seen.T @ seen))
-    return root @ (left.T @ (left @ (seen.T @ whitened))), root @ left.T
+    contraction = np.linalg.inv(np.linalg.cholesky(np.eye(len(mean)) + sensitivity.T @ sensitivity))
+    return root @ (contraction.T @ (contraction @ (sensitivity.T @ whitened))), root @ contraction.T

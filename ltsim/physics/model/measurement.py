@@ -110,14 +110,14 @@ def with_plumb_lines(recording: Recording, position: Floats) -> Recording:
     stations = dict(recording.setup.stations)
     lean = (position - position.mean(axis=0))[:, :2] / EARTH
     for name, (x, y) in zip(recording.stations, lean.tolist(), strict=True):
-        one = recording.station_setup(name)
-        if one.levelled and one.vertical is None:
-            stations[name] = one.model_copy(update={"vertical": (x, y, 1.0)})
+        station = recording.station_setup(name)
+        if station.levelled and station.vertical is None:
+            stations[name] = station.model_copy(update={"vertical": (x, y, 1.0)})
     return recording.replace(setup=recording.setup.model_copy(update={"stations": stations}))
 
 
-def _units(stated: list[tuple[float, float, float]]) -> Floats:
-    vectors = np.array(stated, dtype=np.float64).reshape(-1, 3)
+def _units(directions: list[tuple[float, float, float]]) -> Floats:
+    vectors = np.array(directions, dtype=np.float64).reshape(-1, 3)
     return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
 
 
@@ -169,14 +169,14 @@ class MeasurementModel:
         return *self.heads, *self.incidence, *shared_errors(self.recording)
 
     @property
-    def beside(self) -> tuple[Signature, ...]:
+    def extra_effects(self) -> tuple[Signature, ...]:
         """All that is estimated beside network and instrument: the further effects, then errors of a stated size."""
         return *self.effects, *self.nuisances
 
     @property
     def extra_size(self) -> int:
         """Number of parameters q of all that."""
-        return sum(len(effect.parameters) for effect in self.beside)
+        return sum(len(effect.parameters) for effect in self.extra_effects)
 
     @property
     def effects_size(self) -> int:
@@ -203,13 +203,13 @@ class MeasurementModel:
 
     def sightings(self, state: State) -> Sightings:
         """The sightings of the pointings with stations, targets and instruments at `state`."""
-        found = self.geometry(state)
-        return self._completed(found, state, self._instrument_readings(found, state))
+        geometry = self.geometry(state)
+        return self._completed(geometry, state, self._instrument_readings(geometry, state))
 
-    def _completed(self, found: Sightings, state: State, raw: Floats) -> Sightings:
+    def _completed(self, geometry: Sightings, state: State, raw: Floats) -> Sightings:
         """Sightings with the data that effects need: nest normals in the network frame, the instrument's readings."""
         turn = plan_rotation(self.recording, state.position, state.rotation)
-        return replace(found, nest_normal=found.nest_normal @ turn.T, encoder=raw)
+        return replace(geometry, nest_normal=geometry.nest_normal @ turn.T, encoder=raw)
 
     def _instrument_readings(self, geometry: Sightings, state: State) -> Floats:
         return self.construction.readings(geometry.local, geometry.face, self._instrument_values(state))
@@ -220,13 +220,13 @@ class MeasurementModel:
 
     def extra_design(self, sightings: Sightings) -> Floats:
         """Change (n, 3, q) of the readings per unit of all that is estimated beside network and instrument."""
-        if not self.beside:
+        if not self.extra_effects:
             return np.zeros((len(sightings), 3, 0))
-        return np.concatenate([effect.design(sightings) for effect in self.beside], axis=2)
+        return np.concatenate([effect.design(sightings) for effect in self.extra_effects], axis=2)
 
     def extra_shift(self, sightings: Sightings, extra: Floats) -> Floats:
         """Change (n, 3) of the readings by all that, at values (q,)."""
-        return self._shift(self.beside, sightings, extra)
+        return self._shift(self.extra_effects, sightings, extra)
 
     def effects_shift(self, sightings: Sightings, extra: Floats) -> Floats:
         """The same by the further effects alone."""
@@ -243,7 +243,7 @@ class MeasurementModel:
         """Predicted raw readings (n, 3)."""
         sightings = self.geometry(state)
         raw = self._instrument_readings(sightings, state)
-        if self.beside:
+        if self.extra_effects:
             sightings = self._completed(sightings, state, raw)
             raw = raw + self.extra_shift(sightings, state.extra)
         if self._horizontal is not None:
@@ -252,7 +252,7 @@ class MeasurementModel:
 
     def _split(self, extra: Floats) -> list[Floats]:
         """The values of each effect; those that a state does not hold are 0."""
-        sizes = [len(effect.parameters) for effect in self.beside]
+        sizes = [len(effect.parameters) for effect in self.extra_effects]
         whole = np.pad(extra, (0, sum(sizes) - len(extra)))
         return np.split(whole, np.cumsum(sizes)[:-1]) if sizes else []
 
@@ -261,12 +261,12 @@ class MeasurementModel:
         sightings = self.geometry(state)
         values = self._instrument_values(state)
         raw, by_point, by_instrument = self.construction.readings_and_design(sightings.local, sightings.face, values)
-        if self.beside:
+        if self.extra_effects:
             sightings = self._completed(sightings, state, raw)
         by_target = by_point @ np.swapaxes(state.rotation, 1, 2)[sightings.station]
         by_pose = pose_design(by_target, sightings.arm)
         by_extra = self.extra_design(sightings)
-        if self.beside:
+        if self.extra_effects:
             raw = raw + self.extra_shift(sightings, state.extra)
         derivatives = by_pose, by_target, by_instrument, by_extra
         if self._horizontal is not None:
@@ -295,9 +295,9 @@ ROUGH = 3 * DEGREE
 def has_plan(recording: Recording) -> bool:
     """True when the set-up turns directions on the floor plan into the network's frame (`plan_rotation`)."""
     stations = [recording.station_setup(name) for name in recording.stations]
-    known = any(recording.target_setup(name).known_mm is not None for name in recording.targets)
+    has_control = any(recording.target_setup(name).known_mm is not None for name in recording.targets)
     placed = sum(station.position_mm is not None for station in stations)
-    return known or placed >= PLACES or any(station.yaw_deg is not None for station in stations)
+    return has_control or placed >= PLACES or any(station.yaw_deg is not None for station in stations)
 
 
 def plan_rotation(recording: Recording, position: Floats, rotation: Floats) -> Floats:
@@ -318,14 +318,14 @@ def plan_rotation(recording: Recording, position: Floats, rotation: Floats) -> F
     return turn
 
 
-def _by_positions(stated: list[tuple[float, float, float] | None], position: Floats, rotation: Floats) -> Floats | None:
+def _by_positions(places: list[tuple[float, float, float] | None], position: Floats, rotation: Floats) -> Floats | None:
     """By the rough places of three or more stations; upright instruments know the vertical far better than these."""
-    known = [i for i, p in enumerate(stated) if p is not None]
-    if len(known) < PLACES:
+    given = [i for i, p in enumerate(places) if p is not None]
+    if len(given) < PLACES:
         return None
-    plan = np.array([stated[i] for i in known], dtype=np.float64) * MILLIMETRE
-    axis = rotation[known, :, 2].mean(axis=0)
-    level, here = np.eye(3), position[known]
+    plan = np.array([places[i] for i in given], dtype=np.float64) * MILLIMETRE
+    axis = rotation[given, :, 2].mean(axis=0)
+    level, here = np.eye(3), position[given]
     if np.linalg.norm(axis) > np.cos(UPRIGHT):
         level = smallest_turn(axis / np.linalg.norm(axis), np.array([0.0, 0.0, 1.0]))
         here, plan = here @ level.T * [1.0, 1.0, 0.0], plan * [1.0, 1.0, 0.0]
@@ -336,10 +336,10 @@ def _by_positions(stated: list[tuple[float, float, float] | None], position: Flo
     return level.T @ turn
 
 
-def _by_yaws(stated: list[float | None], rotation: Floats) -> Floats | None:
+def _by_yaws(yaws: list[float | None], rotation: Floats) -> Floats | None:
     """Mean of the rotations that upright stations with these yaws ask for."""
-    asked = [r @ about_z(yaw * DEGREE).T for yaw, r in zip(stated, rotation, strict=True) if yaw is not None]
+    asked = [r @ about_z(yaw * DEGREE).T for yaw, r in zip(yaws, rotation, strict=True) if yaw is not None]
     if not asked:
         return None
-    left, _, right = np.linalg.svd(np.sum(asked, axis=0))
-    return left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
+    u, _, vt = np.linalg.svd(np.sum(asked, axis=0))
+    return u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt

@@ -50,12 +50,12 @@ class SharedErrors(Signature):
 
 def shared_errors(recording: Recording) -> tuple[SharedErrors, ...]:
     """The errors that the columns `shared_NAME_...` of a recording state; an empty cell is none."""
-    columns = {name: found for name in recording.covariates if (found := SHARED_COLUMN.fullmatch(name))}
-    names = list(dict.fromkeys(found[1] for found in columns.values()))
+    columns = {name: parts for name in recording.covariates if (parts := SHARED_COLUMN.fullmatch(name))}
+    names = list(dict.fromkeys(parts[1] for parts in columns.values()))
     if not names:
         return ()
     reach = np.zeros((len(recording), len(OBSERVABLES), len(names)))
-    for name, found in columns.items():
-        k = ENDINGS.index(found[2])
-        reach[:, k, names.index(found[1])] = np.nan_to_num(recording.covariates[name]) * SIGMA_UNITS[k]
+    for name, parts in columns.items():
+        k = ENDINGS.index(parts[2])
+        reach[:, k, names.index(parts[1])] = np.nan_to_num(recording.covariates[name]) * SIGMA_UNITS[k]
     return (SharedErrors(reach, recording.is_horizontal),)

@@ -15,7 +15,7 @@ import numpy as np
 
 from ltsim.core.arrays import Bools, Floats
 from ltsim.core.units import ARCSECOND, FACTOR, MILLIMETRE, PPM
-from ltsim.recordings.files import FilePlace, shown
+from ltsim.recordings.files import SourceLocation, shown
 from ltsim.recordings.setup import Axes, Instrument, Noise
 
 CC = FACTOR["cc"]
@@ -33,12 +33,12 @@ class Words:
     """Words of a line, and where it stands."""
 
     tokens: Sequence[str]
-    where: FilePlace
+    where: SourceLocation
 
     def first(self, count: int, message: str) -> Sequence[str]:
         """The first words; raises RecordError where there are fewer."""
         if len(self.tokens) < count:
-            raise self.where.wrong(message)
+            raise self.where.error(message)
         return self.tokens[:count]
 
     def numbers(self, start: int, *columns: str, limit: float = 1e12) -> list[float]:
@@ -48,26 +48,26 @@ class Words:
 
     def options(self, start: int) -> Options:
         """From place `start` on: flags, and names with one value each."""
-        found: dict[str, str] = {}
+        values: dict[str, str] = {}
         rest = iter(self.tokens[start:])
         for word in map(str.upper, rest):
             value = next(rest, None) if word in WITH_VALUE else ""
             if value is None:
-                raise self.where.wrong(f"{word} without a value")
-            found[word] = value
-        return Options(found, self.where)
+                raise self.where.error(f"{word} without a value")
+            values[word] = value
+        return Options(values, self.where)
 
 
 @dataclass(frozen=True)
 class Options:
     """Options behind the values of a line, by name."""
 
-    said: dict[str, str]
-    where: FilePlace
+    values: dict[str, str]
+    where: SourceLocation
 
     def number(self, name: str, default: float) -> float:
         """A number among the options, or its default; raises RecordError."""
-        return self.where.number(self.said[name], name) if name in self.said else default
+        return self.where.number(self.values[name], name) if name in self.values else default
 
 
 @dataclass
@@ -78,7 +78,7 @@ class DeclaredPoint:
     """(3,) [m]: as declared: where it is known, or roughly."""
     information: Floats = field(default_factory=lambda: np.zeros((3, 3)))
     """(3, 3) [1 / m^2]: inverse covariance of what is known of its coordinates; 0 along free ones."""
-    told: Floats = field(default_factory=lambda: np.zeros(3))
+    weighted: Floats = field(default_factory=lambda: np.zeros(3))
     """(3,) [1 / m]: `information` times the coordinates that it belongs to."""
 
     def add(self, place: Floats, covariance: Floats, axes: Bools | None = None) -> None:
@@ -87,13 +87,13 @@ class DeclaredPoint:
         information = np.zeros((3, 3))
         information[at] = np.linalg.inv(covariance[at])
         self.information = self.information + information
-        self.told = self.told + information @ place
+        self.weighted = self.weighted + information @ place
 
     @property
     def axes(self) -> Axes | None:
         """The coordinates that are known; None for none."""
-        known = "".join(axis for axis, weight in zip("xyz", np.diag(self.information), strict=True) if weight > 0)
-        return known or None  # type: ignore[return-value]
+        determined = "".join(axis for axis, weight in zip("xyz", np.diag(self.information), strict=True) if weight > 0)
+        return determined or None  # type: ignore[return-value]
 
     @property
     def is_fixed(self) -> bool:
@@ -106,12 +106,12 @@ class DeclaredPoint:
         return not np.any(self.place[:2])
 
     @property
-    def known(self) -> tuple[Floats, Floats]:
+    def estimate(self) -> tuple[Floats, Floats]:
         """Coordinates (3,) [m], free ones as declared, and covariance (3, 3) [m^2], theirs 1 mm^2."""
         axes = np.diag(self.information) > 0
         at, covariance, place = np.ix_(axes, axes), np.eye(3) * MILLIMETRE**2, self.place.copy()
         covariance[at] = np.linalg.inv(self.information[at])
-        place[axes] += covariance[at] @ (self.told - self.information @ self.place)[axes]
+        place[axes] += covariance[at] @ (self.weighted - self.information @ self.place)[axes]
         return place, covariance
 
 
@@ -123,7 +123,7 @@ def point_of(keyword: str, words: Words) -> tuple[str, DeclaredPoint]:
     if axes.any():
         point.add(place, np.eye(3) * FIXED**2, axes)
     else:
-        _know(point, [token.upper() for token in words.tokens[4:]], words.where)
+        _read_precision(point, [token.upper() for token in words.tokens[4:]], words.where)
     return name, point
 
 
@@ -134,7 +134,7 @@ def observed_point(words: Words) -> tuple[str, Floats, Floats]:
     words.first(7, message)
     sigma = np.array(words.numbers(4, *SIGMAS))
     if not np.all(sigma > 0):
-        raise words.where.wrong("a standard deviation of 0")
+        raise words.where.error("a standard deviation of 0")
     return name, place, np.diag(sigma * MILLIMETRE) ** 2
 
 
@@ -144,28 +144,28 @@ def _named_place(words: Words, message: str) -> tuple[str, Floats]:
     return name, np.array(words.numbers(1, "X", "Y", "Z", limit=1e8))
 
 
-def _know(point: DeclaredPoint, words: list[str], where: FilePlace) -> None:
+def _read_precision(point: DeclaredPoint, words: list[str], where: SourceLocation) -> None:
     turned = next((word for word in words if word in TURNED), None)
     if turned is not None:
-        raise where.wrong(f"{turned}: standard deviations in turned axes are not read; give APRICOV")
+        raise where.error(f"{turned}: standard deviations in turned axes are not read; give APRICOV")
     if "APRICOV" in words:
         point.add(point.place, _matrix("".join(words[words.index("APRICOV") + 1 :][:1]), where))
         return
-    stated = {word: words[i + 1] for i, word in enumerate(words[:-1]) if word in SIGMAS}
-    sigma = np.array([where.number(stated[s], s) * MILLIMETRE if s in stated else np.nan for s in SIGMAS])
-    if stated:
+    declared = {word: words[i + 1] for i, word in enumerate(words[:-1]) if word in SIGMAS}
+    sigma = np.array([where.number(declared[s], s) * MILLIMETRE if s in declared else np.nan for s in SIGMAS])
+    if declared:
         point.add(point.place, np.diag(np.fmax(sigma, FIXED) ** 2), np.isfinite(sigma))
 
 
-def _matrix(word: str, where: FilePlace) -> Floats:
+def _matrix(word: str, where: SourceLocation) -> Floats:
     """The covariance (3, 3) [m^2] that `DIAG(xx,yy,zz)` or `MAT(xx,xy,...,zz)` states."""
-    found = re.fullmatch(r"(DIAG|MAT)\(([^()]*)\)", word)
-    values = [where.number(v, "APRICOV") for v in found[2].split(",")] if found else []
-    if found and len(values) == (3 if found[1] == "DIAG" else 9):
-        matrix = np.diag(values) if found[1] == "DIAG" else np.array(values).reshape(3, 3)
+    match = re.fullmatch(r"(DIAG|MAT)\(([^()]*)\)", word)
+    values = [where.number(v, "APRICOV") for v in match[2].split(",")] if match else []
+    if match and len(values) == (3 if match[1] == "DIAG" else 9):
+        matrix = np.diag(values) if match[1] == "DIAG" else np.array(values).reshape(3, 3)
         if np.allclose(matrix, matrix.T, rtol=1e-9, atol=0.0) and np.linalg.eigvalsh(matrix)[0] > 0:
             return matrix
-    raise where.wrong("expected DIAG(xx,yy,zz) or MAT(xx,xy,...,zz), a covariance in square metres", "APRICOV")
+    raise where.error("expected DIAG(xx,yy,zz) or MAT(xx,xy,...,zz), a covariance in square metres", "APRICOV")
 
 
 @dataclass(frozen=True)
@@ -181,12 +181,12 @@ class Sigmas:
     def of(self, kind: str, options: Options, value: float) -> float:
         """Standard deviation [m, rad] of one value: as declared with the target, or as the line says."""
         option = {"azimuth": "ASE", "elevation": "ZSE", "distance": "DSE"}[kind]
-        stated = options.number(option, options.number("OBSE", getattr(self, kind)))
-        sigma = stated * CC
+        declared = options.number(option, options.number("OBSE", getattr(self, kind)))
+        sigma = declared * CC
         if kind == "distance":
-            sigma = stated * MILLIMETRE + options.number("PPM", self.ppm) * PPM * value
+            sigma = declared * MILLIMETRE + options.number("PPM", self.ppm) * PPM * value
         if not sigma > 0:
-            raise options.where.wrong("a standard deviation of 0", kind)
+            raise options.where.error("a standard deviation of 0", kind)
         return sigma
 
 

@@ -24,7 +24,7 @@ from ltsim.core.arrays import Floats
 from ltsim.core.errors import RecordError
 from ltsim.core.units import EARTH, GON, MILLIMETRE
 from ltsim.recordings.conventions import NO_HINTS, Hints
-from ltsim.recordings.files import FilePlace, as_title, read_lines, shown
+from ltsim.recordings.files import SourceLocation, as_title, read_lines, shown
 from ltsim.recordings.formats.cern_declared import FIXED, POINTS, DeclaredPoint, Polar, Words, observed_point, point_of
 from ltsim.recordings.pointings import NAN, Kind, Observed, merged, numbered, recording_of, settled_heights
 from ltsim.recordings.recording import Recording
@@ -122,7 +122,7 @@ def _lines(file: _File) -> Iterator[Words]:
         if line.lstrip().startswith("%"):
             file.switched_off += len(line.split()) > 2 and re.search(r"\d\.\d{3}", line[:150]) is not None
         elif text.strip():
-            yield Words(text.split(), FilePlace(file.path, i + 1))
+            yield Words(text.split(), SourceLocation(file.path, i + 1))
 
 
 def _begin(keyword: str, rest: Words, file: _File) -> None:
@@ -142,24 +142,24 @@ def _begin(keyword: str, rest: Words, file: _File) -> None:
 def _begin_setup(rest: Words, file: _File) -> None:
     instrument = "".join(rest.tokens[1:2])
     if instrument not in file.polar:
-        found = shown(instrument) or "nothing"
-        raise rest.where.wrong(f"*TSTN names {found}, expected an instrument declared as *POLAR")
+        given = shown(instrument) or "nothing"
+        raise rest.where.error(f"*TSTN names {given}, expected an instrument declared as *POLAR")
     point = rest.where.name(rest.tokens[0], "station")
     if point not in file.points:
-        raise rest.where.wrong(f"the set-up stands on {point}, which no block of points declares")
+        raise rest.where.error(f"the set-up stands on {point}, which no block of points declares")
     options, polar = rest.options(2), file.polar[instrument]
-    height = options.number("IH", polar.height if "IHFIX" in options.said else 0.0)
-    default = options.said.get("TRGT", polar.default)
-    file.stand(_SetUp(point, instrument, height, "ROT3D" not in options.said, default))
+    height = options.number("IH", polar.height if "IHFIX" in options.values else 0.0)
+    default = options.values.get("TRGT", polar.default)
+    file.stand(_SetUp(point, instrument, height, "ROT3D" not in options.values, default))
 
 
 def _begin_set(rest: Words, file: _File) -> None:
     """An orientation: the first of a set-up is its own, a further one makes a further set-up on the same point."""
     if not file.setups:
-        raise rest.where.wrong("*V0 without a set-up (*TSTN) before it")
+        raise rest.where.error("*V0 without a set-up (*TSTN) before it")
     options, name = rest.options(0), file.station
     setup = file.setups[name]
-    default = options.said.get("TRGT", setup.default)
+    default = options.values.get("TRGT", setup.default)
     setup = replace(setup, constant=options.number("ACST", 0.0) * GON, default=default)
     if any(o.station == name for o in file.observed):
         file.stand(setup)
@@ -174,7 +174,7 @@ def _line(keyword: str, words: Words, file: _File) -> bool:
     elif keyword in POINTS:
         name, point = point_of(keyword, words)
         if name in file.points:
-            raise words.where.wrong(f"the point {name} is declared twice")
+            raise words.where.error(f"the point {name} is declared twice")
         file.points[name] = point
     elif keyword == "OBSXYZ" and not file.curved:
         file.placed.append(observed_point(words))
@@ -192,16 +192,16 @@ def _line(keyword: str, words: Words, file: _File) -> bool:
 def _observation(keyword: str, words: Words, file: _File) -> None:
     kinds, where = OBSERVATIONS[keyword], words.where
     if not file.setups:
-        raise where.wrong(f"*{keyword} without a set-up (*TSTN) before it")
+        raise where.error(f"*{keyword} without a set-up (*TSTN) before it")
     words.first(1 + len(kinds), f"*{keyword} needs a point and {len(kinds)} values")
     setup = file.setups[file.station]
     target = where.name(words.tokens[0], "target")
     if target not in file.points:
-        raise where.wrong(f"the point {target} is in no block of points")
+        raise where.error(f"the point {target} is in no block of points")
     options = words.options(1 + len(kinds))
-    used, declared = options.said.get("TRGT", setup.default), file.polar[setup.instrument].targets
+    used, declared = options.values.get("TRGT", setup.default), file.polar[setup.instrument].targets
     if used not in declared:
-        raise where.wrong(f"the target {shown(used)} is not declared with instrument {setup.instrument}")
+        raise where.error(f"the target {shown(used)} is not declared with instrument {setup.instrument}")
     height = options.number("TH", declared[used].height)
     for kind, value in zip(kinds, words.numbers(1, *kinds, limit=1e6), strict=True):
         si, sigma = _si(kind, value, setup, where), declared[used].of(kind, options, value)
@@ -209,16 +209,16 @@ def _observation(keyword: str, words: Words, file: _File) -> None:
         file.observed.append(Observed(kind, file.station, target, si, sigma, *heights, where.row or 0))
 
 
-def _si(kind: Kind, value: float, setup: _SetUp, where: FilePlace) -> float:
+def _si(kind: Kind, value: float, setup: _SetUp, where: SourceLocation) -> float:
     """Reading [m, rad]: azimuth counter-clockwise, elevation instead of the zenith angle."""
     if kind == "azimuth":
         return float(np.mod(-value * GON - setup.constant, 2 * np.pi))
     if kind == "elevation":
         if not 0 <= value <= 200:
-            raise where.wrong(f"found a zenith angle of {value:g}, expected 0 to 200 gon (both faces reduced to one)")
+            raise where.error(f"found a zenith angle of {value:g}, expected 0 to 200 gon (both faces reduced to one)")
         return float(np.pi / 2 - value * GON)
     if value <= 0:
-        raise where.wrong(f"found a distance of {value:g}, expected one above 0")
+        raise where.error(f"found a distance of {value:g}, expected one above 0")
     return value
 
 
@@ -244,14 +244,14 @@ def _finished(file: _File) -> Recording:
         },
         targets={
             name: Target(
-                **plane.known(file.points[name]),
+                **plane.control(file.points[name]),
                 datum=name in file.orientation,
                 height_mm=target_heights.get(name, 0.0),
             )
             for name in dict.fromkeys([*targets, *marks])
         },
     )
-    return recording_of(pointings, setup, notes=list(dict.fromkeys([*file.notes, *_said(file)])), file=file.path)
+    return recording_of(pointings, setup, notes=list(dict.fromkeys([*file.notes, *_notes(file)])), file=file.path)
 
 
 def _learn(file: _File) -> None:
@@ -286,28 +286,28 @@ class _Plane:
 
     def upright(self, point: DeclaredPoint, *, levelled: bool) -> dict[str, Any]:
         """Keys of a set-up over a point: its place and plumb line."""
-        found: dict[str, Any] = {} if point.is_placeholder else {"position_mm": self.place(point.place)}
+        keys: dict[str, Any] = {} if point.is_placeholder else {"position_mm": self.place(point.place)}
         if levelled:
-            found |= {"levelled": True, "levelling_sigma_arcsec": EXACT_LEVEL_ARCSEC}
-        if levelled and self.curved and found.get("position_mm"):
+            keys |= {"levelled": True, "levelling_sigma_arcsec": EXACT_LEVEL_ARCSEC}
+        if levelled and self.curved and keys.get("position_mm"):
             x, y = ((point.place[:2] - self.middle) / EARTH).round(12).tolist()
-            found["vertical"] = (x, y, 1.0)
-        return found
+            keys["vertical"] = (x, y, 1.0)
+        return keys
 
-    def known(self, point: DeclaredPoint) -> dict[str, Any]:
+    def control(self, point: DeclaredPoint) -> dict[str, Any]:
         """Keys of a target's coordinates: known along some axes, approximate along the others."""
         axes = point.axes
         if axes is None:
             return {} if point.is_placeholder else {"approximate_mm": self.place(point.place)}
-        place, covariance = point.known
-        found: dict[str, Any] = {"known_mm": self.place(place), "known_axes": axes}
-        found["known_sigma_mm"] = FIXED / MILLIMETRE
+        place, covariance = point.estimate
+        keys: dict[str, Any] = {"known_mm": self.place(place), "known_axes": axes}
+        keys["known_sigma_mm"] = FIXED / MILLIMETRE
         if not all(abs(covariance[k, k] / FIXED**2 - 1.0) < 1e-6 for k in range(3) if "xyz"[k] in axes):
-            found["known_covariance_mm2"] = tuple((covariance[np.triu_indices(3)] / MILLIMETRE**2).tolist())
-        return found if axes == "xyz" else found | {"approximate_mm": self.place(point.place)}
+            keys["known_covariance_mm2"] = tuple((covariance[np.triu_indices(3)] / MILLIMETRE**2).tolist())
+        return keys if axes == "xyz" else keys | {"approximate_mm": self.place(point.place)}
 
 
-def _said(file: _File) -> Iterator[str]:
+def _notes(file: _File) -> Iterator[str]:
     if file.switched_off:
         yield f"{file.switched_off} lines are switched off with % and left out"
     for keyword, count in file.skipped.items():
@@ -316,11 +316,11 @@ def _said(file: _File) -> Iterator[str]:
         yield f"*{shown(keyword)} {why} and skipped ({count} lines)"
     if file.framed:
         frames = ", ".join(map(shown, file.frames))
-        said = f"*OBSXYZ observes {len(file.framed)} points in a frame of its own ({frames})"
+        sentence = f"*OBSXYZ observes {len(file.framed)} points in a frame of its own ({frames})"
         if all(name in file.points and file.points[name].is_fixed for name in file.framed):
-            yield f"{said}; all of them are fixed, so this tells where that frame lies and nothing of the network"
+            yield f"{sentence}; all of them are fixed, so this tells where that frame lies and nothing of the network"
         else:
-            yield f"{said}, whose place is not adjusted here; they are skipped"
+            yield f"{sentence}, whose place is not adjusted here; they are skipped"
     if file.curved:
         sphere = "heights refer to a curved surface: a sphere is taken for it, plumb lines differ by place"
         yield f"*{file.curved}: {sphere}"

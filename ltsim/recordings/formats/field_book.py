@@ -8,11 +8,11 @@ import numpy as np
 from ltsim.core.errors import RecordError
 from ltsim.core.units import MILLIMETRE
 from ltsim.recordings.curvature import on_round_earth
-from ltsim.recordings.files import FilePlace
-from ltsim.recordings.kinds import LIKE_TOTAL_STATION, TOTAL_STATION
+from ltsim.recordings.files import SourceLocation
 from ltsim.recordings.pointings import NAN, Pointing, numbered, recording_of, settled_heights
 from ltsim.recordings.recording import HEIGHT_COLUMNS, KIND_COLUMN, Recording
 from ltsim.recordings.setup import Setup, Station, Target, Vector
+from ltsim.recordings.specification import LIKE_TOTAL_STATION, TOTAL_STATION
 
 
 @dataclass
@@ -26,7 +26,7 @@ class FieldBook:
     pointings: list[Pointing] = field(default_factory=list)
     skipped: int = 0
 
-    def stand(self, name: str, height: float, place: Vector | None, where: FilePlace) -> None:
+    def stand(self, name: str, height: float, place: Vector | None, where: SourceLocation) -> None:
         """A new set-up; a station that is occupied again gets a number."""
         count = sum(point == where.name(name, "station") for point, _, _ in self.setups.values())
         self.station = numbered(name, count)
@@ -35,7 +35,7 @@ class FieldBook:
     def point(
         self,
         target: str,
-        where: FilePlace,
+        where: SourceLocation,
         *,
         distance: float,
         horizontal: float,
@@ -48,12 +48,12 @@ class FieldBook:
         Raises RecordError before any station is named, or for numbers that no instrument reads.
         """
         if not self.station:
-            raise where.wrong("a measurement before any station is named; say which it is (station=)")
+            raise where.error("a measurement before any station is named; say which it is (station=)")
         distance = distance or NAN
         if not (np.isnan(distance) or 0 < distance < 1e6):
-            raise where.wrong(f"a distance of {distance:g} m")
+            raise where.error(f"a distance of {distance:g} m")
         if not (np.isnan(zenith) or 0 <= zenith <= 2 * np.pi):
-            raise where.wrong("a zenith angle off the circle")
+            raise where.error("a zenith angle off the circle")
         elevation = np.pi / 2 - zenith + (2 * np.pi if zenith > np.pi else 0.0)
         if np.all(np.isnan([distance, horizontal, zenith])):
             self.skipped += 1
@@ -96,5 +96,5 @@ class FieldBook:
             stations=stations,
             targets={name: Target(height_mm=height) for name, height in heights.items()},
         )
-        said = [LIKE_TOTAL_STATION.format(reason=f"it is {kind}"), *notes]
-        return on_round_earth(recording_of(pointings, setup, notes=said, file=self.path))
+        all_notes = [LIKE_TOTAL_STATION.format(reason=f"it is {kind}"), *notes]
+        return on_round_earth(recording_of(pointings, setup, notes=all_notes, file=self.path))

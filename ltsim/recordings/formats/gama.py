@@ -18,12 +18,20 @@ from ltsim.core.errors import RecordError
 from ltsim.core.notation import listing
 from ltsim.core.units import ARCSECOND, DEGREE, FACTOR, GON, MILLIMETRE
 from ltsim.recordings.conventions import NO_HINTS, Hints
-from ltsim.recordings.differences import check_differences
-from ltsim.recordings.files import FilePlace, as_title, shown
-from ltsim.recordings.formats.gama_covariance import covariances, differences_of, shared_errors
-from ltsim.recordings.formats.gama_network import GamaNetwork, GamaPoint, lengths_of, named, take_plan
+from ltsim.recordings.files import SourceLocation, as_title, shown
+from ltsim.recordings.formats.gama_network import (
+    GamaNetwork,
+    GamaPoint,
+    covariances,
+    differences_of,
+    lengths_of,
+    named,
+    shared_errors,
+    take_plan,
+)
 from ltsim.recordings.pointings import NAN, Observed, merged, recording_of, settled_heights
 from ltsim.recordings.recording import Recording
+from ltsim.recordings.references import check_differences
 from ltsim.recordings.setup import (
     EXACT_LEVEL_ARCSEC,
     Gauge,
@@ -35,9 +43,9 @@ from ltsim.recordings.setup import (
 )
 from ltsim.recordings.xml import Node, parse
 
-LEFT_HANDED, RIGHT_HANDED = ("ne", "sw", "es", "wn"), ("en", "nw", "se", "ws")
+MIRRORED_AXES, DIRECT_AXES = ("ne", "sw", "es", "wn"), ("en", "nw", "se", "ws")
 CC = FACTOR["cc"]
-STATED = {"z-angle": "zenith-angle", "s-distance": "distance"} | {k: k for k in ("direction", "azimuth", "distance")}
+STDEV_OF = {"z-angle": "zenith-angle", "s-distance": "distance"} | {k: k for k in ("direction", "azimuth", "distance")}
 """Under which name the file states the standard deviation of an observation."""
 NAMES = ("id", "from", "to", "bs", "fs")
 """Attributes that name a point."""
@@ -91,10 +99,10 @@ def _without_slashes(root: Node, network: GamaNetwork) -> None:
 
 def _read_axes(node: Node, network: GamaNetwork) -> None:
     axes, angles = node.get("axes-xy", "ne"), node.get("angles", "left-handed")
-    if axes not in (*LEFT_HANDED, *RIGHT_HANDED) or angles not in ("left-handed", "right-handed"):
+    if axes not in (*MIRRORED_AXES, *DIRECT_AXES) or angles not in ("left-handed", "right-handed"):
         message = f"axes-xy='{shown(axes)}', angles='{shown(angles)}' is no system that gama-local knows"
-        raise node.where.wrong(message)
-    network.y_sign = -1.0 if axes in LEFT_HANDED else 1.0
+        raise node.where.error(message)
+    network.y_sign = -1.0 if axes in MIRRORED_AXES else 1.0
     network.angle_sign = -1.0 if angles == "left-handed" else 1.0
     network.north = {"n": 0.0, "e": 90.0, "s": 180.0, "w": -90.0}[axes[0]]
     if network.y_sign < 0:
@@ -118,11 +126,11 @@ def _read_part(node: Node, network: GamaNetwork) -> None:
     elif node.tag == "coordinates":
         _read_coordinates(node, network)
     elif node.tag in ("height-differences", "vectors"):
-        found, correlated = differences_of(node, network.y_sign, network.apriori)
-        network.differences += found
+        differences, correlated = differences_of(node, network.y_sign, network.apriori)
+        network.differences += differences
         network.notes += [BETWEEN] * correlated
     else:
-        network.left_out[node.tag] += 1
+        network.skipped[node.tag] += 1
 
 
 def _read_point(node: Node, network: GamaNetwork) -> GamaPoint:
@@ -134,9 +142,9 @@ def _read_point(node: Node, network: GamaNetwork) -> GamaPoint:
     fixed, adjusted = node.get("fix"), node.get("adj")
     for word in (fixed, adjusted):
         if word.lower() not in ("", "xyz", "xy", "z"):
-            raise node.where.wrong(f"point {name}: '{shown(word)}' is not one of xyz, xy, z")
+            raise node.where.error(f"point {name}: '{shown(word)}' is not one of xyz, xy, z")
     if any(axis not in point.values for axis in fixed.lower()):
-        raise node.where.wrong(f"point {name} is fixed without all its coordinates")
+        raise node.where.error(f"point {name} is fixed without all its coordinates")
     point.fixed = "".join(sorted({*point.fixed, *fixed.lower()}))
     point.datum = _axes(point.datum + "".join(filter(str.isupper, adjusted)))
     point.active = _axes(point.active + fixed + adjusted)
@@ -156,17 +164,17 @@ def _read_coordinates(node: Node, network: GamaNetwork) -> None:
         first, at = at, at + len(axes)
         mine = (row >= first) & (row < at)
         inside = mine & (column < at)
-        own, (i, j) = np.eye(3), np.array(axes, dtype=np.int64)[np.stack([row[inside], column[inside]]) - first]
-        own[i, j] = own[j, i] = numbers[inside]
-        variances = np.diag(own)[axes]
+        covariance, (i, j) = np.eye(3), np.array(axes, dtype=np.int64)[np.stack([row[inside], column[inside]]) - first]
+        covariance[i, j] = covariance[j, i] = numbers[inside]
+        variances = np.diag(covariance)[axes]
         if np.count_nonzero(i == j) < len(axes) or not np.all(variances > 0):
-            raise inner.where.wrong("observed coordinates need a variance each")
+            raise inner.where.error("observed coordinates need a variance each")
         if np.any(numbers[mine & ~inside]):
             network.notes.append(CORRELATIONS)
         point.fixed = "".join("xyz"[axis] for axis in axes)
         point.sigma = float(np.sqrt(np.mean(variances)))
-        if np.any(np.triu(own, 1)) or max(variances) > 1.0001 * min(variances):
-            point.covariance = tuple((own * np.outer(sign, sign))[np.triu_indices(3)].tolist())
+        if np.any(np.triu(covariance, 1)) or max(variances) > 1.0001 * min(variances):
+            point.covariance = tuple((covariance * np.outer(sign, sign))[np.triu_indices(3)].tolist())
 
 
 def _read_obs(block: Node, network: GamaNetwork) -> None:
@@ -174,25 +182,25 @@ def _read_obs(block: Node, network: GamaNetwork) -> None:
     inner = [child for child in block if child.tag != "cov-mat"]
     row, column, numbers = covariances(block)
     if len(numbers) and row[-1] + 1 != len(inner):
-        raise block.where.wrong("a <cov-mat> that does not match its observations")
+        raise block.where.error("a <cov-mat> that does not match its observations")
     sigmas, reach = [NAN] * len(inner), np.zeros((len(inner), 0))
     if len(numbers):
-        own, reach = shared_errors(block, (row, column, numbers), network.shared)
-        sigmas = own.tolist()
+        alone, reach = shared_errors(block, (row, column, numbers), network.shared)
+        sigmas = alone.tolist()
     shared = [{f"{network.shared + k}": errors[k] for k in np.flatnonzero(errors)} for errors in reach]
     network.shared += reach.shape[1]
     circles = {(_from(child, block), child.tag) for child in inner if child.tag in ("direction", "azimuth")}
     names = {circle: network.station(circle[0], with_directions=True) for circle in sorted(circles, reverse=True)}
     network.oriented |= {name for (_, kind), name in names.items() if kind == "azimuth"}
     for child, sigma, errors in zip(inner, sigmas, shared, strict=True):
-        if child.tag in STATED:
+        if child.tag in STDEV_OF:
             point = _from(child, block)
             station = names.get((point, child.tag)) or names.get((point, "direction")) or network.station(point)
             network.observed.append(_observation(child, block, station, (sigma, errors), network))
         elif child.tag == "angle":
             _read_angle(child, block, (sigma, errors), network)
         else:
-            network.left_out[child.tag] += 1
+            network.skipped[child.tag] += 1
 
 
 def _from(child: Node, block: Node) -> str:
@@ -205,7 +213,7 @@ def _observation(child: Node, block: Node, station: str, spread: Spread, network
     if child.tag in ("s-distance", "distance"):
         value = child.number("val")
         if not 0 < value < 1e6:
-            raise child.where.wrong(f"found {value:g}, expected a distance above 0", f"<{child.tag}> val")
+            raise child.where.error(f"found {value:g}, expected a distance above 0", f"<{child.tag}> val")
         sigma, shared = _in_unit(spread, MILLIMETRE, child, network, value)
         flat = child.tag == "distance"
         return Observed("distance", station, target, value, sigma, *heights, flat, child.line, shared)
@@ -215,7 +223,7 @@ def _observation(child: Node, block: Node, station: str, spread: Spread, network
     if child.tag in ("direction", "azimuth"):
         return Observed("azimuth", station, target, sense * value, sigma, line=child.line, shared=shared)
     if value > np.pi:
-        raise child.where.wrong("a zenith angle beyond half a circle", "<z-angle> val")
+        raise child.where.error("a zenith angle beyond half a circle", "<z-angle> val")
     return Observed("elevation", station, target, np.pi / 2 - value, sigma, *heights, line=child.line, shared=shared)
 
 
@@ -226,8 +234,8 @@ def _read_angle(child: Node, block: Node, spread: Spread, network: GamaNetwork) 
     sigma, shared = _in_unit(spread, network.angle_sign * second, child, network)
     for name, turned, errors in (("bs", 0.0, {}), ("fs", network.angle_sign * value, shared)):
         target = child.name(name, "point")
-        one = Observed("azimuth", station, target, turned, sigma / np.sqrt(2), line=child.line, shared=errors)
-        network.observed.append(one)
+        direction = Observed("azimuth", station, target, turned, sigma / np.sqrt(2), line=child.line, shared=errors)
+        network.observed.append(direction)
 
 
 def _in_unit(
@@ -235,8 +243,8 @@ def _in_unit(
 ) -> tuple[float, dict[str, float]]:
     """The standard deviation and what shared errors change, times a unit with the sign of the reading's sense."""
     sigma, shared = spread
-    stated = sigma if np.isfinite(sigma) else _stdev(child, network, distance)
-    return stated * abs(unit), {name: error * unit for name, error in shared.items()}
+    alone = sigma if np.isfinite(sigma) else _stdev(child, network, distance)
+    return alone * abs(unit), {name: error * unit for name, error in shared.items()}
 
 
 def _angle(child: Node) -> tuple[float, float]:
@@ -250,16 +258,16 @@ def _angle(child: Node) -> tuple[float, float]:
 
 def _stdev(child: Node, network: GamaNetwork, distance: float = 0.0) -> float:
     """Standard deviation as stated for the observation, or by default: ``a``, or ``a b c`` = a + b D^c, D in km."""
-    kind = STATED.get(child.tag, child.tag)
+    kind = STDEV_OF.get(child.tag, child.tag)
     words = child.get("stdev", network.stdev.get(kind, "")).split()
     if not 0 < len(words) < 4:
         message = f"no standard deviation is stated for <{shown(child.tag)}>, expected one (stdev, or {kind}-stdev)"
-        raise child.where.wrong(message)
-    stated = [child.where.number(word, "stdev", limit=1e9) for word in words]
-    a, b, c = [*stated, 0.0, 1.0][:3] if len(stated) == 1 else [*stated, 1.0][:3]
+        raise child.where.error(message)
+    coefficients = [child.where.number(word, "stdev", limit=1e9) for word in words]
+    a, b, c = [*coefficients, 0.0, 1.0][:3] if len(coefficients) == 1 else [*coefficients, 1.0][:3]
     sigma = a + (b * (distance / 1000) ** c if b else 0.0)
     if not 0 < sigma < 1e9:
-        raise child.where.wrong(f"a standard deviation of {sigma:g}", f"<{shown(child.tag)}>")
+        raise child.where.error(f"a standard deviation of {sigma:g}", f"<{shown(child.tag)}>")
     return sigma
 
 
@@ -268,13 +276,13 @@ def _finished(network: GamaNetwork) -> Recording:
     gauge, observed = lengths_of(network)
     pointings, instrument_heights, target_heights = settled_heights(merged(observed, network.file.name))
     no_place = "left out: a recording has no place for it"
-    left = [f"{count} <{shown(what)}> {no_place}" for what, count in network.left_out.items()]
+    skipped = [f"{count} <{shown(what)}> {no_place}" for what, count in network.skipped.items()]
     if not pointings and network.differences:
         message = "holds height differences or vectors and no pointing, expected readings of instruments beside them"
         raise RecordError(f"{message}; gama-local adjusts such a network", file=network.file)
-    if not pointings and left:
-        raise RecordError(f"holds no pointings, and {'; '.join(left)}", file=network.file)
-    network.notes += left
+    if not pointings and skipped:
+        raise RecordError(f"holds no pointings, and {'; '.join(skipped)}", file=network.file)
+    network.notes += skipped
     stations = {
         name: Station(
             levelled=True,
@@ -302,10 +310,10 @@ def _finished(network: GamaNetwork) -> Recording:
 
 
 def _target(point: GamaPoint, height: float) -> Target:
-    known = {"known_axes": point.fixed, "known_sigma_mm": point.sigma, "known_covariance_mm2": point.covariance}
+    reference = {"known_axes": point.fixed, "known_sigma_mm": point.sigma, "known_covariance_mm2": point.covariance}
     return Target(
-        known_mm=point.known if point.fixed else None,
-        **known if point.fixed else {},  # type: ignore[arg-type]
+        known_mm=point.coordinates if point.fixed else None,
+        **reference if point.fixed else {},  # type: ignore[arg-type]
         in_plan=point.active == "xy",
         approximate_mm=None if point.fixed == "xyz" else point.place,
         datum=bool(point.datum),
@@ -319,8 +327,8 @@ def _noise(network: GamaNetwork) -> Noise:
 
     def default(kind: str, otherwise: float) -> float:
         words = network.stdev.get(kind, "").split()
-        stated = FilePlace(network.file).number(words[0], f"{kind}-stdev") if words else otherwise
-        return max(stated, 1e-6)
+        value = SourceLocation(network.file).number(words[0], f"{kind}-stdev") if words else otherwise
+        return max(value, 1e-6)
 
     return Noise(
         distance_mm=default("distance", 1.0),

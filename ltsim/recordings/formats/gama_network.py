@@ -1,13 +1,19 @@
-"""Content of an input file of GNU Gama, before it is a recording."""
+"""Content of an input file of GNU Gama before it is a recording, and the observations that it states with a matrix."""
 
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+import numpy as np
+from pydantic import ValidationError
+
+from ltsim.core.arrays import Floats, Ints
 from ltsim.core.units import MILLIMETRE
+from ltsim.recordings.files import shown
 from ltsim.recordings.pointings import Observed, numbered
-from ltsim.recordings.setup import GaugeDistance, KnownDifference, Vector
+from ltsim.recordings.setup import GaugeDistance, ReferenceDifference, Vector
+from ltsim.recordings.xml import Node, banded
 
 FIXED_MM = 1e-4
 """Standard deviation of a fixed coordinate."""
@@ -28,10 +34,10 @@ class GamaPoint:
     @property
     def place(self) -> Vector | None:
         """Coordinates [mm], where all three are there."""
-        return self.known if len(self.values) == 3 else None
+        return self.coordinates if len(self.values) == 3 else None
 
     @property
-    def known(self) -> Vector:
+    def coordinates(self) -> Vector:
         """Coordinates [mm], 0 for what is not there."""
         x, y, z = (round(self.values.get(axis, 0.0) / MILLIMETRE, 9) for axis in "xyz")
         return x, y, z
@@ -53,8 +59,8 @@ class GamaNetwork:
     oriented: set[str] = field(default_factory=set)  # set-ups of azimuths: their circles are zero in the north
     observed: list[Observed] = field(default_factory=list)
     apriori: float = 10.0  # [mm, cc] standard deviation of unit weight
-    differences: list[KnownDifference] = field(default_factory=list)
-    left_out: Counter[str] = field(default_factory=Counter)
+    differences: list[ReferenceDifference] = field(default_factory=list)
+    skipped: Counter[str] = field(default_factory=Counter)
     shared: int = 0  # number of errors that observations share
     notes: list[str] = field(default_factory=list)
 
@@ -71,15 +77,20 @@ def take_plan(network: GamaNetwork) -> None:
     flat = {name for name, point in network.points.items() if point.active == "xy"}
     if not flat:
         return
-    kept = []
+    observed = []
     for o in network.observed:
         in_plan = bool({network.over[o.station], o.target} & flat)
         if not in_plan or o.kind == "azimuth" or o.horizontal:
-            kept.append(replace(o, instrument_height=0.0, target_height=0.0) if in_plan else o)
-    joined = [one for one in network.differences if not ({one.from_, one.to} & flat and one.known_axes == "z")]
-    count = len(network.observed) - len(kept) + len(network.differences) - len(joined)
+            observed.append(replace(o, instrument_height=0.0, target_height=0.0) if in_plan else o)
+    joined = [
+        difference
+        for difference in network.differences
+        if not ({difference.from_, difference.to} & flat and difference.known_axes == "z")
+    ]
+    count = len(network.observed) - len(observed) + len(network.differences) - len(joined)
     network.differences = [
-        one.model_copy(update={"known_axes": "xy"}) if {one.from_, one.to} & flat else one for one in joined
+        difference.model_copy(update={"known_axes": "xy"}) if {difference.from_, difference.to} & flat else difference
+        for difference in joined
     ]
     for name in flat:
         network.points[name].values.setdefault("z", 0.0)
@@ -88,17 +99,17 @@ def take_plan(network: GamaNetwork) -> None:
         f'{len(flat)} points are adjusted in plan only (adj="xy"): they have no heights, and '
         f"{count} observations that need heights are left out, as Gama does"
     )
-    network.observed = kept
+    network.observed = observed
 
 
 def lengths_of(network: GamaNetwork) -> tuple[list[GaugeDistance], list[Observed]]:
     """Slope distances from points where nothing else is measured, between marks that others see: known lengths."""
     angles = {o.station for o in network.observed if o.kind != "distance" or o.horizontal}
-    seen = {o.target for o in network.observed if o.station in angles}
+    targets = {o.target for o in network.observed if o.station in angles}
     gauge, rest = [], []
     for o in network.observed:
         start = network.over[o.station]
-        if o.station in angles or start == o.target or not {start, o.target} <= seen or any(o.heights) or o.shared:
+        if o.station in angles or start == o.target or not {start, o.target} <= targets or any(o.heights) or o.shared:
             rest.append(o)
         else:
             length = {"length_mm": o.value / MILLIMETRE, "sigma_mm": o.sigma / MILLIMETRE}
@@ -106,10 +117,113 @@ def lengths_of(network: GamaNetwork) -> tuple[list[GaugeDistance], list[Observed
     return gauge, rest
 
 
-def named(differences: list[KnownDifference]) -> Iterator[KnownDifference]:
+def named(differences: list[ReferenceDifference]) -> Iterator[ReferenceDifference]:
     """The differences, with a number where several join the same points, as a line that was levelled twice."""
     before: Counter[str] = Counter()
-    for one in differences:
-        number = before[one.called]
-        before[one.called] += 1
-        yield one.model_copy(update={"name": numbered(one.called, number)}) if number else one
+    for difference in differences:
+        number = before[difference.called]
+        before[difference.called] += 1
+        yield difference.model_copy(update={"name": numbered(difference.called, number)}) if number else difference
+
+
+MOST_SHARED = 500
+"""Observations of a file that are correlated: each error that they share is an unknown of the adjustment."""
+EQUAL = 1e-6
+"""Eigenvalue of a correlation that counts as none, and share by which two are taken for one."""
+
+
+def covariances(node: Node) -> tuple[Ints, Ints, Floats]:
+    """Row, column and value (k,) of the upper triangle of a matrix in Gama's band form, [mm^2] or [cc^2]."""
+    matrix = next((inner for inner in node if inner.tag == "cov-mat"), None)
+    if matrix is None:
+        return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros(0)
+    values = [matrix.where.number(word, "cov-mat") for word in matrix.text.split()]
+    return banded(matrix, matrix.number("dim"), matrix.number("band"), values)
+
+
+def differences_of(section: Node, y_sign: float, apriori: float) -> tuple[list[ReferenceDifference], bool]:
+    """Height differences or vectors of a section, and whether it correlates several, which is not kept.
+
+    A height difference without a standard deviation has `apriori` mm times the root of its way in kilometres.
+    """
+    inner = [child for child in section if child.tag != "cov-mat"]
+    tag, size = ("dh", 1) if section.tag == "height-differences" else ("vec", 3)
+    row, column, numbers = covariances(section)
+    wrong = next((child for child in inner if child.tag != tag), None)
+    if wrong is not None:
+        raise wrong.where.error(f"<{shown(wrong.tag)}> stands in <{section.tag}>, expected <{tag}>")
+    if len(numbers) and row[-1] + 1 != size * len(inner):
+        raise section.where.error("a <cov-mat> that does not match its observations")
+    whole, differences = np.zeros((size * len(inner),) * 2), []
+    whole[row, column] = whole[column, row] = numbers
+    for k, child in enumerate(inner):
+        block = slice(size * k, size * (k + 1))
+        spread = whole[block, block].copy() if len(numbers) else np.array([[_sigma(child, apriori) ** 2]])
+        differences.append(_difference(child, y_sign, spread))
+        whole[block, block] = 0.0
+    return differences, bool(whole.any())
+
+
+def _sigma(child: Node, apriori: float) -> float:
+    """Standard deviation [mm] as stated, or by the length of a levelled line."""
+    attributes = [name for name in ("stdev", "dist") if name in child and child.tag == "dh"]
+    if not attributes:
+        wanted = "stdev, dist or a <cov-mat>" if child.tag == "dh" else "a <cov-mat>"
+        raise child.where.error(f"no standard deviation is stated for <{child.tag}>, expected one ({wanted})")
+    value = max(child.number(attributes[0]), 0.0)
+    return value if attributes[0] == "stdev" else apriori * float(np.sqrt(value))
+
+
+def _difference(child: Node, y_sign: float, spread: Floats) -> ReferenceDifference:
+    """One element with its covariance (1, 1) or (3, 3) [mm^2]."""
+    ends = {"from": child.name("from", "point"), "to": child.name("to", "point")}
+    x, y, z = (0.0, 0.0, child.number("val")) if child.tag == "dh" else (child.number(f"d{a}") for a in "xyz")
+    if any(child.number(name, 0.0) for name in ("from_dh", "to_dh")):
+        message = f"<{child.tag}> with a height of instrument or target, which gama-local leaves out of it"
+        raise child.where.error(f"{message}; expected one between the marks, without from_dh and to_dh")
+    precision: dict[str, object] = {"known_axes": "z", "known_sigma_mm": float(np.sqrt(max(spread[-1, -1], 0.0)))}
+    if child.tag == "vec":
+        sign = np.array([1.0, y_sign, 1.0])
+        precision = {"known_covariance_mm2": tuple((spread * np.outer(sign, sign))[np.triu_indices(3)].tolist())}
+    vector = tuple(round(value / MILLIMETRE, 9) for value in (x, y_sign * y, z))
+    if ends["from"] == ends["to"]:
+        raise child.where.error(f"<{child.tag}> goes from a point to itself, expected two points")
+    try:
+        return ReferenceDifference.model_validate({**ends, "known_mm": vector, **precision})
+    except ValidationError:
+        wanted = "values below 1e8 m, and variances that are positive in every direction"
+        raise child.where.error(f"<{child.tag}> is too large, or its covariance is none, expected {wanted}") from None
+
+
+def shared_errors(block: Node, matrix: tuple[Ints, Ints, Floats], before: int) -> tuple[Floats, Floats]:
+    """Standard deviations (n,) of observations by themselves, and what each of q errors that they share does (n, q).
+
+    With F the latter and D the former on the diagonal the stated covariance is D^2 + F F': F is as few errors as leave
+    every observation one of its own. Observations that are correlated with no other share none; `before` is how many
+    others share already.
+    """
+    (row, column, numbers), diagonal = matrix, matrix[0] == matrix[1]
+    if not np.all(numbers[diagonal] > 0.0):
+        raise block.where.error("a <cov-mat> whose variances are not all above 0")
+    sigma = np.sqrt(numbers[diagonal])
+    if not np.any(numbers[~diagonal]):
+        return sigma, np.zeros((len(sigma), 0))
+    if before + len(sigma) > MOST_SHARED:
+        message = f"more than {MOST_SHARED} observations are correlated, expected fewer; band 0 states variances alone"
+        raise block.where.error(message)
+    correlation = np.zeros((len(sigma),) * 2)
+    correlation[row, column] = correlation[column, row] = numbers / (sigma[row] * sigma[column])
+    linked, reach = correlation != 0.0, []
+    for _ in range(len(sigma).bit_length()):
+        linked = linked @ linked
+    for first in np.unique(np.argmax(linked, axis=1)).tolist():
+        if len(group := np.flatnonzero(linked[first])) > 1:
+            values, vectors = np.linalg.eigh(correlation[np.ix_(group, group)])
+            if values[0] < EQUAL:
+                raise block.where.error("a <cov-mat> that is no covariance, expected one that is positive definite")
+            more = values > values[0] * (1.0 + EQUAL)
+            factors = np.zeros((len(sigma), int(more.sum())))
+            factors[group] = sigma[group, None] * vectors[:, more] * np.sqrt(values[more] - values[0])
+            reach.append(factors)
+            sigma[group] *= np.sqrt(values[0])
+    return sigma, np.hstack(reach)

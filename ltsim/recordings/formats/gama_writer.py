@@ -12,8 +12,8 @@ from ltsim.geometry.polar import from_polar, to_face
 from ltsim.recordings.files import write_text
 from ltsim.recordings.formats.gama import CC
 from ltsim.recordings.formats.gama_network import FIXED_MM
-from ltsim.recordings.lengths import KnownLengths
 from ltsim.recordings.recording import SHARED_COLUMN, Recording
+from ltsim.recordings.references import ReferenceLengths
 from ltsim.recordings.reflectors import excess_radii
 from ltsim.recordings.setup import Target, Vector, symmetric
 
@@ -103,8 +103,8 @@ def _coordinate_lines(name: str, target: Target) -> Iterator[str]:
     matrix = np.eye(3) * target.known_sigma_mm**2
     if target.known_covariance_mm2 is not None:
         matrix, band = symmetric(target.known_covariance_mm2), len(at) - 1
-    own = matrix[np.ix_(at, at)].tolist()
-    numbers = " ".join(repr(own[i][j]) for i in range(len(at)) for j in range(i, min(i + band + 1, len(at))))
+    block = matrix[np.ix_(at, at)].tolist()
+    numbers = " ".join(repr(block[i][j]) for i in range(len(at)) for j in range(i, min(i + band + 1, len(at))))
     yield f'<cov-mat dim="{len(at)}" band="{band}">{numbers}</cov-mat></coordinates>'
 
 
@@ -138,9 +138,9 @@ def _observation_lines(recording: Recording) -> Iterator[str]:
 
 def _length_lines(recording: Recording) -> Iterator[str]:
     """Lengths of the gauge at the temperature of the measurement."""
-    known = KnownLengths.of(recording)
-    ends = [[quoteattr(recording.targets[i]) for i in end] for end in (known.first, known.second)]
-    for first, second, length, sigma in zip(*ends, known.length.tolist(), known.sigma.tolist(), strict=True):
+    lengths = ReferenceLengths.of(recording)
+    ends = [[quoteattr(recording.targets[i]) for i in end] for end in (lengths.first, lengths.second)]
+    for first, second, length, sigma in zip(*ends, lengths.length.tolist(), lengths.sigma.tolist(), strict=True):
         yield f"<obs from={first}>"
         yield f'<s-distance to={second} val="{length!r}" stdev="{sigma / MILLIMETRE!r}" />'
         yield "</obs>"
@@ -148,18 +148,18 @@ def _length_lines(recording: Recording) -> Iterator[str]:
 
 def _difference_lines(recording: Recording, path: Path) -> Iterator[str]:
     """Known differences: height differences, and vectors with their covariance."""
-    for one in recording.setup.differences:
-        ends = f"from={quoteattr(one.from_)} to={quoteattr(one.to)}"
-        matrix = np.eye(3) * one.known_sigma_mm**2
-        if one.known_covariance_mm2 is not None:
-            matrix = symmetric(one.known_covariance_mm2)
-        if one.known_axes == "z":
-            value, stdev = round(one.known_mm[2] * MILLIMETRE, 12), float(np.sqrt(matrix[2, 2]))
+    for difference in recording.setup.differences:
+        ends = f"from={quoteattr(difference.from_)} to={quoteattr(difference.to)}"
+        matrix = np.eye(3) * difference.known_sigma_mm**2
+        if difference.known_covariance_mm2 is not None:
+            matrix = symmetric(difference.known_covariance_mm2)
+        if difference.known_axes == "z":
+            value, stdev = round(difference.known_mm[2] * MILLIMETRE, 12), float(np.sqrt(matrix[2, 2]))
             yield f'<height-differences><dh {ends} val="{value!r}" stdev="{stdev!r}" /></height-differences>'
-        elif one.known_axes == "xyz":
-            words = "".join(f" d{word}" for word in _words(one.known_mm).split())
+        elif difference.known_axes == "xyz":
+            words = "".join(f" d{word}" for word in _words(difference.known_mm).split())
             numbers = " ".join(map(repr, matrix[np.triu_indices(3)].tolist()))
             yield f'<vectors><vec {ends}{words} /><cov-mat dim="3" band="2">{numbers}</cov-mat></vectors>'
         else:
-            message = f"the difference {one.called} is known along {one.known_axes}, which gama-local does not know"
-            raise RecordError(f"{message}; expected z or xyz", file=path)
+            message = f"the difference {difference.called} is given along {difference.known_axes}, expected z or xyz"
+            raise RecordError(f"{message}: gama-local has no other differences", file=path)

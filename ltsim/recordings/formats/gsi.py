@@ -16,7 +16,7 @@ import numpy as np
 
 from ltsim.core.units import DEGREE, GON, MILLIMETRE
 from ltsim.recordings.conventions import NO_HINTS, Hints
-from ltsim.recordings.files import FilePlace, read_lines, shown
+from ltsim.recordings.files import SourceLocation, read_lines, shown
 from ltsim.recordings.formats.field_book import FieldBook
 from ltsim.recordings.pointings import NAN
 from ltsim.recordings.recording import Recording
@@ -33,19 +33,19 @@ class _GsiLine:
     """A line: information and signed data of each word by its index."""
 
     words: dict[str, tuple[str, str]]
-    where: FilePlace
+    where: SourceLocation
 
     @classmethod
-    def of(cls, line: str, where: FilePlace) -> _GsiLine:
+    def of(cls, line: str, where: SourceLocation) -> _GsiLine:
         wide = line.startswith("*")
         words = {}
         for text in line.lstrip("*").split():
-            found = _WORD.fullmatch(text)
+            match = _WORD.fullmatch(text)
             if _PPM.fullmatch(text):
                 continue
-            if found is None or (len(found[4]) == 16) != wide:
-                raise where.wrong(f"'{shown(text)}' is no word of GSI-{16 if wide else 8}")
-            words[found[1]] = (found[2], found[3] + found[4])
+            if match is None or (len(match[4]) == 16) != wide:
+                raise where.error(f"'{shown(text)}' is no word of GSI-{16 if wide else 8}")
+            words[match[1]] = (match[2], match[3] + match[4])
         return cls(words, where)
 
     def holds(self, *keys: str) -> bool:
@@ -60,7 +60,7 @@ class _GsiLine:
         if re.fullmatch(r"[+-]-+", digits):
             return NAN
         if re.fullmatch(r"[+-]\d+", digits, re.ASCII) is None:
-            raise self.where.wrong(f"found '{shown(self.words[key][1])}', expected digits")
+            raise self.where.error(f"found '{shown(self.words[key][1])}', expected digits")
         return float(digits)
 
     def length(self, key: str, default: float = 0.0) -> float:
@@ -69,7 +69,7 @@ class _GsiLine:
             return default
         unit = self.words[key][0][-1]
         if unit not in LENGTH:
-            raise self.where.wrong(f"unit '{shown(unit)}' of a length, expected 0, 1, 6, 7 or 8")
+            raise self.where.error(f"unit '{shown(unit)}' of a length, expected 0, 1, 6, 7 or 8")
         return self._number(key) * LENGTH[unit]
 
     def angle(self, key: str) -> float:
@@ -82,7 +82,7 @@ class _GsiLine:
             minutes, seconds = divmod(rest, 1e3)
             return float(np.sign(value) * (degrees + minutes / 60 + seconds / 36_000) * DEGREE)
         if unit not in ANGLE and not np.isnan(value):
-            raise self.where.wrong(f"unit '{shown(unit)}' of an angle, expected 2, 3, 4 or 5")
+            raise self.where.error(f"unit '{shown(unit)}' of an angle, expected 2, 3, 4 or 5")
         return value * ANGLE.get(unit, NAN)
 
 
@@ -100,18 +100,18 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     """
     file = FieldBook(path)
     if hints.station is not None:
-        file.stand(hints.station, 0.0, None, FilePlace(path))
+        file.stand(hints.station, 0.0, None, SourceLocation(path))
     lines = read_lines(path)
-    before = _GsiLine({}, FilePlace(path))
+    before = _GsiLine({}, SourceLocation(path))
     for i, line in enumerate(lines):
         if line.strip():
-            block = _GsiLine.of(line.strip(), FilePlace(path, i + 1))
+            block = _GsiLine.of(line.strip(), SourceLocation(path, i + 1))
             if i == len(lines) - 1 and block.words.keys() != before.words.keys():
-                raise block.where.wrong("the last line has no line break: it was cut")
+                raise block.where.error("the last line has no line break: it was cut")
             _take(block, file)
             before = block
-    left = [f"{file.skipped} blocks are no station or measurement and left out"] if file.skipped else []
-    return file.recording("a GSI file", *left)
+    notes = [f"{file.skipped} blocks are no station or measurement and left out"] if file.skipped else []
+    return file.recording("a GSI file", *notes)
 
 
 def _take(block: _GsiLine, file: FieldBook) -> None:

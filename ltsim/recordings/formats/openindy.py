@@ -17,10 +17,10 @@ from ltsim.core.units import ARCSECOND, MILLIMETRE
 from ltsim.geometry.polar import to_polar
 from ltsim.recordings.conventions import NO_HINTS, Hints
 from ltsim.recordings.files import as_title, shown
-from ltsim.recordings.kinds import NO_NOISE
 from ltsim.recordings.pointings import NAN, Pointing, recording_of, states_noise
 from ltsim.recordings.recording import SIGMA_COLUMNS, Recording
 from ltsim.recordings.setup import Setup
+from ltsim.recordings.specification import NO_NOISE
 from ltsim.recordings.xml import Node, parse
 
 ROOT = "oiProjectData"
@@ -50,15 +50,15 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     stations = {node.attribute("id"): node for node in named if node.tag == "station"}
     geometries = {node.attribute("id"): node for node in named if node.tag != "station"}
     notes: Counter[str] = Counter()
-    found = [_pointing(node, stations, geometries, notes) for node in root.inside("observation")]
-    pointings = [p for p in found if p is not None]
+    readings = [_pointing(node, stations, geometries, notes) for node in root.inside("observation")]
+    pointings = [p for p in readings if p is not None]
     if not pointings:
         raise RecordError("holds no readings", file=path)
     start = np.min([p.time for p in pointings])
     pointings = [replace(p, time=p.time - start) for p in pointings]
-    said = [f"{count} {what}" for what, count in notes.items()]
+    counts = [f"{count} {what}" for what, count in notes.items()]
     setup = Setup(title=as_title(root.get("name", path.stem)))
-    recording = recording_of(pointings, setup, notes=said, file=path)
+    recording = recording_of(pointings, setup, notes=counts, file=path)
     return recording if states_noise(recording) else recording.replace(notes=(NO_NOISE, *recording.notes))
 
 
@@ -69,7 +69,7 @@ def _pointing(
     if "reading" not in inner:
         return None
     if "station" not in inner:
-        raise node.where.wrong("an observation without its station")
+        raise node.where.error("an observation without its station")
     reading, reference = inner["reading"], inner["station"].attribute("ref")
     kind = reading.get("type")
     if node.get("isValid") == "0" or kind not in WANTED:
@@ -78,14 +78,14 @@ def _pointing(
         ] += 1
         return None
     if reference not in stations:
-        raise node.where.wrong(f"a reading refers to station {shown(reference)}, which is not there")
+        raise node.where.error(f"a reading refers to station {shown(reference)}, which is not there")
     measured = {m.attribute("type"): m for m in reading.inside("measurement")}
     missing = [name for name in WANTED[kind] if name not in measured]
     if missing:
-        raise node.where.wrong(f"a {kind} reading lacks its {missing[0]}")
+        raise node.where.error(f"a {kind} reading lacks its {missing[0]}")
     distance, azimuth, elevation = _polar({name: measured[name].number("value", limit=1e6) for name in WANTED[kind]})
     if distance <= 0:
-        raise node.where.wrong(f"found a distance of {distance:g}, expected one above 0")
+        raise node.where.error(f"found a distance of {distance:g}, expected one above 0")
     face = 2 if elevation > np.pi / 2 + 1e-9 else 1
     if (reading.get("face") == "2") != (face == 2):
         notes["readings state another face than their zenith angle shows: the angle is trusted"] += 1
@@ -114,9 +114,9 @@ def _polar(values: dict[str, float]) -> tuple[float, float, float]:
 
 
 def _sigmas(measured: dict[str, Node]) -> dict[str, float]:
-    stated = {name: measured[name].number("sigma", 0.0, limit=1e6) for name in SIGMAS if name in measured}
+    sigmas = {name: measured[name].number("sigma", 0.0, limit=1e6) for name in SIGMAS if name in measured}
     unit = {"distance": MILLIMETRE, "azimuth": ARCSECOND, "zenith": ARCSECOND}
-    return {SIGMAS[name]: sigma / unit[name] for name, sigma in stated.items() if sigma > 0}
+    return {SIGMAS[name]: sigma / unit[name] for name, sigma in sigmas.items() if sigma > 0}
 
 
 def _target(node: Node, geometries: dict[str, Node]) -> str:

@@ -39,21 +39,21 @@ def recognises(path: Path, head: str) -> bool:
 
 def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     """Read polar text; raises RecordError for a malformed line, or asking for what the data do not decide."""
-    return tables.read(path, _stated(read_lines(path, liberal=True), hints, path), positional=True)
+    return tables.read(path, _with_settings(read_lines(path, liberal=True), hints, path), positional=True)
 
 
-def _stated(lines: list[str], hints: Hints, file: Path) -> Hints:
+def _with_settings(lines: list[str], hints: Hints, file: Path) -> Hints:
     for line in islice(lines, 50):
-        found = _SETTING.fullmatch(line)
-        if found is None:
+        match = _SETTING.fullmatch(line)
+        if match is None:
             continue
-        key, value, second = found.group(1).lower(), found.group(2).lower(), (found.group(3) or "").lower()
-        said: dict[str, str] = {"angle": value, "length": second} if key == "units" else {key: value}
-        for name, word in said.items():
+        key, value, second = match.group(1).lower(), match.group(2).lower(), (match.group(3) or "").lower()
+        settings: dict[str, str] = {"angle": value, "length": second} if key == "units" else {key: value}
+        for name, word in settings.items():
             if word and word not in WORDS[name]:
                 message = f"'{shown(line)}' says {shown(word)}, expected one of {', '.join(WORDS[name])}"
                 raise RecordError(message, file=file)
-        unsaid = {name: word for name, word in said.items() if word and getattr(hints, name) is None}
+        unsaid = {name: word for name, word in settings.items() if word and getattr(hints, name) is None}
         hints = replace(hints, **unsaid)  # type: ignore[arg-type]
     return hints
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from ltsim.core.units import DEGREE, FACTOR, GON, MILLIMETRE
 from ltsim.recordings.conventions import NO_HINTS, Hints
-from ltsim.recordings.files import FilePlace, read_lines, shown
+from ltsim.recordings.files import SourceLocation, read_lines, shown
 from ltsim.recordings.formats.field_book import FieldBook
 from ltsim.recordings.pointings import NAN
 from ltsim.recordings.recording import Recording
@@ -40,15 +40,15 @@ class _Dialect:
     north_first: bool
 
     @classmethod
-    def of(cls, header: str, where: FilePlace) -> "_Dialect":
-        found = _HEADER.match(header)
-        if found is None:
-            raise where.wrong(f"'{shown(header)}' is no header of SDR20 or SDR33, expected 00NMSDR20 or 00NMSDR33")
+    def of(cls, header: str, where: SourceLocation) -> "_Dialect":
+        match = _HEADER.match(header)
+        if match is None:
+            raise where.error(f"'{shown(header)}' is no header of SDR20 or SDR33, expected 00NMSDR20 or 00NMSDR33")
         units = header[UNITS_AT].ljust(5, "1")
-        for digit, known, what in ((units[0], ANGLE, "angles"), (units[1], LENGTH, "distances")):
-            if digit not in known:
-                raise where.wrong(f"unit '{shown(digit)}' of {what}, expected one of {', '.join(known)}")
-        return cls(*WIDTHS[found[1]], ANGLE[units[0]], LENGTH[units[1]], units[4] != "2")
+        for digit, units_of, what in ((units[0], ANGLE, "angles"), (units[1], LENGTH, "distances")):
+            if digit not in units_of:
+                raise where.error(f"unit '{shown(digit)}' of {what}, expected one of {', '.join(units_of)}")
+        return cls(*WIDTHS[match[1]], ANGLE[units[0]], LENGTH[units[1]], units[4] != "2")
 
     def fields(self, line: str, names: int, numbers: int) -> tuple[list[str], list[str]]:
         """The first names and numbers of a record, as text."""
@@ -70,10 +70,10 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     """Read an SDR file; raises RecordError for a malformed record, or observations from a station without a record."""
     book = FieldBook(path)
     lines = read_lines(path, liberal=True)
-    dialect = _Dialect.of(lines[0], FilePlace(path, 1))
-    height, from_horizon, left = NAN, False, 0
+    dialect = _Dialect.of(lines[0], SourceLocation(path, 1))
+    height, from_horizon, skipped = NAN, False, 0
     for i, line in enumerate(lines[1:], start=2):
-        where, kind = FilePlace(path, i), line[:2]
+        where, kind = SourceLocation(path, i), line[:2]
         if kind == "01":
             from_horizon = line[ZERO_AT : ZERO_AT + 1] == "2"
         elif kind == "02":
@@ -83,12 +83,12 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
         elif line[:4] in OBSERVED:
             _observe(line, dialect, book, where, height=height, from_horizon=from_horizon)
         elif kind == "09":
-            left += 1
-    notes = [f"{left} observations that the instrument had corrected or averaged are left out"] if left else []
+            skipped += 1
+    notes = [f"{skipped} observations that the instrument had corrected or averaged are left out"] if skipped else []
     return book.recording("an SDR file", *notes)
 
 
-def _stand(line: str, dialect: _Dialect, book: FieldBook, where: FilePlace) -> None:
+def _stand(line: str, dialect: _Dialect, book: FieldBook, where: SourceLocation) -> None:
     (name,), (first, second, up, height) = dialect.fields(line, 1, 4)
     plan = [_number(text, where) * dialect.length / MILLIMETRE for text in (first, second)]
     y, x = plan if dialect.north_first else plan[::-1]
@@ -99,11 +99,11 @@ def _stand(line: str, dialect: _Dialect, book: FieldBook, where: FilePlace) -> N
 
 
 def _observe(
-    line: str, dialect: _Dialect, book: FieldBook, where: FilePlace, *, height: float, from_horizon: bool
+    line: str, dialect: _Dialect, book: FieldBook, where: SourceLocation, *, height: float, from_horizon: bool
 ) -> None:
     (station, target), cells = dialect.fields(line, 2, 3)
     if book.station and station != book.setups[book.station][0]:
-        raise where.wrong(f"is measured from '{shown(station)}', expected the station of the last record 02")
+        raise where.error(f"is measured from '{shown(station)}', expected the station of the last record 02")
     distance, vertical, horizontal = (_number(cell, where) for cell in cells)
     vertical *= dialect.angle
     book.point(
@@ -116,5 +116,5 @@ def _observe(
     )
 
 
-def _number(text: str, where: FilePlace) -> float:
+def _number(text: str, where: SourceLocation) -> float:
     return where.number(text) if text.strip() else NAN

@@ -19,10 +19,10 @@ from ltsim.core.errors import RecordError
 from ltsim.core.units import ANGLES, FACTOR, LENGTHS, NAMED
 from ltsim.geometry.polar import from_polar
 from ltsim.recordings.conventions import NO_HINTS, Hints, Pose
-from ltsim.recordings.files import FilePlace, read_lines, shown
-from ltsim.recordings.kinds import NO_NOISE
+from ltsim.recordings.files import SourceLocation, read_lines, shown
 from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import Instrument, Setup, Station
+from ltsim.recordings.specification import NO_NOISE
 from ltsim.recordings.tables.header import words_of
 from ltsim.recordings.tables.meaning import readings_of
 from ltsim.recordings.tables.printed import PointingTable
@@ -35,7 +35,7 @@ SAME_POINT = 2e-3
 COLUMNS = "target=Target,horizontal=Azimuth,vertical=Elevation,distance=Distance"
 UNITS = {"target": None, "azimuth": ANGLES, "elevation": ANGLES, "distance": LENGTHS}
 """Columns that a block needs, with the units that they may have."""
-KEPT = (*UNITS, "datetime", "offset1", "offset2")
+READ_COLUMNS = (*UNITS, "datetime", "offset1", "offset2")
 _HEADING = re.compile(r"^\"?Collection\"?[;,\t]\"?Group\"?[;,\t]\"?Target", re.MULTILINE)
 
 
@@ -81,11 +81,15 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
         raise RecordError("holds no block of observations", file=path)
     names = _station_names(blocks)
     used = [[row for row in b.rows[1:] if b.cell(row, "Active").lower() != "no"] for b in blocks]
-    said, off = [NO_NOISE], sum(len(b.rows) - 1 - len(rows) for b, rows in zip(blocks, used, strict=True))
+    remarks, off = [NO_NOISE], sum(len(b.rows) - 1 - len(rows) for b, rows in zip(blocks, used, strict=True))
     if off:
-        said.append(f"{off} observations are switched off in the report and left out")
+        remarks.append(f"{off} observations are switched off in the report and left out")
     hints = replace(hints, columns=COLUMNS, date=hints.date or "dmy")
-    table = table_of([_sheet(*one, path) for one in zip(blocks, names, used, strict=True) if one[2]], hints, path)
+    table = table_of(
+        [_sheet(*block_parts, path) for block_parts in zip(blocks, names, used, strict=True) if block_parts[2]],
+        hints,
+        path,
+    )
     groups = {row.line: b.cell(row, "Group") for b, rows in zip(blocks, used, strict=True) for row in rows}
     group = [groups[line] for line in table.pointings.line]
     for i, name in enumerate(group):
@@ -94,9 +98,9 @@ def read(path: Path, hints: Hints = NO_HINTS) -> Recording:
     order = dict.fromkeys(table.pointings.station)
     placed = {i: pose for i, name in enumerate(order) if (pose := poses[name]) is not None}
     meaning, readings = readings_of(table, placed, hints, path)
-    table.notes += _tell_apart(table, group, readings, poses)
-    found = assembled(table, meaning, readings, _setup(blocks, names, path), hints, path)
-    return found.replace(labels={**found.labels, "group": tuple(group)}, notes=(*found.notes, *said))
+    table.notes += _distinguish_points(table, group, readings, poses)
+    recording = assembled(table, meaning, readings, _setup(blocks, names, path), hints, path)
+    return recording.replace(labels={**recording.labels, "group": tuple(group)}, notes=(*recording.notes, *remarks))
 
 
 def _cells(path: Path) -> Iterator[Row]:
@@ -112,7 +116,7 @@ def _cells(path: Path) -> Iterator[Row]:
             if any(f.strip() for f in fields):
                 yield Row(reader.line_num, tuple(f.strip() for f in fields))
     except csv.Error as problem:
-        raise FilePlace(path, reader.line_num).wrong(f"is not a table here ({problem})") from None
+        raise SourceLocation(path, reader.line_num).error(f"is not a table here ({problem})") from None
 
 
 def _blocks(path: Path) -> list[_Block]:
@@ -121,7 +125,7 @@ def _blocks(path: Path) -> list[_Block]:
     current: _Block | None = None
     what = ""
     for row in _cells(path):
-        where, first = FilePlace(path, row.line), row.fields[0].split("\n")[0]
+        where, first = SourceLocation(path, row.line), row.fields[0].split("\n")[0]
         if first in ("Transform", "Observations"):
             what, heading = first, _heading(row.fields[0], where)
             current = blocks.setdefault(heading[:2], _Block(*heading))
@@ -141,15 +145,15 @@ def _blocks(path: Path) -> list[_Block]:
     return list(blocks.values())
 
 
-def _heading(cell: str, where: FilePlace) -> tuple[str, str, str]:
+def _heading(cell: str, where: SourceLocation) -> tuple[str, str, str]:
     """Collection, number and model from ``A::0 - Leica AT960``."""
     parts = re.fullmatch(r"(?:(.*)::)?(.+?)(?: - (.*))?", cell.partition("\n")[2].strip())
     if parts is None:
-        raise where.wrong("a block without the name of its set-up")
+        raise where.error("a block without the name of its set-up")
     return parts[1] or "", parts[2], (parts[3] or "").replace("/", "-").strip()
 
 
-def _read_pose(block: _Block, fields: Sequence[str], where: FilePlace) -> None:
+def _read_pose(block: _Block, fields: Sequence[str], where: SourceLocation) -> None:
     if fields[0] == "# Meas." and len(fields) > 1:
         block.count = int(where.number(fields[1], "# Meas.", comma=True))
     if fields[0].startswith("(") and len(fields) > 3:
@@ -160,20 +164,20 @@ def _read_pose(block: _Block, fields: Sequence[str], where: FilePlace) -> None:
         elif unit in ANGLES:
             block.rotation = values * FACTOR[unit]
         else:
-            raise where.wrong(f"unit '{shown(fields[0].strip('()'))}' of a pose is not known")
+            raise where.error(f"unit '{shown(fields[0].strip('()'))}' of a pose is not known")
 
 
-def _check_heading(fields: Sequence[str], where: FilePlace) -> None:
+def _check_heading(fields: Sequence[str], where: SourceLocation) -> None:
     """Raise RecordError where a column that is needed is missing, doubled, or in no unit that is known."""
     named = [words_of(field) for field in fields]
-    for wanted, known in UNITS.items():
+    for wanted, allowed in UNITS.items():
         units = [unit for word, unit in named if word == wanted]
         if len(units) != 1:
             message = f"the heading holds {len(units)} columns called {wanted.capitalize()}, expected one"
-            raise where.wrong(message)
-        if known is not None and units[0] not in known:
-            message = f"unit '{shown(units[0])}' in this heading, expected one of {', '.join(known)}"
-            raise where.wrong(message, wanted.capitalize())
+            raise where.error(message)
+        if allowed is not None and units[0] not in allowed:
+            message = f"unit '{shown(units[0])}' in this heading, expected one of {', '.join(allowed)}"
+            raise where.error(message, wanted.capitalize())
 
 
 def _sheet(block: _Block, name: str, rows: list[Row], file: Path) -> Sheet:
@@ -181,10 +185,10 @@ def _sheet(block: _Block, name: str, rows: list[Row], file: Path) -> Sheet:
     titles = {}
     for place, title in enumerate(block.rows[0].fields):
         word, unit = words_of(title)
-        if word in KEPT:
+        if word in READ_COLUMNS:
             titles[place] = f"{word}_{unit}" if word.startswith("offset") else title
-    kept = [Row(row.line, tuple(row.cell(place) for place in titles)) for row in rows]
-    return Sheet(file, (Row(block.rows[0].line, tuple(titles.values())), *kept), name)
+    body = [Row(row.line, tuple(row.cell(place) for place in titles)) for row in rows]
+    return Sheet(file, (Row(block.rows[0].line, tuple(titles.values())), *body), name)
 
 
 def _station_names(blocks: Sequence[_Block]) -> list[str]:
@@ -195,19 +199,21 @@ def _station_names(blocks: Sequence[_Block]) -> list[str]:
     return [f"{block.collection}::{block.number}" for block in blocks]
 
 
-def _tell_apart(
+def _distinguish_points(
     table: PointingTable, group: Sequence[str], readings: Floats, poses: dict[str, Pose | None]
 ) -> list[str]:
     """Put the group in front of the names of points that have several places, in place; what is said of it."""
     sightings: dict[str, dict[str, list[tuple[str, Floats]]]] = {}
     printed = table.pointings
-    for station, target, own, point in zip(printed.station, printed.target, group, from_polar(readings), strict=True):
+    for station, target, member_of, point in zip(
+        printed.station, printed.target, group, from_polar(readings), strict=True
+    ):
         pose = poses[station]
         place = point if pose is None else pose[0] @ point + pose[1]
-        sightings.setdefault(target, {}).setdefault(own, []).append((station, place))
+        sightings.setdefault(target, {}).setdefault(member_of, []).append((station, place))
     names = {name: _names_by_place(name, groups) for name, groups in sightings.items()}
     several = sorted(name for name, of in names.items() if any(new != name for new in of.values()))
-    printed.target = [names[target][own] for target, own in zip(printed.target, group, strict=True)]
+    printed.target = [names[target][member_of] for target, member_of in zip(printed.target, group, strict=True)]
     if not several:
         return []
     few = ", ".join(several[:4])
@@ -249,5 +255,5 @@ def _setup(blocks: Sequence[_Block], names: Sequence[str], file: Path) -> Setup:
                 yaw = float(np.degrees(np.arctan2(pose[0][1, 0], pose[0][0, 0])))
         stations[name] = Station(position_mm=position, yaw_deg=yaw, instrument=block.model or None)
     models = sorted({block.model for block in blocks if block.model})
-    instruments = {FilePlace(file).name(model, "instrument"): Instrument() for model in models}
+    instruments = {SourceLocation(file).name(model, "instrument"): Instrument() for model in models}
     return Setup(title=file.stem, instruments=instruments, stations=stations)

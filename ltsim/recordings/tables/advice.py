@@ -7,10 +7,10 @@ from itertools import accumulate, pairwise, takewhile
 
 from ltsim.recordings.conventions import CIRCLE, Angle
 from ltsim.recordings.files import shown
-from ltsim.recordings.slips import FULL_RADIANS, SHORTEST_MM
 from ltsim.recordings.tables import cells
 from ltsim.recordings.tables.header import MARKS, PLACE
 from ltsim.recordings.tables.sheets import Row, Sheet
+from ltsim.recordings.transcription_errors import FULL_RADIANS, SHORTEST_MM
 
 SAMPLE = 400
 MOST_TRIED = 20
@@ -61,33 +61,35 @@ def _advised(titles: Sequence[str], body: Sequence[Sequence[str]]) -> list[str]:
         texts = [i for i in numbers[:2] if all(cell.isdigit() for cell in columns[i])][: max(len(numbers) - 3, 0)]
     texts.sort(key=lambda i: len({*columns[i]}))
     names = texts[-2:] if len(texts) > 1 else texts
-    said = [f"{role}={titles[i]}" for role, i in zip(("station", "target")[-len(names) :], names, strict=False)]
-    said += [f"face={titles[i]}" for i in faces[:1]]
+    names_and_faces = [
+        f"{role}={titles[i]}" for role, i in zip(("station", "target")[-len(names) :], names, strict=False)
+    ]
+    names_and_faces += [f"face={titles[i]}" for i in faces[:1]]
     angles = _angles(numbers, columns)
     polar = [
-        [f"azimuth={_joined(one, titles)}[{unit}]", f"{kind}={_joined(other, titles)}[{unit}]", *length]
-        for one, other in pairwise(angles)
-        if len(one) == len(other)
-        for unit, kind in _meanings(one, other, columns)
-        for length in _length("distance", [i for i in numbers if i > other[-1]], titles, columns, one)
+        [f"azimuth={_joined(first, titles)}[{unit}]", f"{kind}={_joined(other, titles)}[{unit}]", *length]
+        for first, other in pairwise(angles)
+        if len(first) == len(other)
+        for unit, kind in _meanings(first, other, columns)
+        for length in _length("distance", [i for i in numbers if i > other[-1]], titles, columns, first)
     ]
     polar += [
-        [f"horizontal={_joined(one, titles)}[deg]", *length]
-        for one in angles[:1]
-        if _is_sexagesimal(one, columns)
-        for length in _length("flat", [i for i in numbers if i > one[-1]], titles, columns, one)
+        [f"horizontal={_joined(first, titles)}[deg]", *length]
+        for first in angles[:1]
+        if _is_sexagesimal(first, columns)
+        for length in _length("flat", [i for i in numbers if i > first[-1]], titles, columns, first)
     ]
     places = [i for i in numbers if _fraction(columns[i]) and list(columns[i]) != sorted(columns[i])]
     places = places[:3] if len(places) >= len(PLACE) else numbers[:3]
     unit = "m" if max((_largest(columns[i]) for i in places), default=0) < LONG_M else "mm"
     as_places = [f"{axis}={titles[i]}[{unit}]" for axis, i in zip(PLACE, places, strict=False)]
     whole = [*polar, *([as_places] if len(as_places) == len(PLACE) else [])]
-    return [",".join([*said, *readings]) for readings in whole]
+    return [",".join([*names_and_faces, *readings]) for readings in whole]
 
 
 def _angles(numbers: Sequence[int], columns: Columns) -> list[tuple[int, ...]]:
     """Columns that may hold an angle, each alone or with the minutes and seconds behind it."""
-    found: list[tuple[int, ...]] = []
+    angles: list[tuple[int, ...]] = []
     taken: set[int] = set()
     for i in numbers:
         parts = [i]
@@ -97,9 +99,9 @@ def _angles(numbers: Sequence[int], columns: Columns) -> list[tuple[int, ...]]:
             parts.append(parts[-1] + 1)
         alone = _fraction(columns[i]) or any(map(cells.is_marked, columns[i]))
         if i not in taken and _largest(columns[i]) <= CIRCLE["gon"] and (alone or len(parts) > 1):
-            found.append(tuple(parts))
+            angles.append(tuple(parts))
             taken.update(parts)
-    return found
+    return angles
 
 
 def _is_part(column: tuple[str, ...]) -> bool:
@@ -107,11 +109,11 @@ def _is_part(column: tuple[str, ...]) -> bool:
     return all(0 <= number < 60 for number in _numbers(column))
 
 
-def _meanings(one: Sequence[int], other: Sequence[int], columns: Columns) -> list[tuple[str, str]]:
+def _meanings(first: Sequence[int], other: Sequence[int], columns: Columns) -> list[tuple[str, str]]:
     """Unit and kind of the vertical angle that the numbers allow, the likelier first."""
     vertical = _numbers(columns[other[0]])
-    largest = max(_largest(columns[one[0]]), _largest(columns[other[0]]))
-    if _is_sexagesimal(one, columns):
+    largest = max(_largest(columns[first[0]]), _largest(columns[other[0]]))
+    if _is_sexagesimal(first, columns):
         units: tuple[Angle, ...] = ("deg",)
     elif largest < FULL_RADIANS:
         units = ("rad",)
@@ -129,9 +131,9 @@ def _length(
 
     Whoever writes angles in degrees, minutes and seconds writes distances in metres.
     """
-    found = [i for i in after if _fraction(columns[i]) and min(_numbers(columns[i]), default=Decimal(0)) > 0]
-    metres = _is_sexagesimal(angle, columns) or (found and _largest(columns[found[0]]) < LONG_M)
-    return [[f"{role}={titles[i]}[{'m' if metres else 'mm'}]"] for i in found[:1]]
+    candidates = [i for i in after if _fraction(columns[i]) and min(_numbers(columns[i]), default=Decimal(0)) > 0]
+    metres = _is_sexagesimal(angle, columns) or (candidates and _largest(columns[candidates[0]]) < LONG_M)
+    return [[f"{role}={titles[i]}[{'m' if metres else 'mm'}]"] for i in candidates[:1]]
 
 
 def _is_sexagesimal(angle: Sequence[int], columns: Columns) -> bool:

@@ -177,33 +177,33 @@ def _bare(text: str) -> str:
 
 def _since(stamps: list[datetime], *, dated: bool) -> tuple[list[float], str]:
     first = min(stamps)
-    said = first.isoformat() if dated else first.time().isoformat()
-    return [(stamp - first).total_seconds() for stamp in stamps], said
+    moment = first.isoformat() if dated else first.time().isoformat()
+    return [(stamp - first).total_seconds() for stamp in stamps], moment
 
 
 def _unwrapped(clocks: list[timedelta]) -> list[timedelta]:
     """Clocks without a date: one that falls back by more than half a day has passed midnight."""
-    days, last, found = timedelta(0), clocks[0], []
+    days, last, unwrapped = timedelta(0), clocks[0], []
     for clock in clocks:
         if last - clock > DAY / 2:
             days += DAY
         last = clock
-        found.append(clock + days)
-    return found
+        unwrapped.append(clock + days)
+    return unwrapped
 
 
 def _clock(text: str) -> timedelta | None:
-    found = _CLOCK.fullmatch(text.strip())
-    if found is None:
+    match = _CLOCK.fullmatch(text.strip())
+    if match is None:
         return None
-    hours, minutes, seconds = (int(part or 0) for part in found.groups()[:3])
-    half = (found.group(5) or "").lower()
+    hours, minutes, seconds = (int(part or 0) for part in match.groups()[:3])
+    half = (match.group(5) or "").lower()
     if hours > 23 or minutes > 59 or seconds > 60 or (half and not 1 <= hours <= 12):
         return None
     if half:
         hours = hours % 12 + (12 if half == "p" else 0)
     return timedelta(
-        hours=hours, minutes=minutes, seconds=seconds, microseconds=float("0." + (found.group(4) or "0")) * 1e6
+        hours=hours, minutes=minutes, seconds=seconds, microseconds=float("0." + (match.group(4) or "0")) * 1e6
     )
 
 
@@ -211,11 +211,11 @@ def _stamp(text: str, letters: str, order: str | None) -> datetime | None:
     """A date with or without a clock; the zone of an ISO stamp is left aside (all are taken as of one zone)."""
     day, _, rest = re.sub(r"(?<=\d)T(?=\d)", " ", text.strip()).partition(" ")
     rest = re.sub(r"(Z|[+-]\d{2}:?\d{2})$", "", rest.strip())
-    found, clock = _DATE.fullmatch(day), _clock(rest) if rest else timedelta(0)
-    if found is None or clock is None or (len(found[1]) == 4) != (letters == "ymd"):
+    match, clock = _DATE.fullmatch(day), _clock(rest) if rest else timedelta(0)
+    if match is None or clock is None or (len(match[1]) == 4) != (letters == "ymd"):
         return None
-    excluded = letters == "mdy" if found[2] == "." else letters != "ymd" and order not in (None, letters)
-    parts = {letter: int(part) for letter, part in zip(letters, found.group(1, 3, 4), strict=True)}
+    excluded = letters == "mdy" if match[2] == "." else letters != "ymd" and order not in (None, letters)
+    parts = {letter: int(part) for letter, part in zip(letters, match.group(1, 3, 4), strict=True)}
     year = parts["y"] + (2000 if parts["y"] < 100 else 0)
     if excluded or year < 1000:
         return None

@@ -135,35 +135,35 @@ def _columns_of(fields: tuple[str, ...]) -> list[TableColumn]:
     Of two columns for one role the first has it. Faces are told apart where every reading stands there twice.
     Coordinates beside polar readings are further columns.
     """
-    found = _with_parts([_column(place, title) for place, title in enumerate(fields)])
-    both = {c.role for c in found if c.face == 1} & {c.role for c in found if c.face == 2}
-    polar = _kinds_in(found) > 1
-    named = {words_of(c.title)[0] for c in found if c.role == "target"}
-    kept: list[TableColumn] = []
+    candidates = _with_parts([_column(place, title) for place, title in enumerate(fields)])
+    both = {c.role for c in candidates if c.face == 1} & {c.role for c in candidates if c.face == 2}
+    polar = _kinds_in(candidates) > 1
+    named = {words_of(c.title)[0] for c in candidates if c.role == "target"}
+    columns: list[TableColumn] = []
     taken: set[tuple[str, int]] = set()
-    for column in found:
-        one = column
-        if one.face and one.role not in both:
-            one = _column(one.place, one.title, faced=False)
-        if one.role == "target" and words_of(one.title)[0] in WEAK and not named <= {*WEAK}:
-            one = replace(one, role="")
-        if one.role and ((one.role, one.face) in taken or (polar and one.role in (*PLACE, SIGMA))):
-            one = replace(one, role="", face=0)
-        if one.role != PART:
-            taken.add((one.role, one.face))
-        kept.append(one)
-    return distinct_titles(kept)
+    for column in candidates:
+        assigned = column
+        if assigned.face and assigned.role not in both:
+            assigned = _column(assigned.place, assigned.title, faced=False)
+        if assigned.role == "target" and words_of(assigned.title)[0] in WEAK and not named <= {*WEAK}:
+            assigned = replace(assigned, role="")
+        if assigned.role and ((assigned.role, assigned.face) in taken or (polar and assigned.role in (*PLACE, SIGMA))):
+            assigned = replace(assigned, role="", face=0)
+        if assigned.role != PART:
+            taken.add((assigned.role, assigned.face))
+        columns.append(assigned)
+    return distinct_titles(columns)
 
 
 def distinct_titles(columns: Sequence[TableColumn]) -> list[TableColumn]:
     """Columns with a number behind each title that an earlier column has: titles are the keys of further columns."""
     before: Counter[str] = Counter()
-    found = []
+    distinct = []
     for column in columns:
         before[column.title] += 1
         again = column.title and before[column.title] > 1
-        found.append(replace(column, title=f"{column.title} ({before[column.title]})") if again else column)
-    return found
+        distinct.append(replace(column, title=f"{column.title} ({before[column.title]})") if again else column)
+    return distinct
 
 
 def _part(form: re.Pattern[str], title: str) -> re.Match[str] | None:
@@ -173,7 +173,7 @@ def _part(form: re.Pattern[str], title: str) -> re.Match[str] | None:
 
 def _with_parts(columns: list[TableColumn]) -> list[TableColumn]:
     """The columns, with degrees, minutes and perhaps seconds of one angle in adjacent ones as one angle."""
-    found = list(columns)
+    joined = list(columns)
     for place, column in enumerate(columns):
         stem = _part(_PARTS[0], column.title)
         names = [stem[1] if stem is not None else column.title]
@@ -186,10 +186,10 @@ def _with_parts(columns: list[TableColumn]) -> list[TableColumn]:
         role = role_of(names[0])
         if len(names) > 1 and role in (*HORIZONTAL, *VERTICAL):
             places = tuple(range(place + 1, place + len(names)))
-            found[place] = TableColumn(place, column.title, role, "deg", parts=places)
+            joined[place] = TableColumn(place, column.title, role, "deg", parts=places)
             for other in places:
-                found[other] = TableColumn(other, columns[other].title, PART)
-    return found
+                joined[other] = TableColumn(other, columns[other].title, PART)
+    return joined
 
 
 def _kinds_in(columns: Sequence[TableColumn]) -> int:
@@ -239,7 +239,7 @@ def role_of(name: str) -> str:
     value = _VALUE.fullmatch(name)
     if value is not None and value[1] in ROLE_OF:
         return ROLE_OF[value[1]]
-    stems = [found[1] for form in _SIGMAS if (found := form.fullmatch(name))]
+    stems = [match[1] for form in _SIGMAS if (match := form.fullmatch(name))]
     return next((SIGMA_OF[ROLE_OF[stem]] for stem in stems if ROLE_OF.get(stem) in SIGMA_OF), "")
 
 
@@ -284,7 +284,7 @@ def mapped(fields: Sequence[str], wanted: str, file: object) -> list[TableColumn
 
 def assignments(wanted: str, file: object = None) -> list[tuple[str, int, str, str]]:
     """Role, face (0: any), header and unit ('': not said) of every ``role=Header[unit]``."""
-    found = []
+    roles = []
     for part in filter(None, (p.strip() for p in wanted.split(","))):
         role, equals, title = part.partition("=")
         stem, face = role.strip().lower(), 0
@@ -295,10 +295,10 @@ def assignments(wanted: str, file: object = None) -> list[tuple[str, int, str, s
             raise RecordError(message, file=file)
         name, unit = _titled(title.strip())
         if unit and unit not in ALLOWED.get(stem, ()):
-            known = ", ".join(ALLOWED.get(stem, ("none",)))
-            raise RecordError(f"--columns {shown(part, 60)}: a unit of {stem} can be {known}", file=file)
-        found.append((stem, face, name, unit))
-    return found
+            units = ", ".join(ALLOWED.get(stem, ("none",)))
+            raise RecordError(f"--columns {shown(part, 60)}: a unit of {stem} can be {units}", file=file)
+        roles.append((stem, face, name, unit))
+    return roles
 
 
 def _titled(text: str) -> tuple[str, str]:

@@ -4,10 +4,10 @@ import numpy as np
 
 from ltsim.core.arrays import Floats
 from ltsim.core.units import FACTOR
-from ltsim.recordings.kinds import LIKE_TOTAL_STATION, NO_NOISE, TOTAL_STATION
 from ltsim.recordings.setup import Instrument
+from ltsim.recordings.specification import LIKE_TOTAL_STATION, NO_NOISE, TOTAL_STATION
 from ltsim.recordings.tables.header import DISTANCE
-from ltsim.recordings.tables.meaning import Meaning
+from ltsim.recordings.tables.meaning import ColumnInterpretation
 from ltsim.recordings.tables.printed import PointingTable, decimal_places
 
 TRACKER_RANGE_M = 160.0
@@ -19,7 +19,7 @@ LEAST_RANGES = 6
 """Fewer ranges may all end in zeros by chance."""
 
 
-def is_total_station(table: PointingTable, meaning: Meaning, readings: Floats) -> str:
+def is_total_station(table: PointingTable, meaning: ColumnInterpretation, readings: Floats) -> str:
     """Why the table is one of a total station; empty where it may be a laser tracker's.
 
     Heights over marks alone are none: trackers stand over marks too.

@@ -27,33 +27,33 @@ from ltsim.recordings.conventions import (
     Pose,
     Vertical,
     angle_meaning,
-    known_sense,
     length_meaning,
     sense_by_poses,
+    sense_from_points,
 )
 from ltsim.recordings.files import shown
 from ltsim.recordings.pointings import indices
 from ltsim.recordings.recording import SIGMA_COLUMNS
-from ltsim.recordings.slips import SHORTEST_MM
 from ltsim.recordings.tables import cells
 from ltsim.recordings.tables.header import DISTANCE, HEIGHTS, HORIZONTAL, PLACE, SIGMA, SIGMA_OF, VERTICAL, TableColumn
-from ltsim.recordings.tables.printed import PointingTable, Printed, as_floats, exactly
+from ltsim.recordings.tables.printed import PointingTable, PrintedPointings, as_floats, exactly
+from ltsim.recordings.transcription_errors import SHORTEST_MM
 
 FULL, QUARTER = Decimal(360), Decimal(90)
 TALL_M = (0.2, 3.0)
 """[m] Heights of instruments and targets over their marks lie here: they tell metres from millimetres."""
 AMBIGUOUS_MM = 1000.0
 """Longest distance that may as well be in metres."""
-ONE_FRAME = 2e-3
+COMMON_FRAME_M = 2e-3
 """[m] Common targets of two set-ups that agree so well are in one frame already."""
-TOLD = (
+FROM_PLACES = (
     "coordinates in each set-up's own axes are turned into distance, azimuth and elevation; what is stated as noise "
     "is that of the readings, and of both faces together"
 )
 
 
 @dataclass(frozen=True)
-class Meaning:
+class ColumnInterpretation:
     """Conversion of the printed numbers to raw readings; `notes` lists the decisions."""
 
     horizontal_unit: str
@@ -63,7 +63,7 @@ class Meaning:
     azimuth: Azimuth
     notes: tuple[str, ...] = ()
 
-    def readings(self, printed: Printed) -> Floats:
+    def readings(self, printed: PrintedPointings) -> Floats:
         """Raw ranges [m], azimuths, elevations [rad] (n, 3), in the numbers that a native file would hold."""
         turns, upward = (
             partial(operator.mul, ratio(unit, "deg")) for unit in (self.horizontal_unit, self.vertical_unit)
@@ -96,7 +96,9 @@ def _counter_clockwise(turn: Decimal) -> Decimal:
     return back + FULL if back < 0 else back
 
 
-def readings_of(table: PointingTable, poses: Mapping[int, Pose], hints: Hints, file: Path) -> tuple[Meaning, Floats]:
+def readings_of(
+    table: PointingTable, poses: Mapping[int, Pose], hints: Hints, file: Path
+) -> tuple[ColumnInterpretation, Floats]:
     """Meaning of the table's numbers, and the raw readings (n, 3) [m, rad] that they are.
 
     Rough `poses` of stations, by the order in which the table names them, tell the sense of the circle.
@@ -106,48 +108,48 @@ def readings_of(table: PointingTable, poses: Mapping[int, Pose], hints: Hints, f
     if table.holds_places:
         return _readings_of_places(table, hints, file)
     columns = {kind[0]: table.column(kind) for kind in (HORIZONTAL, VERTICAL, DISTANCE)}
-    stated = {kind: c.unit if c is not None else "" for kind, c in columns.items()}
+    unit_of = {kind: c.unit if c is not None else "" for kind, c in columns.items()}
     printed = table.pointings
     _, station = indices(printed.station, "station", file)
     _, target = indices(printed.target, "target", file)
     polar = PolarTable(station, target, *(as_floats(printed.of(kind)) for kind in (HORIZONTAL, VERTICAL, DISTANCE)))
-    units, vertical, notes = _angles(columns, stated, polar, hints, file)
-    length, more = _length(stated["distance"], polar, table, hints, file)
-    found = Meaning(*units, length, vertical, "counter-clockwise")
-    azimuth, why = _sense(table, found, polar, poses, hints, file)
-    found = replace(found, azimuth=azimuth, notes=(*notes, *more, *why))
-    return found, found.readings(printed)
+    units, vertical, notes = _angles(columns, unit_of, polar, hints, file)
+    length, more = _length(unit_of["distance"], polar, table, hints, file)
+    meaning = ColumnInterpretation(*units, length, vertical, "counter-clockwise")
+    azimuth, why = _sense(table, meaning, polar, poses, hints, file)
+    meaning = replace(meaning, azimuth=azimuth, notes=(*notes, *more, *why))
+    return meaning, meaning.readings(printed)
 
 
 def _angles(
-    columns: Mapping[str, TableColumn | None], stated: Mapping[str, str], polar: PolarTable, hints: Hints, file: Path
+    columns: Mapping[str, TableColumn | None], unit_of: Mapping[str, str], polar: PolarTable, hints: Hints, file: Path
 ) -> tuple[tuple[str, str], Vertical, list[str]]:
     column = columns["vertical"]
     role = column.role if column is not None else ""
-    said: Vertical | None = "zenith" if role == "zenith" else "elevation" if role == "elevation" else None
+    declared: Vertical | None = "zenith" if role == "zenith" else "elevation" if role == "elevation" else None
     if column is None:
-        said = "elevation"
-    one, other = stated["horizontal"], stated["vertical"]
-    unit = one or other or hints.angle or ""
+        declared = "elevation"
+    turn_unit, rise_unit = unit_of["horizontal"], unit_of["vertical"]
+    unit = turn_unit or rise_unit or hints.angle or ""
     # The data are asked in one unit: angles in different ones are brought to degrees first.
-    asked, known = polar, None
+    asked, common_unit = polar, None
     if unit:
-        turns = [float(ratio(u or unit, "deg")) for u in (one, other)]
+        turns = [float(ratio(u or unit, "deg")) for u in (turn_unit, rise_unit)]
         asked = replace(polar, horizontal=polar.horizontal * turns[0], vertical=polar.vertical * turns[1])
-        known = "deg"
-    if known and (said or hints.vertical):
-        return (one or unit, other or unit), hints.vertical or said or "elevation", []
-    answer = replace(hints, angle=known or hints.angle, vertical=hints.vertical or said)  # type: ignore[arg-type]
+        common_unit = "deg"
+    if common_unit and (declared or hints.vertical):
+        return (turn_unit or unit, rise_unit or unit), hints.vertical or declared or "elevation", []
+    answer = replace(hints, angle=common_unit or hints.angle, vertical=hints.vertical or declared)  # type: ignore[arg-type]
     angle, vertical, notes = angle_meaning(asked, answer, file)
-    if known and column is not None:
+    if common_unit and column is not None:
         notes = [f"'{column.title}' taken as {vertical} angles: {note.partition(': ')[2]}" for note in notes]
-    return (one or unit or angle, other or unit or angle), vertical, notes
+    return (turn_unit or unit or angle, rise_unit or unit or angle), vertical, notes
 
 
-def _length(stated: str, polar: PolarTable, table: PointingTable, hints: Hints, file: Path) -> tuple[str, list[str]]:
+def _length(declared: str, polar: PolarTable, table: PointingTable, hints: Hints, file: Path) -> tuple[str, list[str]]:
     """Unit of the distances: as stated, by heights beside them, by their size, or asked for."""
-    if stated or not np.isfinite(polar.distance).any():
-        return stated or hints.length or "mm", []
+    if declared or not np.isfinite(polar.distance).any():
+        return declared or hints.length or "mm", []
     longest = float(np.nanmax(polar.distance))
     if hints.length is not None or not SHORTEST_MM <= longest < AMBIGUOUS_MM:
         return length_meaning(polar.distance, hints)
@@ -163,7 +165,12 @@ def _length(stated: str, polar: PolarTable, table: PointingTable, hints: Hints, 
 
 
 def _sense(
-    table: PointingTable, meaning: Meaning, polar: PolarTable, poses: Mapping[int, Pose], hints: Hints, file: Path
+    table: PointingTable,
+    meaning: ColumnInterpretation,
+    polar: PolarTable,
+    poses: Mapping[int, Pose],
+    hints: Hints,
+    file: Path,
 ) -> tuple[Azimuth, list[str]]:
     """The sense of the circle: said, by known places, or by the words of the header."""
     if hints.azimuth is not None or not np.isfinite(polar.horizontal).any():
@@ -171,7 +178,7 @@ def _sense(
     if hints.points is not None or len(poses) > 1:
         local = from_polar(meaning.readings(table.pointings))
         if hints.points is not None:
-            return known_sense(local, polar, list(dict.fromkeys(table.pointings.target)), hints.points)
+            return sense_from_points(local, polar, list(dict.fromkeys(table.pointings.target)), hints.points)
         azimuth = sense_by_poses(local, polar, poses)
         if azimuth is not None:
             return azimuth, [f"azimuths taken as {azimuth}: so the set-ups see the same points from their rough places"]
@@ -189,7 +196,7 @@ def _sense(
     raise RecordError(SENSE_UNKNOWN, file=file)
 
 
-def _readings_of_places(table: PointingTable, hints: Hints, file: Path) -> tuple[Meaning, Floats]:
+def _readings_of_places(table: PointingTable, hints: Hints, file: Path) -> tuple[ColumnInterpretation, Floats]:
     """Coordinates as readings of face 1.
 
     Raises RecordError where a coordinate is missing, or all set-ups see their common targets in one frame.
@@ -197,7 +204,7 @@ def _readings_of_places(table: PointingTable, hints: Hints, file: Path) -> tuple
     printed = np.stack([as_floats(table.pointings.of((axis,))) for axis in PLACE], axis=1)
     rows, axes = np.nonzero(np.isnan(printed))
     if len(rows):
-        raise table.pointings.place(int(rows[0])).wrong(f"the coordinate {PLACE[axes[0]]} is missing")
+        raise table.pointings.place(int(rows[0])).error(f"the coordinate {PLACE[axes[0]]} is missing")
     length = next((c.unit for c in table.columns if c.role in PLACE and c.unit), "")
     notes: list[str] = []
     if not length:
@@ -205,20 +212,20 @@ def _readings_of_places(table: PointingTable, hints: Hints, file: Path) -> tuple
     readings = to_polar(printed * FACTOR[length])
     near = np.flatnonzero(readings[:, 0] < MILLIMETRE)
     if len(near):
-        raise table.pointings.place(int(near[0])).wrong("lies in the instrument itself, expected coordinates from it")
+        raise table.pointings.place(int(near[0])).error("lies in the instrument itself, expected coordinates from it")
     _check_frames(table, printed * FACTOR[length], file)
-    return Meaning("rad", "rad", length, "elevation", "counter-clockwise", (*notes, TOLD)), readings
+    return ColumnInterpretation("rad", "rad", length, "elevation", "counter-clockwise", (*notes, FROM_PLACES)), readings
 
 
 def _check_frames(table: PointingTable, points: Floats, file: Path) -> None:
     """Refuse coordinates that were brought into one frame: as readings they would hold no network."""
     first: dict[str, tuple[str, Floats]] = {}
     gaps = []
-    for own, target, point in zip(table.pointings.station, table.pointings.target, points, strict=True):
-        station, place = first.setdefault(target, (own, point))
-        if station != own:
+    for here, target, point in zip(table.pointings.station, table.pointings.target, points, strict=True):
+        station, place = first.setdefault(target, (here, point))
+        if station != here:
             gaps.append(float(np.linalg.norm(point - place)))
-    if len(gaps) > 2 and float(np.median(gaps)) < ONE_FRAME:
+    if len(gaps) > 2 and float(np.median(gaps)) < COMMON_FRAME_M:
         message = (
             f"{len(gaps)} targets have the same coordinates from several set-ups: they are in one frame already; "
             "export them in the axes of each instrument"

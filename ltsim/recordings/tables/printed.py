@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ltsim.core.arrays import Floats, Ints
-from ltsim.recordings.files import FilePlace
+from ltsim.recordings.files import SourceLocation
 from ltsim.recordings.tables.header import PLACE, READINGS, TableColumn
 
 Digits = NDArray[np.bytes_]
@@ -64,7 +64,7 @@ def decimal_places(digits: Digits) -> Ints:
 
 
 @dataclass
-class Printed:
+class PrintedPointings:
     """Pointings as their rows print them: columns of n entries, numbers by role in the units of their columns."""
 
     file: list[Path] = field(default_factory=list)
@@ -85,9 +85,9 @@ class Printed:
     def __len__(self) -> int:
         return len(self.line)
 
-    def place(self, index: int) -> FilePlace:
+    def place(self, index: int) -> SourceLocation:
         """File and row of a pointing."""
-        return FilePlace(self.file[index], self.line[index])
+        return SourceLocation(self.file[index], self.line[index])
 
     def of(self, roles: Sequence[str]) -> Digits:
         """Printed text of each row in the first of the roles that it holds."""
@@ -113,16 +113,16 @@ class Printed:
         names = {key: file.name for key, file in dict(zip(map(id, self.file), self.file, strict=True)).items()}
         return [f"{names[key]}, line {line}" for key, line in zip(map(id, self.file), self.line, strict=True)]
 
-    def take(self, order: Iterable[int]) -> Printed:
+    def take(self, order: Iterable[int]) -> PrintedPointings:
         """The pointings at some places, in that order."""
         places = list(order)
         lists: list[Any] = [[column[i] for i in places] for column in self.lists]
         numbers = {role: digits[places] for role, digits in self.numbers.items()}
         further = {title: [column[i] for i in places] for title, column in self.further.items()}
-        return Printed(*[*lists, numbers, further])
+        return PrintedPointings(*[*lists, numbers, further])
 
 
-def joined(parts: Sequence[Printed]) -> Printed:
+def joined(parts: Sequence[PrintedPointings]) -> PrintedPointings:
     """Pointings one after another; a column that some parts lack is empty there."""
     if len(parts) == 1:
         return parts[0]
@@ -134,7 +134,7 @@ def joined(parts: Sequence[Printed]) -> Printed:
         for role in roles
     }
     further = {title: _chained(part.texts(title) for part in parts) for title in titles}
-    return Printed(*[*lists, numbers, further])
+    return PrintedPointings(*[*lists, numbers, further])
 
 
 def _chained(columns: Iterable[list[T]]) -> list[T]:
@@ -153,8 +153,8 @@ class PointingTable:
     """All pointings of a file or folder, the columns they came from, and what was left out."""
 
     columns: list[TableColumn]
-    pointings: Printed = field(default_factory=Printed)
-    left_out: list[str] = field(default_factory=list)
+    pointings: PrintedPointings = field(default_factory=PrintedPointings)
+    unread: list[str] = field(default_factory=list)
     nameless: bool = False
     positional: bool = False
     marks: dict[str, str] = field(default_factory=dict)
@@ -187,14 +187,14 @@ class PointingTable:
         )
         if before and before != here:
             message = "its columns differ from those of the headers before, expected the same roles and units"
-            raise FilePlace(file, row).wrong(message)
+            raise SourceLocation(file, row).error(message)
         titles = {c.title for c in self.columns}
         self.columns += [c for c in columns if c.title not in titles]
 
     def add(self, other: PointingTable, file: object) -> None:
         """The columns of a further sheet and what is said of it; raises RecordError."""
         self.take(other.columns, file)
-        self.left_out += other.left_out
+        self.unread += other.unread
         self.notes += [note for note in other.notes if note not in self.notes]
         self.nameless |= other.nameless
         self.marked |= other.marked

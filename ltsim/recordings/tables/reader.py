@@ -1,11 +1,12 @@
 """Reading a recording from delimited text, a folder of such files, or a workbook."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from ltsim.core.arrays import Floats
-from ltsim.core.units import ARCSECOND, MILLIMETRE, ratio
+from ltsim.core.units import ARCSECOND, FACTOR, MILLIMETRE, ratio
 from ltsim.geometry.polar import to_face
 from ltsim.recordings.conventions import NO_HINTS, Hints, poses_of
 from ltsim.recordings.curvature import on_round_earth
@@ -17,13 +18,66 @@ from ltsim.recordings.setup import Setup
 from ltsim.recordings.tables import cells
 from ltsim.recordings.tables.header import ALLOWED, TableColumn, names_places
 from ltsim.recordings.tables.instruments import instrument_of, is_total_station
-from ltsim.recordings.tables.meaning import Meaning, readings_of, sigmas_of_places
-from ltsim.recordings.tables.poses import named_by_place
-from ltsim.recordings.tables.printed import PointingTable, Printed, as_digits, as_floats, codes
+from ltsim.recordings.tables.meaning import ColumnInterpretation, readings_of, sigmas_of_places
+from ltsim.recordings.tables.printed import PointingTable, PrintedPointings, as_digits, as_floats, codes
 from ltsim.recordings.tables.rows import header_of, table_of
-from ltsim.recordings.tables.setups import common_names, heights_not_applied, occupied, over_marks, split_occupations
+from ltsim.recordings.tables.setups import (
+    common_names,
+    heights_not_applied,
+    named_by_place,
+    occupied,
+    over_marks,
+    split_occupations,
+)
 from ltsim.recordings.tables.sheets import SUFFIXES, WORKBOOK, is_folder, rows_of_head, sheets_of
-from ltsim.recordings.tables.times import times_of, with_clock
+
+
+def with_clock(table: PointingTable) -> PointingTable:
+    """The table; where no header names a time, the first further column of clocks is its time."""
+    if table.column(("time",)) is not None:
+        return table
+    printed = table.pointings
+    for column in table.columns:
+        texts = printed.further.get(column.title, [])
+        filled = [text for text in texts if text]
+        if not column.is_further or column.role or not filled or not all(map(cells.has_clock, filled)):
+            continue
+        title = column.title
+        printed.moment = [" ".join(filter(None, both)) for both in zip(printed.moment, texts, strict=True)]
+        printed.further = {name: cells_of for name, cells_of in printed.further.items() if name != title}
+        table.columns = [replace(c, role="time", unit="") if c is column else c for c in table.columns]
+        table.notes.append(f"'{shown(title)}' taken as the time of each pointing: its cells are clocks")
+        break
+    return table
+
+
+def times_of(table: PointingTable, hints: Hints) -> tuple[list[float], str, list[str]]:
+    """Time [s] of each pointing, the moment of 0 where it is known, and notes; NaN where times cannot be read."""
+    column = table.column(("time",)) or table.column(("date",))
+    texts = table.pointings.moment
+    nothing = [float("nan")] * len(texts)
+    if column is None or not any(texts):
+        return nothing, "", []
+    by_rows = "the order of the rows is taken as time"
+    if not all(texts):
+        return nothing, "", [f"column '{shown(column.title)}' is empty in places: {by_rows}"]
+    if cells.are_numbers(texts):
+        return (as_floats(as_digits(texts)) * FACTOR[column.unit or "s"]).tolist(), "", []
+    numbers = [cells.number(text) for text in texts]
+    if all(number is not None for number in numbers):
+        factor = FACTOR[column.unit or "s"]
+        return [float(number) * factor for number in numbers if number is not None], "", []
+    seconds, start = cells.moments(texts, hints.date)
+    if seconds is None and start:
+        message = f"'{shown(texts[0])}' may be day and month or month and day; say which: --hint date=dmy or date=mdy"
+        raise table.pointings.place(0).error(message, shown(column.title))
+    if seconds is None:
+        unknown = f"column '{shown(column.title)}' holds no time that is known here ('{shown(texts[0])}')"
+        return nothing, "", [f"{unknown}: {by_rows}"]
+    if not any(":" in text for text in texts):
+        return nothing, "", [f"column '{shown(column.title)}' holds days without a clock: {by_rows}"]
+    return seconds, start, []
+
 
 SETUP = "setup.toml"
 MOST_SHOWN = 3
@@ -67,12 +121,12 @@ def read(path: Path, hints: Hints = NO_HINTS, *, positional: bool = False) -> Re
 
 
 def assembled(
-    table: PointingTable, meaning: Meaning, readings: Floats, setup: Setup, hints: Hints, file: Path
+    table: PointingTable, meaning: ColumnInterpretation, readings: Floats, setup: Setup, hints: Hints, file: Path
 ) -> Recording:
     """The recording of a table whose readings (n, 3) are understood, in the order of its pointings."""
     printed, nothing = table.pointings, np.full(len(table.pointings), NAN)
     sigmas = sigmas_of_places(table, readings, meaning.length_unit)
-    covariates, labels, kept = _further(table, meaning)
+    covariates, labels, further = _further(table, meaning)
     turns = covariates.get(SIGMA_COLUMNS[1], nothing) * ARCSECOND
     same_place, rounds = split_occupations(table, readings, turns)
     upright = bool(is_total_station(table, meaning, readings)) and table.column(("elevation",)) is None
@@ -85,14 +139,14 @@ def assembled(
     unused = heights_not_applied(table, readings, height)
     if unused:
         covariates = {name: column for name, column in covariates.items() if name not in HEIGHT_COLUMNS}
-        known = setup.heads_sigma_mm or HEADS_SIGMA_MM
-        setup = setup.model_copy(update={"heads_sigma_mm": known, "curved": True})
+        sigma_mm = setup.heads_sigma_mm or HEADS_SIGMA_MM
+        setup = setup.model_copy(update={"heads_sigma_mm": sigma_mm, "curved": True})
         labels = _over(occupied(table), labels)
     if timed and table.column(("date",)) is not None:  # a text where it is no clock
         labels["date"] = printed.moment
     if "flat" in printed.numbers:
         labels[KIND_COLUMN] = ["horizontal" if digits else "" for digits in printed.numbers["flat"].tolist()]
-    said = [table.notes, meaning.notes, rounds, over, reduced, timed, kept, unused, _left_out(table)]
+    remarks = [table.notes, meaning.notes, rounds, over, reduced, timed, further, unused, _unread(table)]
     targets, target = codes(printed.target)
     _, first = np.unique(target, return_index=True)
     for name, row in zip(targets, first.tolist(), strict=True):
@@ -107,13 +161,15 @@ def assembled(
         labels,
         printed.source,
     )
-    return on_round_earth(recording_of_columns(columns, setup, notes=[n for notes in said for n in notes], file=file))
+    return on_round_earth(
+        recording_of_columns(columns, setup, notes=[n for notes in remarks for n in notes], file=file)
+    )
 
 
 def _over(below: dict[str, list[str]], above: dict[str, list[str]]) -> dict[str, list[str]]:
     """Labels of both, row by row those of `above` where they hold something."""
     both = {
-        name: [one or other for one, other in zip(above[name], column, strict=True)] if name in above else column
+        name: [upper or other for upper, other in zip(above[name], column, strict=True)] if name in above else column
         for name, column in below.items()
     }
     return {**above, **both}
@@ -143,7 +199,9 @@ def _faces(table: PointingTable, readings: Floats) -> tuple[list[int], list[str]
     return faces, ["readings of face 2 were reduced to face 1 and are turned back to what the circles showed"]
 
 
-def _further(table: PointingTable, meaning: Meaning) -> tuple[dict[str, Floats], dict[str, list[str]], list[str]]:
+def _further(
+    table: PointingTable, meaning: ColumnInterpretation
+) -> tuple[dict[str, Floats], dict[str, list[str]], list[str]]:
     """Further columns of each pointing: numbers as covariates, texts as labels, and what is said of them.
 
     Sigmas and heights have names and units of their own, those of the readings where their header states none.
@@ -157,21 +215,21 @@ def _further(table: PointingTable, meaning: Meaning) -> tuple[dict[str, Floats],
     names = {c.title: c.role if c.title in named else c.title for c in columns}
     covariates = {names[title]: column for title, column in numeric.items()}
     labels = {names[title]: column for title, column in table.pointings.further.items() if title not in numeric}
-    own = {c.title for c in columns if c.role in HEIGHT_COLUMNS or c.role.startswith("sigma_")}
-    said = [
+    with_units = {c.title for c in columns if c.role in HEIGHT_COLUMNS or c.role.startswith("sigma_")}
+    units = [
         f"'{shown(c.title)}' taken as {c.role}" + ("" if c.unit else f", in {_unit(c, meaning)} as its reading")
         for c in columns
-        if c.title in own and c.title in numeric
+        if c.title in with_units and c.title in numeric
     ]
-    kept = ", ".join(f"'{shown(names[c.title])}'" for c in columns if c.title not in own)
-    return covariates, labels, [*said, *([f"kept as further columns: {kept}"] if kept else [])]
+    others = ", ".join(f"'{shown(names[c.title])}'" for c in columns if c.title not in with_units)
+    return covariates, labels, [*units, *([f"kept as further columns: {others}"] if others else [])]
 
 
-def _unit(column: TableColumn, meaning: Meaning) -> str:
+def _unit(column: TableColumn, meaning: ColumnInterpretation) -> str:
     return column.unit or meaning.unit_of(column.role)
 
 
-def _covariate(column: TableColumn, printed: Printed, meaning: Meaning) -> Floats | None:
+def _covariate(column: TableColumn, printed: PrintedPointings, meaning: ColumnInterpretation) -> Floats | None:
     """Numbers of a column in the unit of its role, NaN where a cell is empty; None for a column of text."""
     texts = printed.further.get(column.title, [])
     if not any(texts):
@@ -188,7 +246,7 @@ def _covariate(column: TableColumn, printed: Printed, meaning: Meaning) -> Float
     return numbers * _factor(column, meaning)
 
 
-def _factor(column: TableColumn, meaning: Meaning) -> float:
+def _factor(column: TableColumn, meaning: ColumnInterpretation) -> float:
     """Unit of a column of standard deviations or heights in that of its role."""
     wanted = column.role.rpartition("_")[2]
     if wanted not in ("mm", "arcsec"):
@@ -197,13 +255,13 @@ def _factor(column: TableColumn, meaning: Meaning) -> float:
     return float(ratio(unit, wanted)) if unit in (*ALLOWED[column.role], "dms") else 1.0
 
 
-def _left_out(table: PointingTable) -> list[str]:
+def _unread(table: PointingTable) -> list[str]:
     notes = []
     if table.nameless:
         alone = "the table names no station: all such pointings are taken from one, called S1"
         notes.append(f"{alone} (--hint station=NAME)")
-    if table.left_out:
-        some = "; ".join(table.left_out[:MOST_SHOWN])
-        more = len(table.left_out) - MOST_SHOWN
-        notes.append(f"left out as free text: {some}" + (f" and {more} more lines" if more > 0 else ""))
+    if table.unread:
+        examples = "; ".join(table.unread[:MOST_SHOWN])
+        more = len(table.unread) - MOST_SHOWN
+        notes.append(f"left out as free text: {examples}" + (f" and {more} more lines" if more > 0 else ""))
     return notes

@@ -1,18 +1,24 @@
-"""From rows of text to pointings as printed: headers, blocks of a station, free text between them."""
+"""Pointings as printed, from rows of text: headers, blocks of a station, free text; runs of rows become columns."""
 
 import re
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
+from sys import intern
+
+import numpy as np
 
 from ltsim.core.errors import RecordError
 from ltsim.core.limits import HEADERS
 from ltsim.recordings.conventions import Hints
-from ltsim.recordings.files import MAX_TEXT, FilePlace, is_number, shown
+from ltsim.recordings.files import MAX_TEXT, SourceLocation, is_number, shown
 from ltsim.recordings.tables import cells
 from ltsim.recordings.tables.advice import unnamed
 from ltsim.recordings.tables.header import (
+    DISTANCE,
+    HORIZONTAL,
     READINGS,
+    VERTICAL,
     TableColumn,
     assignments,
     columns_of,
@@ -22,9 +28,129 @@ from ltsim.recordings.tables.header import (
     role_of,
     words_of,
 )
-from ltsim.recordings.tables.printed import BLOCK, PointingTable, Printed, joined
-from ltsim.recordings.tables.run import RunReader
+from ltsim.recordings.tables.printed import BLOCK, Digits, PointingTable, PrintedPointings, as_digits, as_floats, joined
 from ltsim.recordings.tables.sheets import Row, Sheet
+
+LARGEST = 10**9
+"""Numbers of readings lie below it in size, in whatever unit."""
+
+
+class RunReader:
+    """Reads rows below one header of a sheet. `nameless` and `marked` are those of `PointingTable`."""
+
+    def __init__(self, sheet: Sheet, columns: Sequence[TableColumn]) -> None:
+        self.sheet, self.columns = sheet, columns
+        self.faces = (1, 2) if any(c.face for c in columns) else (0,)
+        self.nameless = False
+        self.marked: set[str] = set()
+
+    def read(self, run: Sequence[tuple[Row, str]]) -> PrintedPointings:
+        """Pointings of rows, each with the station of its block where its row names none.
+
+        Raises RecordError for a cell that is wrong: of one row for the first of its cells, of several for any of them.
+        """
+        rows, width = [row for row, _ in run], len(self.columns)
+        padded = [row.fields if len(row.fields) == width else _padded(row.fields, width) for row in rows]
+        table = list(zip(*padded, strict=True))
+        stations = [station for _, station in run]
+        if self.faces == (0,):
+            return self._of_face(0, rows, table, stations)
+        both = joined([self._of_face(face, rows, table, stations) for face in self.faces])
+        angles = both.of((*HORIZONTAL, *VERTICAL)) != b""
+        by_row = np.arange(2 * len(rows)).reshape(2, -1).T.ravel()
+        return both.take(by_row[angles[by_row]].tolist())
+
+    def _of_face(
+        self, face: int, rows: Sequence[Row], table: Sequence[Sequence[str]], stations: Sequence[str]
+    ) -> PrintedPointings:
+        """One pointing a row: the columns of one face (0: of the only one) and those of both."""
+        columns = [c for c in self.columns if c.face in (0, face)]
+        text = {c.role: table[c.place] for c in reversed(columns) if c.role}
+        nothing = ("",) * len(rows)
+        named = [name or block for name, block in zip(text.get("station", nothing), stations, strict=True)]
+        self.nameless |= "" in named
+        faces = self._faces(text["face"], rows) if "face" in text else [0] * len(rows)
+        numbers: dict[str, Digits] = {}
+        for c in columns:
+            if c.role in READINGS:
+                digits = self._numbers([c.text(row) for row in rows] if c.parts else table[c.place], c, rows)
+                filled = digits != b""
+                if filled.any():
+                    before = numbers.get(c.role)
+                    numbers[c.role] = digits if before is None else np.where(filled, digits, before)
+        further = {c.title: self._texts(table[c.place], rows) for c in columns if c.is_further}
+        return PrintedPointings(
+            [self.sheet.file] * len(rows),
+            [row.line for row in rows],
+            [intern(name or "S1") for name in named],
+            list(map(intern, text.get("target", nothing))),
+            [face] * len(rows) if face else faces,
+            _both(text.get("date"), text.get("time")) or [*nothing],
+            _both(text.get("date"), text.get("round")) or [*nothing],
+            [self.sheet.grouping] * len(rows),
+            numbers,
+            further,
+        )
+
+    def _faces(self, texts: Sequence[str], rows: Sequence[Row]) -> list[int]:
+        """Faces as stated; 0 for an empty cell."""
+        faces = {text: cells.face(text) if text else 0 for text in {*texts}}
+        for text, row in zip(texts, rows, strict=True) if None in faces.values() else ():
+            if faces[text] is None:
+                raise self._place(row).error(f"found '{shown(text)}', expected 1 or 2", "face")
+        return [faces[text] or 0 for text in texts]
+
+    def _numbers(self, texts: Sequence[str], column: TableColumn, rows: Sequence[Row]) -> Digits:
+        """Digits (n,) of a column of readings: its cells where all are plain numbers, otherwise each cell converted."""
+        if column.unit != "dms" and not self.sheet.grouping and cells.are_numbers(texts):
+            digits = as_digits(texts)
+            values = as_floats(digits)
+            if not np.any(np.abs(values) >= LARGEST) and not (column.role in DISTANCE and np.any(values <= 0)):
+                return digits
+        converted = [self._number(text, column, row) if text else "" for text, row in zip(texts, rows, strict=True)]
+        if not column.unit and any(map(cells.is_marked, texts)):
+            self.marked.add(column.title)
+        return as_digits(converted)
+
+    def _number(self, text: str, column: TableColumn, row: Row) -> str:
+        """Digits of one cell."""
+        packed = column.unit == "dms"
+        number = cells.packed(text) if packed else cells.value(text, self.sheet.grouping)
+        where = self._place(row)
+        if packed and number is None:
+            what = "degrees, minutes and seconds, such as 33°12'07.5\" or 33.12075"
+            raise where.error(f"found '{shown(text)}', expected {what}", shown(column.title))
+        if number is None or not abs(number) < LARGEST:
+            raise where.error(f"found '{shown(text)}', expected a number", shown(column.title))
+        if column.role in DISTANCE and not number > 0:
+            what = f"found {shown(text)}, expected a distance above 0, or nothing where none was measured"
+            raise where.error(what, shown(column.title))
+        return str(number)
+
+    def _texts(self, texts: Sequence[str], rows: Sequence[Row]) -> list[str]:
+        """Cells of a further column; equal ones are one object where many are."""
+        distinct = dict.fromkeys(texts)
+        whole = "".join(distinct)
+        if not whole.isprintable() or "<" in whole or ">" in whole or max(map(len, distinct)) > MAX_TEXT:
+            for text, row in zip(texts, rows, strict=True):
+                self._place(row).text(text)
+        return list(map(intern, texts)) if 2 * len(distinct) < len(texts) else list(texts)
+
+    def _place(self, row: Row) -> SourceLocation:
+        return SourceLocation(self.sheet.file, row.line)
+
+
+def _padded(fields: Sequence[str], width: int) -> Sequence[str]:
+    """Cells of a row for each column of the header."""
+    return (*fields[:width], *[""] * (width - len(fields)))
+
+
+def _both(first: Sequence[str] | None, second: Sequence[str] | None) -> list[str] | None:
+    """Cells of two columns joined by a blank; None where the table has neither."""
+    if first is None or second is None:
+        return list(first or second or ()) or None
+    return [" ".join(filter(None, pair)) for pair in zip(first, second, strict=True)]
+
 
 POSITIONS = ("station", "target", "azimuth", "vertical", "distance")
 """Roles of a table without a header whose lines are names and three numbers."""
@@ -83,7 +209,7 @@ class _SheetReader:
         self.sheet, self.hints = sheet, hints
         self.station = sheet.station or hints.station or ""
         self.table = PointingTable([])
-        self.parts: list[Printed] = []
+        self.parts: list[PrintedPointings] = []
         self.columns: list[TableColumn] = []
         self.wanted: list[int] = []
         self.headers = 0
@@ -107,7 +233,7 @@ class _SheetReader:
         for row in self.sheet.rows:
             if not row.comment and len(row.fields) != len(roles):
                 message = f"{len(row.fields)} fields, expected station, target, two angles and a distance"
-                raise FilePlace(self.sheet.file, row.line).wrong(message)
+                raise SourceLocation(self.sheet.file, row.line).error(message)
         self.table.positional = True
         self._head([TableColumn(i, role, role) for i, role in enumerate(roles)], None)
         return self._read(self.sheet.rows, every=True)
@@ -115,7 +241,9 @@ class _SheetReader:
     def _head(self, columns: list[TableColumn], row: int | None) -> None:
         self.headers += 1
         if self.headers > HEADERS:
-            raise FilePlace(self.sheet.file, row).wrong(f"holds more than {HEADERS} headers, the most that is read")
+            raise SourceLocation(self.sheet.file, row).error(
+                f"holds more than {HEADERS} headers, the most that is read"
+            )
         if columns != self.columns:
             self._convert()
         self.table.take(columns, self.sheet.file, row)
@@ -133,13 +261,13 @@ class _SheetReader:
                 self._other(row)
             elif i < last or not self.sheet.open_end:
                 self._pointing(row)
-            elif not self.hints.growing:  # otherwise it may not be whole yet
+            elif not self.hints.incomplete_tail:  # otherwise it may not be whole yet
                 self._convert()
                 self.sheet.check_whole(len(self.columns), strict=self.table.positional)
                 self._pointing(row)
         self._convert()
         self.table.notes += _doubled(self.columns)
-        self.table.pointings = joined(self.parts) if self.parts else Printed()
+        self.table.pointings = joined(self.parts) if self.parts else PrintedPointings()
         return self.table
 
     def _is_measured(self, row: Row) -> bool:
@@ -157,7 +285,7 @@ class _SheetReader:
         if block is not None and role_of(block.group(1)) == "station":
             self.station = block.group(2)
         elif not row.comment:
-            self.table.left_out.append(f"line {row.line} of {self.sheet.file.name} ('{row}')")
+            self.table.unread.append(f"line {row.line} of {self.sheet.file.name} ('{row}')")
 
     def _pointing(self, row: Row) -> None:
         if len(self.run) == BLOCK:
@@ -166,7 +294,7 @@ class _SheetReader:
         if len(row.fields) > width and any(row.fields[width:]):
             self._convert()
             message = f"{len(row.fields)} fields, expected {width} as in the header"
-            raise FilePlace(self.sheet.file, row.line).wrong(message)
+            raise SourceLocation(self.sheet.file, row.line).error(message)
         self.run.append((row, self.station))
 
     def _convert(self) -> None:
@@ -178,7 +306,7 @@ class _SheetReader:
         try:
             converted = [reader.read(run)]
         except RecordError:
-            converted = [reader.read([one]) for one in run]
+            converted = [reader.read([pair]) for pair in run]
         self.table.nameless |= reader.nameless
         self.table.marked |= reader.marked
         self.parts.append(joined(converted))

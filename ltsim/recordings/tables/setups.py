@@ -1,16 +1,20 @@
 """Set-ups and targets as surveyors' tables hold them.
 
 One target has names that differ by set-up (`P 01` and `p1`, `S1_P01` and `S2_P01`); set-ups stand over marks that are
-targets too, with a circle that each round turns anew.
+targets too, with a circle that each round turns anew. Rows without point names, or with one for all, are positions of a
+target that moves (a robot, a T-MAC).
 """
 
 import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from itertools import product
+from operator import add, sub
 
 import numpy as np
 
 from ltsim.core.arrays import Floats, Ints
+from ltsim.core.errors import RecordError
 from ltsim.core.notation import listing
 from ltsim.core.units import EARTH
 from ltsim.recordings.files import MAX_NAME, shown
@@ -18,8 +22,68 @@ from ltsim.recordings.pointings import numbered
 from ltsim.recordings.recording import OCCUPATION_COLUMNS
 from ltsim.recordings.setup import EXACT_LEVEL_ARCSEC, Setup, Station
 from ltsim.recordings.tables import cells
-from ltsim.recordings.tables.header import HEIGHTS
-from ltsim.recordings.tables.printed import PointingTable, Printed, codes
+from ltsim.recordings.tables.header import HEIGHTS, HORIZONTAL, PLACE, VERTICAL
+from ltsim.recordings.tables.printed import PointingTable, PrintedPointings, as_floats, codes
+
+SAME_SHARE = 3e-4
+"""Share of the largest length by which rows at one place differ: 1 mm at 3 m, more than a robot repeats."""
+SAME_ANGLE, SAME_RADIAN = 0.02, SAME_SHARE
+"""[deg or gon, rad] By which directions to one place differ."""
+RADIANS = 7.0
+LEAST_ROWS = 3
+
+
+def named_by_place(table: PointingTable, file: object) -> PointingTable:
+    """The table; where its rows have no names, or one name at several places, every place is a target of its own.
+
+    Raises RecordError where several set-ups have no names: nothing then tells which of their targets are the same.
+    """
+    names, stations = {*table.pointings.target}, {*table.pointings.station}
+    if len(names) > 1 or (names != {""} and len(table.pointings) < LEAST_ROWS):
+        return table
+    places = _places(table)
+    count = int(places.max()) + 1
+    if names != {""} and (count < LEAST_ROWS or len(stations) > 1):
+        return table
+    if len(stations) > 1:
+        message = "names no points, and nothing tells which targets of its set-ups are the same; add a column target"
+        raise RecordError(message, file=file)
+    table.pointings.target = [f"pose-{place + 1}" for place in places.tolist()]
+    called = "names no points" if names == {""} else f"has one name ('{shown(names.pop())}') for all of its rows"
+    table.notes.append(
+        f"the table {called}: its {len(places)} rows are {count} positions of a target that moves (a robot, a T-MAC), "
+        "each a target named pose-1, pose-2, ...; one set-up alone says nothing of the tracker"
+    )
+    return table
+
+
+def _places(table: PointingTable) -> Ints:
+    """Number of the place (n,) of each row, in the order of their first rows."""
+    numbers = table.pointings.numbers
+    printed = np.stack([as_floats(digits) for digits in numbers.values()], axis=1)
+    largest = np.nanmax(np.abs(printed), axis=0).tolist()
+    lengths = max((size for role, size in zip(numbers, largest, strict=True) if role in PLACE), default=0.0)
+    tolerance = np.array([_tolerance(role, size, lengths) for role, size in zip(numbers, largest, strict=True)])
+    scaled = np.nan_to_num(printed / tolerance)
+    steps = list(product((0, -1, 1), repeat=scaled.shape[1]))
+    first: list[tuple[float, ...]] = []
+    of_box: dict[tuple[int, ...], int] = {}  # no two places lie in one box of unit size
+    numbers_of_places = []
+    for row, box in zip(scaled.tolist(), np.floor(scaled).astype(np.int64).tolist(), strict=True):
+        around = [of_box[other] for step in steps if (other := tuple(map(add, box, step))) in of_box]
+        near = [i for i in around if max(map(abs, map(sub, row, first[i]))) < 1.0]
+        if not near:
+            of_box[tuple(box)] = len(first)
+            first.append(tuple(row))
+        numbers_of_places.append(min(near, default=len(first) - 1))
+    return np.array(numbers_of_places)
+
+
+def _tolerance(role: str, largest: float, lengths: float) -> float:
+    if role in (*HORIZONTAL, *VERTICAL):
+        return SAME_ANGLE if largest > RADIANS else SAME_RADIAN
+    return SAME_SHARE * max(lengths, largest, 1e-9)
+
 
 MOST_SHOWN = 4
 LEAST_LINES = 4
@@ -34,7 +98,7 @@ CLOSES_M = 0.02
 Key = tuple[str, ...]
 
 
-def common_names(printed: Printed) -> tuple[list[str], list[str]]:
+def common_names(printed: PrintedPointings) -> tuple[list[str], list[str]]:
     """Target of each pointing by one name for all set-ups, and what was changed.
 
     A set-up's own name before or after those of all its targets is taken away where set-ups then share targets that
@@ -50,20 +114,20 @@ def common_names(printed: Printed) -> tuple[list[str], list[str]]:
     places: dict[str, set[str]] = {}
     for station, target in zip(stations, targets, strict=True):
         places.setdefault(target, set()).add(station)
-    alike: dict[str, list[str]] = {}
+    spellings_of: dict[str, list[str]] = {}
     for target in places:
-        alike.setdefault(_folded(target), []).append(target)
-    one = {
+        spellings_of.setdefault(_folded(target), []).append(target)
+    common = {
         name: spellings[0]
-        for spellings in alike.values()
+        for spellings in spellings_of.values()
         if len(spellings) > 1
         and sum(len(places[s]) for s in spellings) == len(set().union(*(places[s] for s in spellings)))
         for name in spellings[1:]
     }
-    if one:
-        some = listing([f"'{name}' and '{first}'" for name, first in one.items()], MOST_SHOWN)
-        notes.append(f"names that differ in case, blanks or leading zeros are taken as one target: {some}")
-    names = [one.get(target, target) for target in targets]
+    if common:
+        examples = listing([f"'{name}' and '{first}'" for name, first in common.items()], MOST_SHOWN)
+        notes.append(f"names that differ in case, blanks or leading zeros are taken as one target: {examples}")
+    names = [common.get(target, target) for target in targets]
     return [names[i] for i in row.tolist()], notes
 
 
@@ -71,8 +135,8 @@ def _without(station: str, target: str) -> str:
     """The name of a target without that of its set-up; empty where it does not hold it."""
     if len(target) > MAX_NAME:  # which is refused later
         return ""
-    found = re.fullmatch(rf"{re.escape(station)}[\s._:/-]+(.+)|(.+?)[\s._:/-]+{re.escape(station)}", target)
-    return (found[1] or found[2]) if found else ""
+    match = re.fullmatch(rf"{re.escape(station)}[\s._:/-]+(.+)|(.+?)[\s._:/-]+{re.escape(station)}", target)
+    return (match[1] or match[2]) if match else ""
 
 
 def _shared(stations: Sequence[str], targets: Sequence[str]) -> bool:
@@ -190,9 +254,9 @@ def over_marks(
         return setup, []
     over = f", {len(shared)} marks are targets too" if shared & targets else ""
     kind = "set-ups with heights over their marks" if heights else "set-ups of a total station"
-    said = f"{kind} are taken as levelled{over} (setup.toml can say otherwise)"
+    note = f"{kind} are taken as levelled{over} (setup.toml can say otherwise)"
     setup = setup.model_copy(update={"stations": {**setup.stations, **stations}})
-    return setup, [said] if heights or levelled else []
+    return setup, [note] if heights or levelled else []
 
 
 def _closes(table: PointingTable, readings: Floats) -> bool:
@@ -243,7 +307,7 @@ def heights_not_applied(table: PointingTable, readings: Floats, height: Floats) 
     for line, up, other in zip(_lines(table), rise.tolist(), with_heights.tolist(), strict=True):
         if up == up:
             lines.setdefault(line, []).append((up, other))
-    mean = {line: np.mean(found, axis=0) for line, found in lines.items()}
+    mean = {line: np.mean(rises, axis=0) for line, rises in lines.items()}
     misses = np.abs([mean[a, b] + mean[b, a] for a, b in mean if a < b and (b, a) in mean]).reshape(-1, 2)
     if len(misses) < LEAST_LINES:
         return []

@@ -13,7 +13,7 @@ from typing import NamedTuple, overload
 
 from ltsim.core.errors import RecordError
 from ltsim.core.limits import FIELDS
-from ltsim.recordings.files import FilePlace, is_number, read_lines, shown
+from ltsim.recordings.files import SourceLocation, is_number, read_lines, shown
 from ltsim.recordings.tables.cells import grouping_of, is_value
 from ltsim.recordings.tables.workbook import workbook_cells
 
@@ -43,7 +43,7 @@ class Row(NamedTuple):
     def check_width(self, width: int, file: object) -> None:
         """Raise RecordError where the row has another number of cells than the header."""
         if len(self.fields) != width:
-            raise FilePlace(file, self.line).wrong(f"{len(self.fields)} fields, expected {width} as in the header")
+            raise SourceLocation(file, self.line).error(f"{len(self.fields)} fields, expected {width} as in the header")
 
     def __str__(self) -> str:
         return shown(" ".join(field for field in self.fields if field), 30)
@@ -81,7 +81,7 @@ class TextRows(Sequence[Row]):
     def mixed(self) -> TextRows:
         """Rows that may hold a field with both a comma and a point."""
         whole = self._separator == ","  # fields then hold commas in quotes alone
-        mixed = [one for one in self._lines if "," in one[1] and "." in one[1] and ('"' in one[1] or not whole)]
+        mixed = [line for line in self._lines if "," in line[1] and "." in line[1] and ('"' in line[1] or not whole)]
         return TextRows(mixed, self._separator)
 
 
@@ -112,10 +112,10 @@ class Sheet:
             return
         row = self.rows[-1]
         earlier = map(self.rows.__getitem__, range(len(self.rows) - 2, -1, -1))
-        before = next((one for one in earlier if len(one.fields) == width), None)
+        before = next((candidate for candidate in earlier if len(candidate.fields) == width), None)
         ends = [len(r.fields[-1].replace(",", ".").partition(".")[2]) for r in (row, before) if r is not None]
         if strict or len(row.fields) != width or (len(ends) == 2 and ends[0] < ends[1]):
-            raise FilePlace(self.file, row.line).wrong("the file ends inside this row: it was cut")
+            raise SourceLocation(self.file, row.line).error("the file ends inside this row: it was cut")
 
 
 def is_folder(path: Path) -> bool:
@@ -138,10 +138,10 @@ def sheets_of(path: Path) -> list[Sheet]:
 
     Raises RecordError for a file that is no text and no workbook, or lacks the library that reads workbooks.
     """
-    found = []
+    sheets = []
     for file in files_of(path):
-        found += _workbook(file) if file.suffix.lower() == ".xlsx" else [text_sheet(file)]
-    return found if len(found) > 1 else [replace(sheet, station="") for sheet in found]
+        sheets += _workbook(file) if file.suffix.lower() == ".xlsx" else [text_sheet(file)]
+    return sheets if len(sheets) > 1 else [replace(sheet, station="") for sheet in sheets]
 
 
 def text_sheet(file: Path) -> Sheet:
@@ -166,7 +166,7 @@ def _rows(lines: Sequence[str], file: Path) -> TextRows:
 def _check_fields(fields: Sequence[str], line: int, file: Path) -> None:
     """Raise RecordError for a row of more columns than a table has."""
     if len(fields) > FIELDS:
-        raise FilePlace(file, line).wrong(f"{len(fields)} fields, expected at most {FIELDS}")
+        raise SourceLocation(file, line).error(f"{len(fields)} fields, expected at most {FIELDS}")
 
 
 def rows_of_head(head: str) -> list[Row]:
@@ -223,7 +223,7 @@ def table_rows(path: Path) -> tuple[list[str], list[tuple[int, dict[str, str]]]]
     header, *rows = lines
     twice = next((name for name in header.fields if header.fields.count(name) > 1), None)
     if twice is not None:
-        raise FilePlace(path, header.line).wrong("this column appears twice in the header", shown(twice))
+        raise SourceLocation(path, header.line).error("this column appears twice in the header", shown(twice))
     for row in rows:
         row.check_width(len(header.fields), path)
     return list(header.fields), [(r.line, dict(zip(header.fields, r.fields, strict=True))) for r in rows]

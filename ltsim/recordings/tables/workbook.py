@@ -67,7 +67,7 @@ def _sheets(book: Any, file: Path) -> list[tuple[str, list[Line]]]:
     if len(sheets) > SHEETS:
         raise RecordError(f"holds more than {SHEETS} sheets, the most that is read", file=file)
     rows = cells = characters = 0
-    found = []
+    contents = []
     for sheet in sheets:
         sheet.reset_dimensions()  # the size that the file declares need not be true
         lines: list[Line] = []
@@ -84,8 +84,8 @@ def _sheets(book: Any, file: Path) -> list[tuple[str, list[Line]]]:
                 most = f"{LINE_CHARACTERS} characters in a row or {FILE_BYTES // MIB} million in all"
                 raise RecordError(f"holds more than {most} {where}, the most that is read", file=file)
             lines += [(number, texts)] if texts else []
-        found.append((sheet.title, lines))
-    return found
+        contents.append((sheet.title, lines))
+    return contents
 
 
 def _text(cell: object) -> str:

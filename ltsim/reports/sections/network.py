@@ -15,7 +15,7 @@ from ltsim.core.arrays import Floats
 from ltsim.core.errors import ConvergenceError, NetworkError, installed, missing_extra
 from ltsim.core.notation import NONE, fixed, number
 from ltsim.core.probability import p_text, two_sided
-from ltsim.physics.model.construction import stated_construction
+from ltsim.physics.model.construction import declared_construction
 from ltsim.recordings import Recording, read
 from ltsim.reports import figures
 from ltsim.reports.document import (
@@ -46,7 +46,7 @@ Pair = tuple[Adjustment, Adjustment]
 
 def adjusted(recording: Recording) -> Pair:
     """The network without and with the instrument's parameters; raises NetworkError, ConvergenceError."""
-    plain, full = adjust(recording), adjust(recording, stated_construction(recording))
+    plain, full = adjust(recording), adjust(recording, declared_construction(recording))
     plain.solution.require_success()
     full.solution.require_success()
     return plain, full

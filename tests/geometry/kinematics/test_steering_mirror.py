@@ -10,7 +10,7 @@ from ltsim.core.arrays import Floats
 from ltsim.core.errors import NetworkError
 from ltsim.geometry.polar import from_polar, to_face
 from ltsim.geometry.rotations import from_rotation_vector
-from ltsim.physics.model.construction import construction, stated_construction, steering_mirror
+from ltsim.physics.model.construction import construction, declared_construction, steering_mirror
 from ltsim.recordings.setup import Instrument
 from ltsim.simulation.scenario import load_scenario
 from ltsim.simulation.simulator import simulate
@@ -136,4 +136,4 @@ def test_two_designs_in_one_network_are_not_mixed_silently() -> None:
     stations[recording.stations[0]] = stations[recording.stations[0]].model_copy(update={"instrument": "M"})
     setup = recording.setup.model_copy(update={"instruments": {"M": mirror}, "instrument": head, "stations": stations})
     with pytest.raises(NetworkError, match="calibrate them apart"):
-        stated_construction(recording.replace(setup=setup))
+        declared_construction(recording.replace(setup=setup))

@@ -12,12 +12,12 @@ import pytest
 from ltsim.adjustment import adjust
 from ltsim.core.randomness import stream
 from ltsim.physics.effects.motions import station_design
-from ltsim.physics.laws.carriers import CARRIERS, carrier_designs
-from ltsim.physics.laws.drivers import CONSTANT, Driver, amounts, simple, smooth
 from ltsim.physics.laws.law import Law
 from ltsim.physics.laws.names import name_of
-from ltsim.physics.laws.offered import FOLLOWED, drivers_of, group_drivers, moves
-from ltsim.physics.laws.places import LEAST_GROUP, branches
+from ltsim.physics.laws.places import LEAST_GROUP, clusters
+from ltsim.physics.laws.regressor_library import FOLLOWED, group_drivers, moves, regressors_of
+from ltsim.physics.laws.regressors import CONSTANT, Regressor, amounts, simple, smooth
+from ltsim.physics.laws.responses import RESPONSES, response_designs
 from ltsim.physics.laws.sizes import sizes_of
 from ltsim.physics.model.construction import misalignment
 from ltsim.recordings.recording import OBSERVABLES
@@ -45,13 +45,13 @@ def test_drivers_have_columns_of_unit_size_and_words_of_the_interface(sightings)
         "face",
         "target",
     }
-    kinds = {**drivers_of(sightings), **{f"group {k}": d for k, d in group_drivers(sightings).items()}}
+    kinds = {**regressors_of(sightings), **{f"group {k}": d for k, d in group_drivers(sightings).items()}}
     drivers = [d for kind, some in kinds.items() for d in some[:: 50 if kind == "wave" else 3 if "room" in kind else 1]]
     for driver in drivers:
         columns = driver.columns(sightings)
         assert columns.shape == (len(sightings), driver.size)
         assert np.isfinite(columns).all()
-        assert set(driver.told) <= words | set(sightings.covariates)
+        assert set(driver.covariate_labels) <= words | set(sightings.covariates)
         spread = np.sqrt(((columns * driver.spreads[0]) ** 2).sum(axis=1).mean())
         assert 0.2 < spread < 2.5, driver
 
@@ -63,7 +63,7 @@ def test_what_a_law_may_follow_is_closed_under_the_operators(sightings):
     loaded = replace(sightings, covariates={"press_load_kn": load})
     before = loaded.previous
     there = before >= 0
-    followed = {f for kind in ("memory", "lag") for d in drivers_of(loaded)[kind] for f in d.covariates}
+    followed = {f for kind in ("memory", "lag") for d in regressors_of(loaded)[kind] for f in d.covariates}
     for name in ("azimuth", "elevation", "distance", "press_load_kn"):
         assert {f"{how}-{name}" for how in ("last", "move", "work")} <= followed
     quantities = loaded.quantities
@@ -73,8 +73,8 @@ def test_what_a_law_may_follow_is_closed_under_the_operators(sightings):
     rows = rows[np.argsort(sightings.time[rows], kind="stable")]
     done = np.append(0.0, np.cumsum(np.abs(np.diff(load[rows]))))
     np.testing.assert_allclose(quantities["work-press_load_kn"][rows], done)
-    assert simple("work-press_load_kn", "power").told == ("press_load_kn",)
-    assert simple("work-azimuth", "power").told == ("approach",)
+    assert simple("work-press_load_kn", "power").covariate_labels == ("press_load_kn",)
+    assert simple("work-azimuth", "power").covariate_labels == ("approach",)
     assert set(FOLLOWED) - {"station", "last-target"} <= set(quantities)
 
 
@@ -86,9 +86,9 @@ def test_amounts_are_those_of_the_target_measured_before(sightings):
 
 
 def test_carriers_show_mainly_in_the_readings_that_they_name(sightings):
-    designs = carrier_designs(sightings)
+    designs = response_designs(sightings)
     assert "vertical index" in designs  # two faces tell it from the elevation
-    assert set(designs) <= set(CARRIERS)
+    assert set(designs) <= set(RESPONSES)
     for name, (carrier, design) in designs.items():
         assert design.shape == (len(sightings), 3, len(carrier.ways))
         assert np.isfinite(design).all(), name
@@ -98,7 +98,7 @@ def test_carriers_show_mainly_in_the_readings_that_they_name(sightings):
 
 
 def test_laws_are_effects_like_any_other(sightings):
-    law = Law(("S2",), (), CARRIERS["vertical index"][0], smooth("station-time"))
+    law = Law(("S2",), (), RESPONSES["vertical index"][0], smooth("station-time"))
     assert pickle.loads(pickle.dumps(law)) == law
     design = law.design(sightings)
     assert design.shape == (len(sightings), 3, len(law.parameters))
@@ -106,13 +106,13 @@ def test_laws_are_effects_like_any_other(sightings):
     short = law.formulas(sightings)
     assert {d.driver.function for d in short} >= {"power", "decay"}
     assert name_of(Law((), (), law.carrier, simple("station-time", "decay", 900.0))) == "index-drift"
-    wave = Law((), (), CARRIERS["elevation"][0], Driver("wave", ("elevation",), constant=107.35))
+    wave = Law((), (), RESPONSES["elevation"][0], Regressor("wave", ("elevation",), constant=107.35))
     assert name_of(wave) == "encoder-interpolation"
     assert name_of(law) == "unknown"
 
 
 def test_an_elevation_that_errs_as_the_vertical_index_is_told_as_that(sightings):
-    reading = Law(carrier=CARRIERS["elevation"][0], driver=simple("face", "power"))
+    reading = Law(carrier=RESPONSES["elevation"][0], driver=simple("face", "power"))
     one, _ = network(faces=1, seed=1)
     alone = adjust(one, misalignment()).sightings
     cases = [
@@ -120,7 +120,7 @@ def test_an_elevation_that_errs_as_the_vertical_index_is_told_as_that(sightings)
         (replace(reading, driver=smooth("time")), sightings, "elevation"),
         (replace(reading, driver=smooth("time")), alone, "vertical index"),
         (replace(reading, driver=smooth("elevation")), alone, "elevation"),
-        (replace(reading, carrier=CARRIERS["azimuth"][0]), sightings, "azimuth"),
+        (replace(reading, carrier=RESPONSES["azimuth"][0]), sightings, "azimuth"),
     ]
     for law, sightings, carrier in cases:
         told = law.as_constant(sightings)
@@ -129,7 +129,7 @@ def test_an_elevation_that_errs_as_the_vertical_index_is_told_as_that(sightings)
 
 
 def test_a_wave_is_told_by_amplitude_and_phase(sightings):
-    wave = Law((), (), CARRIERS["distance"][0], Driver("wave", ("azimuth",), constant=3.0))
+    wave = Law((), (), RESPONSES["distance"][0], Regressor("wave", ("azimuth",), constant=3.0))
     amplitude, phase = sizes_of(wave, sightings, np.array([3e-6, 4e-6]), 1e-14 * np.eye(2))
     assert amplitude.value == pytest.approx(5.0 * np.sqrt(2.0))
     assert amplitude.sigma == pytest.approx(0.1 * np.sqrt(2.0))
@@ -137,7 +137,7 @@ def test_a_wave_is_told_by_amplitude_and_phase(sightings):
 
 
 def test_a_stand_that_leans_askew_is_one_law_and_told_along_both_axes(sightings):
-    law = Law(("S2",), (), CARRIERS["lean of the stand"][0], simple("station-time", "power"))
+    law = Law(("S2",), (), RESPONSES["lean of the stand"][0], simple("station-time", "power"))
     way = 5e-6 * np.array([0.6, 0.8])
     column = law.driver.columns(sightings)[:, 0] * (sightings.station == 1)
     expected = (station_design(sightings)[:, :, 3:5] @ way) * column[:, None]
@@ -152,7 +152,7 @@ def test_a_stand_that_leans_askew_is_one_law_and_told_along_both_axes(sightings)
 
 
 def test_what_every_set_up_does_in_its_own_way_is_the_laws_of_the_set_ups_together(sightings):
-    alone = Law(("S2",), (), CARRIERS["vertical index"][0], simple("station-time", "power"))
+    alone = Law(("S2",), (), RESPONSES["vertical index"][0], simple("station-time", "power"))
     together = alone.at_each(sightings)
     assert together is not None
     parts = [replace(alone, stations=(name,)).design(sightings) for name in sightings.station_names]
@@ -173,7 +173,7 @@ def test_targets_on_one_surface_belong_together():
     rng = stream(5, "places")
     points = rng.uniform(0.0, 10.0, (12, 3))
     look = np.repeat([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]], 6, axis=0)
-    found = branches(SimpleNamespace(points=points, nest_normal=look))
+    found = clusters(SimpleNamespace(points=points, nest_normal=look))
     assert {tuple(range(6)), tuple(range(6, 12))} <= found
     assert all(LEAST_GROUP <= len(group) <= 12 - LEAST_GROUP for group in found)
 
@@ -188,7 +188,7 @@ def test_coordinates_are_those_of_the_start_or_of_a_column_at_rest(sightings):
 
 
 def test_how_far_targets_move_is_told_as_far_as_they_move(sightings):
-    decay = Law(targets=("T02",), carrier=CARRIERS["place of targets"][0], driver=simple("time", "decay", 600.0))
+    decay = Law(targets=("T02",), carrier=RESPONSES["place of targets"][0], driver=simple("time", "decay", 600.0))
     mean = np.array([0.0, 0.0, 3e-5])
     there = decay.mask(sightings) > 0
     moved = decay.columns(sightings)[there, 0] * mean[2]
@@ -197,8 +197,8 @@ def test_how_far_targets_move_is_told_as_far_as_they_move(sightings):
 
 
 def test_an_elevation_that_errs_by_its_sign_is_the_vertical_index(sightings):
-    elevation, face = CARRIERS["elevation"][0], simple("face", "power")
-    law = Law((), (), elevation, Driver("product", factors=(face, smooth("time", 4))))
+    elevation, face = RESPONSES["elevation"][0], simple("face", "power")
+    law = Law((), (), elevation, Regressor("product", factors=(face, smooth("time", 4))))
     assert (law.as_constant(sightings).carrier.name, law.as_constant(sightings).driver) == (
         "vertical index",
         smooth("time", 4),
@@ -213,7 +213,7 @@ def test_an_elevation_that_errs_by_its_sign_is_the_vertical_index(sightings):
 
 def test_each_target_of_a_small_group_may_move_by_an_amount_of_its_own(sightings):
     group = sightings.target_names[:4]
-    law = Law((), group, CARRIERS["height of targets in their nests"][0], simple("time", "power"))
+    law = Law((), group, RESPONSES["height of targets in their nests"][0], simple("time", "power"))
     (own,) = law.forms(sightings)["members"][0]
     columns = own.columns(sightings)
     assert columns.shape == (len(sightings), 4)
@@ -222,7 +222,7 @@ def test_each_target_of_a_small_group_may_move_by_an_amount_of_its_own(sightings
         assert column[at].any() and not column[~at].any()
         assert column[sightings.time == sightings.time.min()].max(initial=0.0) == 0.0  # where it says at first
     assert "members" not in replace(law, targets=sightings.target_names[:2]).forms(sightings)
-    assert "members" not in replace(law, carrier=CARRIERS["distance"][0]).forms(sightings)
+    assert "members" not in replace(law, carrier=RESPONSES["distance"][0]).forms(sightings)
 
 
 @pytest.mark.parametrize(
@@ -233,11 +233,11 @@ def test_each_target_of_a_small_group_may_move_by_an_amount_of_its_own(sightings
         ("distance", simple("distance", "power"), (), "unknown"),
         ("distance", CONSTANT, (), "range-offset"),
         ("distance", CONSTANT, ("S2",), "range-step"),
-        ("azimuth", Driver("wave", ("azimuth",), constant=5.0), (), "azimuth-harmonic"),
-        ("elevation", Driver("wave", ("elevation",), constant=3.0), (), "elevation-harmonic"),
-        ("azimuth", Driver("wave", ("azimuth",), constant=1.0), (), "unknown"),
-        ("azimuth", Driver("wave", ("azimuth",), constant=90.0), (), "encoder-interpolation"),
+        ("azimuth", Regressor("wave", ("azimuth",), constant=5.0), (), "azimuth-harmonic"),
+        ("elevation", Regressor("wave", ("elevation",), constant=3.0), (), "elevation-harmonic"),
+        ("azimuth", Regressor("wave", ("azimuth",), constant=1.0), (), "unknown"),
+        ("azimuth", Regressor("wave", ("azimuth",), constant=90.0), (), "encoder-interpolation"),
     ],
 )
 def test_a_law_that_a_card_describes_has_its_name(carrier, driver, stations, name):
-    assert name_of(Law(stations, (), CARRIERS[carrier][0], driver)) == name
+    assert name_of(Law(stations, (), RESPONSES[carrier][0], driver)) == name

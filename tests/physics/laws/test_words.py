@@ -10,8 +10,8 @@ import pytest
 from ltsim.adjustment import adjust
 from ltsim.core.errors import ModelError
 from ltsim.physics.laws.columns import SIMPLE
-from ltsim.physics.laws.drivers import CONSTANT, Driver, across_the_room, amounts, pieces, simple, smooth
-from ltsim.physics.laws.offered import FOLLOWED, drivers_of
+from ltsim.physics.laws.regressor_library import FOLLOWED, regressors_of
+from ltsim.physics.laws.regressors import CONSTANT, Regressor, across_the_room, amounts, pieces, simple, smooth
 from ltsim.physics.laws.words import EXAMPLES, OWNERS, SAID, describe, read_driver, read_law
 from ltsim.recordings import Recording
 from tests.networks import network
@@ -25,7 +25,7 @@ def recording() -> Recording:
     )
 
 
-def every() -> list[Driver]:
+def every() -> list[Regressor]:
     """Drivers of all kinds with round constants."""
     named = {"power": 3.0, "abs": 1.0, "cos": 2.0, "sin": 1.0, "tan": 1.0}
     edges = [
@@ -34,20 +34,20 @@ def every() -> list[Driver]:
     clocks = [simple("station-time", function, 480.0) for function in ("decay", "relaxing", "saturated")]
     clocks.append(simple("move-azimuth", "fading", 0.5))
     found = [simple("press_load_kn" if f == "power" else "elevation", f, k) for f, k in named.items()]
-    found += [CONSTANT, amounts("station", 5), Driver("wave", ("azimuth",), constant=1.0), *edges, *clocks]
+    found += [CONSTANT, amounts("station", 5), Regressor("wave", ("azimuth",), constant=1.0), *edges, *clocks]
     found += [
-        Driver(kind, (name,), constant=2 * np.pi / 45.0) for kind in ("wave", "cycle") for name in ("time", "circle")
+        Regressor(kind, (name,), constant=2 * np.pi / 45.0) for kind in ("wave", "cycle") for name in ("time", "circle")
     ]
-    found += [Driver("wave", (name,), constant=2 * np.pi / 0.4) for name in ("x", "hall_temperature_c")]
+    found += [Regressor("wave", (name,), constant=2 * np.pi / 0.4) for name in ("x", "hall_temperature_c")]
     found += [smooth(name) for name in ("circle", "hall_temperature_c")] + [
         simple(name, "power") for name in SAID if name not in OWNERS
     ]
     found += [simple("distance", "power", -1.0), pieces([simple("time", "step", 600.0), simple("time", "ramp", 900.0)])]
-    found += [Driver("lagging", ("hall_temperature_c",), constant=1200.0), amounts("last-target", 28)]
-    found += [simple("press_load_kn", "power").for_each(("T01", "T02", "T04"))]
+    found += [Regressor("lagging", ("hall_temperature_c",), constant=1200.0), amounts("last-target", 28)]
+    found += [simple("press_load_kn", "power").per_target(("T01", "T02", "T04"))]
     found += across_the_room([simple("press_load_kn", "power"), pieces(edges[:1] * 2)], 2)
-    found.append(Driver("product", factors=(smooth("distance", 4), amounts("instrument", 1))))
-    return [*found, Driver("product", factors=(simple("face", "power"), smooth("distance", 4)))]
+    found.append(Regressor("product", factors=(smooth("distance", 4), amounts("instrument", 1))))
+    return [*found, Regressor("product", factors=(simple("face", "power"), smooth("distance", 4)))]
 
 
 @pytest.mark.parametrize("clock", [True, False])
@@ -65,7 +65,7 @@ def test_every_driver_is_read_as_it_is_told(recording: Recording, clock: bool) -
 def test_what_a_diagnosis_may_tell_of_a_recording_is_read(recording: Recording) -> None:
     sightings = adjust(recording).sightings
     assert set(FOLLOWED) <= set(sightings.quantities)
-    tried = drivers_of(sightings)
+    tried = regressors_of(sightings)
     for driver in [
         d for kind, some in tried.items() for d in some[:: 25 if kind == "wave" else 1] if kind not in ("room", "clock")
     ]:
@@ -77,7 +77,7 @@ def test_what_a_diagnosis_may_tell_of_a_recording_is_read(recording: Recording) 
 def test_a_group_tilts_and_the_whole_bends(recording: Recording) -> None:
     words = "press_load_kn times the place in the room"
     group = read_law("place of targets", words, recording, targets=("T01", "T02"))
-    assert group.driver == across_the_room([simple("press_load_kn", "power")], 1)[0].about(("T01", "T02"))
+    assert group.driver == across_the_room([simple("press_load_kn", "power")], 1)[0].centred_on(("T01", "T02"))
     assert read_law("place of targets", words, recording).driver.factors[1].constant == 2
 
 

@@ -22,11 +22,11 @@ def owners_of(sightings: Sightings, each: str) -> tuple[tuple[str, ...], Ints]:
 
 
 @dataclass(frozen=True)
-class NoisePattern(NoiseSignature):
+class VarianceFunction(NoiseSignature):
     """Noise of some observables that grows with a covariate, or is larger at some targets: not in the catalogue.
 
     variance = sigma^2 (1 + value * pattern), the pattern running from 0 to 1 over the network. Each of its `owners`,
-    the names of all targets or stations, has a value of its own; where they are `apart`, one for each observable.
+    the names of all targets or stations, has a value of its own; one for each observable where `per_observable`.
     """
 
     observables: tuple[str, ...] = OBSERVABLES
@@ -38,14 +38,14 @@ class NoisePattern(NoiseSignature):
     repeating: str = ""
     each: str = ""
     owners: tuple[str, ...] = ()
-    apart: bool = False
+    per_observable: bool = False
 
     name = "unknown"
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """One size; one for each of the owners where each has its own noise."""
-        kinds = [f"-{name}" for name in self.observables] if self.apart else [""]
+        kinds = [f"-{name}" for name in self.observables] if self.per_observable else [""]
         names = [f"added-variance{kind} at {name}" for name in self.owners for kind in kinds]
         return tuple(
             Parameter(n, "", "variance added where the pattern is 1, over the stated", 3.0)
@@ -71,7 +71,7 @@ class NoisePattern(NoiseSignature):
         if self.each:
             what = self.each.replace("station", "set-up")
             return f"noise that differs from {what} to {what}" + (
-                ", in each observable by itself" if self.apart else ""
+                ", in each observable by itself" if self.per_observable else ""
             )
         if not self.covariates:
             return "larger noise"

@@ -2,7 +2,8 @@
 
 Base quantities are what a pointing itself says, the clock, and the recording's further columns. An operator takes the
 value before, the change since, the sum of changes or of their sizes; what lags behind; another amount for each station
-or each target that was measured before. Each operator costs a constant of prior odds (`COST`), and so does a product.
+or each target that was measured before. Each operator costs a constant of prior odds
+(`OPERATOR_ODDS`), and so does a product.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -12,26 +13,26 @@ import numpy as np
 
 from ltsim.core.arrays import Floats
 from ltsim.physics.laws.columns import LOW, MODES
-from ltsim.physics.laws.drivers import CLOCKS, CONSTANT, Driver, across_the_room, amounts, base_of, simple, smooth
+from ltsim.physics.laws.regressors import CLOCKS, CONSTANT, Regressor, across_the_room, amounts, base_of, simple, smooth
 from ltsim.scene.sightings import Sightings
 
 POINTED = ("azimuth", "elevation", "distance")
-OWN = (*POINTED, "time", "station-time", "height", "bearing", "x", "y")
+BASE = (*POINTED, "time", "station-time", "height", "bearing", "x", "y")
 _CIRCLES = ("circle", "vertical-circle")
-_BALL = ("incidence", "nest-direction")
+_NEST = ("incidence", "nest-direction")
 _SIGNS = ("face", "approach-azimuth", "approach-elevation", "parity", "seating-parity", "repeat")
 OPERATORS = ("last", "move", "work")
 """The value before, the change since then, the sum of the changes' sizes."""
-REMEMBERED = ("wound-azimuth", "lapse", *(f"{how}-{name}" for how in OPERATORS for name in POINTED))
-FOLLOWED = tuple(dict.fromkeys((*OWN, "z", *_CIRCLES, *_BALL, *_SIGNS, *REMEMBERED)))
+PRECEDING = ("wound-azimuth", "lapse", *(f"{how}-{name}" for how in OPERATORS for name in POINTED))
+FOLLOWED = tuple(dict.fromkeys((*BASE, "z", *_CIRCLES, *_NEST, *_SIGNS, *PRECEDING)))
 """Everything that a reading can follow beside columns of the recording."""
-_HEAD = ("azimuth", "elevation", *_CIRCLES, *_SIGNS, *(n for n in REMEMBERED if not n.endswith("distance")))
+_HEAD = ("azimuth", "elevation", *_CIRCLES, *_SIGNS, *(n for n in PRECEDING if not n.endswith("distance")))
 DRIVES: dict[str, tuple[str, ...]] = {
     "instrument": (*CLOCKS, *_HEAD, "distance", "height", "move-distance", "last-distance", "work-distance"),
     "circle": (*CLOCKS, "lapse", *_SIGNS[3:]),
     "stand": (*CLOCKS, "azimuth", "elevation", "distance", "wound-azimuth", "work-azimuth", "lapse", "last-target"),
     "target": ("time", "station", *_SIGNS[3:]),
-    "reflector": ("time", "lapse", "last-target", *_SIGNS[3:], *_BALL),
+    "reflector": ("time", "lapse", "last-target", *_SIGNS[3:], *_NEST),
     "air": CLOCKS,
 }
 """Covariates that each kind of carrier can depend on, in addition to columns of the recording: a wall does not depend
@@ -50,7 +51,7 @@ MOST_CYCLES, LEAST_OF_A_CYCLE = 60, 8
 """Cycles over a covariate's span that a wave may have, and pointings that each must have."""
 ROUNDING = 1e-12
 """[rad, m, s] Spread of what a pointing says that is none: elevations in a plan differ by 1e-31."""
-COST = 1.0 / 3.0
+OPERATOR_ODDS = 1.0 / 3.0
 """Prior odds that an operator, or a second factor, costs: odds of one in three that there is one."""
 DEPTHS = {
     "constant": 0,
@@ -75,30 +76,30 @@ def further(sightings: Sightings) -> list[str]:
 
 def _varying(sightings: Sightings, names: Iterable[str]) -> list[str]:
     """Names of the quantities that vary in these sightings."""
-    seen, faces = np.isfinite(sightings.incidence).any(), np.ptp(sightings.face) > 0
-    asked = [n for n in names if (seen or n not in _BALL) and (faces or n not in _CIRCLES)]
+    has_nests, faces = np.isfinite(sightings.incidence).any(), np.ptp(sightings.face) > 0
+    asked = [n for n in names if (has_nests or n not in _NEST) and (faces or n not in _CIRCLES)]
     floor = {n: ROUNDING * (base_of(n) not in sightings.covariates) for n in asked}
     return [n for n in asked if np.ptp(sightings.quantities[n]) > floor[n]]
 
 
-def moves(kind: str, driver: Driver, sightings: Sightings) -> bool:
+def is_admissible(kind: str, driver: Regressor, sightings: Sightings) -> bool:
     """Whether a driver can move a kind of carrier; a reading may err with anything."""
     names = [*driver.covariates, *(n for f in driver.factors if f.kind != "field" for n in f.covariates)]
     return kind == "reading" or all(n in DRIVES[kind] or base_of(n) in sightings.covariates for n in names)
 
 
-def drivers_of(sightings: Sightings, modes: int = MODES) -> dict[str, list[Driver]]:
+def regressors_of(sightings: Sightings, modes: int = MODES) -> dict[str, list[Regressor]]:
     """Every driver that is tried, by kind; curves with so many `modes`."""
     s, columns = sightings, further(sightings)
-    own = _varying(s, (*OWN, *columns, *_CIRCLES, *_BALL))
-    before = _varying(s, (*REMEMBERED, *(f"{how}-{name}" for how in OPERATORS for name in columns)))
-    signs = [n for n in _varying(s, _SIGNS) if n != "seating-parity" or _apart(s)]
+    base = _varying(s, (*BASE, *columns, *_CIRCLES, *_NEST))
+    before = _varying(s, (*PRECEDING, *(f"{how}-{name}" for how in OPERATORS for name in columns)))
+    signs = [n for n in _varying(s, _SIGNS) if n != "seating-parity" or _signs_differ(s)]
     return {
         "constant": [CONSTANT],
         "sign": [simple(name, "power") for name in signs],
-        "curve": [smooth(name, modes) for name in own],
+        "curve": [smooth(name, modes) for name in base],
         "clock": local_drivers(s),
-        "decay": [simple(n, "decay", float(t)) for n in CLOCKS if n in own for t in np.ptp(s.quantities[n]) * DECAYS],
+        "decay": [simple(n, "decay", float(t)) for n in CLOCKS if n in base for t in np.ptp(s.quantities[n]) * DECAYS],
         "memory": [
             *(smooth(name, modes) for name in before),
             *(simple(name, "abs") for name in before if name.startswith("move-")),
@@ -111,14 +112,14 @@ def drivers_of(sightings: Sightings, modes: int = MODES) -> dict[str, list[Drive
     }
 
 
-def local_drivers(sightings: Sightings) -> list[Driver]:
+def local_drivers(sightings: Sightings) -> list[Regressor]:
     """Drivers of changes of targets: functions of time, or of the recording's further columns."""
     names = _varying(sightings, ("time", *further(sightings)))
     straight = [simple(name, "power") for name in names]
     return [*straight, *(smooth(name, LOW) for name in names), *lags(sightings, further(sightings))]
 
 
-def group_drivers(sightings: Sightings) -> dict[str, list[Driver]]:
+def group_drivers(sightings: Sightings) -> dict[str, list[Regressor]]:
     """Drivers of changes of a group of targets: joint motion, another one at each set-up, or a tilt."""
     local, each = local_drivers(sightings), _each_visit(sightings, 2)
     return {
@@ -130,45 +131,47 @@ def group_drivers(sightings: Sightings) -> dict[str, list[Driver]]:
     }
 
 
-def _apart(sightings: Sightings) -> bool:
+def _signs_differ(sightings: Sightings) -> bool:
     """Whether seatings and pointings alternate differently."""
-    one, other = (sightings.quantities[name] for name in ("parity", "seating-parity"))
-    return abs(float(one @ other)) < len(one)
+    parity, seating = (sightings.quantities[name] for name in ("parity", "seating-parity"))
+    return abs(float(parity @ seating)) < len(parity)
 
 
-def _each_visit(sightings: Sightings, least: int) -> list[Driver]:
+def _each_visit(sightings: Sightings, least: int) -> list[Regressor]:
     count = len(np.unique(sightings.station))
     return [amounts("station", count)] if least <= count <= MOST_VISITS else []
 
 
-def _each_before(sightings: Sightings) -> list[Driver]:
+def _each_before(sightings: Sightings) -> list[Regressor]:
     count = len(sightings.target_names)
     return [amounts("last-target", count)] if 1 < count <= MOST_AMOUNTS else []
 
 
-def lags(sightings: Sightings, names: Iterable[str]) -> list[Driver]:
+def lags(sightings: Sightings, names: Iterable[str]) -> list[Regressor]:
     """Drivers that follow quantities with a lag."""
     varying = _varying(sightings, names)
-    return [Driver("lagging", (name,), constant=t) for t in MEMORIES if np.ptp(sightings.time) > t for name in varying]
+    return [
+        Regressor("lagging", (name,), constant=t) for t in MEMORIES if np.ptp(sightings.time) > t for name in varying
+    ]
 
 
-def products(sightings: Sightings) -> Iterator[Driver]:
+def products(sightings: Sightings) -> Iterator[Regressor]:
     """Products of two drivers: a sign or a move with a curve, two curves, another curve for each instrument."""
-    names = _varying(sightings, (*OWN[:7], *further(sightings), *_CIRCLES, *_BALL))
+    names = _varying(sightings, (*BASE[:7], *further(sightings), *_CIRCLES, *_NEST))
     trackers = len(np.unique(sightings.instrument))
     if 1 < trackers <= MOST_VISITS:
-        own = amounts("instrument", trackers)
-        yield from (Driver("product", factors=(smooth(name, LOW), own)) for name in names)
+        by_instrument = amounts("instrument", trackers)
+        yield from (Regressor("product", factors=(smooth(name, LOW), by_instrument)) for name in names)
     for sign in _varying(sightings, _SIGNS[:3]):
-        yield from (Driver("product", factors=(simple(sign, "power"), smooth(name, LOW))) for name in names)
+        yield from (Regressor("product", factors=(simple(sign, "power"), smooth(name, LOW))) for name in names)
     weights = [simple("distance", "power"), simple("elevation", "power")]
     weights += [smooth("lapse", LOW)] if np.ptp(sightings.quantities["lapse"]) > 0 else []  # a move is forgotten
     for move in _varying(sightings, [f"move-{name}" for name in POINTED]):
         lengths = (simple(move, how) for how in ("abs", "power"))
-        yield from (Driver("product", factors=(length, weight)) for length in lengths for weight in weights)
-    for one, other in combinations(names, 2):
-        if {one, other} not in ({"time", "station-time"}, {"azimuth", "bearing"}) and other not in _CIRCLES:
-            yield Driver("product", factors=(smooth(one, LOW), smooth(other, LOW)))
+        yield from (Regressor("product", factors=(length, weight)) for length in lengths for weight in weights)
+    for first, second in combinations(names, 2):
+        if {first, second} not in ({"time", "station-time"}, {"azimuth", "bearing"}) and second not in _CIRCLES:
+            yield Regressor("product", factors=(smooth(first, LOW), smooth(second, LOW)))
 
 
 def rates(sightings: Sightings, name: str, most: float) -> Floats:
@@ -179,17 +182,17 @@ def rates(sightings: Sightings, name: str, most: float) -> Floats:
 
 def waves(
     sightings: Sightings, names: Sequence[str] = ("time", *POINTED, "x", "y", "z", "station-time"), among: int = 1
-) -> Iterator[Driver]:
+) -> Iterator[Regressor]:
     """Waves in some quantities, of which each of so many parts has its share of pointings."""
     most = min(len(sightings) / LEAST_OF_A_CYCLE, MOST_CYCLES) / among
     for name in names:
         for rate in rates(sightings, name, most):
-            yield Driver("wave", (name,), constant=float(rate))
+            yield Regressor("wave", (name,), constant=float(rate))
 
 
 SLOW = 18
 """Rates of waves, the slowest ones, that targets are tried with."""
 
 
-def _slow_waves(sightings: Sightings) -> list[Driver]:
+def _slow_waves(sightings: Sightings) -> list[Regressor]:
     return list(waves(sightings, ("time",)))[:SLOW]

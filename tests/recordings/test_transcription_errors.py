@@ -11,43 +11,43 @@ from ltsim.core.errors import ModelError, RecordError
 from ltsim.physics.effects.wrong_unit import WrongUnit
 from ltsim.recordings.native import write_recording
 from ltsim.recordings.recording import Recording
-from ltsim.recordings.slips import FACE_SLIPS, UNIT_SLIPS, Slip, slip_by_lengths
+from ltsim.recordings.transcription_errors import FACE_ERRORS, UNIT_ERRORS, TranscriptionError, error_by_lengths
 from tests.networks import network
 
-ANGULAR = [slip for slip in UNIT_SLIPS if 0 not in slip.columns and slip.name != "clockwise"]
+ANGULAR = [slip for slip in UNIT_ERRORS if 0 not in slip.columns and slip.name != "clockwise"]
 
 
-def slipped(recording: Recording, slip: Slip) -> Recording:
+def slipped(recording: Recording, slip: TranscriptionError) -> Recording:
     return recording.with_readings(slip.written(recording.readings))
 
 
-@pytest.mark.parametrize("slip", [*UNIT_SLIPS, *FACE_SLIPS], ids=lambda slip: slip.name)
-def test_what_is_mended_is_what_was_read(slip: Slip) -> None:
+@pytest.mark.parametrize("slip", [*UNIT_ERRORS, *FACE_ERRORS], ids=lambda slip: slip.name)
+def test_what_is_mended_is_what_was_read(slip: TranscriptionError) -> None:
     readings = np.random.default_rng(3).uniform(0.1, 3.0, (9, 3))
     written = slip.written(readings)
-    np.testing.assert_allclose(slip.mended(written), readings, rtol=1e-14)
+    np.testing.assert_allclose(slip.corrected(written), readings, rtol=1e-14)
     untouched = [c for c in range(3) if c not in slip.columns]
     np.testing.assert_array_equal(written[:, untouched], readings[:, untouched])
 
 
 def test_the_effect_knows_every_slip_and_no_other() -> None:
-    assert [effect.mistake for effect in WrongUnit.at("S1")] == [slip.name for slip in UNIT_SLIPS]
+    assert [effect.mistake for effect in WrongUnit.at("S1")] == [slip.name for slip in UNIT_ERRORS]
     with pytest.raises(ModelError, match=r"did you mean .*metre"):
         WrongUnit(("S1",), mistake="metres")
 
 
 @pytest.mark.parametrize("slip", ANGULAR, ids=lambda slip: slip.name)
-def test_lengths_tell_which_slip_a_network_on_one_face_holds(slip: Slip) -> None:
+def test_lengths_tell_which_slip_a_network_on_one_face_holds(slip: TranscriptionError) -> None:
     recording, _ = network(seed=2)
     wrong = slipped(recording, slip)
-    assert slip_by_lengths(recording.readings, recording.station, recording.target) is None
-    found = slip_by_lengths(wrong.readings, recording.station, recording.target)
+    assert error_by_lengths(recording.readings, recording.station, recording.target) is None
+    found = error_by_lengths(wrong.readings, recording.station, recording.target)
     assert found is not None
-    np.testing.assert_allclose(found.mended(wrong.readings), recording.readings, atol=1e-12)
+    np.testing.assert_allclose(found.corrected(wrong.readings), recording.readings, atol=1e-12)
 
 
 def test_a_network_in_gon_on_one_face_is_refused_with_what_would_fit(tmp_path: Path) -> None:
     recording, _ = network(seed=2)
-    gon = next(slip for slip in UNIT_SLIPS if slip.name == "gon")
+    gon = next(slip for slip in UNIT_ERRORS if slip.name == "gon")
     with pytest.raises(RecordError, match="the same ones if the column holds gon; expected degrees"):
         write_recording(slipped(recording, gon), tmp_path)  # what could not be read back is not written

@@ -1,4 +1,4 @@
-"""Known lengths of a recording at the temperature of their use, and what is not known of them."""
+"""Reference values of a recording: lengths at the temperature of their use, differences between marks."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from ltsim.core.arrays import Floats, Ints
 from ltsim.core.errors import RecordError
 from ltsim.core.units import MILLIMETRE, PPM
 from ltsim.geometry.expansion import Expansion
-from ltsim.recordings.files import shown
+from ltsim.recordings.files import SourceLocation, shown
 from ltsim.recordings.recording import Recording
-from ltsim.recordings.setup import GaugeDistance
+from ltsim.recordings.setup import GaugeDistance, ReferenceDifference, Target, symmetric
 
 COEFFICIENT = "expansion of "
 """Begins the name of an error that lengths of one material share."""
@@ -23,7 +23,7 @@ UNKNOWN_PPM = 1000.0
 
 
 @dataclass(frozen=True)
-class KnownLengths:
+class ReferenceLengths:
     """The g lengths between targets of a recording: independent certificates, and errors that several share."""
 
     first: Ints
@@ -48,7 +48,7 @@ class KnownLengths:
         rows = [(i, d) for i, d in enumerate(recording.gauge.distance) if d.from_ in index and d.to in index]
         grown = [_grown(recording, d, {"file": file, "column": f"gauge.distance {i + 1}"}) for i, d in rows]
         certified = np.array([d.length_mm * MILLIMETRE for _, d in rows])
-        factor = np.array([own for own, _ in grown])
+        factor = np.array([growth for growth, _ in grown])
         common = {SCALE: recording.gauge.sigma_scale_ppm * PPM} if recording.gauge.sigma_scale_ppm else {}
         changes = [change | common for _, change in grown]
         shared = {
@@ -82,15 +82,17 @@ def _grown(recording: Recording, line: GaugeDistance, where: dict[str, Any]) -> 
     gauge = recording.gauge
     materials = gauge.materials or {}
     if line.material is not None and line.material not in materials:
-        known = f"one of {', '.join(materials)}" if materials else f"a table [gauge.materials.{line.material}]"
-        raise RecordError(f"the material '{shown(line.material)}' is not stated, expected {known}", **where)
-    stated = gauge if line.material is None else materials[line.material]
+        expected = f"one of {', '.join(materials)}" if materials else f"a table [gauge.materials.{line.material}]"
+        raise RecordError(f"the material '{shown(line.material)}' is not stated, expected {expected}", **where)
+    material = gauge if line.material is None else materials[line.material]
     given = gauge.measured_at_c if line.measured_at_c is None else line.measured_at_c
     measured = _mean_of(recording, given, line, where) if isinstance(given, str) else given
     sigma = gauge.sigma_temperature_k if line.sigma_temperature_k is None else line.sigma_temperature_k
-    own = "" if line.measured_at_c is None else f"{line.from_}-{line.to}"
-    thermometer = f"temperature of {given if isinstance(given, str) else own or 'the gauge'}"
-    grown = Expansion.of(stated.expansion_per_k, measured - gauge.calibrated_at_c, stated.sigma_expansion_per_k, sigma)
+    ends = "" if line.measured_at_c is None else f"{line.from_}-{line.to}"
+    thermometer = f"temperature of {given if isinstance(given, str) else ends or 'the gauge'}"
+    grown = Expansion.of(
+        material.expansion_per_k, measured - gauge.calibrated_at_c, material.sigma_expansion_per_k, sigma
+    )
     both = {f"{COEFFICIENT}{line.material or 'the gauge'}": grown.by_coefficient, thermometer: grown.by_temperature}
     return grown.factor, {name: change for name, change in both.items() if change}
 
@@ -98,8 +100,8 @@ def _grown(recording: Recording, line: GaugeDistance, where: dict[str, Any]) -> 
 def _mean_of(recording: Recording, name: str, line: GaugeDistance, where: dict[str, Any]) -> float:
     """Mean of a column over the pointings at both ends of a length."""
     if name not in recording.covariates:
-        known = ", ".join(recording.covariates) or "none"
-        message = f"measured_at_c names '{shown(name)}', which is no column of numbers; there are {known}"
+        columns = ", ".join(recording.covariates) or "none"
+        message = f"measured_at_c names '{shown(name)}', which is no column of numbers; there are {columns}"
         raise RecordError(message, **where)
     ends = [recording.targets.index(target) for target in (line.from_, line.to)]
     values = recording.covariates[name][np.isin(recording.target, ends)]
@@ -107,3 +109,43 @@ def _mean_of(recording: Recording, name: str, line: GaugeDistance, where: dict[s
         message = f"the column {name} is empty where {line.from_} and {line.to} were measured, expected temperatures"
         raise RecordError(message, **where)
     return float(np.nanmean(values))
+
+
+MUCH_BETTER = 0.1
+"""Standard deviation of a mark that nobody measured, in that of a difference to it, up to which it counts as exact."""
+
+
+def places_of(recording: Recording) -> dict[str, int]:
+    """Place of each mark among T targets and S set-ups: its target, else T + the first set-up over it.
+
+    T + S for one that nobody measured, but that is known.
+    """
+    count, last = len(recording.targets), len(recording.targets) + len(recording.stations)
+    places = {name: last for name, target in recording.setup.targets.items() if target.known_mm is not None}
+    overs = [recording.station_setup(name).over for name in recording.stations]
+    places |= {mark: count + s for s, mark in reversed([*enumerate(overs)]) if mark}
+    return places | {name: i for i, name in enumerate(recording.targets)}
+
+
+def check_differences(recording: Recording, file: object) -> None:
+    """RecordError where an end of a known difference is neither measured nor known much better."""
+    places, last = places_of(recording), len(recording.targets) + len(recording.stations)
+    for difference in recording.setup.differences:
+        for name in (difference.from_, difference.to):
+            if places.get(name, last) == last and not _is_exact(recording.target_setup(name), difference):
+                wanted = f"known along {difference.known_axes}, at least ten times better than this difference"
+                message = f"'{shown(name)}' was never measured, expected a mark that was, or one that is {wanted}"
+                raise SourceLocation(file, column=f"difference {difference.called}").error(message)
+
+
+def _is_exact(target: Target, difference: ReferenceDifference) -> bool:
+    axes = ["xyz".index(axis) for axis in difference.known_axes]
+    is_control = target.known_mm is not None and {*difference.known_axes} <= {*target.known_axes}
+    return is_control and bool(_sigmas(target)[axes].max() <= MUCH_BETTER * _sigmas(difference)[axes].min())
+
+
+def _sigmas(reference: Target | ReferenceDifference) -> Floats:
+    """Standard deviations (3,) [mm] of known coordinates."""
+    if reference.known_covariance_mm2 is None:
+        return np.full(3, reference.known_sigma_mm)
+    return np.sqrt(np.diag(symmetric(reference.known_covariance_mm2)))

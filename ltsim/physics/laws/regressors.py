@@ -17,13 +17,13 @@ from ltsim.physics.laws.columns import (
     curve,
     curve_spreads,
     field,
+    first_order_lag,
+    fourier_columns,
     function,
     group_means,
     has_zero,
-    lagging,
-    one_each,
-    sized,
-    waves_of,
+    indicator_columns,
+    unit_rms,
 )
 from ltsim.scene.sightings import Sightings
 
@@ -62,7 +62,7 @@ def words_of(names: Iterable[str]) -> tuple[str, ...]:
 
 
 @dataclass(frozen=True)
-class Driver:
+class Regressor:
     """Regressor (driver) on which a response (carrier) depends.
 
     Attributes
@@ -78,7 +78,7 @@ class Driver:
     constant : float
         Of a simple driver or a wave; the eigenfunctions of a smooth one; the order of a field; the number of amounts;
         the time [s] of a lag.
-    factors : tuple of Driver
+    factors : tuple of Regressor
         Of a product; the pieces.
     around : tuple of str
         Targets about whose middle a field grows, or that have amounts of their own; empty for all.
@@ -88,7 +88,7 @@ class Driver:
     covariates: tuple[str, ...] = ()
     function: str = ""
     constant: float = 0.0
-    factors: tuple[Driver, ...] = ()
+    factors: tuple[Regressor, ...] = ()
     around: tuple[str, ...] = ()
 
     def columns(self, sightings: Sightings, *, moving: bool = False) -> Floats:
@@ -97,11 +97,11 @@ class Driver:
         Coordinates are those of some moment: what is `moving` is where it says at the start of the work, or while a
         column of the recording is at its zero, and where there is no such moment in the mean of the work.
         """
-        found = self._columns(sightings, moving)
+        columns = self._columns(sightings, moving)
         if not moving or self.kind in ("constant", "field", "amounts", "product"):
-            return found
-        found = found - found[self._resting(sightings)].mean(axis=0)
-        return sized(found) if self.kind == "simple" else found
+            return columns
+        columns = columns - columns[self._resting(sightings)].mean(axis=0)
+        return unit_rms(columns) if self.kind == "simple" else columns
 
     def _resting(self, sightings: Sightings) -> Bools:
         """The pointings (n,) at which what moves is where its coordinates say."""
@@ -120,15 +120,15 @@ class Driver:
             case "smooth":
                 return curve(name, sightings.quantities[name], int(self.constant))
             case "wave" | "cycle":
-                return waves_of(self.constant * sightings.quantities[name], self.size // 2)
+                return fourier_columns(self.constant * sightings.quantities[name], self.size // 2)
             case "field":
                 return field(sightings, self.covariates, self.around, bent=self.constant > 1)
             case "simple":
                 return function(sightings, name, self.function, self.constant)
             case "lagging":
-                return lagging(sightings, name, self.constant)
+                return first_order_lag(sightings, name, self.constant)
             case "amounts":
-                return one_each(*self._owners(sightings))
+                return indicator_columns(*self._owners(sightings))
             case "pieces":
                 return np.hstack([factor.columns(sightings) for factor in self.factors])
         return self._products(sightings, moving)
@@ -142,22 +142,22 @@ class Driver:
         every = np.arange(len(sightings.target_names))
         if self.covariates == ("last-target",):
             return np.where(sightings.previous >= 0, sightings.target[sightings.previous], -1), every
-        own = [sightings.target_names.index(name) for name in self.around]
-        return sightings.target, np.array(own) if own else every
+        ids = [sightings.target_names.index(name) for name in self.around]
+        return sightings.target, np.array(ids) if ids else every
 
     def _products(self, sightings: Sightings, moving: bool) -> Floats:
-        found = np.ones((len(sightings), 1))
+        product = np.ones((len(sightings), 1))
         for factor in self.factors:
             part = factor.columns(sightings, moving=moving)
-            if factor.kind == "smooth" and self.owned:
+            if factor.kind == "smooth" and self.is_per_instrument:
                 part = part - group_means(part, sightings.instrument)
             elif factor.kind == "smooth":
                 part = np.hstack([np.ones((len(part), 1)), part])
-            found = (found[:, :, None] * part[:, None, :]).reshape(len(sightings), -1)
-        return found
+            product = (product[:, :, None] * part[:, None, :]).reshape(len(sightings), -1)
+        return product
 
     @property
-    def owned(self) -> bool:
+    def is_per_instrument(self) -> bool:
         """Whether each instrument has a curve of its own, about its mean: constants are estimated anyhow."""
         return any(factor.covariates == ("instrument",) for factor in self.factors)
 
@@ -181,22 +181,22 @@ class Driver:
         spread = np.ones(1)
         for factor in self.factors:
             part = factor.spreads[0]
-            part = np.append(1.0, part) if factor.kind == "smooth" and not self.owned else part
+            part = np.append(1.0, part) if factor.kind == "smooth" and not self.is_per_instrument else part
             spread = np.outer(spread, part / np.linalg.norm(part)).ravel()
         return (spread,)
 
-    def about(self, targets: tuple[str, ...]) -> Driver:
+    def centred_on(self, targets: tuple[str, ...]) -> Regressor:
         """The driver with the field of some targets in the place of that of the room."""
         if all(f.kind != "field" for f in self.factors):
             return self
         factors = tuple(replace(f, around=targets) if f.kind == "field" else f for f in self.factors)
         return replace(self, factors=factors)
 
-    def for_each(self, targets: tuple[str, ...]) -> Driver:
+    def per_target(self, targets: tuple[str, ...]) -> Regressor:
         """The driver with another amount for each of some targets."""
         followed = [f for f in self.factors or (self,) if f.kind != "field"]
         each = amounts("target", len(targets), targets)
-        return Driver("product", factors=(*followed, each))
+        return Regressor("product", factors=(*followed, each))
 
     @property
     def size(self) -> int:
@@ -204,37 +204,37 @@ class Driver:
         return len(self.spreads[0])
 
     @property
-    def told(self) -> tuple[str, ...]:
+    def covariate_labels(self) -> tuple[str, ...]:
         """Quantities that it depends on, in the words of the interface."""
         names = [*self.covariates, *(name for factor in self.factors for name in factor.covariates)]
         return words_of(names)
 
 
-CONSTANT = Driver("constant")
+CONSTANT = Regressor("constant")
 PLACE = ("x", "y", "z")
 
 
-def across_the_room(drivers: Sequence[Driver], order: int) -> list[Driver]:
+def across_the_room(drivers: Sequence[Regressor], order: int) -> list[Regressor]:
     """Drivers whose size may grow across the room, or bend with it."""
-    grows = Driver("field", PLACE, constant=order)
-    return [Driver("product", factors=(driver, grows)) for driver in drivers]
+    grows = Regressor("field", PLACE, constant=order)
+    return [Regressor("product", factors=(driver, grows)) for driver in drivers]
 
 
-def simple(name: str, function: str, constant: float = 1.0) -> Driver:
+def simple(name: str, function: str, constant: float = 1.0) -> Regressor:
     """A driver with one column."""
-    return Driver("simple", (name,), function, constant)
+    return Regressor("simple", (name,), function, constant)
 
 
-def amounts(of: str, count: int, targets: tuple[str, ...] = ()) -> Driver:
+def amounts(of: str, count: int, targets: tuple[str, ...] = ()) -> Regressor:
     """Another amount for each `station`, `instrument`, `target`, or `last-target`; of some targets only."""
-    return Driver("amounts", (of,), constant=count, around=targets)
+    return Regressor("amounts", (of,), constant=count, around=targets)
 
 
-def pieces(steps: Sequence[Driver]) -> Driver:
+def pieces(steps: Sequence[Regressor]) -> Regressor:
     """A driver that is the sum of steps and ramps of one covariate, of any sizes."""
-    return Driver("pieces", steps[0].covariates, constant=len(steps), factors=tuple(steps))
+    return Regressor("pieces", steps[0].covariates, constant=len(steps), factors=tuple(steps))
 
 
-def smooth(name: str, modes: int = MODES) -> Driver:
+def smooth(name: str, modes: int = MODES) -> Regressor:
     """A smooth driver."""
-    return Driver("smooth", (name,), constant=modes)
+    return Regressor("smooth", (name,), constant=modes)

@@ -29,7 +29,7 @@ ANGLE, LENGTH, STRAIN, MOTION = 2 * ARCSECOND, 10 * MICROMETRE, 2 * PPM, 30 * MI
 
 
 @dataclass(frozen=True)
-class Carrier:
+class ResponseTerm:
     """One quantity of the forward model.
 
     Attributes
@@ -56,26 +56,28 @@ class Carrier:
 
 
 _SLOTS = {
-    "elevation": Carrier("vertical index", "urad", ANGLE, ("elevation",)),
-    "transit-offset": Carrier("transit offset", "um", LENGTH),
-    "transit-tilt": Carrier("transit tilt", "urad", ANGLE, ("azimuth",)),
-    "beam-lateral": Carrier("lateral beam offset", "um", LENGTH, ("azimuth",)),
-    "beam-vertical": Carrier("vertical beam offset", "um", LENGTH, ("elevation",)),
-    "beam-tilt": Carrier("beam tilt", "urad", ANGLE, ("azimuth",)),
+    "elevation": ResponseTerm("vertical index", "urad", ANGLE, ("elevation",)),
+    "transit-offset": ResponseTerm("transit offset", "um", LENGTH),
+    "transit-tilt": ResponseTerm("transit tilt", "urad", ANGLE, ("azimuth",)),
+    "beam-lateral": ResponseTerm("lateral beam offset", "um", LENGTH, ("azimuth",)),
+    "beam-vertical": ResponseTerm("vertical beam offset", "um", LENGTH, ("elevation",)),
+    "beam-tilt": ResponseTerm("beam tilt", "urad", ANGLE, ("azimuth",)),
 }
 """Slots of the kinematic chain."""
 _CIRCLES = {
-    Carrier(
+    ResponseTerm(
         f"{effect.observables[0]} eccentricity", "urad", ANGLE, effect.observables, "circle", ("cosine", "sine")
     ): effect
     for effect in (AzimuthEccentricity(), ElevationEccentricity())
 }
 """Circles whose centre is off the axis that they turn about."""
 _READINGS = tuple(
-    Carrier(name, "um" if name == "distance" else "urad", LENGTH if name == "distance" else ANGLE, (name,), "reading")
+    ResponseTerm(
+        name, "um" if name == "distance" else "urad", LENGTH if name == "distance" else ANGLE, (name,), "reading"
+    )
     for name in OBSERVABLES
 )
-_SCALE = Carrier("range scale", "ppm", STRAIN, ("distance",))
+_SCALE = ResponseTerm("range scale", "ppm", STRAIN, ("distance",))
 
 
 def constants_in(slot: str) -> tuple[str, ...]:
@@ -89,12 +91,12 @@ VARIED = (
     | {"distance": constants_in("range"), _SCALE.name: ("range-scale",)}
 )
 """The constants of the ordinary calibration that a carrier varies."""
-_LEAN = Carrier("lean of the stand", "urad", ANGLE, (), "stand", ("about x", "about y"))
-_STAND = Carrier("place of the stand", "um", MOTION, (), "stand", ("along x", "along y", "along z"))
-_TARGETS = Carrier("place of targets", "um", MOTION, (), "target", ("along x", "along y", "along z"))
-_NORMAL = Carrier("height of targets in their nests", "um", MOTION, (), "target")
-_AIR = Carrier("air gradient", "K/m", 1.0, (), "air")
-_VERTEX = Carrier("vertex of the reflectors", "um", LENGTH, (), "reflector", ("axially", "sideways", "up"))
+_LEAN = ResponseTerm("lean of the stand", "urad", ANGLE, (), "stand", ("about x", "about y"))
+_STAND = ResponseTerm("place of the stand", "um", MOTION, (), "stand", ("along x", "along y", "along z"))
+_TARGETS = ResponseTerm("place of targets", "um", MOTION, (), "target", ("along x", "along y", "along z"))
+_NORMAL = ResponseTerm("height of targets in their nests", "um", MOTION, (), "target")
+_AIR = ResponseTerm("air gradient", "K/m", 1.0, (), "air")
+_VERTEX = ResponseTerm("vertex of the reflectors", "um", LENGTH, (), "reflector", ("axially", "sideways", "up"))
 
 
 def _reading(sightings: Sightings, observable: str) -> Floats:
@@ -121,8 +123,8 @@ def _vertex(sightings: Sightings) -> Floats:
 Derivative = Callable[[Sightings], Floats]
 
 
-def _registry() -> dict[str, tuple[Carrier, Derivative]]:
-    found: list[tuple[Carrier, Derivative]] = [
+def _registry() -> dict[str, tuple[ResponseTerm, Derivative]]:
+    derivatives: list[tuple[ResponseTerm, Derivative]] = [
         *((carrier, partial(_reading, observable=carrier.name)) for carrier in _READINGS),
         *((carrier, partial(_slot, slot=slot)) for slot, carrier in _SLOTS.items()),
         *((carrier, effect.design) for carrier, effect in _CIRCLES.items()),
@@ -134,28 +136,28 @@ def _registry() -> dict[str, tuple[Carrier, Derivative]]:
         (_NORMAL, _along_nest),
         (_VERTEX, _vertex),
     ]
-    return {carrier.name: (carrier, derivative) for carrier, derivative in found}
+    return {carrier.name: (carrier, derivative) for carrier, derivative in derivatives}
 
 
-CARRIERS = _registry()
+RESPONSES = _registry()
 """Every carrier by name with the change (n, 3, c) of the raw readings per unit of each of its components."""
 _NEED_NESTS = {_NORMAL.name, _VERTEX.name}
 
 
-def carrier_designs(sightings: Sightings) -> dict[str, tuple[Carrier, Floats]]:
+def response_designs(sightings: Sightings) -> dict[str, tuple[ResponseTerm, Floats]]:
     """Carriers by name with their designs (n, 3, c); one that equals an earlier one is left out.
 
     On a single face the vertical index is the elevation, say. A target that moves looks like a stand that does, but
     they follow different things.
     """
-    found: dict[str, tuple[Carrier, Floats]] = {}
+    designs: dict[str, tuple[ResponseTerm, Floats]] = {}
     nests = bool(np.isfinite(sightings.nest_normal).any())
-    for name, (carrier, derivative) in CARRIERS.items():
+    for name, (carrier, derivative) in RESPONSES.items():
         if name in _NEED_NESTS and not nests:
             continue
         design = derivative(sightings)
-        alike = (d for c, d in found.values() if d.shape == design.shape and c.kind != "stand")
-        same = (np.allclose(np.abs(design), np.abs(other), rtol=1e-9, atol=0.0) for other in alike)
+        comparable = (d for c, d in designs.values() if d.shape == design.shape and c.kind != "stand")
+        same = (np.allclose(np.abs(design), np.abs(other), rtol=1e-9, atol=0.0) for other in comparable)
         if design.any() and not any(same):
-            found[name] = carrier, design
-    return found
+            designs[name] = carrier, design
+    return designs
