@@ -1,7 +1,7 @@
 """Meaning of the numbers of a polar file: unit, zenith or elevation, clockwise or not, metres or millimetres.
 
-Decided from the data and said in a note, or asked for in one sentence; never guessed silently. Two faces
-tell unit and vertical angle at once, because they add up to a full or a half circle. Where there is one
+The data decide and a note reports it, or one sentence asks for a hint; nothing is guessed silently. Two faces
+determine unit and vertical angle at once, because they add up to a full or a half circle. Where there is one
 face, lengths between targets common to two stations decide: they agree in the right unit only. The sense of
 the azimuth is beyond both: the mirror image of a whole network is a network with the same lengths and
 faces. Coordinates or poses from elsewhere are needed for it.
@@ -35,12 +35,12 @@ CIRCLE = {"deg": 360.0, "gon": 400.0, "rad": 2 * np.pi}
 ANGLES: tuple[Angle, ...] = ("deg", "gon", "rad")
 VERTICALS: tuple[Vertical, ...] = ("zenith", "elevation")
 CLEARLY = 10.0
-"""Factor by which one meaning must fit better than the next to be decided by the data."""
+"""Ratio of misfits between the second-best and the best meaning from which the data decide."""
 MIRROR_SHARE = 1e-3
-"""Part of a network's size by which a mirror image may miss it and still be one."""
+"""Largest misfit of a mirror image, as a share of the size of the network."""
 MOST_NOTES = 3
 QUICKEST_S, SLOWEST_S = 0.1, 7200.0
-"""[s] Median time from one target to the next that no instrument undercuts, and that no survey exceeds."""
+"""[s] Shortest and longest plausible median time from one target to the next; a clock beyond them is questioned."""
 LEAST_STEPS = 8
 
 
@@ -49,8 +49,8 @@ class Hints:
     """Decisions of a caller on an ambiguous file; None leaves one to the data.
 
     `points` is a list of coordinates (name, x, y, z) in a right-handed frame that decides the sense of the
-    azimuth; `station` names the set-up of a file that does not; `columns` says what the columns of a table hold
-    (``target=Name,azimuth=Hz[gon]``), `setup` where its noise and gauge stand, `date` the order of dates with
+    azimuth; `station` names the set-up of a file that does not; `columns` assigns the columns of a table
+    (``target=Name,azimuth=Hz[gon]``), `setup` is the file with its noise and gauge, `date` the order of dates with
     strokes. A file that is still growing (`incomplete_tail`) may end inside a row and lack targets of known lengths.
     """
 
@@ -71,7 +71,7 @@ NO_HINTS = Hints()
 
 @dataclass(frozen=True)
 class PolarTable:
-    """Numbers as printed: horizontal and vertical angle, distance (n,); who looked at whom (n,) int."""
+    """Numbers as printed: horizontal and vertical angle, distance (n,); indices of station and target (n,) int."""
 
     station: Ints
     target: Ints
@@ -97,18 +97,18 @@ def angle_meaning(table: PolarTable, hints: Hints, file: object) -> tuple[Angle,
         (a, v) for a in angles for v in verticals if _possible(table, a, v, is_declared=hints.vertical is not None)
     ]
     if not open_:
-        raise RecordError("the angles fit no unit that is known here (deg, gon or rad)", file=file)
-    meaning, why = open_[0], "the only meaning that its values allow"
+        raise RecordError("the angles fit none of the units deg, gon and rad; check the columns", file=file)
+    meaning, why = open_[0], "the values allow nothing else"
     if len(open_) > 1:
         meaning, why = _by_faces(table, open_) or _by_lengths(table, open_) or _ask(open_, file)
     notes = []
     if hints.angle is None or hints.vertical is None:
-        notes.append(f"angles taken as {meaning[0]} with the vertical one as {meaning[1]}: {why}")
+        notes.append(f"angles are interpreted as {meaning[0]}, the vertical ones as {meaning[1]} angles ({why})")
     return (*meaning, notes)
 
 
 def _possible(table: PolarTable, angle: Angle, vertical: Vertical, *, is_declared: bool) -> bool:
-    """Whether every value lies on the circle, and the vertical angles are what an instrument can read.
+    """True if every value lies on the circle, and the vertical angles are within the travel of an instrument.
 
     An elevation beyond the zenith is read on face 2 only; a file that has such, but no target on two faces, holds
     zenith angles unless the caller says otherwise (`is_declared`).
@@ -133,7 +133,7 @@ def _same_target(table: PolarTable) -> tuple[Ints, Ints]:
 
 
 def _on_two_faces(table: PolarTable, angle: Angle, vertical: Vertical) -> int:
-    """Number of pairs of rows that are one target on both faces: half a circle apart, vertical angles adding up."""
+    """Number of pairs of rows that are a target on both faces: half a circle between them, vertical angles add up."""
     first, other = _same_target(table)
     circle = CIRCLE[angle]
     total = circle if vertical == "zenith" else circle / 2
@@ -168,7 +168,7 @@ def _ask(open_: list[tuple[Angle, Vertical]], file: object) -> tuple[tuple[Angle
     choices = " or ".join(f"{v} angles in {a}" for a, v in open_)
     hints = [f"--hint angle={open_[0][0]}"] if len({a for a, _ in open_}) > 1 else []
     hints += [f"--hint vertical={open_[0][1]}"] if len({v for _, v in open_}) > 1 else []
-    message = f"the angles may be {choices} and nothing in the file decides; say which: {' '.join(hints)}"
+    message = f"the angles may be {choices}, and nothing in the file decides; give {' '.join(hints)}"
     raise RecordError(message, file=file)
 
 
@@ -178,12 +178,12 @@ def length_meaning(distance: Floats, hints: Hints) -> tuple[Length, list[str]]:
         return hints.length, []
     longest = float(np.nanmax(distance, initial=0))
     length: Length = "m" if longest < SHORTEST_MM else "mm"
-    return length, [f"distances taken as {length}: the longest is {longest:.6g}"]
+    return length, [f"distances are interpreted as {length} (the longest is {longest:.6g})"]
 
 
 SENSE_UNKNOWN = (
-    "nothing in this file tells whether azimuths run clockwise (its mirror image fits as well); say which, "
-    "--hint azimuth=clockwise or --hint azimuth=counter-clockwise, or give coordinates of some targets, "
+    "this file does not show whether azimuths run clockwise, because its mirror image fits as well; give "
+    "--hint azimuth=clockwise or --hint azimuth=counter-clockwise, or the coordinates of some targets with "
     "--hint points=FILE"
 )
 
@@ -197,9 +197,12 @@ def sense_from_points(
     places = {place[n]: p for n, p in zip(points.names, points.points, strict=True) if n in place}
     azimuth = _sense_by_points(local, table, places)
     if azimuth is None:
-        message = f"{len(places)} of its targets have coordinates here, which does not decide whether azimuths run "
-        raise RecordError(message + "clockwise; say which: --hint azimuth=clockwise", file=file)
-    return azimuth, [f"azimuths taken as {azimuth}: so the targets fit the coordinates in {file.name}", *points.notes]
+        message = f"the coordinates of {len(places)} targets do not decide whether azimuths run clockwise; give "
+        raise RecordError(message + "--hint azimuth=clockwise or --hint azimuth=counter-clockwise", file=file)
+    return azimuth, [
+        f"azimuths are interpreted as {azimuth} (the targets then fit the coordinates in {file.name})",
+        *points.notes,
+    ]
 
 
 def _sense_by_points(local: Floats, table: PolarTable, place_of: Mapping[int, Floats]) -> Azimuth | None:
@@ -264,7 +267,7 @@ def _vote(votes: list[int]) -> Azimuth | None:
 
 
 def pace(recording: Recording) -> tuple[str, ...]:
-    """The question that a recording's clock raises: turning from one target to the next takes seconds to minutes."""
+    """Question about the clock of a recording: turning from one target to the next takes seconds to minutes."""
     turned = (np.diff(recording.target) != 0) & (np.diff(recording.station) == 0)
     steps = np.abs(np.diff(recording.time))[turned]
     steps = steps[np.isfinite(steps)]
@@ -276,14 +279,14 @@ def pace(recording: Recording) -> tuple[str, ...]:
     span = float(np.nanmax(recording.time) - np.nanmin(recording.time))
     return (
         f"the {len(recording)} pointings take {span:.4g} s, {step:.3g} s from one target to the next: check the unit "
-        "of the time column (--columns says it, such as time=HEADER[h]); drifts in time depend on it",
+        "of the time column and give it with --columns, such as time=HEADER[h]; drifts in time depend on it",
     )
 
 
 def contradictions(recording: Recording) -> tuple[str, ...]:
     """Contradictions of set-ups or their rough places to the sense of the azimuths: only a mirror image fits.
 
-    Coordinates in one plane, or a floor plan that fits neither, say nothing.
+    None for coordinates in one plane, or a floor plan that fits neither.
     """
     local = from_polar(recording.readings)
     table = PolarTable(recording.station, recording.target, *recording.readings[:, [1, 2, 0]].T)
@@ -291,8 +294,8 @@ def contradictions(recording: Recording) -> tuple[str, ...]:
     notes = []
     if len(poses) > 1 and sense_by_poses(local, table, poses) == "clockwise":
         notes.append(
-            "the stated places of the stations fit the readings only as their mirror image: if the azimuths run "
-            "clockwise say --hint azimuth=clockwise, otherwise the floor plan is left-handed"
+            "the declared places of the stations fit only the mirror image of the readings: if the azimuths run "
+            "clockwise give --hint azimuth=clockwise, otherwise the floor plan is left-handed"
         )
     for first, other in _mirrored_pairs(local, recording):
         notes.append(

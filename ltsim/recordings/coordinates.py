@@ -1,4 +1,4 @@
-"""Lists of coordinates: the one reader of names with x, y, z, wherever a file of them is asked for.
+"""Lists of coordinates: the reader of names with x, y, z for every command that takes such a file.
 
 `read_points` takes delimited text of any dialect, or a workbook. A header names the columns and perhaps their units:
 ``target,x_mm,y_mm,z_mm``, ``Name;X [m];Y [m];Z [m]``, ``Punkt;Rechtswert;Hochwert;Höhe``; standard deviations stand in
@@ -6,8 +6,8 @@
 numbers, which three or four standard deviations (x, y, z and their length) and the nine numbers of a covariance may
 follow, as SpatialAnalyzer writes them.
 
-`read_coordinates` reads one epoch with its full covariance: such a list with ``NAME.covariance.csv`` beside it (the
-matrix [mm^2], its header and first column the coordinates as ``TARGET.x``), or adjustment results of gama-local (XML).
+`read_coordinates` reads one epoch with its full covariance: such a list with ``NAME.covariance.csv`` in the same folder
+(the matrix [mm^2], its header and first column the coordinates as ``TARGET.x``), or adjustment results of gama-local (XML).
 """
 
 import csv
@@ -38,11 +38,11 @@ from ltsim.recordings.xml import Node, banded, parse
 
 AXES = "xyz"
 SYMMETRIC = 1e-6
-"""Share by which entries across the diagonal may differ by rounding."""
+"""Largest asymmetry of a covariance that rounding explains, relative to its variances."""
 DEFINITE = -1e-9
 """Smallest eigenvalue of correlations that rounding explains."""
 LARGEST_M = 500.0
-"""The largest coordinate of a list that states no unit and is taken for metres."""
+"""Largest coordinate of a list without a unit that is interpreted as metres."""
 GRID = 1e6
 """Numbers as large as these are coordinates of a national grid, in metres."""
 GEODETIC = ("rechtswert", "hochwert", "easting", "northing", "east", "north", "e", "n")
@@ -62,7 +62,7 @@ class Points:
     points: Floats
     """(n, 3) [m]; NaN where the list leaves a coordinate out."""
     covariance: Floats
-    """(n, 3, 3) [m^2]; NaN where none is stated."""
+    """(n, 3, 3) [m^2]; NaN where none is given."""
     notes: tuple[str, ...] = ()
     further: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     """(n,) texts of each further column by its header."""
@@ -73,7 +73,7 @@ class Points:
 
     @property
     def sigma(self) -> Floats:
-        """Standard deviations (n, 3) [m]; NaN where none is stated."""
+        """Standard deviations (n, 3) [m]; NaN where none is given."""
         return np.sqrt(np.einsum("nii->ni", self.covariance))
 
     @property
@@ -84,13 +84,13 @@ class Points:
 
 
 def read_points(path: str | Path, *, strict: bool = True) -> Points:
-    """Read a list of points: where the header states no unit, in metres if none reaches 500, as a note says.
+    """Read a list of points: without a unit in the header metres if none reaches 500, which a note reports.
 
     Parameters
     ----------
     path : str or Path
     strict : bool
-        Refuse a point that is listed twice with other coordinates; otherwise the first are taken, and a note says so.
+        Refuse a point that is listed twice with other coordinates; otherwise the first are used and a note reports it.
 
     Raises
     ------
@@ -106,7 +106,7 @@ def read_points(path: str | Path, *, strict: bool = True) -> Points:
 
 
 def recognises(head: str) -> bool:
-    """Whether the first lines of a file are those of a list of points without a header, or its header."""
+    """True if the first lines of a file are those of a list of points without a header, or its header."""
     rows = rows_of_head(head)
     header = _header_of(rows)
     body = [row for row in rows[0 if header is None else header[0] :] if not row.comment]
@@ -215,7 +215,7 @@ class _List:
         declared = next((c.unit for c in axes if c.unit in FACTOR and c.unit), "")
         surveyed = largest >= GRID or any(words_of(c.title)[0] in GEODETIC for c in axes)
         chosen = declared or ("m" if surveyed or largest < LARGEST_M else "mm")
-        notes = [] if declared else [f"coordinates taken as {chosen}: the largest is {largest:.6g}"]
+        notes = [] if declared else [f"coordinates are interpreted as {chosen} (the largest is {largest:.6g})"]
         scales = [FACTOR[c.unit if c.unit in FACTOR and c.unit else chosen] for c in self.numbers.values()]
         return np.array(scales) ** [1 + role.startswith("covariance") for role in self.numbers], notes
 
@@ -254,7 +254,7 @@ class Coordinates:
 
 
 def holds_coordinates(path: Path) -> bool:
-    """Whether a file is one of `read_coordinates`."""
+    """True if a file is one of `read_coordinates`."""
     if not path.is_file():
         return False
     with path.open("rb") as stream:
@@ -282,7 +282,7 @@ def read_coordinates(path: Path) -> Coordinates:
     if not sigma.all():
         at = divmod(int(np.argmin(sigma)), len(epoch.axes))
         what = f"{shown(epoch.names[at[0]])}.{epoch.axes[at[1]]}"
-        raise RecordError(f"states no variance of {what}; leave out what is held fixed", file=path)
+        raise RecordError(f"the variance of {what} is 0; leave out coordinates that are held fixed", file=path)
     if np.linalg.eigvalsh(epoch.covariance / np.outer(sigma, sigma))[0] < DEFINITE * len(sigma):
         raise RecordError(
             "has a covariance that is negative in some direction: some of its entries are wrong", file=path
@@ -321,7 +321,7 @@ def _number(cell: Node) -> float:
 
 
 def _from_list(path: Path) -> Coordinates:
-    """A list of points along the axes that it has, with the covariance beside it or its own."""
+    """List of points along its axes, with the covariance in the file next to it or in its columns."""
     listed = read_points(path)
     measured = np.isfinite(listed.points)
     axes = "".join(axis for axis, any_ in zip(AXES, np.asarray(measured.any(axis=0)).tolist(), strict=True) if any_)
@@ -336,14 +336,14 @@ def _from_list(path: Path) -> Coordinates:
         return Coordinates(path.stem, listed.names, axes, points, covariance, listed.notes)
     blocks = listed.covariance[:, at][:, :, at]
     if not np.isfinite(blocks).all():
-        what = f"states no precision: neither {companion.name} nor the column sigma_{axes[0]}_mm is there"
+        what = f"no precision is given; add {companion.name} or a column sigma_{axes[0]}_mm"
         raise RecordError(what, file=path)
     count, axes_ = blocks.shape[:2]
     covariance = np.zeros((count, axes_, count, axes_))
     covariance[range(count), :, range(count)] = blocks
     covariance = covariance.reshape(count * axes_, -1)
-    common = f"{path.name} states no covariance between points ({companion.name})"
-    note = f"{common}: what all have in common counts as their own"
+    common = f"{path.name} has no covariance between points ({companion.name})"
+    note = f"{common}: they are treated as independent"
     return Coordinates(path.stem, listed.names, axes, points, covariance, (*listed.notes, note))
 
 

@@ -5,8 +5,8 @@ import numpy as np
 from ltsim.core.units import EARTH, MILLIMETRE
 from ltsim.recordings.recording import Recording
 
-FELT = 0.1
-"""Share of the noise of an elevation from which the curvature of the earth over a sight counts."""
+NOTICEABLE = 0.1
+"""Curvature of the earth over a sight, in the noise of its elevation, from which it is modelled."""
 
 REFRACTION = 0.13, 0.1
 """Coefficient of refraction near the ground, radius of the earth over that of the ray, and how much it varies (Gauss's
@@ -14,17 +14,17 @@ mean value; Brunner 1984, Geodetic Refraction)."""
 
 
 def on_round_earth(recording: Recording) -> Recording:
-    """The recording with plumb lines that differ by place (`curved`) where its set-up says nothing of them.
+    """Recording with plumb lines that differ by place (`curved`), unless its set-up sets `curved` itself.
 
-    Over a sight of length d a level surface leaves the plane by d^2 / 2 R, an angle of d / 2 R: it counts from `FELT`
-    of the noise of the elevation on.
+    Over a sight of length d a level surface leaves the plane by d^2 / 2 R, an angle of d / 2 R, which is modelled from
+    `NOTICEABLE` times the noise of the elevation on.
     """
     setup = recording.setup
     levelled = np.array([recording.station_setup(name).levelled for name in recording.stations])[recording.station]
     if "curved" in setup.model_fields_set or not levelled.any():
         return recording
     length = np.where(levelled, recording.readings[:, 0] * np.cos(recording.readings[:, 2]), np.nan)
-    if not np.any(length / (2.0 * EARTH) > FELT * recording.sigma()[:, 2]):
+    if not np.any(length / (2.0 * EARTH) > NOTICEABLE * recording.sigma()[:, 2]):
         return recording
     longest = float(np.nanmax(length))
     drop = longest**2 / (2.0 * EARTH) / MILLIMETRE

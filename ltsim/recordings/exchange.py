@@ -24,7 +24,7 @@ LEAST_POSES = 2
 """Contradictory rows of a list of points that make it one of positions of a moving target."""
 FOLDER = "folder with observations.csv and setup.toml"
 POLAR_TEXT = "plain text: station, target, azimuth, zenith or elevation, distance"
-POINT_LIST = "names and coordinates: no recording, said so"
+POINT_LIST = "names and coordinates, which are refused as a recording"
 TABLE = "delimited text with a header, a folder with a file a station, or a workbook"
 
 
@@ -57,7 +57,7 @@ def _are_points(path: Path, head: str) -> bool:
 def _refuse_points(path: Path, hints: Hints) -> Recording:
     listed = coordinates.read_points(path, strict=False)
     count = len(listed.names)
-    message = f"this is a list of {count} points without readings; it serves as nominal or known coordinates"
+    message = f"this is a list of {count} points without readings, for nominal or reference coordinates"
     if listed.contradictory >= max(count, LEAST_POSES):
         names = "one name" if count == 1 else f"{count} names"
         rows = f"{count + listed.contradictory} positions under {names} ('{listed.names[0]}')"
@@ -109,7 +109,7 @@ def read(path: str | Path, *, format: str | None = None, hints: Hints | None = N
 
 
 def is_recording(path: Path) -> bool:
-    """Whether a file or folder is in one of the formats known here."""
+    """True if a file or folder is in one of the formats known here."""
     try:
         recognised(path)
     except RecordError:
@@ -140,7 +140,7 @@ def recognised(path: Path) -> Format:
     fitting = [f for f in FORMATS if f.recognises(path, head)]
     if not fitting:
         formats = "; ".join(f"{f.name} ({f.about})" for f in FORMATS)
-        raise RecordError(f"is in no format known here: {formats}", file=path)
+        raise RecordError(f"is in none of the formats that are read: {formats}", file=path)
     return next((f for f in fitting if path.suffix.lower() in f.suffixes), fitting[0])
 
 

@@ -92,12 +92,12 @@ def universal(text: str) -> str:
 
 
 def is_number(text: str) -> bool:
-    """Whether `text` is a decimal number in plain ASCII."""
+    """True if `text` is a decimal number in plain ASCII."""
     return len(text) <= LONGEST_NUMBER and NUMBER.fullmatch(text) is not None
 
 
 def is_not_finite(text: str) -> bool:
-    """Whether `text` spells NaN or infinity."""
+    """True if `text` spells NaN or infinity."""
     return len(text) <= 10 and _NOT_FINITE.fullmatch(text) is not None
 
 

@@ -50,7 +50,7 @@ def symmetric(entries: tuple[float, ...]) -> Floats:
 
 
 DEFINITE = 1e-9
-"""Smallest eigenvalue of correlations that is told from none."""
+"""Smallest eigenvalue of correlations that is distinguishable from zero."""
 SHORT = 1e-6
 """Length below which a vector has no direction."""
 Finite = Annotated[float, Field(ge=-1e11, le=1e11, allow_inf_nan=False)]
@@ -62,13 +62,13 @@ Axes = Literal["xyz", "xy", "xz", "yz", "x", "y", "z"]
 Line = Annotated[str, Field(max_length=200), AfterValidator(_single_line)]
 Date = Annotated[str, AfterValidator(_calendar_date)]
 LEAST_SIGMA = 1e-6
-"""[mm, arcsec, ppm] Nobody knows anything better, and numbers lose their digits."""
+"""[mm, arcsec, ppm] Smallest standard deviation: below it weights lose their digits."""
 Sigma = Annotated[float, Field(ge=LEAST_SIGMA, le=1e9, allow_inf_nan=False)]
 Vector = tuple[Finite, Finite, Finite]
 Covariance = Annotated[tuple[Finite, Finite, Finite, Finite, Finite, Finite], AfterValidator(_definite)]
 Direction = Annotated[Vector, AfterValidator(_nonzero)]
 EXACT_LEVEL_ARCSEC = 1e-3
-"""Levelling sigma of formats whose instruments stand upright without a doubt (gama-local, LGC without ROT3D)."""
+"""Levelling sigma of formats whose instruments are levelled exactly (gama-local, LGC without ROT3D)."""
 
 
 class TomlSection(BaseModel):

@@ -76,7 +76,7 @@ def indices(names: Iterable[str], kind: str, file: object) -> tuple[tuple[str, .
 
 
 def states_noise(recording: Recording) -> bool:
-    """Whether the rows themselves state the noise of every reading."""
+    """True if sigma columns give the noise of every reading."""
     sigmas = np.full((len(recording), len(SIGMA_COLUMNS)), NAN)
     for k, name in enumerate(SIGMA_COLUMNS):
         sigmas[:, k] = recording.covariates.get(name, NAN)
@@ -163,7 +163,7 @@ class Observed:
     horizontal: bool = False
     line: int = 0
     shared: dict[str, float] = field(default_factory=dict)
-    """By how much errors that it shares with others change it, by their name."""
+    """Change of the value by each error that it shares with others, by name."""
 
     @property
     def heights(self) -> tuple[float, float]:

@@ -26,9 +26,9 @@ ENDINGS = tuple(name.removeprefix("sigma_") for name in SIGMA_COLUMNS)
 HEIGHT_COLUMNS = ("instrument_height_mm", "target_height_mm")
 """Covariates that state heights of single pointings; an empty cell leaves the set-up's height."""
 SHARED_COLUMN = re.compile(f"shared_(.+)_({'|'.join(ENDINGS)})")
-"""Covariates: by how much an error that readings share changes single readings, for one standard deviation of it."""
+"""Covariates: change of single readings by one standard deviation of an error that they share."""
 BOOKKEEPING = (*SIGMA_COLUMNS, *HEIGHT_COLUMNS)
-"""Covariates that are no circumstances of a pointing: nothing a diagnosis should try."""
+"""Covariates that are no circumstances of a pointing, which a diagnosis does not try as regressors."""
 KIND_COLUMN = "distance_kind"
 """Label ``slope`` (or empty) or ``horizontal`` of each distance."""
 MODE_COLUMN = "distance_mode"
@@ -42,9 +42,9 @@ OCCUPATION_COLUMNS = ("instrument_setup", "target_setup")
 
 
 def noise_sigma(noise: Sequence[Noise], instrument: Ints, range_: Floats, elevation: Floats) -> Floats:
-    """Standard deviation (n, 3) [m, rad, rad] of readings by the stated noise of each one's instrument (n,).
+    """Standard deviation (n, 3) [m, rad, rad] of readings by the declared noise of each one's instrument (n,).
 
-    That of a range is constant + ppm * range [m]; the azimuth's is that across the beam, divided by cos(elevation).
+    Range: constant + ppm * range [m]; azimuth: the noise across the beam, divided by cos(elevation).
     """
     rows = [[m.distance_mm, m.distance_ppm, m.azimuth_arcsec, m.elevation_arcsec] for m in noise]
     units = np.array([MILLIMETRE, PPM, ARCSECOND, ARCSECOND])
@@ -156,7 +156,7 @@ class Recording(Result):
         return name if name is not None and name in self.setup.instruments else ""
 
     def instrument_of(self, station: str) -> Instrument:
-        """Give the instrument that stood at `station`."""
+        """Instrument that stood at `station`."""
         return self.setup.instrument_of(station)
 
     def station_setup(self, station: str) -> Station:
@@ -173,10 +173,10 @@ class Recording(Result):
         return self.setup.gauge or Gauge()
 
     def sigma(self) -> Floats:
-        """Standard deviation (n, 3) [m, rad, rad] of each reading by the stated noise.
+        """Standard deviation (n, 3) [m, rad, rad] of each reading by the declared noise.
 
-        The columns `SIGMA_COLUMNS`, where present, state that of single readings instead, the azimuth's being that of
-        the reading itself.
+        The columns `SIGMA_COLUMNS`, where present, override it for single readings; for an azimuth it is that of the
+        reading itself.
         """
         noise = [self.instrument_of(name).noise for name in self.stations]
         range_, _, level = np.nan_to_num(self.readings).T

@@ -16,10 +16,10 @@ from ltsim.recordings.recording import Recording
 from ltsim.recordings.setup import GaugeDistance, ReferenceDifference, Target, symmetric
 
 COEFFICIENT = "expansion of "
-"""Begins the name of an error that lengths of one material share."""
+"""Prefix of the name of an error that lengths of one material share."""
 SCALE = "scale of all lengths"
 UNKNOWN_PPM = 1000.0
-"""Standard deviation of the common scale from which lengths tell ratios alone: 40 K of aluminium."""
+"""Standard deviation of the common scale from which lengths determine ratios only: 40 K of aluminium."""
 
 
 @dataclass(frozen=True)
@@ -34,15 +34,15 @@ class ReferenceLengths:
     length: Floats
     """(g,) [m]: at the use."""
     certificate: Floats
-    """(g,) [m]: standard deviation of what each length has alone."""
+    """(g,) [m]: standard deviation of the error of each length that it shares with no other."""
     shared: dict[str, Floats]
-    """(g,) [m]: what one standard deviation of each coefficient and each thermometer changes the lengths by."""
+    """(g,) [m]: change of the lengths by one standard deviation of each coefficient and each thermometer."""
 
     @classmethod
     def of(cls, recording: Recording, file: object = "setup.toml") -> Self:
         """The lengths whose targets the recording holds; `file` is named in errors.
 
-        Raises RecordError when a material is not stated, or a column has no temperature of a length.
+        Raises RecordError when a material is not declared, or a column has no temperature of a length.
         """
         index = {name: i for i, name in enumerate(recording.targets)}
         rows = [(i, d) for i, d in enumerate(recording.gauge.distance) if d.from_ in index and d.to in index]
@@ -66,7 +66,7 @@ class ReferenceLengths:
 
     @property
     def tell_scale(self) -> bool:
-        """Whether something is known of their common scale."""
+        """True if the lengths constrain their common scale."""
         return SCALE not in self.shared or bool(np.any(self.shared[SCALE] < 0.99 * UNKNOWN_PPM * PPM * self.length))
 
     @property
@@ -76,14 +76,14 @@ class ReferenceLengths:
 
 
 def _grown(recording: Recording, line: GaugeDistance, where: dict[str, Any]) -> tuple[float, dict[str, float]]:
-    """Growth of one length, and what one standard deviation of its coefficient and its thermometer changes it by."""
+    """Growth of one length, and its change by one standard deviation of its coefficient and of its thermometer."""
     if line.measured_in_place:
         return 1.0, {}
     gauge = recording.gauge
     materials = gauge.materials or {}
     if line.material is not None and line.material not in materials:
         expected = f"one of {', '.join(materials)}" if materials else f"a table [gauge.materials.{line.material}]"
-        raise RecordError(f"the material '{shown(line.material)}' is not stated, expected {expected}", **where)
+        raise RecordError(f"the material '{shown(line.material)}' is not declared, expected {expected}", **where)
     material = gauge if line.material is None else materials[line.material]
     given = gauge.measured_at_c if line.measured_at_c is None else line.measured_at_c
     measured = _mean_of(recording, given, line, where) if isinstance(given, str) else given
@@ -112,13 +112,13 @@ def _mean_of(recording: Recording, name: str, line: GaugeDistance, where: dict[s
 
 
 MUCH_BETTER = 0.1
-"""Standard deviation of a mark that nobody measured, in that of a difference to it, up to which it counts as exact."""
+"""Largest ratio of the sigma of an unmeasured mark to that of a difference to it: the mark then counts as exact."""
 
 
 def places_of(recording: Recording) -> dict[str, int]:
     """Place of each mark among T targets and S set-ups: its target, else T + the first set-up over it.
 
-    T + S for one that nobody measured, but that is known.
+    T + S for an unmeasured mark with known coordinates.
     """
     count, last = len(recording.targets), len(recording.targets) + len(recording.stations)
     places = {name: last for name, target in recording.setup.targets.items() if target.known_mm is not None}

@@ -1,4 +1,4 @@
-"""SMRs of several radii: how much farther from the seat of its nest each pointing's SMR stood than the reference."""
+"""SMRs of several radii: excess distance of each pointing's SMR centre from the seat of its nest over the reference."""
 
 from collections.abc import Collection, Mapping, Sequence
 
@@ -13,7 +13,7 @@ from ltsim.recordings.setup import Reflector
 
 
 def smrs_of(recording: Recording) -> tuple[str, ...]:
-    """Name of the SMR of each pointing, '' where none is stated: that of its row, else that of its target."""
+    """Name of the SMR of each pointing, '' where none is given: the one of its row, else of its target."""
     usual = [recording.target_setup(name).reflector or "" for name in recording.targets]
     by_row = recording.labels.get(REFLECTOR_COLUMN, ("",) * len(recording))
     return tuple(name or usual[target] for name, target in zip(by_row, recording.target, strict=True))
@@ -45,7 +45,7 @@ def excess_of(
     if reference_mm is None and len(radii) > 1:
         listed = " and ".join(f"{shown(name)} of {radius:g}" for radius, name in sorted(radii.items()))
         raise RecordError(
-            f"the SMRs have different radii ({listed} mm): state reference_radius_mm at the head of the file, the "
+            f"the SMRs have different radii ({listed} mm); set reference_radius_mm at the head of the file, the "
             "radius of the SMR whose centre a target's coordinates mean, or 0 for the seat of its nest",
             file=file,
         )

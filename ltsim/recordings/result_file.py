@@ -1,7 +1,7 @@
-"""Result files: JSON with one pydantic model a file, which its writer fills and every reader checks against.
+"""Result files: JSON with a pydantic model per file, which the writer fills and every reader validates.
 
-The JSON file holds a digest of each file that was written beside it, and of the recording behind it: tables of one
-run never stand under the title of another.
+The JSON file holds digests of its companion files and of the recording, so that tables of different runs are never
+mixed.
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ class SourceEntry(Entry):
     digest: str
     """Digest of the sightings and of the readings."""
     measured: str | None = None
-    """Day, or day and time, of the measurement in ISO form, where the set-up says it."""
+    """Day, or day and time, of the measurement in ISO form, where the set-up gives it."""
 
     @classmethod
     def of(cls, recording: Recording) -> SourceEntry:
@@ -112,7 +112,7 @@ class SourceEntry(Entry):
 
 
 class ResultFile(Entry):
-    """A whole file; a model of it says its `FILE` and its `format`."""
+    """Base model of a result file; subclasses set `FILE` and `format`."""
 
     FILE: ClassVar[str]
     format: str
@@ -120,7 +120,7 @@ class ResultFile(Entry):
     recording: SourceEntry | None = None
     """The recording behind the result."""
     files: dict[str, str] = Field(default_factory=dict)
-    """Digest (SHA-256) of each file written beside."""
+    """Digest (SHA-256) of each companion file."""
 
     def content(self) -> dict[str, Any]:
         """Content of the file: its format and the fields that were set, as JSON values."""
@@ -133,7 +133,7 @@ class ResultFile(Entry):
         return json.dumps(self.content(), indent=1, allow_nan=False) + "\n"
 
     def owns(self, folder: Path, name: str) -> bool:
-        """Whether a file in the result's folder is the one that was written with it; raises RecordError."""
+        """True if a file in the result's folder is the one that was written with it; raises RecordError."""
         return self.files.get(name) == _digest(read_bytes(folder / name))
 
 
@@ -157,7 +157,7 @@ File = TypeVar("File", bound=ResultFile)
 
 
 def write_result(folder: Path, result: File, companions: Mapping[str, str | bytes]) -> File:
-    """Write a result and the files beside it; give the result with their digests, as it was written.
+    """Write a result and its companion files; returns the result with their digests.
 
     Raises RecordError when the folder cannot be written to; nothing half-written stays behind.
     """
@@ -210,7 +210,7 @@ def read_json(file: Path, kind: str) -> dict[str, Any]:
 
 
 def companion(folder: Path, name: str, result: ResultFile) -> Path | None:
-    """The file `name` beside a result; None where there is none.
+    """Companion file `name` of a result; None where there is none.
 
     Raises RecordError when it was not written together with the result.
     """
@@ -219,7 +219,8 @@ def companion(folder: Path, name: str, result: ResultFile) -> Path | None:
         return None
     if result.files and not result.owns(folder, name):
         raise RecordError(
-            f"does not belong to the {result.FILE} beside it, or was changed since; run the command again", file=file
+            f"does not belong to {result.FILE} in the same folder, or was changed since; run the command again",
+            file=file,
         )
     return file
 

@@ -1,4 +1,4 @@
-"""setup.toml: reading with one sentence for whatever is wrong, and writing."""
+"""Reader and writer of setup.toml; an error is one sentence with key, value and expectation."""
 
 import difflib
 import json
@@ -107,7 +107,7 @@ def _with_sheet(table: Any, place: str, file: object) -> Any:
 
 
 def merge_defaults(table: Mapping[str, Any], below: Mapping[str, Any]) -> dict[str, Any]:
-    """A table with what another says besides; tables in both are laid over each other in the same way."""
+    """Table with the entries of `below` as defaults; nested tables are merged in the same way."""
     both = [key for key, value in below.items() if isinstance(value, dict) and isinstance(table.get(key), dict)]
     return {**below, **table, **{key: merge_defaults(table[key], below[key]) for key in both}}
 
@@ -118,7 +118,7 @@ def checked(data: Mapping[str, Any], model: type[Settings], kind: str, file: obj
     Raises
     ------
     RecordError
-        One sentence: which key, what was found, what would be right. A misspelt key is told first.
+        One sentence: which key, what was found, what would be right. A misspelt key is reported first.
     """
     expected = model.model_fields["format"].default
     if "format" not in data:
@@ -169,7 +169,7 @@ def _check_names(setup: Setup, file: object) -> None:
         if difference.from_ == difference.to:
             raise where.error(f"a difference from '{shown(difference.to)}' to itself, expected two different marks")
         if difference.called in called[:i]:
-            raise where.error(f"'{shown(difference.called)}' is there already, expected a name of its own (name)")
+            raise where.error(f"'{shown(difference.called)}' is there already, expected a different name (key name)")
 
 
 def _close(name: str, candidates: Any) -> list[str]:

@@ -176,7 +176,7 @@ class Station(TomlSection):
     yaw_sigma_arcsec: Sigma | None = None
     """Standard deviation of `yaw_deg`, as by a gyroscope: it is then a condition with weight at a levelled station."""
     levelled: bool = False
-    """Its standing axis follows a level: a condition with weight."""
+    """Levelled standing axis: a condition with weight."""
     levelling_sigma_arcsec: Sigma = 1.0
     """Standard deviation of the level."""
     instrument: str | None = None
@@ -232,7 +232,7 @@ class Target(TomlSection):
 class ReferenceDifference(TomlSection):
     """Known vector from one mark to another, as by levelling (along z) or by satellites: a weighted constraint.
 
-    Marks are targets, or those under set-ups; one that nobody measured has to be known, ten times better than this.
+    Marks are targets, or those under set-ups; an unmeasured one has to be known ten times better than the difference.
     """
 
     name: Line | None = None
@@ -252,7 +252,7 @@ class ReferenceDifference(TomlSection):
 
     @property
     def called(self) -> str:
-        """Its name."""
+        """Name of the difference."""
         return self.name or f"{self.from_}-{self.to}"
 
 
@@ -296,16 +296,16 @@ class BenchTest(TomlSection):
 
 
 class About(TomlSection):
-    """Who measured what for whom, table `[report]`: the head of a report; nothing is computed from it."""
+    """Head of a report, table `[report]`; nothing is computed from it."""
 
     instrument: Line | None = None
     """Maker, model and serial number, such as "Leica AT960, 751234"; default those of the instruments."""
     date: Date | None = None
     """Day of the measurement, year-month-day."""
     operator: Line | None = None
-    """Who measured."""
+    """Name of the operator."""
     customer: Line | None = None
-    """Who pays."""
+    """Name of the customer."""
 
 
 class Setup(TomlSection):
@@ -326,7 +326,7 @@ class Setup(TomlSection):
     curved: bool = False
     """Plumb lines differ by place, as on a sphere like the earth, where a station does not state its `vertical`."""
     report: About | None = None
-    """Who measured what for whom, for the head of a report."""
+    """Head of a report: instrument, date, operator, customer."""
     instrument: Instrument = Instrument()
     """The instrument, where one made the whole recording."""
     instruments: dict[str, Instrument] = Field(default_factory=dict)
@@ -349,16 +349,16 @@ class Setup(TomlSection):
     radius of the SMRs in use where they have one. It stands above the first table."""
 
     def instrument_of(self, station: str) -> Instrument:
-        """Give the instrument that stood at `station`."""
+        """Instrument that stood at `station`."""
         return self.instrument_named(self.stations.get(station, Station()).instrument or "")
 
     def instrument_named(self, name: str) -> Instrument:
-        """Give the instrument of this name; the only one where no table has it."""
+        """Instrument of this name; the only one where no table has it."""
         return self.instruments.get(name, self.instrument)
 
     @property
     def measured(self) -> str | None:
-        """Day, or day and time, of the measurement in ISO form; None where it is not stated."""
+        """Day, or day and time, of the measurement in ISO form; None where it is not given."""
         if self.report is not None and self.report.date is not None:
             return self.report.date
         try:

@@ -29,12 +29,12 @@ TOTAL_STATION_NOISE = Noise(distance_mm=1.0, distance_ppm=1.5, azimuth_arcsec=1.
 TOTAL_STATION = Instrument(noise=TOTAL_STATION_NOISE, corrected=True)
 """A total station: its own corrections are in the readings."""
 NO_NOISE = (
-    "the file states no noise: that of the default laser tracker is taken (3 um + 0.3 ppm, 0.37 arcsec); edit "
-    "setup.toml to state it, or let the readings say (--noise-from-data)"
+    "the file states no noise: that of the default laser tracker is assumed (3 um + 0.3 ppm, 0.37 arcsec); set it in "
+    "setup.toml, or estimate it from the readings (--noise-from-data)"
 )
 LIKE_TOTAL_STATION = (
-    "the file states no noise: that of a total station is taken (1 mm + 1.5 ppm, 1 arcsec), because {reason}; edit "
-    "setup.toml to state it, or let the readings say (--noise-from-data)"
+    "the file states no noise: that of a total station is assumed (1 mm + 1.5 ppm, 1 arcsec), because {reason}; set it "
+    "in setup.toml, or estimate it from the readings (--noise-from-data)"
 )
 
 
@@ -63,7 +63,7 @@ class Specification(TomlSection):
         return (self.transverse_um + self.transverse_um_per_m * range_) * MICROMETRE
 
     def along(self, range_: Floats) -> Floats:
-        """Limit [m] of a point's error along the beam at ranges [m], the zero of the ranges apart."""
+        """Limit [m] of a point's error along the beam at ranges [m], without the zero of the ranges."""
         return (self.range_um + self.range_um_per_m * range_) * MICROMETRE
 
     def of_lengths(self, first: Floats, second: Floats) -> Floats:
@@ -152,7 +152,7 @@ def completed(name: str, declared: Mapping[str, Any]) -> dict[str, Any]:
     missing = [key for key in LIMITS if key not in keys and key not in declared]
     if missing:
         raise ModelError(
-            f"the data sheet {name} leaves {' and '.join(missing)} open; state it in the table [specification]"
+            f"the data sheet {name} does not give {' and '.join(missing)}; set it in the table [specification]"
         )
     if declared:
         keys["source"] += f"; not from there: {', '.join(declared)}"
@@ -183,16 +183,18 @@ def tables_from_sheet(name: str, given: Mapping[str, Any], limits: Iterable[str]
         ranges = [f"{table}.{key}" for table, values in tables.items() for key in values if key.startswith(RANGES)]
         missing = [key for key in ranges if key not in declared]
         if missing:
-            raise ModelError(f"the data sheet {name} leaves the ranges open; state {', '.join(missing)}")
+            raise ModelError(f"the data sheet {name} does not give the error of ranges; set {', '.join(missing)}")
     travel = given.get("limits")
     open_ = [f"limits.{key}" for key in limits if not isinstance(travel, Mapping) or key not in travel]
     if open_:
-        raise ModelError(f"the data sheet {name} does not say what can be pointed at; state {', '.join(open_)}")
+        raise ModelError(
+            f"the data sheet {name} does not give the travel of the elevation axis; set {', '.join(open_)}"
+        )
     return tables
 
 
 def overruled(instrument: Instrument) -> list[str]:
-    """Keys of noise and prior in which an instrument differs from what its data sheet says of them."""
+    """Keys of noise and prior in which an instrument differs from its data sheet."""
     if instrument.sheet is None:
         return []
     specified: dict[str, dict[str, float]] = instrument.model_dump(include={"noise", "prior"})

@@ -102,7 +102,7 @@ def parse(path: Path) -> Node:
         line = getattr(problem, "position", (0, 0))[0]
         raise RecordError(f"is not well-formed XML ({shown(str(problem), 80)})", file=path, row=line) from None
     except (ValueError, LookupError, RecursionError):
-        raise RecordError("is not XML in an encoding that is known here", file=path) from None
+        raise RecordError("is not XML in a supported encoding", file=path) from None
     if not isinstance(root, Element):
         raise RecordError("holds no XML element", file=path)
     return Node(root, path)

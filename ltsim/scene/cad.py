@@ -148,6 +148,6 @@ def size_question(cad: Cad, room: Floats) -> str:
 
 
 def inside(triangles: Floats, room: Floats) -> bool:
-    """Whether triangles (m, 3, 3) [m] stay in a room (3,) [m] whose corner is the origin."""
+    """True if triangles (m, 3, 3) [m] stay in a room (3,) [m] whose corner is the origin."""
     low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
     return bool(np.all(low >= -BEYOND) and np.all(high <= room + BEYOND))

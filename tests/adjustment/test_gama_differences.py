@@ -366,7 +366,7 @@ def test_a_set_up_states_differences_once_and_between_two_marks(tmp_path: Path) 
     file = tmp_path / "native" / "setup.toml"
     text = file.read_text()
     for old, new, says in (
-        ('name = "A-B#2"\n', "", "'A-B' is there already, expected a name of its own"),
+        ('name = "A-B#2"\n', "", "'A-B' is there already, expected a different name"),
         ('from = "C"\n', 'from = "E"\n', "a difference from 'E' to itself"),
         ('from = "BM"\n', 'from = "BN"\n', "'BN' was never measured"),
     ):

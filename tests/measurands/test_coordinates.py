@@ -177,7 +177,7 @@ def test_what_adjust_writes_is_what_compare_and_uncertainty_read(tmp_path: Path)
     for i, recording in enumerate(recordings):
         lt.write(lt.adjust(recording), tmp_path / f"{i}")
     lists = [read_coordinates(tmp_path / f"{i}" / "targets.csv") for i in (0, 1)]
-    assert not any("states no covariance" in note for one in lists for note in one.notes)
+    assert not any("has no covariance" in note for one in lists for note in one.notes)
     read, known = lt.compare(*lists, free=True), lt.compare(*recordings, calibrate=False)
     assert read.p_value == pytest.approx(known.p_value, abs=1e-4)
     np.testing.assert_allclose(read.displacements[3].sigma_um, known.displacements[3].sigma_um, rtol=1e-3)
@@ -225,7 +225,7 @@ def test_results_of_gama_are_read(tmp_path: Path) -> None:
 def test_what_cannot_be_compared_is_said(tmp_path: Path) -> None:
     path = tmp_path / "points.csv"
     path.write_text("target,x_mm,y_mm\nA,1,2\nB,3,4\n")
-    with pytest.raises(RecordError, match="states no precision"):
+    with pytest.raises(RecordError, match="no precision is given"):
         read_coordinates(path)
     path.write_text("target,x_mm,sigma_x_mm\nA,1,0.1\nB,3,0\n")
     with pytest.raises(RecordError, match=r"no variance of B\.x"):

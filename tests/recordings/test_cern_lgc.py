@@ -112,7 +112,7 @@ def test_setups_points_and_notes(tmp_path: Path) -> None:
     for said in (
         "2 lines are switched off",
         "*DVER is not understood here and skipped (1",
-        "*OBSXYZ observes 1 points in a frame of its own (F); all of them are fixed",
+        "*OBSXYZ observes 1 points in a separate frame (F); all of them are fixed",
         "*RS2K",
     ):
         assert said in notes, said

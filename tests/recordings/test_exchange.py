@@ -72,7 +72,7 @@ def test_unknown_things(tmp_path: Path) -> None:
     (tmp_path / "a.txt").write_text("nothing that anybody knows\n")
     (tmp_path / "b.txt").write_bytes(bytes(range(256)))
     for path, says in (
-        (tmp_path / "a.txt", "in no format"),
+        (tmp_path / "a.txt", "in none of the formats"),
         (tmp_path / "b.txt", "in no"),
         (tmp_path / "c", "no such"),
     ):

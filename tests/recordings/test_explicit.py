@@ -53,7 +53,7 @@ def test_heights_and_sigmas_of_every_row_are_read(tmp_path: Path) -> None:
     assert not found.has_clock
     assert found.labels["date"][0] == "2015-03-15"
     said = "\n".join(found.notes)
-    assert "distances taken as m: 'fromhgt' beside them holds heights of metres" in said
+    assert "distances are interpreted as m ('fromhgt'" in said
     assert "'date' holds days without a clock" in said
     assert "3 occupations of 2 marks, by day, are set-ups of their own" in said
     assert "states no noise" not in said
@@ -76,7 +76,7 @@ def test_columns_names_heights_and_sigmas(tmp_path: Path) -> None:
 
 def test_a_distance_that_may_be_metres_is_asked_for(tmp_path: Path) -> None:
     file = file_of(tmp_path, "Station,Point,Hz[deg],Z[deg],D\nS,A,10,90,327.5\nS,B,20,91,412.25\n")
-    with pytest.raises(RecordError, match="may be metres or millimetres; say which: --hint length=m"):
+    with pytest.raises(RecordError, match="may be metres or millimetres; give --hint length=m"):
         read(file)
     assert read(file, hints=Hints(length="m")).readings[0, 0] == 327.5
 
@@ -105,7 +105,7 @@ def test_coordinates_of_each_station_become_readings(tmp_path: Path) -> None:
     np.testing.assert_allclose(
         found.covariates["sigma_elevation_arcsec"], np.degrees(2e-5 / want[:, 0]) * 3600, rtol=1e-6
     )
-    assert any("turned into distance, azimuth and elevation" in note for note in found.notes)
+    assert any("converted to distance, azimuth and elevation" in note for note in found.notes)
     with pytest.raises(RecordError, match="in one frame already; export them in the axes of each instrument"):
         read(places(tmp_path / "b.csv", one_frame=True))
     rows = places(tmp_path / "c.csv", named=False).read_text().splitlines()[:7]
@@ -147,11 +147,11 @@ def test_names_that_differ_by_set_up(tmp_path: Path) -> None:
     own = "\n".join(f"{row[:3]}{row[:2]}_{row[3:]}" for row in rows)
     found = read(file_of(tmp_path, head + own + "\n"))
     assert found.targets == ("a", "b", "c")
-    assert any("the set-up's name is taken from its targets' names: 'S1_a' is 'a'" in note for note in found.notes)
+    assert any("removed from the names of its targets: 'S1_a' is 'a'" in note for note in found.notes)
     other = "S1,P 01,1,5,3000\nS1,P2,2,5,3000\nS2,p1,1,6,3000\nS2,P02,2,5,3000\n"
     found = read(file_of(tmp_path, head + other))
     assert found.targets == ("P 01", "P2")
-    assert any("are taken as one target: 'p1' and 'P 01'" in note for note in found.notes)
+    assert any("are the same target: 'p1' and 'P 01'" in note for note in found.notes)
     both = "S1,P1,1,5,3000\nS1,P01,2,5,3000\nS2,P1,1,6,3000\n"
     assert read(file_of(tmp_path, head + both)).targets == ("P1", "P01")
 
@@ -297,7 +297,7 @@ def test_a_mirrored_hall_and_a_mirrored_station_are_told() -> None:
     one = one.replace(setup=one.setup.model_copy(update={"stations": stations}))
     assert not contradictions(one)
     mirrored = contradictions(one.with_readings(one.readings * [1.0, -1.0, 1.0]))
-    assert len(mirrored) == 1 and "only as their mirror image: if the azimuths run clockwise" in mirrored[0]
+    assert len(mirrored) == 1 and "only the mirror image of the readings: if the azimuths run clockwise" in mirrored[0]
     second = np.where((one.station == 1)[:, None], [1.0, -1.0, 1.0], 1.0)
     found = contradictions(workshop().with_readings(one.readings * second))
     assert found == (

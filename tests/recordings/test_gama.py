@@ -183,7 +183,7 @@ def test_deep_nesting(tmp_path: Path) -> None:
 def test_other_xml(tmp_path: Path) -> None:
     file = tmp_path / "n.xml"
     file.write_text('<?xml version="1.0"?><html/>')
-    with pytest.raises(RecordError, match="in no format known here"):
+    with pytest.raises(RecordError, match="in none of the formats"):
         read(file)
     with pytest.raises(RecordError, match="expected <gama-local>"):
         read(file, format="gama-local")

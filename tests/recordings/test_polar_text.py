@@ -58,7 +58,7 @@ def test_unit_and_vertical_angle_are_found(tmp_path: Path, unit: str, zenith: bo
     turn = recording.readings[:, 1:] - truth.readings[:, 1:]
     np.testing.assert_allclose(np.mod(turn + 1, 2 * np.pi), 1, atol=1e-9)
     assert np.array_equal(recording.face, truth.face)
-    assert any(f"angles taken as {unit}" in note for note in recording.notes)
+    assert any(f"angles are interpreted as {unit}" in note for note in recording.notes)
     assert any("zenith" in note if zenith else "elevation" in note for note in recording.notes)
 
 
@@ -70,7 +70,7 @@ def test_metres_are_found(tmp_path: Path) -> None:
 def test_the_sense_of_the_azimuth_is_asked_for(tmp_path: Path) -> None:
     """A mirrored network fits itself as well: two set-ups cannot tell, coordinates can."""
     file = printed(tmp_path / "a.txt", workshop())
-    with pytest.raises(RecordError, match=r"clockwise .*--hint azimuth=clockwise"):
+    with pytest.raises(RecordError, match=r"clockwise, .*--hint azimuth=clockwise"):
         read(file)
 
 
@@ -87,14 +87,14 @@ def test_coordinates_decide_the_sense(tmp_path: Path, clockwise: bool) -> None:
     turn = recording.readings[:, 1] - truth.readings[:, 1]
     np.testing.assert_allclose(np.mod(turn + 1, 2 * np.pi), 1, atol=1e-9)
     sense = "clockwise" if clockwise else "counter-clockwise"
-    assert any(f"azimuths taken as {sense}:" in note for note in recording.notes)
+    assert any(f"azimuths are interpreted as {sense} " in note for note in recording.notes)
 
 
 def test_points_in_a_plane_do_not_decide(tmp_path: Path) -> None:
     file = printed(tmp_path / "a.txt", workshop())
     points = tmp_path / "points.txt"
     points.write_text("T1 0 0 100\nT2 5800 400 300\nT3 5500 5900 2400\n")
-    with pytest.raises(RecordError, match="3 of its targets have coordinates"):
+    with pytest.raises(RecordError, match="coordinates of 3 targets do not decide"):
         read(file, hints=Hints(points=points))
 
 
@@ -102,9 +102,7 @@ def test_one_face_of_one_station_is_asked_about(tmp_path: Path) -> None:
     recording = workshop(faces=1)
     above = recording.select((recording.station == 0) & (recording.readings[:, 2] > 0))
     file = printed(tmp_path / "a.txt", above, unit="deg")
-    with pytest.raises(
-        RecordError, match=r"zenith angles in deg or .*say which: --hint angle=deg --hint vertical=zenith"
-    ):
+    with pytest.raises(RecordError, match=r"zenith angles in deg or .*give --hint angle=deg --hint vertical=zenith"):
         read(file, hints=CLOCKWISE)
     read(file, hints=Hints(angle="deg", vertical="zenith", azimuth="clockwise"))
 
@@ -130,7 +128,7 @@ def test_comments_say_what_is_meant(tmp_path: Path) -> None:
         ("S1 T1 10 95 -2000", "row 3, column distance: found -2000"),
         ("S1 T1 10 95 1e99", "row 3, column distance"),
         ("S1 <T1> 10 95 2000", "holds '<'"),
-        ("S1 T1 1000 95 2000", "fit no unit"),
+        ("S1 T1 1000 95 2000", "fit none of the units"),
         ("S1 T1 10 95 " + "9" * 30_000, "longer than"),
         ("S1 T1 10 95 2000.", ""),
     ],
@@ -227,8 +225,8 @@ def test_the_girder_epochs() -> None:
         points = file.with_name(file.name.replace("Polar_measurements", "Point_List"))
         recording = read(file, hints=Hints(points=points))
         assert len(recording.stations) == 2
-        assert any("azimuths taken as clockwise" in note for note in recording.notes)
-        assert any("gon with the vertical one as zenith" in note for note in recording.notes)
+        assert any("azimuths are interpreted as clockwise" in note for note in recording.notes)
+        assert any("gon, the vertical ones as zenith" in note for note in recording.notes)
         assert 0.45 < np.mean(recording.face == 2) < 0.55
 
 

@@ -69,8 +69,8 @@ def test_a_report_is_understood(tmp_path: Path, clockwise: bool) -> None:
         np.testing.assert_allclose(np.mod(got[:, 1] - want[:, 1] + 1, 2 * np.pi), 1, atol=1e-9)
     sense = "clockwise" if clockwise else "counter-clockwise"
     notes = " ".join(recording.notes)
-    assert f"azimuths taken as {sense}: so the set-ups see the same points" in notes
-    assert "taken as zenith angles" in notes
+    assert f"azimuths are interpreted as {sense} (the set-ups then see the same points" in notes
+    assert "is interpreted as zenith angles" in notes
     assert "2 observations are switched off" in notes
     assert recording.has_clock
     assert recording.time.max() == 15 * 60
@@ -84,7 +84,7 @@ def test_a_report_is_understood(tmp_path: Path, clockwise: bool) -> None:
 
 def test_without_poses_the_usual_sense_is_taken_and_said(tmp_path: Path) -> None:
     recording = read(report(tmp_path / "r.csv", poses=False))
-    assert any("this file alone cannot show it" in note for note in recording.notes)
+    assert any("this file alone cannot show" in note for note in recording.notes)
     given = read(report(tmp_path / "r.csv", poses=False), hints=Hints(azimuth="counter-clockwise"))
     np.testing.assert_allclose(np.mod(given.readings[:, 1] + recording.readings[:, 1] + 1, 2 * np.pi), 1, atol=1e-9)
 
@@ -143,7 +143,7 @@ def test_the_real_reports() -> None:
         pytest.skip("the recordings of the girder are not beside this checkout")
     recording = read(file)
     assert len(recording) == 500
-    assert any("azimuths taken as clockwise: so the set-ups" in note for note in recording.notes)
+    assert any("azimuths are interpreted as clockwise (the set-ups" in note for note in recording.notes)
     polar = read(file.with_name("Polar_measurements_20Sep21.txt"), hints=Hints(azimuth="clockwise"))
     rows = {tuple(np.round(r, 9)) for r in recording.readings}
     assert all(tuple(np.round(r, 9)) in rows for r in polar.readings)

@@ -59,15 +59,15 @@ def test_every_sheet_says_where_its_figures_stand() -> None:
 
 
 def test_no_range_is_guessed() -> None:
-    with pytest.raises(ModelError, match="leica-at960 leaves range_um open"):
+    with pytest.raises(ModelError, match="leica-at960 does not give range_um"):
         sheet("leica-at960")
-    with pytest.raises(ModelError, match=r"leaves the ranges open; state prior\.range_scale_ppm, prior\.range_offset"):
+    with pytest.raises(ModelError, match=r"give the error of ranges; set prior\.range_scale_ppm, prior\.range_offset"):
         tables_from_sheet("api-radian", {"noise": RANGE_TABLES["noise"]})
 
 
 def test_a_specification_completes_a_sheet() -> None:
     plan = {"standard": "asme-b89.4.19-2006", "instrument": "leica-at960"}
-    with pytest.raises(SetupError, match="leaves range_um open; state it in the table"):
+    with pytest.raises(SetupError, match="does not give range_um; set it in the table"):
         lt.accept(plan)
     found = lt.accept({**plan, "specification": {"range_um": 10}}).specification
     assert (found.transverse_um, found.range_um, found.range_um_per_m) == (15, 10, 0.5)
@@ -84,10 +84,10 @@ LIMITS_KNOWN = {
 
 def test_no_limit_of_another_instrument_is_kept() -> None:
     """A preset took the 20 m and the travel of the paper's tracker without a word."""
-    with pytest.raises(SetupError, match=r"does not say what can be pointed at; state limits.*limits.range_max_mm"):
+    with pytest.raises(SetupError, match=r"the travel of the elevation axis; set limits.*limits.range_max_mm"):
         lt.scenario("paper-workshop", {"instrument.preset": "faro-vantage"})
     some = {key: x for key, x in LIMITS_KNOWN.items() if "range_max" not in key}
-    with pytest.raises(SetupError, match=r"state limits\.range_max_mm$"):
+    with pytest.raises(SetupError, match=r"set limits\.range_max_mm$"):
         lt.scenario("paper-workshop", {"instrument.preset": "faro-vantage", **some})
 
 
@@ -95,7 +95,7 @@ def test_a_scenario_takes_a_sheet_as_preset() -> None:
     tracker = lt.scenario("paper-workshop", {"instrument.preset": "faro-vantage", **LIMITS_KNOWN}).instrument
     assert tracker.limits.range_max_mm == 35_000.0
     assert tracker.noise.model_dump() == tables_from_sheet("faro-vantage", {})["noise"]
-    with pytest.raises(SetupError, match="leaves the ranges open"):
+    with pytest.raises(SetupError, match="does not give the error of ranges"):
         lt.scenario("paper-workshop", {"instrument.preset": "leica-at901"})
     own = {f"instrument.{table}.{key}": x for table, values in RANGE_TABLES.items() for key, x in values.items()}
     tracker = lt.scenario("paper-workshop", {"instrument.preset": "leica-at901", **own, **LIMITS_KNOWN}).instrument

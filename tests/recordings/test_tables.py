@@ -185,10 +185,10 @@ def test_what_is_kept_and_what_is_left_out_is_said(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.covariates["T [C]"][:2], [21.0, 21.01])
     assert set(found.labels["Operator"]) == {"night shift"}
     said = "\n".join(found.notes)
-    assert "kept as further columns: 'T [C]', 'Operator'" in said
-    assert "left out as free text: line 1 of a.csv ('Job: hall 7'); line 32" in said
-    assert "'V [deg]' taken as zenith angles" in said
-    assert "'Hz [deg]' taken as a horizontal circle, clockwise (--hint azimuth=counter-clockwise" in said
+    assert "covariates and labels: 'T [C]', 'Operator'" in said
+    assert "free text is left out: line 1 of a.csv ('Job: hall 7'); line 32" in said
+    assert "'V [deg]' is interpreted as zenith angles" in said
+    assert "'Hz [deg]' is interpreted as a horizontal circle, clockwise" in said
 
 
 def test_rows_know_the_line_they_came_from(tmp_path: Path) -> None:
@@ -211,7 +211,7 @@ def test_the_sentence_shows_what_to_type(tmp_path: Path) -> None:
     np.testing.assert_allclose(np.degrees(found.readings[0, 1:]), [349.5, -5.2])
     assert found.stations == ("P7",)
     (tmp_path / "c.csv").write_text("Point,Hz,V,D\nT1,10.5,85.2,3.125\nT2,20.5,86.2,3.5\n")
-    with pytest.raises(RecordError, match="say which: --hint angle=deg --hint vertical=zenith"):
+    with pytest.raises(RecordError, match="give --hint angle=deg --hint vertical=zenith"):
         read(tmp_path / "c.csv")
 
 

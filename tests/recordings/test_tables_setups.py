@@ -101,7 +101,7 @@ def test_ranges_that_no_tracker_prints_have_a_total_stations_noise_and_it_is_sai
     recording = read(survey(tmp_path / "a.csv", visits, heights=heights, digits=digits))
     assert recording.setup.instrument.noise == TOTAL_STATION_NOISE
     assert (
-        "that of a total station is taken (1 mm + 1.5 ppm, 1 arcsec), because its ranges are written to"
+        "that of a total station is assumed (1 mm + 1.5 ppm, 1 arcsec), because its ranges are written to"
         in recording.notes[0]
     )
     assert all(recording.station_setup(name).levelled for name in recording.stations)
@@ -112,5 +112,5 @@ def test_a_trackers_table_keeps_a_trackers_noise(tmp_path: Path) -> None:
         survey(tmp_path / "a.csv", [("A", "", "", 1, 0.0), ("B", "", "", 1, 0.0)], heights=False, digits=7)
     )
     assert recording.setup.instrument.noise.distance_mm == pytest.approx(0.003)
-    assert "that of the default laser tracker is taken" in recording.notes[0]
+    assert "that of the default laser tracker is assumed" in recording.notes[0]
     assert not recording.setup.stations

@@ -31,7 +31,7 @@ class Air(TomlSection):
     """The air counts where the longest range is longer than this."""
 
     def counts(self, longest: float) -> bool:
-        """Whether a network whose longest range is so long [m] holds the air in its budget."""
+        """True if a network whose longest range is so long [m] holds the air in its budget."""
         return longest > self.beyond_mm * MILLIMETRE
 
     def errors(self, sightings: Sightings) -> Floats:

@@ -46,7 +46,7 @@ ZERO_FRACTION = 0.02
 
 
 def has_zero(x: Floats) -> bool:
-    """Whether a column rests at zero, as a load does; one that does not, a temperature say, is told from its mean."""
+    """True if a column rests at zero, as a load does; one that does not, a temperature say, is told from its mean."""
     return bool(np.nanmin(np.abs(x)) < ZERO_FRACTION * np.nanmax(np.abs(x)))
 
 

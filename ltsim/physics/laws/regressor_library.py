@@ -83,7 +83,7 @@ def _varying(sightings: Sightings, names: Iterable[str]) -> list[str]:
 
 
 def is_admissible(kind: str, driver: Regressor, sightings: Sightings) -> bool:
-    """Whether a driver can move a kind of carrier; a reading may err with anything."""
+    """True if a driver can move a kind of carrier; a reading may err with anything."""
     names = [*driver.covariates, *(n for f in driver.factors if f.kind != "field" for n in f.covariates)]
     return kind == "reading" or all(n in DRIVES[kind] or base_of(n) in sightings.covariates for n in names)
 
@@ -132,7 +132,7 @@ def group_drivers(sightings: Sightings) -> dict[str, list[Regressor]]:
 
 
 def _signs_differ(sightings: Sightings) -> bool:
-    """Whether seatings and pointings alternate differently."""
+    """True if seatings and pointings alternate differently."""
     parity, seating = (sightings.quantities[name] for name in ("parity", "seating-parity"))
     return abs(float(parity @ seating)) < len(parity)
 

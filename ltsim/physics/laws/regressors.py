@@ -158,7 +158,7 @@ class Regressor:
 
     @property
     def is_per_instrument(self) -> bool:
-        """Whether each instrument has a curve of its own, about its mean: constants are estimated anyhow."""
+        """True if each instrument has a curve of its own, about its mean: constants are estimated anyhow."""
         return any(factor.covariates == ("instrument",) for factor in self.factors)
 
     @cached_property

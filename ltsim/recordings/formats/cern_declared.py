@@ -1,4 +1,4 @@
-"""Declarations in files of CERN's LGC: points, with what is known of their coordinates, and polar instruments.
+"""Declarations in files of CERN's LGC: points, with the precision of their coordinates, and polar instruments.
 
 ``*POIN`` lines may end with ``SX``, ``SY``, ``SZ`` (standard deviations in mm, 0 for fixed; an axis without one is
 free) or ``APRICOV DIAG(...)`` or ``MAT(...)`` (covariance in square metres). ``*OBSXYZ`` lines observe a point: its
@@ -75,9 +75,9 @@ class DeclaredPoint:
     """A declared point."""
 
     place: Floats
-    """(3,) [m]: as declared: where it is known, or roughly."""
+    """(3,) [m]: coordinates as declared, known or approximate."""
     information: Floats = field(default_factory=lambda: np.zeros((3, 3)))
-    """(3, 3) [1 / m^2]: inverse covariance of what is known of its coordinates; 0 along free ones."""
+    """(3, 3) [1 / m^2]: inverse covariance of its coordinates; 0 along free ones."""
     weighted: Floats = field(default_factory=lambda: np.zeros(3))
     """(3,) [1 / m]: `information` times the coordinates that it belongs to."""
 
@@ -97,12 +97,12 @@ class DeclaredPoint:
 
     @property
     def is_fixed(self) -> bool:
-        """Whether an observation can tell nothing more."""
+        """True if the point is fixed along all axes, so that observations add nothing."""
         return bool(np.all(np.diag(self.information) >= 0.5 * FIXED**-2))
 
     @property
     def is_placeholder(self) -> bool:
-        """Whether nobody gave it a place."""
+        """True if its coordinates in plan are 0, which stands for unknown."""
         return not np.any(self.place[:2])
 
     @property
@@ -170,7 +170,7 @@ def _matrix(word: str, where: SourceLocation) -> Floats:
 
 @dataclass(frozen=True)
 class Sigmas:
-    """By the target used: standard deviations of azimuth and zenith angle [cc], distance [mm, ppm], its height [m]."""
+    """Standard deviations by target: those of azimuth and zenith angle [cc], distance [mm, ppm], its height [m]."""
 
     azimuth: float
     elevation: float
@@ -212,7 +212,7 @@ class Polar:
         )
 
     def instrument(self, name: str) -> Instrument:
-        """As a set-up has it; a name such as AT402.392506 holds its model and serial number."""
+        """Instrument for the set-up; a name such as AT402.392506 holds its model and serial number."""
         parts = re.fullmatch(r"([A-Z]+\d+)[._](\d{4,})", name)
         model, serial = parts.groups() if parts else (None, None)
         return Instrument(noise=self._noise(), corrected=True, model=model, serial=serial)

@@ -260,7 +260,7 @@ def _learn(file: _File) -> None:
         if name not in file.points:
             raise RecordError(f"*OBSXYZ observes {name}, which is in no block of points", file=file.path)
         if file.points[name].is_fixed:
-            file.notes.append(f"*OBSXYZ of {name}: the point is fixed, its observed coordinates tell nothing")
+            file.notes.append(f"*OBSXYZ of {name}: the point is fixed, so that its observed coordinates are not used")
         else:
             file.points[name].add(place, covariance)
 
@@ -316,13 +316,13 @@ def _notes(file: _File) -> Iterator[str]:
         yield f"*{shown(keyword)} {why} and skipped ({count} lines)"
     if file.framed:
         frames = ", ".join(map(shown, file.frames))
-        sentence = f"*OBSXYZ observes {len(file.framed)} points in a frame of its own ({frames})"
+        sentence = f"*OBSXYZ observes {len(file.framed)} points in a separate frame ({frames})"
         if all(name in file.points and file.points[name].is_fixed for name in file.framed):
-            yield f"{sentence}; all of them are fixed, so this tells where that frame lies and nothing of the network"
+            yield f"{sentence}; all of them are fixed, so that they locate that frame and add nothing to the network"
         else:
             yield f"{sentence}, whose place is not adjusted here; they are skipped"
     if file.curved:
-        sphere = "heights refer to a curved surface: a sphere is taken for it, plumb lines differ by place"
+        sphere = "heights refer to a curved surface: a sphere is used for it, plumb lines differ by place"
         yield f"*{file.curved}: {sphere}"
     for name in file.orientation:
         yield f"*PDOR: the frame is oriented by the approximate coordinates of {shown(name)}"

@@ -48,7 +48,7 @@ class FieldBook:
         Raises RecordError before any station is named, or for numbers that no instrument reads.
         """
         if not self.station:
-            raise where.error("a measurement before any station is named; say which it is (station=)")
+            raise where.error("a measurement before any station is named; give --hint station=NAME")
         distance = distance or NAN
         if not (np.isnan(distance) or 0 < distance < 1e6):
             raise where.error(f"a distance of {distance:g} m")

@@ -46,7 +46,7 @@ from ltsim.recordings.xml import Node, parse
 MIRRORED_AXES, DIRECT_AXES = ("ne", "sw", "es", "wn"), ("en", "nw", "se", "ws")
 CC = FACTOR["cc"]
 STDEV_OF = {"z-angle": "zenith-angle", "s-distance": "distance"} | {k: k for k in ("direction", "azimuth", "distance")}
-"""Under which name the file states the standard deviation of an observation."""
+"""Names of the attributes with the standard deviation of each kind of observation."""
 NAMES = ("id", "from", "to", "bs", "fs")
 """Attributes that name a point."""
 Spread = tuple[float, dict[str, float]]
@@ -57,7 +57,7 @@ _DMS = re.compile(r"([+-]?)(\d{1,3})-(\d{1,2})-(\d{1,2}(?:\.\d+)?)", re.ASCII)
 
 
 def recognises(path: Path, head: str) -> bool:
-    """Whether the root element is that of gama-local."""
+    """True if the root element is that of gama-local."""
     return re.search(r"<gama-(local|xml)\b", head) is not None and "<gama-local-adjustment" not in head
 
 
@@ -278,7 +278,7 @@ def _finished(network: GamaNetwork) -> Recording:
     no_place = "left out: a recording has no place for it"
     skipped = [f"{count} <{shown(what)}> {no_place}" for what, count in network.skipped.items()]
     if not pointings and network.differences:
-        message = "holds height differences or vectors and no pointing, expected readings of instruments beside them"
+        message = "holds height differences or vectors and no pointing, expected readings of instruments too"
         raise RecordError(f"{message}; gama-local adjusts such a network", file=network.file)
     if not pointings and skipped:
         raise RecordError(f"holds no pointings, and {'; '.join(skipped)}", file=network.file)

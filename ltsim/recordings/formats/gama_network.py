@@ -73,7 +73,7 @@ class GamaNetwork:
 
 
 def take_plan(network: GamaNetwork) -> None:
-    """Leave out what concerns heights that are neither fixed nor adjusted, and hold those heights, as Gama does."""
+    """Drop observations of heights that are neither fixed nor adjusted, and hold those heights, as Gama does."""
     flat = {name for name, point in network.points.items() if point.active == "xy"}
     if not flat:
         return
@@ -142,7 +142,7 @@ def covariances(node: Node) -> tuple[Ints, Ints, Floats]:
 
 
 def differences_of(section: Node, y_sign: float, apriori: float) -> tuple[list[ReferenceDifference], bool]:
-    """Height differences or vectors of a section, and whether it correlates several, which is not kept.
+    """Height differences or vectors of a section, and a flag: correlations between them were dropped.
 
     A height difference without a standard deviation has `apriori` mm times the root of its way in kilometres.
     """
@@ -196,7 +196,7 @@ def _difference(child: Node, y_sign: float, spread: Floats) -> ReferenceDifferen
 
 
 def shared_errors(block: Node, matrix: tuple[Ints, Ints, Floats], before: int) -> tuple[Floats, Floats]:
-    """Standard deviations (n,) of observations by themselves, and what each of q errors that they share does (n, q).
+    """Standard deviations (n,) of observations by themselves, and the effects (n, q) of the q errors that they share.
 
     With F the latter and D the former on the diagonal the stated covariance is D^2 + F F': F is as few errors as leave
     every observation one of its own. Observations that are correlated with no other share none; `before` is how many
@@ -209,7 +209,9 @@ def shared_errors(block: Node, matrix: tuple[Ints, Ints, Floats], before: int) -
     if not np.any(numbers[~diagonal]):
         return sigma, np.zeros((len(sigma), 0))
     if before + len(sigma) > MOST_SHARED:
-        message = f"more than {MOST_SHARED} observations are correlated, expected fewer; band 0 states variances alone"
+        message = (
+            f"more than {MOST_SHARED} observations are correlated, expected fewer; give variances alone with band 0"
+        )
         raise block.where.error(message)
     correlation = np.zeros((len(sigma),) * 2)
     correlation[row, column] = correlation[column, row] = numbers / (sigma[row] * sigma[column])

@@ -36,7 +36,7 @@ def write(recording: Recording, path: Path) -> None:
     for name in recording.stations:
         if not recording.station_setup(name).levelled:
             message = f"station {name} is not levelled, and gama-local knows levelled instruments only"
-            raise RecordError(f"{message}; say levelled = true in the set-up where it holds", file=path)
+            raise RecordError(f"{message}; set levelled = true in setup.toml where it is", file=path)
     lines = [
         '<?xml version="1.0" encoding="UTF-8"?>',
         f'<gama-local xmlns="{SPACE}">',

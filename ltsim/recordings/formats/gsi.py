@@ -87,7 +87,7 @@ class _GsiLine:
 
 
 def recognises(path: Path, head: str) -> bool:
-    """Whether the first line is made of GSI words."""
+    """True if the first line is made of GSI words."""
     first = next((line for line in head.splitlines() if line.strip()), "")
     return re.match(r"\*?(11|41)\d{4}[+-]", first) is not None
 

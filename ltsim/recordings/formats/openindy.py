@@ -34,7 +34,7 @@ SIGMAS = dict(zip(("distance", "azimuth", "zenith"), SIGMA_COLUMNS, strict=True)
 
 
 def recognises(path: Path, head: str) -> bool:
-    """Whether the root element is a project of OpenIndy."""
+    """True if the root element is a project of OpenIndy."""
     return f"<{ROOT}" in head
 
 
@@ -88,7 +88,7 @@ def _pointing(
         raise node.where.error(f"found a distance of {distance:g}, expected one above 0")
     face = 2 if elevation > np.pi / 2 + 1e-9 else 1
     if (reading.get("face") == "2") != (face == 2):
-        notes["readings state another face than their zenith angle shows: the angle is trusted"] += 1
+        notes["readings state another face than their zenith angle shows: the face of the zenith angle is used"] += 1
     return Pointing(
         stations[reference].name("name", "station"),
         _target(node, geometries),

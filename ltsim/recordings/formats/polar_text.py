@@ -30,7 +30,7 @@ _POLAR = re.compile(r"^#.*(polar|spherical|azimuth)", re.IGNORECASE | re.MULTILI
 
 
 def recognises(path: Path, head: str) -> bool:
-    """Whether the first lines are names and three numbers; without a station only where a comment says polar."""
+    """True if the first lines are names and three numbers; without a station only where a comment says polar."""
     body = [row.fields for row in rows_of_head(head) if not row.comment]
     whole = body[: max(1, min(6, len(body) - 1))]
     columns = (4, 5) if _POLAR.search(head) else (5,)

@@ -62,7 +62,7 @@ class _Dialect:
 
 
 def recognises(_: Path, head: str) -> bool:
-    """Whether the first line is the header of SDR20 or SDR33."""
+    """True if the first line is the header of SDR20 or SDR33."""
     return _HEADER.match(head) is not None
 
 

@@ -67,7 +67,7 @@ class _Block:
 
 
 def recognises(path: Path, head: str) -> bool:
-    """Whether the report's title or the heading of its observations stands at its beginning."""
+    """True if the report's title or the heading of its observations stands at its beginning."""
     return TITLE in head or _HEADING.search(head) is not None
 
 
@@ -202,7 +202,7 @@ def _station_names(blocks: Sequence[_Block]) -> list[str]:
 def _distinguish_points(
     table: PointingTable, group: Sequence[str], readings: Floats, poses: dict[str, Pose | None]
 ) -> list[str]:
-    """Put the group in front of the names of points that have several places, in place; what is said of it."""
+    """Prefix names of points at several places with their group, in place; notes about it."""
     sightings: dict[str, dict[str, list[tuple[str, Floats]]]] = {}
     printed = table.pointings
     for station, target, member_of, point in zip(

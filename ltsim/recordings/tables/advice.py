@@ -1,4 +1,4 @@
-"""Advice for a table whose header does not say what its columns hold, by the content of the columns."""
+"""Suggested ``--columns`` for a table with a header without meaning, from the content of its columns."""
 
 from collections.abc import Callable, Sequence
 from decimal import Decimal
@@ -24,7 +24,7 @@ ASK = '--columns "station=HEADER,target=HEADER,azimuth=HEADER[deg],elevation=HEA
 
 
 def unnamed(sheet: Sheet, serves: Callable[[str], bool]) -> str:
-    """The sentence for a header that says nothing; `serves` tells whether ``--columns`` can read the sheet."""
+    """Sentence for a header without meaning; `serves` is true for ``--columns`` that can read the sheet."""
     sample = sample_of(sheet)
     head = next((row for row in sample if len(row.fields) > 2 and not row.values), None)
     body = [row.fields for row in sample if row.values > 1]
@@ -105,7 +105,7 @@ def _angles(numbers: Sequence[int], columns: Columns) -> list[tuple[int, ...]]:
 
 
 def _is_part(column: tuple[str, ...]) -> bool:
-    """Whether all are minutes or seconds: from 0 to 60."""
+    """True if all are minutes or seconds: from 0 to 60."""
     return all(0 <= number < 60 for number in _numbers(column))
 
 
@@ -129,7 +129,7 @@ def _length(
 ) -> list[list[str]]:
     """The first column behind the angles that can hold distances, as a list of one; empty where there is none.
 
-    Whoever writes angles in degrees, minutes and seconds writes distances in metres.
+    Distances are in metres where angles are in degrees, minutes and seconds.
     """
     candidates = [i for i in after if _fraction(columns[i]) and min(_numbers(columns[i]), default=Decimal(0)) > 0]
     metres = _is_sexagesimal(angle, columns) or (candidates and _largest(columns[candidates[0]]) < LONG_M)
@@ -155,5 +155,5 @@ def _largest(column: tuple[str, ...]) -> Decimal:
 
 @lru_cache(maxsize=1024)
 def _fraction(column: tuple[str, ...]) -> bool:
-    """Whether some of the numbers are not whole."""
+    """True if some of the numbers are not whole."""
     return any(number != int(number) for number in _numbers(column))

@@ -47,7 +47,7 @@ _BOTH = {mark: re.compile(_GROUPED[mark].pattern + rf"[{other}]\d+", re.ASCII) f
 
 
 def grouping_of(rows: Iterable[Sequence[str]], file: object) -> str:
-    """The mark that groups thousands in a sheet, as ``7.000,5`` shows it for the ``7.000`` beside; '' for none.
+    """The mark that groups thousands in a sheet, as ``7.000,5`` shows it for ``7.000`` in another cell; '' for none.
 
     Raises RecordError where one cell groups by points and another by commas.
     """
@@ -59,12 +59,12 @@ def grouping_of(rows: Iterable[Sequence[str]], file: object) -> str:
 
 
 def is_value(text: str) -> bool:
-    """Whether a cell is a number or an angle in degrees, minutes and seconds."""
+    """True if a cell is a number or an angle in degrees, minutes and seconds."""
     return len(text) <= LONGEST and (is_number(text) or is_number(plain(text)) or _sexagesimal(text) is not None)
 
 
 def is_marked(text: str) -> bool:
-    """Whether a cell is an angle in degrees, minutes and seconds, and no plain number."""
+    """True if a cell is an angle in degrees, minutes and seconds, and no plain number."""
     return not is_number(plain(text)) and _sexagesimal(text) is not None
 
 
@@ -78,7 +78,7 @@ def number(text: str, grouping: str = "") -> Decimal | None:
 
 
 def are_numbers(texts: Sequence[str]) -> bool:
-    """Whether all cells of a column are empty or decimal numbers in plain ASCII."""
+    """True if all cells of a column are empty or decimal numbers in plain ASCII."""
     return max(map(len, texts), default=0) <= LONGEST_NUMBER and all(map(NUMBER.fullmatch, filter(None, texts)))
 
 
@@ -158,12 +158,12 @@ def _all(convert: Callable[[str], T | None], texts: Sequence[str]) -> list[T] | 
 
 
 def is_moment(text: str) -> bool:
-    """Whether a cell is a clock, a date or both."""
+    """True if a cell is a clock, a date or both."""
     return has_clock(text) or any(_stamp(_bare(text), letters, None) is not None for letters in _ORDERS)
 
 
 def has_clock(text: str) -> bool:
-    """Whether a cell is a clock, with or without a date."""
+    """True if a cell is a clock, with or without a date."""
     bare = _bare(text)
     return ":" in bare and (
         _clock(bare) is not None or any(_stamp(bare, letters, None) is not None for letters in _ORDERS)
@@ -208,7 +208,7 @@ def _clock(text: str) -> timedelta | None:
 
 
 def _stamp(text: str, letters: str, order: str | None) -> datetime | None:
-    """A date with or without a clock; the zone of an ISO stamp is left aside (all are taken as of one zone)."""
+    """A date with or without a clock; the zone of an ISO stamp is ignored (all stamps share a zone)."""
     day, _, rest = re.sub(r"(?<=\d)T(?=\d)", " ", text.strip()).partition(" ")
     rest = re.sub(r"(Z|[+-]\d{2}:?\d{2})$", "", rest.strip())
     match, clock = _DATE.fullmatch(day), _clock(rest) if rest else timedelta(0)

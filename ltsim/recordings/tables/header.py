@@ -132,8 +132,8 @@ def columns_of(fields: Sequence[str]) -> list[TableColumn]:
 def _columns_of(fields: tuple[str, ...]) -> list[TableColumn]:
     """Columns of a header, each with the role and unit that its words have.
 
-    Of two columns for one role the first has it. Faces are told apart where every reading stands there twice.
-    Coordinates beside polar readings are further columns.
+    Of two columns for one role the first has it. Faces are distinguished where every reading has two columns.
+    Coordinates in a table of polar readings are further columns.
     """
     candidates = _with_parts([_column(place, title) for place, title in enumerate(fields)])
     both = {c.role for c in candidates if c.face == 1} & {c.role for c in candidates if c.face == 2}
@@ -198,7 +198,7 @@ def _kinds_in(columns: Sequence[TableColumn]) -> int:
 
 
 def count_of_roles(fields: Sequence[str]) -> int:
-    """Titles among some fields that have a role by themselves: quick to tell, and a header has two at least."""
+    """Number of titles among some fields that have a role by themselves: a quick test, a header has at least two."""
     return sum(map(_has_role, fields))
 
 
@@ -209,12 +209,12 @@ def _has_role(title: str) -> bool:
 
 
 def is_header(columns: Sequence[TableColumn]) -> bool:
-    """Whether two of direction, vertical angle and distance are among the columns, or all three coordinates."""
+    """True if two of direction, vertical angle and distance are among the columns, or all three coordinates."""
     return _kinds_in(columns) > 1 or names_places(columns)
 
 
 def names_places(columns: Sequence[TableColumn]) -> bool:
-    """Whether the columns hold x, y, z of named targets."""
+    """True if the columns hold x, y, z of named targets."""
     return {"target", *PLACE} <= {column.role for column in columns}
 
 
@@ -283,7 +283,7 @@ def mapped(fields: Sequence[str], wanted: str, file: object) -> list[TableColumn
 
 
 def assignments(wanted: str, file: object = None) -> list[tuple[str, int, str, str]]:
-    """Role, face (0: any), header and unit ('': not said) of every ``role=Header[unit]``."""
+    """Role, face (0: any), header and unit ('': not given) of every ``role=Header[unit]``."""
     roles = []
     for part in filter(None, (p.strip() for p in wanted.split(","))):
         role, equals, title = part.partition("=")

@@ -16,11 +16,11 @@ COARSE_M = 0.5e-4
 """[m] Last digit of ranges that is coarser than a laser tracker's noise by far: trackers print micrometres."""
 
 LEAST_RANGES = 6
-"""Fewer ranges may all end in zeros by chance."""
+"""Smallest number of ranges whose last digit is trusted: fewer may all end in zeros by chance."""
 
 
 def is_total_station(table: PointingTable, meaning: ColumnInterpretation, readings: Floats) -> str:
-    """Why the table is one of a total station; empty where it may be a laser tracker's.
+    """Reason why the table is one of a total station; empty where it may be a laser tracker's.
 
     Heights over marks alone are none: trackers stand over marks too.
     """
@@ -46,5 +46,5 @@ def is_total_station(table: PointingTable, meaning: ColumnInterpretation, readin
 
 
 def instrument_of(reason: str) -> tuple[Instrument, str]:
-    """The instrument of a table that states no noise, and what is said of it."""
+    """Instrument of a table that states no noise, and the note about it."""
     return (TOTAL_STATION, LIKE_TOTAL_STATION.format(reason=reason)) if reason else (Instrument(), NO_NOISE)

@@ -1,9 +1,9 @@
 """Meaning of the numbers of a table: units, zenith or elevation, the sense of the circle; coordinates for readings.
 
-What the header states is taken; the rest is decided by the data (`ltsim.recordings.conventions`) or asked for. The
+The header is used where it is explicit; the data (`ltsim.recordings.conventions`) or a question decide the rest. The
 mirror image of a network is a network: no data decide the sense of the circle, unless places are known. The words of
 a header do: `Hz`, `HA` are the horizontal circle of a theodolite, clockwise; azimuth and elevation are the spherical
-coordinates of a tracker, counter-clockwise. An azimuth beside a zenith angle can be either and is asked for.
+coordinates of a tracker, counter-clockwise. An azimuth with a zenith angle can be either and needs a hint.
 """
 
 import operator
@@ -41,14 +41,14 @@ from ltsim.recordings.transcription_errors import SHORTEST_MM
 
 FULL, QUARTER = Decimal(360), Decimal(90)
 TALL_M = (0.2, 3.0)
-"""[m] Heights of instruments and targets over their marks lie here: they tell metres from millimetres."""
+"""[m] Range of heights of instruments and targets over their marks, which distinguishes metres from millimetres."""
 AMBIGUOUS_MM = 1000.0
 """Longest distance that may as well be in metres."""
 COMMON_FRAME_M = 2e-3
 """[m] Common targets of two set-ups that agree so well are in one frame already."""
 FROM_PLACES = (
-    "coordinates in each set-up's own axes are turned into distance, azimuth and elevation; what is stated as noise "
-    "is that of the readings, and of both faces together"
+    "coordinates in the axes of each set-up are converted to distance, azimuth and elevation; the declared noise "
+    "applies to single readings, in both faces"
 )
 
 
@@ -84,7 +84,7 @@ class ColumnInterpretation:
         return np.stack(polar, axis=1) * [MILLIMETRE, DEGREE, DEGREE]
 
     def unit_of(self, role: str) -> str:
-        """The unit of the readings that a column of sigmas or heights stands beside, where it states none."""
+        """Unit of the readings that a column of sigmas or heights belongs to, where it states none."""
         return {"sigma_azimuth_arcsec": self.horizontal_unit, "sigma_elevation_arcsec": self.vertical_unit}.get(
             role, self.length_unit
         )
@@ -101,7 +101,7 @@ def readings_of(
 ) -> tuple[ColumnInterpretation, Floats]:
     """Meaning of the table's numbers, and the raw readings (n, 3) [m, rad] that they are.
 
-    Rough `poses` of stations, by the order in which the table names them, tell the sense of the circle.
+    Rough `poses` of stations, by the order in which the table names them, decide the sense of the circle.
 
     Raises RecordError, asking for what neither header nor data decide, with the option to type.
     """
@@ -142,25 +142,27 @@ def _angles(
     answer = replace(hints, angle=common_unit or hints.angle, vertical=hints.vertical or declared)  # type: ignore[arg-type]
     angle, vertical, notes = angle_meaning(asked, answer, file)
     if common_unit and column is not None:
-        notes = [f"'{column.title}' taken as {vertical} angles: {note.partition(': ')[2]}" for note in notes]
+        notes = [f"'{column.title}' is interpreted as {vertical} angles ({note.rpartition('(')[2]}" for note in notes]
     return (turn_unit or unit or angle, rise_unit or unit or angle), vertical, notes
 
 
 def _length(declared: str, polar: PolarTable, table: PointingTable, hints: Hints, file: Path) -> tuple[str, list[str]]:
-    """Unit of the distances: as stated, by heights beside them, by their size, or asked for."""
+    """Unit of the distances: as declared, by heights in the table, by their size, or by a hint."""
     if declared or not np.isfinite(polar.distance).any():
         return declared or hints.length or "mm", []
     longest = float(np.nanmax(polar.distance))
     if hints.length is not None or not SHORTEST_MM <= longest < AMBIGUOUS_MM:
         return length_meaning(polar.distance, hints)
     if table.column(("flat",)) is not None:
-        return "m", ["distances taken as m: they are horizontal ones, as surveyors write them"]
+        return "m", ["distances are interpreted as m (horizontal distances are written in metres)"]
     column = next((c for c in table.columns if c.role in HEIGHTS and not c.unit), None)
     texts = table.pointings.further.get(column.title, []) if column is not None else []
     tall = [abs(float(height)) for height in map(cells.value, texts) if height]
     if column is not None and tall and TALL_M[0] < float(np.median(tall)) < TALL_M[1]:
-        return "m", [f"distances taken as m: '{shown(column.title)}' beside them holds heights of metres"]
-    message = f"distances of up to {longest:.6g} may be metres or millimetres; say which: --hint length=m or"
+        return "m", [
+            f"distances are interpreted as m ('{shown(column.title)}' in the same table holds heights of metres)"
+        ]
+    message = f"distances of up to {longest:.6g} may be metres or millimetres; give --hint length=m or"
     raise RecordError(f"{message} --hint length=mm", file=file)
 
 
@@ -172,7 +174,7 @@ def _sense(
     hints: Hints,
     file: Path,
 ) -> tuple[Azimuth, list[str]]:
-    """The sense of the circle: said, by known places, or by the words of the header."""
+    """Sense of the circle: by a hint, by known places, or by the words of the header."""
     if hints.azimuth is not None or not np.isfinite(polar.horizontal).any():
         return hints.azimuth or "counter-clockwise", []
     if hints.points is not None or len(poses) > 1:
@@ -181,17 +183,21 @@ def _sense(
             return sense_from_points(local, polar, list(dict.fromkeys(table.pointings.target)), hints.points)
         azimuth = sense_by_poses(local, polar, poses)
         if azimuth is not None:
-            return azimuth, [f"azimuths taken as {azimuth}: so the set-ups see the same points from their rough places"]
+            return azimuth, [
+                f"azimuths are interpreted as {azimuth} (the set-ups then see the same points from their rough places)"
+            ]
     column = table.column(HORIZONTAL)
     if table.positional or column is None:
         raise RecordError(SENSE_UNKNOWN, file=file)
     if column.role == "horizontal":
-        circle = f"'{column.title}' taken as a horizontal circle, clockwise"
+        circle = f"'{column.title}' is interpreted as a horizontal circle, clockwise"
         return "clockwise", [
-            f"{circle} (--hint azimuth=counter-clockwise says otherwise); this file alone cannot show it"
+            f"{circle}, which this file alone cannot show (otherwise give --hint azimuth=counter-clockwise)"
         ]
     if meaning.vertical == "elevation":
-        spherical = "azimuth beside elevation taken as counter-clockwise (--hint azimuth=clockwise says otherwise)"
+        spherical = (
+            "azimuths with elevations are interpreted as counter-clockwise (otherwise give --hint azimuth=clockwise)"
+        )
         return "counter-clockwise", [spherical]
     raise RecordError(SENSE_UNKNOWN, file=file)
 

@@ -72,7 +72,7 @@ class PrintedPointings:
     station: list[str] = field(default_factory=list)
     target: list[str] = field(default_factory=list)
     face: list[int] = field(default_factory=list)
-    """0 where none is stated."""
+    """0 where none is given."""
     moment: list[str] = field(default_factory=list)
     round: list[str] = field(default_factory=list)
     """Round of its station that each belongs to: a number, perhaps with a day."""
@@ -150,7 +150,7 @@ def codes(values: Iterable[T]) -> tuple[list[T], Ints]:
 
 @dataclass
 class PointingTable:
-    """All pointings of a file or folder, the columns they came from, and what was left out."""
+    """All pointings of a file or folder, the columns they came from, and the lines that were not read."""
 
     columns: list[TableColumn]
     pointings: PrintedPointings = field(default_factory=PrintedPointings)
@@ -192,7 +192,7 @@ class PointingTable:
         self.columns += [c for c in columns if c.title not in titles]
 
     def add(self, other: PointingTable, file: object) -> None:
-        """The columns of a further sheet and what is said of it; raises RecordError."""
+        """Add the columns of a further sheet and its notes; raises RecordError."""
         self.take(other.columns, file)
         self.unread += other.unread
         self.notes += [note for note in other.notes if note not in self.notes]

@@ -46,7 +46,7 @@ def with_clock(table: PointingTable) -> PointingTable:
         printed.moment = [" ".join(filter(None, both)) for both in zip(printed.moment, texts, strict=True)]
         printed.further = {name: cells_of for name, cells_of in printed.further.items() if name != title}
         table.columns = [replace(c, role="time", unit="") if c is column else c for c in table.columns]
-        table.notes.append(f"'{shown(title)}' taken as the time of each pointing: its cells are clocks")
+        table.notes.append(f"'{shown(title)}' is interpreted as the time of each pointing (its cells are clocks)")
         break
     return table
 
@@ -58,7 +58,7 @@ def times_of(table: PointingTable, hints: Hints) -> tuple[list[float], str, list
     nothing = [float("nan")] * len(texts)
     if column is None or not any(texts):
         return nothing, "", []
-    by_rows = "the order of the rows is taken as time"
+    by_rows = "the order of the rows stands for the time"
     if not all(texts):
         return nothing, "", [f"column '{shown(column.title)}' is empty in places: {by_rows}"]
     if cells.are_numbers(texts):
@@ -69,10 +69,10 @@ def times_of(table: PointingTable, hints: Hints) -> tuple[list[float], str, list
         return [float(number) * factor for number in numbers if number is not None], "", []
     seconds, start = cells.moments(texts, hints.date)
     if seconds is None and start:
-        message = f"'{shown(texts[0])}' may be day and month or month and day; say which: --hint date=dmy or date=mdy"
+        message = f"'{shown(texts[0])}' may be day and month or month and day; give --hint date=dmy or --hint date=mdy"
         raise table.pointings.place(0).error(message, shown(column.title))
     if seconds is None:
-        unknown = f"column '{shown(column.title)}' holds no time that is known here ('{shown(texts[0])}')"
+        unknown = f"column '{shown(column.title)}' holds no readable time ('{shown(texts[0])}')"
         return nothing, "", [f"{unknown}: {by_rows}"]
     if not any(":" in text for text in texts):
         return nothing, "", [f"column '{shown(column.title)}' holds days without a clock: {by_rows}"]
@@ -86,7 +86,7 @@ HEADS_SIGMA_MM = 1.0
 
 
 def recognises(path: Path, head: str) -> bool:
-    """Whether this is a folder of tables, a workbook, or text of three columns and more with numbers in them."""
+    """True if this is a folder of tables, a workbook, or text of three columns and more with numbers in them."""
     if path.is_dir():
         return is_folder(path)
     if head.startswith(WORKBOOK.decode("latin-1")):
@@ -112,7 +112,7 @@ def read(path: Path, hints: Hints = NO_HINTS, *, positional: bool = False) -> Re
     if setup is not None:
         recording = assembled(table, meaning, readings, setup, hints, path)
         return recording.replace(
-            notes=(f"noise and what else is known are read from {_setup_file(path, hints)}", *recording.notes)
+            notes=(f"noise and set-ups are read from {_setup_file(path, hints)}", *recording.notes)
         )
     instrument, noise = instrument_of(is_total_station(table, meaning, readings))
     setup = Setup(title=path.stem[:MAX_TEXT], instrument=instrument)
@@ -202,9 +202,9 @@ def _faces(table: PointingTable, readings: Floats) -> tuple[list[int], list[str]
 def _further(
     table: PointingTable, meaning: ColumnInterpretation
 ) -> tuple[dict[str, Floats], dict[str, list[str]], list[str]]:
-    """Further columns of each pointing: numbers as covariates, texts as labels, and what is said of them.
+    """Further columns of each pointing: numbers as covariates, texts as labels, and notes about them.
 
-    Sigmas and heights have names and units of their own, those of the readings where their header states none.
+    Sigmas and heights have standard names; their unit is that of the readings where their header states none.
     """
     columns = [c for c in table.columns if c.is_further]
     words = {c.title for c in columns if c.role in OCCUPATION_COLUMNS}
@@ -217,12 +217,17 @@ def _further(
     labels = {names[title]: column for title, column in table.pointings.further.items() if title not in numeric}
     with_units = {c.title for c in columns if c.role in HEIGHT_COLUMNS or c.role.startswith("sigma_")}
     units = [
-        f"'{shown(c.title)}' taken as {c.role}" + ("" if c.unit else f", in {_unit(c, meaning)} as its reading")
+        f"'{shown(c.title)}' is interpreted as {c.role}"
+        + ("" if c.unit else f", in {_unit(c, meaning)} as its reading")
         for c in columns
         if c.title in with_units and c.title in numeric
     ]
     others = ", ".join(f"'{shown(names[c.title])}'" for c in columns if c.title not in with_units)
-    return covariates, labels, [*units, *([f"kept as further columns: {others}"] if others else [])]
+    return (
+        covariates,
+        labels,
+        [*units, *([f"further columns are read as covariates and labels: {others}"] if others else [])],
+    )
 
 
 def _unit(column: TableColumn, meaning: ColumnInterpretation) -> str:
@@ -258,10 +263,10 @@ def _factor(column: TableColumn, meaning: ColumnInterpretation) -> float:
 def _unread(table: PointingTable) -> list[str]:
     notes = []
     if table.nameless:
-        alone = "the table names no station: all such pointings are taken from one, called S1"
+        alone = "the table names no station, so that one station S1 is assumed for its pointings"
         notes.append(f"{alone} (--hint station=NAME)")
     if table.unread:
         examples = "; ".join(table.unread[:MOST_SHOWN])
         more = len(table.unread) - MOST_SHOWN
-        notes.append(f"left out as free text: {examples}" + (f" and {more} more lines" if more > 0 else ""))
+        notes.append(f"free text is left out: {examples}" + (f" and {more} more lines" if more > 0 else ""))
     return notes

@@ -271,7 +271,7 @@ class _SheetReader:
         return self.table
 
     def _is_measured(self, row: Row) -> bool:
-        """Whether a cell of a reading holds a value: in a pointing the first one does as a rule."""
+        """True if a cell of a reading holds a value: in a pointing the first one does as a rule."""
         for place in self.wanted:
             cell = row.cell(place)
             if is_number(cell) or cells.is_value(cell):
@@ -315,18 +315,18 @@ class _SheetReader:
 
 
 def _doubled(columns: Sequence[TableColumn]) -> list[str]:
-    """A word on columns whose header could have been a role that another column has."""
+    """Warnings about columns whose role is already taken by another column."""
     taken = {c.role: c.title for c in columns if c.role}
     lost = [(c.title, role_of(words_of(c.title)[0])) for c in columns if not c.role]
     return [
-        f"column '{shown(title)}' is kept as a further one; the {role} is read from '{shown(taken[role])}'"
+        f"column '{shown(title)}' is a further column, because the {role} is read from '{shown(taken[role])}'"
         for title, role in lost
         if role in taken
     ]
 
 
 def _serves(sheet: Sheet, hints: Hints, columns: str) -> bool:
-    """Whether a sheet can be read by an assignment of columns."""
+    """True if a sheet can be read by an assignment of columns."""
     hints = replace(hints, columns=columns)
     try:
         start = header_at(sheet, hints)

@@ -109,7 +109,7 @@ def common_names(printed: PrintedPointings) -> tuple[list[str], list[str]]:
     notes = []
     bare = [_without(station, target) for station, target in sightings]
     if all(bare) and len({*stations}) > 1 and not _shared(stations, targets) and _shared(stations, bare):
-        notes.append(f"the set-up's name is taken from its targets' names: '{targets[0]}' is '{bare[0]}'")
+        notes.append(f"the name of the set-up is removed from the names of its targets: '{targets[0]}' is '{bare[0]}'")
         targets = bare
     places: dict[str, set[str]] = {}
     for station, target in zip(stations, targets, strict=True):
@@ -126,7 +126,7 @@ def common_names(printed: PrintedPointings) -> tuple[list[str], list[str]]:
     }
     if common:
         examples = listing([f"'{name}' and '{first}'" for name, first in common.items()], MOST_SHOWN)
-        notes.append(f"names that differ in case, blanks or leading zeros are taken as one target: {examples}")
+        notes.append(f"names that differ only in case, blanks or leading zeros are the same target: {examples}")
     names = [common.get(target, target) for target in targets]
     return [names[i] for i in row.tolist()], notes
 
@@ -201,7 +201,7 @@ def _occupations(table: PointingTable) -> list[str]:
 
 
 def _is_turned(table: PointingTable, of_occupation: Ints, of_round: Ints, azimuth: Floats, sigma: Floats) -> bool:
-    """Whether the directions of a round differ from the first ones to the same targets in its occupation.
+    """True if the directions of a round differ from the first ones to the same targets in its occupation.
 
     By their median, so that no single wrong reading turns a circle; by more than `TURNED`, or than the noise that the
     table states makes likely.
@@ -254,13 +254,13 @@ def over_marks(
         return setup, []
     over = f", {len(shared)} marks are targets too" if shared & targets else ""
     kind = "set-ups with heights over their marks" if heights else "set-ups of a total station"
-    note = f"{kind} are taken as levelled{over} (setup.toml can say otherwise)"
+    note = f"{kind} are assumed levelled{over} (otherwise set levelled = false in setup.toml)"
     setup = setup.model_copy(update={"stations": {**setup.stations, **stations}})
     return setup, [note] if heights or levelled else []
 
 
 def _closes(table: PointingTable, readings: Floats) -> bool:
-    """Whether lines seen to and fro between marks close in length, and in height where heights were measured.
+    """True if lines seen to and fro between marks close in length, and in height where heights were measured.
 
     By their median, without any heights of instruments and targets, on a round earth.
     """

@@ -119,7 +119,7 @@ class Sheet:
 
 
 def is_folder(path: Path) -> bool:
-    """Whether this is a folder of tables and no recording of ltsim."""
+    """True if this is a folder of tables and no recording of ltsim."""
     try:
         return path.is_dir() and not (path / "observations.csv").exists() and bool(files_of(path))
     except OSError:
@@ -170,7 +170,7 @@ def _check_fields(fields: Sequence[str], line: int, file: Path) -> None:
 
 
 def rows_of_head(head: str) -> list[Row]:
-    """The first lines of a file as rows, comments among them, for whoever asks whether the file is his."""
+    """First lines of a file as rows, comments included, for the detection of its format."""
     lines = [line for line in head.splitlines() if line.strip()]
     separator = _separator_of(lines)
     return [Row(i + 1, _split(line.lstrip("# "), separator), line.startswith("#")) for i, line in enumerate(lines[:60])]

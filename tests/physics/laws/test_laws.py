@@ -15,7 +15,7 @@ from ltsim.physics.effects.motions import station_design
 from ltsim.physics.laws.law import Law
 from ltsim.physics.laws.names import name_of
 from ltsim.physics.laws.places import LEAST_GROUP, clusters
-from ltsim.physics.laws.regressor_library import FOLLOWED, group_drivers, moves, regressors_of
+from ltsim.physics.laws.regressor_library import FOLLOWED, group_drivers, is_admissible, regressors_of
 from ltsim.physics.laws.regressors import CONSTANT, Regressor, amounts, simple, smooth
 from ltsim.physics.laws.responses import RESPONSES, response_designs
 from ltsim.physics.laws.sizes import sizes_of
@@ -164,9 +164,9 @@ def test_what_every_set_up_does_in_its_own_way_is_the_laws_of_the_set_ups_togeth
 
 
 def test_a_wall_does_not_know_where_a_tracker_looks(sightings):
-    assert not moves("target", smooth("azimuth"), sightings)
-    assert moves("target", smooth("time"), sightings)
-    assert moves("reading", smooth("azimuth"), sightings)
+    assert not is_admissible("target", smooth("azimuth"), sightings)
+    assert is_admissible("target", smooth("time"), sightings)
+    assert is_admissible("reading", smooth("azimuth"), sightings)
 
 
 def test_targets_on_one_surface_belong_together():

@@ -12,7 +12,7 @@ from ltsim.core.errors import ModelError
 from ltsim.physics.laws.columns import SIMPLE
 from ltsim.physics.laws.regressor_library import FOLLOWED, regressors_of
 from ltsim.physics.laws.regressors import CONSTANT, Regressor, across_the_room, amounts, pieces, simple, smooth
-from ltsim.physics.laws.words import EXAMPLES, OWNERS, SAID, describe, read_driver, read_law
+from ltsim.physics.laws.words import EXAMPLES, OWNERS, PHRASE_OF, describe, read_driver, read_law
 from ltsim.recordings import Recording
 from tests.networks import network
 
@@ -40,7 +40,7 @@ def every() -> list[Regressor]:
     ]
     found += [Regressor("wave", (name,), constant=2 * np.pi / 0.4) for name in ("x", "hall_temperature_c")]
     found += [smooth(name) for name in ("circle", "hall_temperature_c")] + [
-        simple(name, "power") for name in SAID if name not in OWNERS
+        simple(name, "power") for name in PHRASE_OF if name not in OWNERS
     ]
     found += [simple("distance", "power", -1.0), pieces([simple("time", "step", 600.0), simple("time", "ramp", 900.0)])]
     found += [Regressor("lagging", ("hall_temperature_c",), constant=1200.0), amounts("last-target", 28)]
