@@ -7,7 +7,7 @@ numbers, which three or four standard deviations (x, y, z and their length) and 
 follow, as SpatialAnalyzer writes them.
 
 `read_coordinates` reads one epoch with its full covariance: such a list with ``NAME.covariance.csv`` in the same folder
-(the matrix [mm^2], its header and first column the coordinates as ``TARGET.x``), or adjustment results of gama-local (XML).
+(the matrix [mm^2], its header and first column the coordinates as ``TARGET.x``), or results of gama-local (XML).
 """
 
 import csv

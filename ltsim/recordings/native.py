@@ -266,7 +266,7 @@ def _idle_settings(recording: Recording) -> tuple[str, ...]:
             notes.append(f"targets.{name} is known but was never measured{_near(name, recording.targets)}")
         elif target.datum and name not in recording.targets and name not in marks:
             notes.append(
-                f"targets.{name} is of the datum, but is left out: it was never measured{_near(name, recording.targets)}"
+                f"targets.{name} is of the datum, but left out: it was never measured{_near(name, recording.targets)}"
             )
     for place, entry in {"instrument": setup.instrument, **setup.instruments}.items():
         if keys := overruled(entry):
