@@ -36,7 +36,7 @@ FIRST, WIDEST = 8, 160
 
 
 @dataclass(frozen=True)
-class Beside:
+class ReportContext:
     """Context of a result: its folder, the recording behind it, and how much of them its section shows.
 
     A `brief` section leaves residuals to another one.
@@ -181,14 +181,14 @@ class Section:
     measured: str = ""
     shown: int = 3
     lead: int = 0
-    told: int | None = None
+    terminal_blocks: int | None = None
 
     def text(self) -> str:
         """Text for a terminal: the answer, the facts, sentences and tables, what to do next."""
         facts = "; ".join(f"{fact.name}: {fact.value}" for fact in self.facts)
-        said = [self.answer, facts, *map(_as_text, self.blocks[: self.told])]
-        said += ["\n".join(["What to do next:", *(f"- {line}" for line in self.actions)])] if self.actions else []
-        return "\n\n".join(filter(None, said))
+        parts = [self.answer, facts, *map(_as_text, self.blocks[: self.terminal_blocks])]
+        parts += ["\n".join(["What to do next:", *(f"- {line}" for line in self.actions)])] if self.actions else []
+        return "\n\n".join(filter(None, parts))
 
 
 @dataclass(frozen=True)
@@ -214,17 +214,17 @@ def _as_text(block: Block) -> str:
             return "\n".join([f"{block.title}:", *(f"- {line}" for line in block.lines)])
         case Grid():
             rows = block.rows[:FIRST] if block.long else block.rows
-            said = [f"{block.title}:", _lines(replace(block, rows=rows))]
-            said += [f"and {len(block.rows) - FIRST} more"] if block.long else []
-            return "\n".join(said + ([block.note] if block.note else []))
+            lines = [f"{block.title}:", _lines(replace(block, rows=rows))]
+            lines += [f"and {len(block.rows) - FIRST} more"] if block.long else []
+            return "\n".join(lines + ([block.note] if block.note else []))
     return ""
 
 
 def _lines(table: Grid) -> str:
     """A table in columns, or where its texts are long a sentence a row."""
-    said = aligned(table.header, table.rows, table.text_columns)
-    if max(map(len, said.split("\n"))) <= WIDEST:
-        return said
+    text = aligned(table.header, table.rows, table.text_columns)
+    if max(map(len, text.split("\n"))) <= WIDEST:
+        return text
     heads = ["" if i < table.text_columns else f"{head}: " for i, head in enumerate(table.header)]
     rows = (
         [head + cell for head, cell in zip(heads, row, strict=True) if cell not in ("", NONE)] for row in table.rows
@@ -248,10 +248,10 @@ def table_of(
     columns: list[results.Column] = []
     for field in fields if rows else ():
         (name, _, sigma), head = field.partition("=")[0].partition("+-"), field.partition("=")[2]
-        known = type(rows[0]).model_fields.get(name)
+        declared = type(rows[0]).model_fields.get(name)
         first = getattr(rows[0], name)
         kind: results.Kind = "chance" if name == "p_value" else "text" if isinstance(first, str | tuple) else "number"
-        about = (known.description or "") if known else ""
+        about = (declared.description or "") if declared else ""
         columns.append(results.Column(name, about, kind, sigma=sigma, title=head or {"p_value": "p"}.get(name, "")))
         columns += [results.Column(sigma)] if sigma else []
     cells = [[_joined(getattr(row, column.name)) for column in columns] for row in rows]
@@ -269,9 +269,9 @@ def table_block(
         return []
     heads = table.headings
     words = [next(c.kind == "text" for c in table.columns if c.heading == head) for head in heads]
-    left = words.index(False) if False in words else len(words)
+    text_columns = words.index(False) if False in words else len(words)
     meanings = [table.meanings.get(head, "") for head in heads]
-    return [Grid(title, heads, table.cells(), left, note, marked, meanings, folds)]
+    return [Grid(title, heads, table.cells(), text_columns, note, marked, meanings, folds)]
 
 
 def _joined(value: Any) -> Any:

@@ -18,7 +18,7 @@ from ltsim.recordings.native import OBSERVATIONS, SETUP
 from ltsim.recordings.result_file import digest_of, read_json
 from ltsim.recordings.settings import read_setup
 from ltsim.recordings.setup import About
-from ltsim.reports.document import POLICY, Beside, Detail, Document, Section
+from ltsim.reports.document import POLICY, Detail, Document, ReportContext, Section
 from ltsim.reports.sections import WRITERS, content_of, section_of
 from ltsim.reports.sections.network import TRUTH, recording_section
 from ltsim.reports.words import natural, typeset
@@ -78,7 +78,7 @@ def section(part: PagePart, detail: Detail = "none") -> Section:
         return campaign_section(part.folder)
     content = content_of(part.folder, part.kind)
     recording = read(part.recording) if part.recording else None
-    made = section_of(content, Beside(part.folder, recording, detail, part.brief))
+    made = section_of(content, ReportContext(part.folder, recording, detail, part.brief))
     return replace(made, measured=(content.recording and content.recording.measured) or made.measured)
 
 
@@ -114,39 +114,39 @@ def _about(parts: list[PagePart], sections: list[Section], given: About) -> list
     """Who measured what for whom, when, in which axes: as asked for, else as set-ups and results say."""
     folders = dict.fromkeys(part.recording for part in parts if part.recording)
     setups = [read_setup(place / SETUP) for place in folders if (place / SETUP).is_file()]
-    stated = [setup.report for setup in setups if setup.report is not None]
+    reports = [setup.report for setup in setups if setup.report is not None]
     instruments = "; ".join(
         dict.fromkeys(filter(None, [*(s.instruments_in_words for s in setups), *(s.instrument for s in sections)]))
     )
     days = ", ".join(dict.fromkeys(s.measured[:10] for s in sections if s.measured))
     fallback = {"instrument": instruments, "date": days}
-    said = []
+    lines = []
     for key in About.model_fields:
-        values = [getattr(given, key)] if getattr(given, key) else [getattr(entry, key) for entry in stated]
+        values = [getattr(given, key)] if getattr(given, key) else [getattr(entry, key) for entry in reports]
         text = ", ".join(dict.fromkeys(value for value in values if value)) or fallback.get(key)
-        said += [] if text is None else [(key, text or "not stated")]
+        lines += [] if text is None else [(key, text or "not stated")]
     axes = ", ".join(dict.fromkeys(s.axes for s in sections if s.axes))
-    return [*said, ("axes", axes or "not stated")]
+    return [*lines, ("axes", axes or "not stated")]
 
 
 def _parts(folder: Path, recording: Path | None) -> list[PagePart]:
     inner = sorted((p for p in folder.iterdir() if p.is_dir()), key=lambda p: natural(p.name))
-    found = [
+    parts = [
         PagePart(place, kind, recording or _recording_of(place, folder))
         for kind in KINDS
         for place in (folder, *inner)
         if (place / kind).is_file()
     ]
-    if not found:
+    if not parts:
         raise RecordError(f"holds nothing to report; expected one of {', '.join(KINDS)} in it", file=folder)
-    digests = [_digest(part) for part in found]
-    near = {digest: part.recording for digest, part in zip(digests, found, strict=True) if digest and part.recording}
-    found = [replace(part, recording=near.get(d, part.recording)) for d, part in zip(digests, found, strict=True)]
-    used = Counter(part.recording for part in found)
-    diagnosed = {part.recording for part in found if part.kind == "diagnosis.json"} - {None}
+    digests = [_digest(part) for part in parts]
+    near = {digest: part.recording for digest, part in zip(digests, parts, strict=True) if digest and part.recording}
+    parts = [replace(part, recording=near.get(d, part.recording)) for d, part in zip(digests, parts, strict=True)]
+    used = Counter(part.recording for part in parts)
+    diagnosed = {part.recording for part in parts if part.kind == "diagnosis.json"} - {None}
     return [
         replace(part, brief=used[part.recording] > 1 if part.kind == OBSERVATIONS else part.recording in diagnosed)
-        for part in found
+        for part in parts
     ]
 
 
@@ -191,19 +191,19 @@ def render(content: Document) -> str:
     environment.filters["names"] = lambda text: Markup(re.sub(r"[_:]|\.(?=[a-z])", r"\g<0><wbr>", str(escape(text))))
     files = "palette.css", "page.css", "page.js"
     palette, style, script = (loader.get_source(environment, file)[0] for file in files)
-    own = {"style": Markup(palette + style), "script": Markup(script)}
-    return environment.get_template("page.html.j2").render(document=content, policy=POLICY, **own)
+    assets = {"style": Markup(palette + style), "script": Markup(script)}
+    return environment.get_template("page.html.j2").render(document=content, policy=POLICY, **assets)
 
 
 def versions() -> list[tuple[str, str]]:
     """Versions of what made the page."""
-    found = [("Python", platform.python_version())]
+    entries = [("Python", platform.python_version())]
     for name in ("ltsim", "numpy", "scipy", "matplotlib", "pyvista"):
         try:
-            found.append((name, importlib.metadata.version(name)))
+            entries.append((name, importlib.metadata.version(name)))
         except importlib.metadata.PackageNotFoundError:
-            found.append((name, "(not installed as a package)"))
-    return found
+            entries.append((name, "(not installed as a package)"))
+    return entries
 
 
 def _recording_of(place: Path, top: Path) -> Path | None:

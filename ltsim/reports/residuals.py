@@ -81,10 +81,10 @@ class Residuals:
     @classmethod
     def from_table(cls, table: Table, file: Path | None = None) -> Residuals:
         """Residuals of a table `RESIDUALS`; raises RecordError for an observable or a unit that is none."""
-        for column, known in (("observable", OBSERVABLES), ("unit", FACTOR)):
-            wrong = next((i for i, name in enumerate(table.column(column)) if name not in known), None)
+        for column, allowed in (("observable", OBSERVABLES), ("unit", FACTOR)):
+            wrong = next((i for i, name in enumerate(table.column(column)) if name not in allowed), None)
             if wrong is not None:
-                message = f"'{shown(table.column(column)[wrong])}' is none of {', '.join(known)}"
+                message = f"'{shown(table.column(column)[wrong])}' is none of {', '.join(allowed)}"
                 raise RecordError(message, file=file, row=wrong + 1, column=column)
         names, units = table.column("observable"), table.column("unit")
         scale = np.array([FACTOR[u] / FACTOR[OBSERVABLE_UNIT[o]] for o, u in zip(names, units, strict=True)])
@@ -103,8 +103,8 @@ class Residuals:
     @classmethod
     def from_adjustment(cls, adjustment: Adjustment) -> Residuals:
         """Residuals of an adjustment with the geometry of its pointings."""
-        found = cls.from_table(residuals_table(adjustment))
-        return replace(found, covariates=_geometry(adjustment, found.row - 1))
+        residuals = cls.from_table(residuals_table(adjustment))
+        return replace(residuals, covariates=_geometry(adjustment, residuals.row - 1))
 
     @classmethod
     def read(cls, file: Path) -> Residuals:
@@ -116,8 +116,8 @@ class Residuals:
         if other is None:
             return self
         at = self._places_in(other)
-        found = {name: np.append(column, np.nan)[at] for name, column in other.covariates.items()}
-        return replace(self, covariates=found)
+        covariates = {name: np.append(column, np.nan)[at] for name, column in other.covariates.items()}
+        return replace(self, covariates=covariates)
 
     def by_noise_of(self, other: Residuals) -> Residuals:
         """The same residuals, normalised by the standard deviations that `other` rests on."""
@@ -134,16 +134,16 @@ class Residuals:
 
 def _geometry(adjustment: Adjustment, rows: Ints) -> dict[str, Floats]:
     sightings, clock = adjustment.sightings, adjustment.recording.has_clock
-    found = {
+    covariates = {
         "azimuth": sightings.azimuth[rows] / DEGREE,
         "elevation": sightings.elevation[rows] / DEGREE,
         "distance": sightings.range_[rows],
     }
     incidence = sightings.incidence[rows] / DEGREE
     if np.isfinite(incidence).any():
-        found["incidence"] = incidence
+        covariates["incidence"] = incidence
     further = {name: column[rows] for name, column in sightings.covariates.items()}
     order: dict[str, Floats] = (
         {"time": sightings.time[rows] / 60.0} if clock else {"row": (rows + 1).astype(np.float64)}
     )
-    return found | order | further
+    return covariates | order | further

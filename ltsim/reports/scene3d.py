@@ -318,7 +318,7 @@ def _names(plotter: pv.Plotter, workshop: PlacedWorkshop, lines: list[str]) -> N
     """Names towards the camera, stations first; one that would cover another is left out, and said."""
     eye = np.array(plotter.camera.position)
     axes = _facing(eye - np.array(plotter.camera.focal_point))
-    size, kept, hidden = 0.026 * workshop.size, list[tuple[Floats, Floats]](), list[str]()
+    size, placed, hidden = 0.026 * workshop.size, list[tuple[Floats, Floats]](), list[str]()
     groups = [("station-names", workshop.stations, workshop.position, 0.15 + size, 1.5 * size, style.INK)]
     if len(workshop.targets) <= MOST_LABELS:
         groups.append(("target-names", workshop.targets, workshop.points, size, size, "#3A4046"))
@@ -328,12 +328,12 @@ def _names(plotter: pv.Plotter, workshop: PlacedWorkshop, lines: list[str]) -> N
             word = _letters(name, place, axes, height)
             if not word.n_points:  # letters that the drawing lacks
                 continue
-            seen = (word.points - eye) @ axes.T
-            low, high = (f(seen[:, :2] / -seen[:, 2:], axis=0) for f in (np.min, np.max))
-            if any(np.all((low < top) & (bottom < high)) for bottom, top in kept):
+            projected = (word.points - eye) @ axes.T
+            low, high = (f(projected[:, :2] / -projected[:, 2:], axis=0) for f in (np.min, np.max))
+            if any(np.all((low < top) & (bottom < high)) for bottom, top in placed):
                 hidden.append(name)
             else:
-                kept.append((low, high))
+                placed.append((low, high))
                 words.append(word)
         if words:
             plotter.add_mesh(pv.merge(words), color=colour, lighting=False, name=key)

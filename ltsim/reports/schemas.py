@@ -92,9 +92,9 @@ def tables() -> dict[str, list[dict[str, Any]]]:
                 "about": table.about,
                 "columns": [{"name": c.name, "kind": c.kind, "about": c.meaning} for c in table.columns],
             }
-            for table in beside
+            for table in companions
         ]
-        for file, beside in TABLES.items()
+        for file, companions in TABLES.items()
     }
 
 

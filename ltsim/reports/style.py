@@ -165,9 +165,9 @@ def at_right(ax: Axes, places: Floats, texts: Sequence[str]) -> None:
 
 def legend_of(figure: Figure, panels: Iterable[Axes], *, ncols: int = 3) -> None:
     """One legend above all panels, each label once."""
-    known = {label: handle for ax in panels for handle, label in zip(*ax.get_legend_handles_labels(), strict=True)}
-    columns = columns_for(list(known), ncols)
-    figure.legend(list(known.values()), list(known), loc="outside upper left", ncols=columns)
+    handles = {label: handle for ax in panels for handle, label in zip(*ax.get_legend_handles_labels(), strict=True)}
+    columns = columns_for(list(handles), ncols)
+    figure.legend(list(handles.values()), list(handles), loc="outside upper left", ncols=columns)
 
 
 def columns_for(labels: Sequence[str], most: int) -> int:

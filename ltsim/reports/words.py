@@ -39,9 +39,9 @@ def of_presets(scenarios: Iterable[Mapping[str, Any]]) -> str:
     return ", ".join(f"preset {name}" for name in dict.fromkeys(t["preset"] for t in trackers))
 
 
-def count(number: int, one: str, many: str = "") -> str:
+def count(number: int, singular: str, many: str = "") -> str:
     """`1 station`, `5 stations`."""
-    return f"{number} {one if number == 1 else many or one + 's'}"
+    return f"{number} {singular if number == 1 else many or singular + 's'}"
 
 
 def natural(name: str) -> list[tuple[int, str]]:
@@ -78,8 +78,8 @@ def distinct_labels(labels: Sequence[str]) -> tuple[str, ...]:
     """Labels without the words that all of them begin with, where something is left then."""
     if len(set(labels)) < 2:
         return tuple(labels)
-    alike = takewhile(lambda letters: len(set(letters)) == 1, zip(*labels, strict=False))
-    common = "".join(letters[0] for letters in alike)
+    shared = takewhile(lambda letters: len(set(letters)) == 1, zip(*labels, strict=False))
+    common = "".join(letters[0] for letters in shared)
     begin = 1 + max(common.rfind(separator) for separator in "_- .")
     short = tuple(label[begin:] for label in labels)
     return short if all(short) else tuple(labels)

@@ -58,5 +58,5 @@ def _before(plan: Plan) -> list[Block]:
     worth = [change for change in plan.changes.told if change.do != "remove"]
     if not worth:
         return []
-    said = [f"{c.deed}: the other points become {c.gain_um:.2f} µm better, most {c.serves}" for c in worth]
-    return [Notes("Worth doing before, one of these (z from the floor); then plan again", said)]
+    lines = [f"{c.deed}: the other points become {c.gain_um:.2f} µm better, most {c.serves}" for c in worth]
+    return [Notes("Worth doing before, one of these (z from the floor); then plan again", lines)]

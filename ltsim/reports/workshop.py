@@ -82,8 +82,8 @@ class PlacedWorkshop(ValueEquality):
     @property
     def openings(self) -> tuple[float, ...]:
         """Full angles [rad] of the shadow cones: by the elevation limit, then the paper's other reading."""
-        own = cone_opening(self.elevation_min)
-        return (own,) if abs(own - SECOND_OPENING) < 1e-9 else (own, SECOND_OPENING)
+        limit = cone_opening(self.elevation_min)
+        return (limit,) if abs(limit - SECOND_OPENING) < 1e-9 else (limit, SECOND_OPENING)
 
     def shadow_radius(self, opening: float) -> Floats:
         """(S,) [m]: radius on the floor of the cone with a full angle `opening`."""
@@ -107,9 +107,9 @@ class PlacedWorkshop(ValueEquality):
         station, target = self.sights.station, self.sights.target
         back = self.position[station] - self.points[target]
         cosine = np.sum(back * self.nest_normal[target], axis=1) / np.linalg.norm(back, axis=1)
-        known = np.isfinite(cosine)
-        angle = np.arccos(np.clip(cosine[known], -1.0, 1.0)) / DEGREE
-        return Sights(station[known], target[known], angle, "incidence on the nest [°]")
+        with_normal = np.isfinite(cosine)
+        angle = np.arccos(np.clip(cosine[with_normal], -1.0, 1.0)) / DEGREE
+        return Sights(station[with_normal], target[with_normal], angle, "incidence on the nest [°]")
 
     def coloured(self, by: str) -> PlacedWorkshop:
         """The same workshop with lines of sight coloured by 'incidence' or 'residual'; as it is where unknown."""
@@ -129,7 +129,7 @@ def from_adjustment(adjustment: Adjustment, *, plain: Adjustment | None = None) 
         stations=recording.stations,
         position=state.position,
         rotation=state.rotation,
-        targets=tuple(name for name, known in zip(recording.targets, placed, strict=True) if known),
+        targets=tuple(name for name, is_placed in zip(recording.targets, placed, strict=True) if is_placed),
         points=state.points[placed],
         sights=Sights(
             recording.station[rows], number[recording.target[rows]], worst[rows], "largest normalised residual"

@@ -214,9 +214,9 @@ def coverage() -> Figure:
     return sweeps.coverage(scores(stream(2, "figure").standard_normal((5, 400))))
 
 
-def hidden_and_found() -> Figure:
+def injected_and_estimated() -> Figure:
     at = np.linspace(0, 30, 40)
-    return misfits.hidden_and_found(at, np.sin(at), 1.1 * np.sin(at), axis="time [min]", label="change [µm]")
+    return misfits.injected_and_estimated(at, np.sin(at), 1.1 * np.sin(at), axis="time [min]", label="change [µm]")
 
 
 def values_figure() -> Figure:
@@ -238,7 +238,7 @@ DRAWINGS = {
     f.__name__: f
     for f in (
         shares_of_limits, budget_figure, by_factor, by_setting, check_figure, correlation_figure, coverage,
-        criteria_figure, displacement_figure, distributions, driver_curve, floor_plan, hidden_and_found,
+        criteria_figure, displacement_figure, distributions, driver_curve, floor_plan, injected_and_estimated,
         history_figure, lines_figure, parameter_figure, reflector_changes, residuals_by_covariate,
         residuals_by_station, sigma_figure, signature_figure, trade_off, values_figure, whereabouts,
     )

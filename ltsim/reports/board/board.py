@@ -135,7 +135,7 @@ class Board:
             return {"problem": words_of(places)}
         table = sight_table(site, survey)
         survey = survey.replace(seen=table.visible)
-        found = {
+        evaluation = {
             "reasons": table.reason.tolist(),
             "hidden": int(Reason.OBSTACLE),
             "may_stand": self.site.allowed(survey.position).tolist(),
@@ -143,19 +143,19 @@ class Board:
             "hours": survey.seconds / 3600.0,
             "problem": words_of((*places, *site.broken_sights(survey))),
         }
-        seen = np.asarray(survey.seen.any(axis=0))
+        visible = np.asarray(survey.seen.any(axis=0))
         try:
-            information = LayoutInformation.of(survey.only(seen), self.construction)
+            information = LayoutInformation.of(survey.only(visible), self.construction)
             covariance = information.target_covariance
         except LtsimError as problem:
-            return found | {"problem": f"{problem}"}
-        points: list[dict[str, Any] | None] = [None] * len(seen)
+            return evaluation | {"problem": f"{problem}"}
+        points: list[dict[str, Any] | None] = [None] * len(visible)
         sigma, within = information.target_sigma, radius(covariance, self.demands.level)
-        for k, t in enumerate(np.flatnonzero(seen)):
-            known = {"sigma_um": float(sigma[k]) / MICROMETRE, "within_um": float(within[k]) / MICROMETRE}
+        for k, t in enumerate(np.flatnonzero(visible)):
+            accuracy = {"sigma_um": float(sigma[k]) / MICROMETRE, "within_um": float(within[k]) / MICROMETRE}
             tolerance = self.demands.tolerance.get(survey.target_names[t])
-            points[t] = known | (_against(float(within[k]) / tolerance) if tolerance else {})
-        return found | {"points": points, "rms_um": information.target_rms / MICROMETRE}
+            points[t] = accuracy | (_against(float(within[k]) / tolerance) if tolerance else {})
+        return evaluation | {"points": points, "rms_um": information.target_rms / MICROMETRE}
 
     def verdict(self, stations: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:
         """Whether rules and tolerances are kept, and still are with any one station lost; None without tolerances."""
@@ -165,8 +165,8 @@ class Board:
         site = self._site(survey)
         survey = survey.replace(seen=sight_table(site, survey).visible)
         losses = losses_of(survey, self.demands, self.construction)
-        kept = judged(survey, self.demands, self.construction)
-        judgement = verdict(self.demands, kept, losses, site.broken_rules(survey))
+        checks = judged(survey, self.demands, self.construction)
+        judgement = verdict(self.demands, checks, losses, site.broken_rules(survey))
         return {"reached": judgement.reached, "words": judgement.words}
 
     def moved(self, stations: Sequence[Mapping[str, Any]]) -> Scenario:
@@ -181,8 +181,8 @@ class Board:
         """Write the layout: scenario.toml for `ltsim simulate`, plan.toml for `ltsim plan`, its stations fixed."""
         scenario = self.moved(stations)
         plan = self.file.model_dump(mode="json", exclude_defaults=True)
-        for own in ("workshop", "instrument", "smr", "work"):
-            plan.pop(own, None)
+        for key in ("workshop", "instrument", "smr", "work"):
+            plan.pop(key, None)
         names = list(scenario.stations)
         plan |= {"format": self.file.format, "scenario": SCENARIO}
         plan["stations"] = plan.get("stations", {}) | {"count": len(names), "fixed": names}
@@ -207,11 +207,11 @@ def _from_above(obstacles: Any) -> str:
     if not isinstance(obstacles, Obstacles):
         return ""
     flat: Floats = obstacles.triangles[:, :, :2]
-    one, other = flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0]
-    area = one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]
+    first, second = flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0]
+    area = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
     flat = np.where(
         area[:, None, None] < 0, flat[:, ::-1], flat
     )  # all one way round: else they would cut each other out
-    kept = np.argsort(-np.abs(area), kind="stable")[:MOST_TRIANGLES]
-    shown = np.round(flat[kept[area[kept] != 0]], 3).tolist()
+    largest = np.argsort(-np.abs(area), kind="stable")[:MOST_TRIANGLES]
+    shown = np.round(flat[largest[area[largest] != 0]], 3).tolist()
     return "".join("M" + "L".join(f"{x:g} {y:g}" for x, y in triangle) + "Z" for triangle in shown)

@@ -77,7 +77,7 @@ class Answer(NamedTuple):
     content: bytes = b""
 
 
-NOT_FOUND = Answer(HTTPStatus.NOT_FOUND)
+MISSING = Answer(HTTPStatus.NOT_FOUND)
 
 
 class BoardAccess:
@@ -109,7 +109,7 @@ class BoardAccess:
         """Answer to a request; not found where the token is missing, whatever else it asks."""
         name = path.removeprefix("/").partition("/")[2]
         if not self.knows(path) or (name and name not in self._asked):
-            return NOT_FOUND
+            return MISSING
         if method != ("POST" if name else "GET"):
             return Answer(HTTPStatus.METHOD_NOT_ALLOWED)
         if not name:
@@ -117,14 +117,14 @@ class BoardAccess:
         status = HTTPStatus.OK
         try:
             question = Question.model_validate_json(body)
-            found = self._asked[name]([station.model_dump() for station in question.stations], question)
+            content = self._asked[name]([station.model_dump() for station in question.stations], question)
         except ValidationError as problem:
             first = problem.errors(include_url=False, include_input=False)[0]
             status = HTTPStatus.BAD_REQUEST
-            found = {"problem": f"{'.'.join(map(str, first['loc'])) or 'the request'}: {first['msg']}"}
+            content = {"problem": f"{'.'.join(map(str, first['loc'])) or 'the request'}: {first['msg']}"}
         except (LtsimError, OSError) as problem:
-            found = {"problem": str(problem)}
-        return Answer(status, "application/json", json.dumps(found).encode())
+            content = {"problem": str(problem)}
+        return Answer(status, "application/json", json.dumps(content).encode())
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -154,7 +154,7 @@ class _Handler(BaseHTTPRequestHandler):
             return Answer(HTTPStatus.MISDIRECTED_REQUEST)
         if any(origin.lower().removeprefix("http://") not in self.hosts for origin in origins):
             return Answer(HTTPStatus.FORBIDDEN)
-        return None if self.access.knows(self.path) else NOT_FOUND
+        return None if self.access.knows(self.path) else MISSING
 
     def _body(self) -> bytes | Answer:
         """The body of a request, or the answer to one that says its length wrongly or takes too long."""
@@ -165,13 +165,13 @@ class _Handler(BaseHTTPRequestHandler):
             return Answer(HTTPStatus.BAD_REQUEST)
         if len(lengths[0]) > len(str(MOST_BYTES)) or int(lengths[0]) > MOST_BYTES:
             return Answer(HTTPStatus.REQUEST_ENTITY_TOO_LARGE)
-        left, parts, end = int(lengths[0]), [], time.monotonic() + PATIENCE
-        while left:
-            part = self.rfile.read1(left)
+        remaining, parts, end = int(lengths[0]), [], time.monotonic() + PATIENCE
+        while remaining:
+            part = self.rfile.read1(remaining)
             if not part or time.monotonic() > end:
                 return Answer(HTTPStatus.REQUEST_TIMEOUT)
             parts.append(part)
-            left -= len(part)
+            remaining -= len(part)
         return b"".join(parts)
 
     def _worked(self, body: bytes) -> Answer:

@@ -96,35 +96,35 @@ def swept(
     **levels
         Only the cells that have these levels, ``faces=1``, or one ``method``.
     """
-    known = {factor.name: factor for factor in results.factors}
+    factors = {factor.name: factor for factor in results.factors}
     names = [along] if isinstance(along, str) else [*along]
     for name in filter(None, (*names, panel, *levels)):
-        if name not in known and name != "method":
-            raise unknown_name("factor of this campaign", name, ("method", *known))
+        if name not in factors and name != "method":
+            raise unknown_name("factor of this campaign", name, ("method", *factors))
     places = [level | {"method": method} for level in results.levels for method in results.manifest.methods]
-    for name, own in levels.items():
-        if own not in (there := list(dict.fromkeys(place[name] for place in places))):
-            raise unknown_name(f"level of {name}", str(own), [str(level) for level in there])
+    for name, wanted in levels.items():
+        if wanted not in (there := list(dict.fromkeys(place[name] for place in places))):
+            raise unknown_name(f"level of {name}", str(wanted), [str(level) for level in there])
     floor = statistic.replace("error_calibrated", "error_true_parameters")
     floors = results.spread(floor) if floor != statistic else []
     lowest = [min((s for s in floors if s.cell == cell), key=lambda s: s.mean) for cell in {s.cell: 0 for s in floors}]
     rows = []
     for s in [*results.spread(statistic), *lowest]:
         here = results.levels[s.cell] | {"method": s.method}
-        if any(here[name] != own for name, own in levels.items()):
+        if any(here[name] != wanted for name, wanted in levels.items()):
             continue
-        said = {name: short(factor, here[name]) for name, factor in known.items()} | {"method": s.method}
-        place = here[names[0]] if len(names) == 1 else ", ".join(said[name] for name in names)
+        texts = {name: short(factor, here[name]) for name, factor in factors.items()} | {"method": s.method}
+        place = here[names[0]] if len(names) == 1 else ", ".join(texts[name] for name in names)
         line = s.method if s.column == statistic else FLOOR
-        rows.append(Swept(place, line, said.get(panel, ""), s.mean, s.low, s.high, s.quantiles[1], s.quantiles[5]))
+        rows.append(Swept(place, line, texts.get(panel, ""), s.mean, s.low, s.high, s.quantiles[1], s.quantiles[5]))
     return rows
 
 
 def sweep_figure(results: Results, statistic: str, along: str, *, panel: str = "", **levels: Any) -> Figure:
     """As `Results.plot`: means of a statistic along a factor, a line a method."""
     if not along:
-        known = " or ".join(f.name for f in results.factors) or "nothing, since nothing varies"
-        raise ModelError(f"a statistic is drawn along a factor, here {known}")
+        names = " or ".join(f.name for f in results.factors) or "nothing, since nothing varies"
+        raise ModelError(f"a statistic is drawn along a factor, here {names}")
     axis = title(next((f for f in results.factors if f.name == along), Factor(name=along, keys=())))
     unit = results.units.get(statistic, "")
     words = statistic.removesuffix("_percent").removesuffix("_um").replace("_", " ")
@@ -164,8 +164,8 @@ def by_factor(
     names = list(dict.fromkeys(row.line for row in rows))[:MOST_LINES]
     for ax, panel in zip(axes.flat, panels, strict=False):
         for k, name in enumerate(names):
-            own = [row for row in rows if (row.panel, row.line) == (panel, name)]
-            _line(ax, own, _places(own, words, (k + 0.5) / len(names)), k, joined=joined)
+            points = [row for row in rows if (row.panel, row.line) == (panel, name)]
+            _line(ax, points, _places(points, words, (k + 0.5) / len(names)), k, joined=joined)
         if published is not None:
             ax.axhline(published, color=style.INK, linewidth=1.2, linestyle=(0, (4, 2)), label="the paper")
         if joined:
@@ -202,10 +202,10 @@ def _line(ax: Axes, rows: Sequence[Swept], place: Floats, k: int, *, joined: boo
     if joined and not isinstance(rows[0].x, str) and trials:
         ax.fill_between(x, five, ninety_five, color=colour, alpha=0.12, linewidth=0, label=NINETY if k == 0 else None)
     words = "mean, 95 % interval" if trials else "95 % interval"  # without trials a share, or what the label says
-    told = (f"{rows[0].line}: {words}" if k == 0 else rows[0].line).removeprefix(": ")
+    label = (f"{rows[0].line}: {words}" if k == 0 else rows[0].line).removeprefix(": ")
     ax.errorbar(
         x, mean, [mean - low, high - mean], color=colour, marker=style.MARKERS[k % len(style.MARKERS)], markersize=4.5,
-        linestyle=("-" if joined else "none"), elinewidth=2.4, label=told,
+        linestyle=("-" if joined else "none"), elinewidth=2.4, label=label,
     )  # fmt: skip
 
 
@@ -315,10 +315,10 @@ def _panel(ax: Axes, row: TrialDistribution) -> None:
     ax.set_xlabel(f"[{style.unit_text(row.unit)}]" if row.unit else "")
     if row.published is not None:
         ax.axvline(row.published, color=style.INK, linewidth=1.2, linestyle=(0, (4, 2)), label="the paper")
-        left, below = row.published > 0.5 * (low + high), 100 * float(np.mean(values < row.published))
+        right, below = row.published > 0.5 * (low + high), 100 * float(np.mean(values < row.published))
         ax.annotate(
             typeset(f"{number(row.published)}, percentile {below:.0f}"), (row.published, 1.27 * top),
-            xytext=(-3 if left else 3, -1), textcoords="offset points", fontsize=7.5, ha="right" if left else "left",
+            xytext=(-3 if right else 3, -1), textcoords="offset points", fontsize=7.5, ha="right" if right else "left",
             va="top", in_layout=False,
         )  # fmt: skip
 
@@ -346,8 +346,8 @@ def coverage(rows: Sequence[Scores]) -> Figure:
     figure, ax = style.panel(0.9 + 0.2 * max(len(rows), 3))
     places = style.category_rows(ax, [row.parameter for row in rows])
     share, bounds = np.array([row.coverage_95 for row in rows]), np.array([interval(row) for row in rows])
-    said = f"allowed {100 * ALLOWED[0]:.1f} to {100 * ALLOWED[1]:.1f} %"
-    ax.axvspan(*ALLOWED, color=style.BAND, linewidth=0, zorder=0, label=said)
+    band = f"allowed {100 * ALLOWED[0]:.1f} to {100 * ALLOWED[1]:.1f} %"
+    ax.axvspan(*ALLOWED, color=style.BAND, linewidth=0, zorder=0, label=band)
     ax.axvline(0.95, color=style.INK, linewidth=1.0, linestyle=(0, (4, 2)), label="nominal 95 %")
     red = np.array(uncovered(rows), dtype=bool)
     for chosen, colour, word in ((~red, style.BLUE, "share, its 95 % interval"), (red, style.RED, "outside the band")):

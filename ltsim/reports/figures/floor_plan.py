@@ -46,9 +46,9 @@ def place_labels(figure: Figure, ax: Axes, labels: Sequence[Label], markers: Flo
     figure.draw_without_rendering()
     point = figure.dpi / 72.0
     spots = ax.transData.transform(markers).reshape(-1, 2) / point
-    left, below = ax.get_window_extent().p0 / point
+    edge, below = ax.get_window_extent().p0 / point
     right, top = 72.0 * figure.get_size_inches()
-    numbers = [[-1e4, -1e4, left, 1e4], [-1e4, -1e4, 1e4, below]]  # those of the axes stand there
+    numbers = [[-1e4, -1e4, edge, 1e4], [-1e4, -1e4, 1e4, below]]  # those of the axes stand there
     numbers += [[right, -1e4, 1e4, 1e4], [-1e4, top, 1e4, 1e4]]  # and here the figure ends
     taken = np.concatenate([np.concatenate([spots - 3.0, spots + 3.0], axis=1), numbers])
     for label in labels:
@@ -117,17 +117,17 @@ def floor_plan(
     _obstacles(ax, workshop)
     _shadows(ax, workshop)
     _gauge(ax, workshop)
-    seen = _seen(workshop)
-    if seen is None:
+    visible = _sight_matrix(workshop)
+    if visible is None:
         _targets(ax, workshop)
     else:
-        _pies(ax, workshop, seen)
+        _pies(ax, workshop, visible)
     if reference is not None and len(reference):
         ax.scatter(
             reference[:, 0], reference[:, 1], s=46, facecolors="white", edgecolors=style.GREY, linewidths=1.4, zorder=5,
             label="station of the reference",
         )  # fmt: skip
-    _stations(ax, workshop, [style.INK] * len(workshop.stations) if seen is None else style.CYCLE)
+    _stations(ax, workshop, [style.INK] * len(workshop.stations) if visible is None else style.CYCLE)
     ax.set_xlabel("x [m]")
     ax.set_ylabel("y [m]")
     ax.set_xlim(low[0], high[0])
@@ -138,7 +138,7 @@ def floor_plan(
         labels_of += _target_labels(workshop)
     handles, labels = ax.get_legend_handles_labels()
     if coordinates and len(workshop.stations) <= MOST_PLACES:
-        blank, places = _places(workshop, beside=len(labels))
+        blank, places = _places(workshop, entries=len(labels))
         handles, labels = [*handles, *blank], [*labels, *places]
         figure.set_figheight(figure.get_figheight() + ROW * len(places))
     figure.legend(handles, labels, loc="outside lower center", ncols=2)
@@ -162,8 +162,8 @@ def _walls(ax: Axes, workshop: PlacedWorkshop) -> None:
 def _ground(ax: Axes, ground: Floor) -> list[Label]:
     """Areas for tripods, what stays free, doors; their names."""
     mm, names = MILLIMETRE, []
-    own = ground.areas or ((FloorArea(corners_mm=ground.corners_mm),) if ground.corners_mm else ())
-    for i, area in enumerate(own):
+    areas = ground.areas or ((FloorArea(corners_mm=ground.corners_mm),) if ground.corners_mm else ())
+    for i, area in enumerate(areas):
         corners = np.array(area.corners_mm) * mm
         word = "area for tripods" if i == 0 else None
         ax.add_patch(
@@ -218,30 +218,30 @@ def _obstacles(ax: Axes, workshop: PlacedWorkshop) -> None:
         ax.plot([], [], color="#B9A98C", linewidth=6.0, label="obstacle")
 
 
-def _seen(workshop: PlacedWorkshop) -> Bools | None:
+def _sight_matrix(workshop: PlacedWorkshop) -> Bools | None:
     """(S, T): who sees whom, where that is known, some pair does not, and stations are few enough for a colour each."""
     count = len(workshop.stations), len(workshop.targets)
     if workshop.sights is None or count[0] > len(style.CYCLE) or not len(workshop.hidden):
         return None
-    seen = np.zeros(count, dtype=bool)
-    seen[workshop.sights.station, workshop.sights.target] = True
-    return seen
+    visible = np.zeros(count, dtype=bool)
+    visible[workshop.sights.station, workshop.sights.target] = True
+    return visible
 
 
-def _pies(ax: Axes, workshop: PlacedWorkshop, seen: Bools) -> None:
+def _pies(ax: Axes, workshop: PlacedWorkshop, visible: Bools) -> None:
     """Each target as a circle with a slice, in the station's colour, for each station that sees it."""
     x, y = workshop.points[:, :2].T
     size = 62 if len(workshop.targets) <= MOST_LABELS else 34
     label = "target: slices are the\nstations that see it"
     ax.scatter(x, y, s=size, facecolors="white", edgecolors=style.INK, linewidths=0.7, zorder=4, label=label)
-    turn = 2 * np.pi / len(seen)
-    for s, sees in enumerate(seen):
+    turn = 2 * np.pi / len(visible)
+    for s, sees in enumerate(visible):
         angle = 0.5 * np.pi - turn * np.linspace(s, s + 1, 24)
         slice_ = np.vstack([[0.0, 0.0], np.stack([np.cos(angle), np.sin(angle)], axis=1), [0.0, 0.0]])
         reach = float(np.abs(slice_).max())  # a marker is scaled by its farthest corner
-        own = {"s": 0.8 * size * reach**2, "marker": slice_.tolist(), "color": style.CYCLE[s]}
-        ax.scatter(x[sees], y[sees], linewidths=0, zorder=5, **own)
-    none = ~seen.any(axis=0)
+        look = {"s": 0.8 * size * reach**2, "marker": slice_.tolist(), "color": style.CYCLE[s]}
+        ax.scatter(x[sees], y[sees], linewidths=0, zorder=5, **look)
+    none = ~visible.any(axis=0)
     if none.any():
         ax.scatter(x[none], y[none], marker="x", s=size, color=style.RED, zorder=5, label="seen from nowhere")
 
@@ -289,8 +289,8 @@ def _target_labels(workshop: PlacedWorkshop) -> list[Label]:
         away = (place - middle) / size
         sideways = abs(away[0]) > abs(away[1])
         turn = (0.0 if away[0] > 0 else np.pi) if sideways else (0.5 if away[1] > 0 else 1.5) * np.pi
-        told = " ".join(names) if len(names) < MOST_STACKED else f"{names[0]} +{len(names) - 1}"
-        labels.append(Label(told, place, away=turn))
+        text = " ".join(names) if len(names) < MOST_STACKED else f"{names[0]} +{len(names) - 1}"
+        labels.append(Label(text, place, away=turn))
     return labels
 
 
@@ -301,9 +301,9 @@ def _stations(ax: Axes, workshop: PlacedWorkshop, colours: Sequence[str]) -> Non
     for place, end in zip(workshop.position[:, :2], tick, strict=True):
         ax.annotate("", tuple(place + end), tuple(place), zorder=6, arrowprops=arrow)
     x, y = workshop.position[:, :2].T
-    marker, own = "s" if colours is style.CYCLE else "o", list(colours[: len(workshop.stations)])
+    marker, chosen = "s" if colours is style.CYCLE else "o", list(colours[: len(workshop.stations)])
     look: dict[str, Any] = {"s": 64, "edgecolors": "white", "linewidths": 0.8, "zorder": 7}
-    ax.scatter(x, y, marker=marker, color=own, label="station, tick to azimuth 0", **look)
+    ax.scatter(x, y, marker=marker, color=chosen, label="station, tick to azimuth 0", **look)
 
 
 def _station_labels(workshop: PlacedWorkshop) -> list[Label]:
@@ -313,14 +313,14 @@ def _station_labels(workshop: PlacedWorkshop) -> list[Label]:
     ]
 
 
-def _places(workshop: PlacedWorkshop, beside: int) -> tuple[list[Line2D], list[str]]:
+def _places(workshop: PlacedWorkshop, entries: int) -> tuple[list[Line2D], list[str]]:
     """Lines of a legend that are its second column beside so many others."""
     lines = [
         f"{style.shorten(name, 10)}: {x:.3f}, {y:.3f}, {z:.3f} m, {yaw / DEGREE % 360:.0f}°"
         for name, (x, y, z), yaw in zip(workshop.stations, workshop.position, workshop.yaw, strict=True)
     ]
     words = ["station: x, y, z, azimuth 0", *lines]
-    words = [""] * (len(words) - beside) + words + [""] * (beside - len(words))
+    words = [""] * (len(words) - entries) + words + [""] * (entries - len(words))
     return [Line2D([], [], linestyle="none") for _ in words], words
 
 
@@ -341,14 +341,14 @@ def whereabouts(workshop: PlacedWorkshop, marked: Sequence[str], pairs: Sequence
     return figure
 
 
-ONE_MARK = 0.04
+SAME_PLACE = 0.04
 """Share of the hall's size within which places have one mark, seen from above."""
 
 
 @style.styled
 def reflector_changes(workshop: PlacedWorkshop, changes: Sequence[PlanChange], ground: Floor | None = None) -> Figure:
     """The floor plan with each change and its number: moves as arrows, crosses are left out."""
-    known = dict(zip(workshop.targets, workshop.points[:, :2].tolist(), strict=True))
+    current = dict(zip(workshop.targets, workshop.points[:, :2].tolist(), strict=True))
 
     def marks(ax: Axes) -> list[Label]:
         labels = []
@@ -359,12 +359,12 @@ def reflector_changes(workshop: PlacedWorkshop, changes: Sequence[PlanChange], g
                 if (change.position_mm is not None) != new:
                     continue
                 there = change.position_mm
-                x, y = (v * MILLIMETRE for v in there[:2]) if there else known[change.reflector]
-                near = next((p for p in numbers if hypot(p[0] - x, p[1] - y) < ONE_MARK * workshop.size), (x, y))
+                x, y = (v * MILLIMETRE for v in there[:2]) if there else current[change.reflector]
+                near = next((p for p in numbers if hypot(p[0] - x, p[1] - y) < SAME_PLACE * workshop.size), (x, y))
                 numbers.setdefault(near, []).append(number)
                 if new and change.reflector:
                     arrow = {"arrowstyle": "-|>", "color": style.PURPLE, "lw": 1.3, "shrinkA": 3, "shrinkB": 4}
-                    ax.annotate("", near, xytext=known[change.reflector], arrowprops=arrow, zorder=8)
+                    ax.annotate("", near, xytext=current[change.reflector], arrowprops=arrow, zorder=8)
             if numbers:
                 at = np.array([*numbers]).T
                 ax.scatter(at[0], at[1], marker=marker, s=40, color=colour, zorder=9, label=word)

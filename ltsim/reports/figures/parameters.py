@@ -47,10 +47,10 @@ def parameter_figure(rows: Sequence[ParameterEntry], true: Sequence[float | None
     for chosen, fill, word in ((clear, style.AFTER, "estimate"), (~clear, "white", "hardly determined")):
         if chosen.any():
             ax.plot(values[chosen], places[chosen], "o", ms=4.5, mfc=fill, mec=style.AFTER, label=word)
-    known = [i for i, value in enumerate(true) if value is not None]
-    if known:
-        truth = np.array([true[i] for i in known], dtype=np.float64) / scales[known]
-        ax.plot(truth, places[known], "|", ms=9, mew=1.8, color=style.INK, zorder=4, label="hidden truth")
+    given = [i for i, value in enumerate(true) if value is not None]
+    if given:
+        truth = np.array([true[i] for i in given], dtype=np.float64) / scales[given]
+        ax.plot(truth, places[given], "|", ms=9, mew=1.8, color=style.INK, zorder=4, label="hidden truth")
     style.at_right(ax, places, [with_sigma(r.value, r.sigma, r.unit) for r in rows])
     ax.set_xlabel("estimate / sigma of the prior")
     style.legend_of(figure, [ax])
@@ -97,8 +97,8 @@ def correlation_figure(rows: Sequence[ParameterEntry], covariance: Floats) -> Fi
     names, sigma = names_of(rows), np.sqrt(np.maximum(np.diag(covariance), 0.0))
     scale = np.where(sigma > 0, sigma, 1.0)
     matrix = covariance / np.outer(scale, scale)
-    apart = np.abs(np.where(np.eye(len(names), dtype=bool), 0.0, matrix)).max(axis=1, initial=0.0)
-    shown = np.sort(np.argsort(-apart, kind="stable")[:MOST])
+    strongest = np.abs(np.where(np.eye(len(names), dtype=bool), 0.0, matrix)).max(axis=1, initial=0.0)
+    shown = np.sort(np.argsort(-strongest, kind="stable")[:MOST])
     count, matrix = len(shown), matrix[np.ix_(shown, shown)]
     figure, ax = style.panel(2.2 + 0.15 * count)
     if count < len(names):
@@ -189,17 +189,17 @@ def budget_figure(names: Sequence[str], shares: Mapping[str, Sequence[float]]) -
         For each source its share of every result, 0 to 1.
     """
     ranked = sorted(shares, key=lambda name: -float(np.sum(shares[name])))
-    told, rest = ranked[:MOST_SOURCES], ranked[MOST_SOURCES:]
-    rows = {name: np.asarray(shares[name], dtype=np.float64) for name in told}
+    largest, rest = ranked[:MOST_SOURCES], ranked[MOST_SOURCES:]
+    rows = {name: np.asarray(shares[name], dtype=np.float64) for name in largest}
     if rest:
         rows["all others"] = np.sum([shares[name] for name in rest], axis=0)
     figure, ax = style.panel(0.75 + 0.21 * max(len(names), 3))
     places = style.category_rows(ax, list(names))
-    left = np.zeros(len(names))
+    start = np.zeros(len(names))
     for i, (name, share) in enumerate(rows.items()):
         colour = style.GREY if name == "all others" else style.CYCLE[i % len(style.CYCLE)]
-        ax.barh(places, 100 * share, left=100 * left, height=0.62, color=colour, label=name)
-        left += share
+        ax.barh(places, 100 * share, left=100 * start, height=0.62, color=colour, label=name)
+        start += share
     ax.set_xlim(0, 100)
     ax.set_xlabel("share of the variance [%]")
     ax.grid(visible=False, axis="y")
@@ -266,10 +266,10 @@ def trade_off(plan: PlanResult, name: str) -> Figure:
         if layout is not None and layout.quality.get(name) is not None:
             kinds[kind].append((layout.hours, layout.quality[name] or np.nan, ""))
     figure, ax = style.panel(3.2)
-    every = np.array([factor * quality for some in kinds.values() for _, quality, _ in some])
-    for kind, some in kinds.items():
-        if some:
-            hours, quality = zip(*((h, factor * q) for h, q, _ in sorted(some)), strict=True)
+    every = np.array([factor * quality for points in kinds.values() for _, quality, _ in points])
+    for kind, points in kinds.items():
+        if points:
+            hours, quality = zip(*((h, factor * q) for h, q, _ in sorted(points)), strict=True)
             look: dict[str, Any] = {"marker": MARKER[kind], "s": SIZE[kind], "color": COLOUR[kind], "label": WORD[kind]}
             ax.scatter(hours, quality, zorder=4 if kind != "tried" else 2, linewidths=0, **look)
             if kind == "best":

@@ -82,9 +82,9 @@ def signature_figure(before: Residuals, after: Residuals, covariate: str, where:
     shown = [n for n in OBSERVABLES if (not where.observables or n in where.observables) and before.of(n).any()]
     figure = style.new_figure(0.5 + 1.8 * max(len(shown), 1))
     grid = figure.subplots(len(shown), 2, sharex=True, sharey="row", squeeze=False)
-    stated = before.w, after.by_noise_of(before).w
+    scaled = before.w, after.by_noise_of(before).w
     for line, observable in zip(grid, shown, strict=True):
-        for ax, residuals, normalised, word in zip(line, (before, after), stated, ("without", "with it"), strict=True):
+        for ax, residuals, normalised, word in zip(line, (before, after), scaled, ("without", "with it"), strict=True):
             rows = residuals.of(observable) & np.isfinite(residuals.covariates[covariate])
             here = rows & residuals.at(where.stations, where.targets)
             if (rows & ~here).any():
@@ -173,13 +173,13 @@ def _running_mean(ax: Axes, x: Floats, y: Floats, *, colour: str = style.RED, la
 
 
 @style.styled
-def hidden_and_found(at: Floats, hidden: Floats, found: Floats, axis: str, label: str) -> Figure:
+def injected_and_estimated(at: Floats, injected: Floats, estimated: Floats, axis: str, label: str) -> Figure:
     """Changes of readings (n,) by what was hidden, as rings, and by what was found, over a covariate (n,)."""
     figure, ax = style.panel(2.7)
     order = np.argsort(at, kind="stable")
     ax.axhline(0.0, color=style.GREY, linewidth=0.7)
-    ax.plot(at[order], hidden[order], "-o", ms=5, mfc="none", color=style.INK, lw=0.8, label="hidden")
-    ax.plot(at[order], found[order], "-o", ms=2.4, color=style.RED, lw=1.2, label="found")
+    ax.plot(at[order], injected[order], "-o", ms=5, mfc="none", color=style.INK, lw=0.8, label="hidden")
+    ax.plot(at[order], estimated[order], "-o", ms=2.4, color=style.RED, lw=1.2, label="found")
     ax.set_xlabel(axis)
     ax.set_ylabel(label)
     style.quiet_axis(ax, grid="both")

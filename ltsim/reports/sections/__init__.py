@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from ltsim.recordings.result_file import ResultFile, read_result
-from ltsim.reports.document import Beside, Section
+from ltsim.reports.document import ReportContext, Section
 
 WRITERS = {
     "diagnosis.json": ("diagnosis", "DiagnosisFile", "diagnosis_section"),
@@ -28,10 +28,10 @@ def content_of(folder: Path, file: str) -> ResultFile:
     return content
 
 
-def section_of(content: ResultFile, beside: Beside | None = None) -> Section:
+def section_of(content: ResultFile, context: ReportContext | None = None) -> Section:
     """Section of a result, for a page or a terminal."""
     module, _, function = WRITERS[content.FILE]
-    section: Section = getattr(_module(module), function)(content, beside or Beside())
+    section: Section = getattr(_module(module), function)(content, context or ReportContext())
     return section
 
 

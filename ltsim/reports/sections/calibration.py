@@ -19,7 +19,19 @@ from ltsim.core.units import FACTOR
 from ltsim.recordings import Recording, Setup
 from ltsim.recordings.result_file import check_source
 from ltsim.reports import figures
-from ltsim.reports.document import Beside, Block, Fact, Grid, Note, Notes, Picture, Section, mood, table_block, table_of
+from ltsim.reports.document import (
+    Block,
+    Fact,
+    Grid,
+    Note,
+    Notes,
+    Picture,
+    ReportContext,
+    Section,
+    mood,
+    table_block,
+    table_of,
+)
 from ltsim.reports.residuals import Residuals
 from ltsim.reports.sections.network import (
     adjusted_if_possible,
@@ -41,7 +53,7 @@ SETTLED = ("", "converged", "not stated")
 """Statuses of a fit that need no warning."""
 
 
-def calibration_section(content: CalibrationFile, beside: Beside) -> Section:
+def calibration_section(content: CalibrationFile, context: ReportContext) -> Section:
     """The section of a `calibration.json`; a recording beside it adds the floor plan and the residuals before.
 
     Raises
@@ -49,32 +61,37 @@ def calibration_section(content: CalibrationFile, beside: Beside) -> Section:
     RecordError
         When a file is malformed.
     """
-    recording = beside.recording
-    check_source(content, recording, beside.folder or Path())
+    recording = context.recording
+    check_source(content, recording, context.folder or Path())
     agrees, words = agreement(content.fit.chi2, content.fit.dof, content.fit.p_value)
     if content.noise_estimated:
         words = "the noise was estimated from the same readings, which leaves nothing to test"
     converged = content.fit.status in SETTLED
-    targets, residuals = (beside.file(table.file, content) for table in (TARGETS, RESIDUALS))
-    pair = None if residuals is None or beside.brief else adjusted_if_possible(recording)
+    targets, residuals = (context.file(table.file, content) for table in (TARGETS, RESIDUALS))
+    pair = None if residuals is None or context.brief else adjusted_if_possible(recording)
     before = Residuals.from_adjustment(pair[0]) if pair else None
     after = Residuals.read(residuals).with_covariates(before) if residuals else None
     product = target_table(targets, note=f"Axes: {content.frame or 'those of the first station'}.")
-    first = _parameters(content, truth_of(beside)) if content.parameters else product
-    known = _known_values(content)
-    ahead = known if any(entry.left_out for entry in content.known) else []
+    first = _parameters(content, truth_of(context)) if content.parameters else product
+    fits = _reference_values(content)
+    ahead = fits if any(entry.left_out for entry in content.known) else []
     blocks: list[Block] = [*_warnings(content, converged=converged), *ahead, *first[:1], *_criteria(content)]
     shown = len(blocks) + 1
     if targets is not None and content.stations:
-        blocks += workshop_blocks(lambda: workshop_of(content, recording, targets, after), beside.detail)
+        blocks += workshop_blocks(lambda: workshop_of(content, recording, targets, after), context.detail)
     blocks += combined("Determined in combination", content.determined)
-    blocks += [*([] if ahead else known), *first[1:], *(product if content.parameters else ()), *_stations(content)]
-    if after is not None and not beside.brief:
+    blocks += [
+        *([] if ahead else fits),
+        *first[1:],
+        *(product if content.parameters else ()),
+        *_stations(content),
+    ]
+    if after is not None and not context.brief:
         blocks += residual_blocks(after, before)
     if content.effects:
         blocks.append(Notes("Estimated beside the calibration", [effect.sentence for effect in content.effects]))
-    told = "What the recording tells of the combination: 0 % is nothing beyond the maker's guarantee."
-    blocks += undetermined("Not determined by this recording", content.undetermined, decimals=1, note=told)
+    note = "What the recording tells of the combination: 0 % is nothing beyond the maker's guarantee."
+    blocks += undetermined("Not determined by this recording", content.undetermined, decimals=1, note=note)
     kind = "Calibration" if content.parameters else "Network adjustment"
     named = (recording.setup.title if recording else "") or (content.recording.title if content.recording else "")
     return Section(
@@ -109,20 +126,26 @@ def _answer(content: CalibrationFile, agreement_words: str, targets: Path | None
             f"({number(distance.before.mean_um)} to {number(distance.after.mean_um)} um)"
         )
     if content.outliers:
-        left = sum(outlier.left_out for outlier in content.outliers)
+        rejected = sum(outlier.left_out for outlier in content.outliers)
         begin += f"; {count(len(content.outliers), 'reading')} did not fit"
-        were = "was" if left == 1 else "were"
-        begin += f" and {were} left out" if left == len(content.outliers) else f", {left} left out" if left else ""
-    known = f" {targets_in_words(read_targets(targets)[2])}" if targets is not None else ""
-    return f"{begin}.{known}".rstrip()
+        were = "was" if rejected == 1 else "were"
+        begin += (
+            f" and {were} left out"
+            if rejected == len(content.outliers)
+            else f", {rejected} left out"
+            if rejected
+            else ""
+        )
+    accuracy = f" {targets_in_words(read_targets(targets)[2])}" if targets is not None else ""
+    return f"{begin}.{accuracy}".rstrip()
 
 
 def _facts(content: CalibrationFile, *, agrees: bool) -> list[Fact]:
-    fit, found = content.fit, content.noise_estimated
-    p = None if found or fit.p_value is None else two_sided(fit.p_value)
+    fit, noise_estimated = content.fit, content.noise_estimated
+    p = None if noise_estimated or fit.p_value is None else two_sided(fit.p_value)
     facts = [
         Fact("sigma0", fixed(fit.sigma0, 3), mood(agrees)),
-        Fact("p of the fit, two-sided", p_text(p), "plain" if found else mood(agrees)),
+        Fact("p of the fit, two-sided", p_text(p), "plain" if noise_estimated else mood(agrees)),
         Fact("degrees of freedom", str(fit.dof)),
         Fact("readings that do not fit", str(len(content.outliers)), "bad" if content.outliers else "plain"),
     ]
@@ -140,8 +163,8 @@ def _warnings(content: CalibrationFile, *, converged: bool) -> list[Block]:
     if content.verdict.sentence and not content.noise_estimated:
         blocks.append(Note("Which test to trust", content.verdict.sentence))
     if content.correction is not None and content.correction.uncorrected_um > 0:
-        said = [content.correction.line, *content.correction.sentences]
-        blocks.append(Notes("What it is worth", [sentence(line) for line in said]))
+        lines = [content.correction.line, *content.correction.sentences]
+        blocks.append(Notes("What it is worth", [sentence(line) for line in lines]))
     if content.lost_targets:
         text = "What is left of their readings does not determine them: " + ", ".join(content.lost_targets) + "."
         blocks.append(Note("Targets without coordinates", text, "bad"))
@@ -150,7 +173,7 @@ def _warnings(content: CalibrationFile, *, converged: bool) -> list[Block]:
     return blocks + table_block("Noise found from the readings", NOISE.filled(content.noise), note=note)
 
 
-def _known_values(content: CalibrationFile) -> list[Grid]:
+def _reference_values(content: CalibrationFile) -> list[Grid]:
     note = "Residual: stated less adjusted; error: by how much it is wrong by what the rest says, +- one sigma."
     shown = sorted(content.known, key=lambda entry: (not entry.left_out, -entry.w))
     fields = ("kind", "name", "component", "residual", "error+-sigma_error", "minimal_detectable=detectable", "unit")
@@ -159,30 +182,30 @@ def _known_values(content: CalibrationFile) -> list[Grid]:
 
 def _actions(content: CalibrationFile) -> list[str]:
     """Next steps, the most urgent first."""
-    said = []
-    left = [o for o in content.outliers if not o.left_out]
-    if left:
-        which = listing([f"{o.station} to {o.target} ({o.observable}, row {o.row})" for o in left], 3)
+    actions = []
+    remaining = [o for o in content.outliers if not o.left_out]
+    if remaining:
+        which = listing([f"{o.station} to {o.target} ({o.observable}, row {o.row})" for o in remaining], 3)
         out = f"or leave them out ({option('robust=True')})"
-        said.append(f"Measure again what did not fit, {out}: {which}.")
+        actions.append(f"Measure again what did not fit, {out}: {which}.")
     test = content.fit.p_value
     if test is not None and test < AGREEMENT_LEVEL / 2 and not content.noise_estimated:
-        said.append("Find out why readings and model disagree: ltsim diagnose names what is missing from the model.")
+        actions.append("Find out why readings and model disagree: ltsim diagnose names what is missing from the model.")
     if content.verdict.scale_by_sigma0 and not content.noise:
-        said.append(
+        actions.append(
             f"Have the noise of each observable estimated, if it is not known: {option('noise_from_data=True')}."
         )
     cures = dict.fromkeys(entry.cure.partition(" (gain ")[0] for entry in content.undetermined if entry.cure)
-    said += [f"To determine what is still open: {cure.rstrip('.')}." for cure in list(cures)[:3]]
-    if content.parameters and not said:
-        said.append("Apply the calibration to later readings: ltsim correct.")
-    return said
+    actions += [f"To determine what is still open: {cure.rstrip('.')}." for cure in list(cures)[:3]]
+    if content.parameters and not actions:
+        actions.append("Apply the calibration to later readings: ltsim correct.")
+    return actions
 
 
 def _parameters(content: CalibrationFile, truth: Truth | None) -> list[Block]:
-    rows, known = content.parameters, {} if truth is None else truth.instrument
+    rows, true_values = content.parameters, {} if truth is None else truth.instrument
     names = [f"{p.name}@{p.instrument}" if p.instrument else p.name for p in rows]
-    true = [known[n] / FACTOR[truth.units[n]] if truth and n in known else None for n in names]
+    true = [true_values[n] / FACTOR[truth.units[n]] if truth and n in true_values else None for n in names]
     text = "Corrections (truth minus reading) with 95 % intervals, against the spread that the maker guarantees."
     note = "Corrections, truth minus reading, +- one sigma."
     if any(p.applied is not None for p in rows):
@@ -260,6 +283,6 @@ def _sights(residuals: Residuals | None, stations: Sequence[str], targets: Seque
         np.array([{name: i for i, name in enumerate(names)}.get(name, -1) for name in column.tolist()])
         for names, column in ((stations, residuals.station), (targets, residuals.target))
     )
-    known = (station >= 0) & (target >= 0)
-    size = np.abs(np.nan_to_num(residuals.w[known]))
-    return Sights(station[known], target[known], size, "largest normalised residual") if known.any() else None
+    matched = (station >= 0) & (target >= 0)
+    size = np.abs(np.nan_to_num(residuals.w[matched]))
+    return Sights(station[matched], target[matched], size, "largest normalised residual") if matched.any() else None

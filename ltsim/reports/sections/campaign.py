@@ -103,16 +103,16 @@ def _answer(results: Results, spreads: Mapping[str, list[Spread]], ends: Sequenc
     if len(manifest.cells) > 1:
         size += f" in each of {len(manifest.cells)} settings"
         size += f" of {_listed([title(f).partition(' [')[0] for f in factors])}" if factors else ""
-    said = []
+    means_in_words = []
     for method in manifest.methods:
         means = [s for s in spreads.get(IMPROVEMENT, []) if s.method == method]
         if len(means) == 1:
-            said.append(f"{method} by {_mean(means[0])} %")
+            means_in_words.append(f"{method} by {_mean(means[0])} %")
         elif means:
             low, high = min(s.mean for s in means), max(s.mean for s in means)
-            said.append(f"{method} by {number(low)} to {number(high)} %")
-    told = f"{size}, calibration improves the distance criterion on average: {'; '.join(said)}."
-    return (told if said else f"{size} with {', '.join(manifest.methods)}.") + _extremes(results, spreads)
+            means_in_words.append(f"{method} by {number(low)} to {number(high)} %")
+    text = f"{size}, calibration improves the distance criterion on average: {'; '.join(means_in_words)}."
+    return (text if means_in_words else f"{size} with {', '.join(manifest.methods)}.") + _extremes(results, spreads)
 
 
 def _extremes(results: Results, spreads: Mapping[str, list[Spread]]) -> str:
@@ -151,8 +151,8 @@ def _varied(results: Results) -> list[Block]:
     for factor in results.factors:
         values = list(dict.fromkeys(factor.words(level[factor.name]) for level in results.levels))
         shown = values if len(values) <= MOST_VALUES else [values[0], "...", values[-1]]
-        told = meaning_of(factor.keys[0]).replace("`", "")
-        rows.append([title(factor), ", ".join(shown), ", ".join(factor.keys), told])
+        meaning = meaning_of(factor.keys[0]).replace("`", "")
+        rows.append([title(factor), ", ".join(shown), ", ".join(factor.keys), meaning])
     return [Grid("What was varied", ["", "values", "key", "meaning"], rows, text_columns=4)] if rows else []
 
 
@@ -177,12 +177,12 @@ def _improvements(results: Results, spreads: Mapping[str, list[Spread]], publish
     if len(results.levels) == 1:  # nothing to draw a mean over: the distributions say it
         return blocks
     for column, label in LABELS.items():
-        own, paper = spreads.get(column, []), published.get(column)
-        for text, figure in drawn(results, own, label, paper) if own else ():
-            outside = [s for s in own if paper is not None and not s.quantiles[1] <= paper <= s.quantiles[5]]
-            where = f"outside it in {len(outside)} of {len(own)}" if outside else "within it everywhere"
-            told = f" The paper's {number(paper)} (dashed) lies against the 90 % of trials: {where}."
-            caption = text if paper is None else text + told
+        rows, paper = spreads.get(column, []), published.get(column)
+        for text, figure in drawn(results, rows, label, paper) if rows else ():
+            outside = [s for s in rows if paper is not None and not s.quantiles[1] <= paper <= s.quantiles[5]]
+            where = f"outside it in {len(outside)} of {len(rows)}" if outside else "within it everywhere"
+            comparison = f" The paper's {number(paper)} (dashed) lies against the 90 % of trials: {where}."
+            caption = text if paper is None else text + comparison
             blocks.append(Picture(label.split(" [")[0].capitalize(), figure, caption))
     return blocks
 
@@ -213,9 +213,9 @@ def _rows_of(results: Results, published: Mapping[str, float]) -> list[TrialDist
 def _distributions(results: Results, published: Mapping[str, float]) -> list[Block]:
     """Histograms of the criteria of the file's first method; means over several settings tell more."""
     rows = [] if len(results.levels) > 1 else _rows_of(results, published)
-    told = "Dashed: the paper's figures and the share of trials below them." if published else ""
+    caption = "Dashed: the paper's figures and the share of trials below them." if published else ""
     title = f"Distributions over trials: {results.manifest.methods[0]}"
-    return [Picture(title, partial(distributions, rows), told)] if rows else []
+    return [Picture(title, partial(distributions, rows), caption)] if rows else []
 
 
 def _coverage(results: Results, scores: Sequence[Scores]) -> list[Block]:
@@ -269,8 +269,8 @@ def _errors(results: Results, spreads: Mapping[str, list[Spread]]) -> list[Block
 
 
 def _meaning(column: str) -> str:
-    known = column_of(column)
-    return sentence("" if known is None else known.meaning.replace("`", "")).removesuffix(".")
+    declared = column_of(column)
+    return sentence("" if declared is None else declared.meaning.replace("`", "")).removesuffix(".")
 
 
 def _statistics(results: Results, spreads: Mapping[str, list[Spread]], ends: Sequence[Checked]) -> list[Block]:
@@ -299,21 +299,21 @@ def _settings(results: Results, table: TableOf) -> TableOf:
 
 def varied(results: Results) -> list[Factor]:
     """Factors that truly vary, those that change together with an earlier one left out."""
-    kept: list[Factor] = []
+    independent: list[Factor] = []
     for factor in results.factors:
-        own = _column(results, factor)
-        if len(set(own)) > 1 and not any(_alike(own, _column(results, other)) for other in kept):
-            kept.append(factor)
-    return kept
+        values = _column(results, factor)
+        if len(set(values)) > 1 and not any(_is_bijection(values, _column(results, other)) for other in independent):
+            independent.append(factor)
+    return independent
 
 
 def cell_words(results: Results) -> dict[int, str]:
     """Description of each cell in a few words, by its number."""
     factors = varied(results)
-    said = [", ".join(short(f, level[f.name]) for f in factors) for level in results.levels]
-    plain = "as the scenario" if len(said) == 1 else ""
+    texts = [", ".join(short(f, level[f.name]) for f in factors) for level in results.levels]
+    plain = "as the scenario" if len(texts) == 1 else ""
     return {
-        entry.cell: words or plain or entry.label for entry, words in zip(results.manifest.cells, said, strict=True)
+        entry.cell: words or plain or entry.label for entry, words in zip(results.manifest.cells, texts, strict=True)
     }
 
 
@@ -321,10 +321,10 @@ def _column(results: Results, factor: Factor) -> list[Any]:
     return [level[factor.name] for level in results.levels]
 
 
-def _alike(one: Sequence[Any], other: Sequence[Any]) -> bool:
+def _is_bijection(first: Sequence[Any], second: Sequence[Any]) -> bool:
     """Whether each value of one comes with one value of the other."""
-    pairs = len(set(zip(one, other, strict=True)))
-    return pairs == len(set(one)) == len(set(other))
+    pairs = len(set(zip(first, second, strict=True)))
+    return pairs == len(set(first)) == len(set(second))
 
 
 def drawn(

@@ -21,7 +21,7 @@ from ltsim.physics.effects.verbs import effect_from
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.recordings.result_file import check_source
 from ltsim.reports import figures
-from ltsim.reports.document import Beside, Block, Fact, Grid, Note, Picture, Section, mood, table_of
+from ltsim.reports.document import Block, Fact, Grid, Note, Picture, ReportContext, Section, mood, table_of
 from ltsim.reports.residuals import OBSERVABLE_UNIT, Residuals
 from ltsim.reports.sections.network import (
     Pair,
@@ -46,7 +46,7 @@ MOST_STEPS = 3
 """Points from which a curve is drawn."""
 
 
-def diagnosis_section(content: DiagnosisFile, beside: Beside) -> Section:
+def diagnosis_section(content: DiagnosisFile, context: ReportContext) -> Section:
     """The section of a `diagnosis.json`; a truth beside it puts hidden and found side by side in front.
 
     Residuals without the findings are read from `residuals_before.csv`, those with them from `residuals.csv`.
@@ -56,13 +56,13 @@ def diagnosis_section(content: DiagnosisFile, beside: Beside) -> Section:
     RecordError
         When a file is malformed.
     """
-    recording = beside.recording
-    check_source(content, recording, beside.folder or Path())
+    recording = context.recording
+    check_source(content, recording, context.folder or Path())
     pair = adjusted_if_possible(recording)
-    before, after = _residuals(content, beside, pair)
-    truth = truth_of(beside)
-    blocks: list[Block] = _beside_truth(content, truth, pair) if truth is not None and truth.effects else []
-    if pair is not None and beside.detail == "turn" and blocks:
+    before, after = _residuals(content, context, pair)
+    truth = truth_of(context)
+    blocks: list[Block] = _against_truth(content, truth, pair) if truth is not None and truth.effects else []
+    if pair is not None and context.detail == "turn" and blocks:
         from ltsim.reports.workshop import from_adjustment
 
         blocks = [scene(from_adjustment(pair[1], plain=pair[0])), *blocks]
@@ -83,7 +83,7 @@ def diagnosis_section(content: DiagnosisFile, beside: Beside) -> Section:
         blocks += table_of(title, entry.parameters, "name=constant", "value+-sigma", "unit")
         blocks += combined(f"What the recording determines{name} in combination", entry.determined)
     blocks += _detectability(content)
-    blocks += target_table(beside.file(TARGETS.file, content), note="Adjusted with the findings modelled.")
+    blocks += target_table(context.file(TARGETS.file, content), note="Adjusted with the findings modelled.")
     named = (recording.setup.title if recording else "") or (content.recording.title if content.recording else "")
     answer = sentence(content.summary)
     if truth is not None and truth.effects:
@@ -91,14 +91,14 @@ def diagnosis_section(content: DiagnosisFile, beside: Beside) -> Section:
         answer = f"On purpose, {what} was hidden in this simulated recording. The diagnosis, not told of it: {answer}"
     return Section(
         f"Diagnosis: {named}" if named else "Diagnosis of a tracker network", "Diagnosis", answer,
-        mood(content.verdict == "consistent"), _facts(content), blocks, shown=shown, lead=lead, told=shown,
+        mood(content.verdict == "consistent"), _facts(content), blocks, shown=shown, lead=lead, terminal_blocks=shown,
         actions=_actions(content),
     )  # fmt: skip
 
 
 def _actions(content: DiagnosisFile) -> list[str]:
     """Next steps: measurements that decide between explanations, then places to inspect."""
-    said = [sentence(finding.separate_by) for finding in content.findings if finding.separate_by]
+    actions = [sentence(finding.separate_by) for finding in content.findings if finding.separate_by]
     for finding in content.findings:
         where = finding.where
         trackers = [f"instrument {name}" for name in where.instruments]
@@ -108,8 +108,8 @@ def _actions(content: DiagnosisFile) -> list[str]:
         cause = f"the cause of {finding.effect}" if finding.known else unnamed
         todo = f"Exchange the names {listing(where.targets)} at" if _swapped(finding) else f"Look for {cause}"
         place = listing(where.stations) if _swapped(finding) else f"({place})"
-        said.append(f"{todo} {place}; targets.csv holds coordinates that allow for it.")
-    return said
+        actions.append(f"{todo} {place}; targets.csv holds coordinates that allow for it.")
+    return actions
 
 
 def _swapped(finding: Finding) -> bool:
@@ -137,9 +137,11 @@ def _ratio(fit: Misfit) -> str:
     return f"{fit.chi2 / fit.dof:.3f}" if fit.dof > 0 and fit.chi2 is not None else NONE
 
 
-def _residuals(content: DiagnosisFile, beside: Beside, pair: Pair | None) -> tuple[Residuals | None, Residuals | None]:
+def _residuals(
+    content: DiagnosisFile, context: ReportContext, pair: Pair | None
+) -> tuple[Residuals | None, Residuals | None]:
     """Residuals without and with the findings; covariates come from the recording's geometry."""
-    file, stored = (beside.file(name, content) for name in (RESIDUALS.file, BEFORE.file))
+    file, stored = (context.file(name, content) for name in (RESIDUALS.file, BEFORE.file))
     geometry = Residuals.from_adjustment(pair[0]) if pair is not None else None
     after, before = (Residuals.read(f).with_covariates(geometry) if f is not None else None for f in (file, stored))
     return (before if after is not None else None), after
@@ -154,8 +156,8 @@ def _finding(
     cure = f" To tell it from the others: {finding.separate_by.rstrip('.')}." if finding.separate_by else ""
     new = finding.formula not in finding.sentence
     formula = f" Proposed term: {finding.formula}." if finding.formula and new else ""
-    said = f"{words.rstrip('.')}.{formula}{cure}"
-    blocks: list[Block] = [] if said in answer else [Note(f"Finding {number_}: {name}", said, "bad")]
+    text = f"{words.rstrip('.')}.{formula}{cure}"
+    blocks: list[Block] = [] if text in answer else [Note(f"Finding {number_}: {name}", text, "bad")]
     drawn = finding_drawing(finding, *residuals)
     if drawn is not None:
         text = "Residuals without the finding (left) and with it modelled (right)."
@@ -183,16 +185,16 @@ def finding_drawing(finding: Finding, before: Residuals | None, after: Residuals
     curve = finding.curve
     if curve is not None and len(curve.at) >= MOST_STEPS:
         return lambda: figures.residuals.driver_curve(curve, finding.carrier, before)
-    mended = finding.evidence.p_value is None
-    if before is None or after is None or mended or np.array_equal(before.residual, after.residual):
+    is_mistake = finding.evidence.p_value is None
+    if before is None or after is None or is_mistake or np.array_equal(before.residual, after.residual):
         return None
     where = finding.where
     wanted = [before.order if name == "time" else name for name in (*where.covariates, "time", "elevation", "row")]
-    known = [name for name in wanted if name in before.covariates and name in after.covariates]
+    available = [name for name in wanted if name in before.covariates and name in after.covariates]
     place = where.stations, where.targets
-    if not known or not before.at(*place).any() or not after.at(*place).any():
+    if not available or not before.at(*place).any() or not after.at(*place).any():
         return None
-    return lambda: figures.residuals.signature_figure(before, after, known[0], where)
+    return lambda: figures.residuals.signature_figure(before, after, available[0], where)
 
 
 def _whereabouts(finding: Finding, number_: int, pair: Pair | None) -> list[Block]:
@@ -264,56 +266,60 @@ def _detectability(content: DiagnosisFile) -> list[Grid]:
     return table_of("Smallest size that is found", content.detectable, "effect", "parameter", "size", "unit", note=note)
 
 
-def _beside_truth(content: DiagnosisFile, truth: Truth, pair: Pair | None) -> list[Block]:
+def _against_truth(content: DiagnosisFile, truth: Truth, pair: Pair | None) -> list[Block]:
     """Comparison of the effects hidden in a simulated recording with its diagnosis: as a curve and in numbers."""
     named = {a.effect.name: a for a in truth.effects}
     ordered = [named.get(f.effect) for f in content.findings]
     ordered += [a for name, a in named.items() if name not in {f.effect for f in content.findings}]
-    rows = [row for one, other in zip_longest(ordered, content.findings) for row in _pair_rows(one, other)]
+    rows = [
+        row for injected, finding in zip_longest(ordered, content.findings) for row in _pair_rows(injected, finding)
+    ]
     note = "From truth.json, which the diagnosis does not open; found values +- one sigma."
     table = Grid("Hidden on purpose, and found", ["", "hidden", "found"], rows, 1, note)
     return [*_curves(content, truth.effects[0], pair), table]
 
 
-def _pair_rows(hidden: AppliedEffect | None, found: Finding | None) -> list[list[str]]:
+def _pair_rows(injected: AppliedEffect | None, finding: Finding | None) -> list[list[str]]:
     """Effect, place and values of one pair, constants of its shape among them."""
     true: dict[str, tuple[float | None, str]] = {}
-    if hidden is not None:
-        sizes = zip(hidden.effect.parameters, hidden.values, strict=True)
+    if injected is not None:
+        sizes = zip(injected.effect.parameters, injected.values, strict=True)
         true = {p.name: (value / p.factor, p.unit) for p, value in sizes}
-        true |= {s.name: (getattr(hidden.effect, s.name) / FACTOR[s.unit], s.unit) for s in hidden.effect.shape}
-    values = {} if found is None else {p.name: p for p in found.parameters}
-    where = [_place_of(x) if x else NONE for x in (hidden and hidden.effect, found and found.where)]
+        true |= {s.name: (getattr(injected.effect, s.name) / FACTOR[s.unit], s.unit) for s in injected.effect.shape}
+    values = {} if finding is None else {p.name: p for p in finding.parameters}
+    where = [_place_of(x) if x else NONE for x in (injected and injected.effect, finding and finding.where)]
     rows = [
-        ["effect", hidden.effect.name if hidden else NONE, found.effect if found else "not found"],
+        ["effect", injected.effect.name if injected else NONE, finding.effect if finding else "not found"],
         ["where", *where],
     ]
     for name in dict.fromkeys([*true, *values]):
         estimate = values.get(name)
         value, unit = true.get(name, (None, estimate.unit if estimate else ""))
-        told = with_sigma(estimate.value, estimate.sigma) if estimate else NONE
-        rows.append([f"{name.replace('_', ' ')} [{unit}]" if unit else name, number(value), told])
+        text = with_sigma(estimate.value, estimate.sigma) if estimate else NONE
+        rows.append([f"{name.replace('_', ' ')} [{unit}]" if unit else name, number(value), text])
     return rows
 
 
-def _curves(content: DiagnosisFile, hidden: AppliedEffect, pair: Pair | None) -> list[Block]:
-    found = next((f for f in content.findings if f.effect == hidden.effect.name), None)
-    if pair is None or found is None:
+def _curves(content: DiagnosisFile, applied: AppliedEffect, pair: Pair | None) -> list[Block]:
+    finding = next((f for f in content.findings if f.effect == applied.effect.name), None)
+    if pair is None or finding is None:
         return []
-    told, sightings, own = {p.name: p.value for p in found.parameters}, pair[1].sightings, hidden.effect
+    estimates, sightings, injected = {p.name: p.value for p in finding.parameters}, pair[1].sightings, applied.effect
     try:
-        shape = {s.name: told[s.name] for s in own.shape if s.name in told}
-        effect = effect_from(own.name, {"stations": found.where.stations, "targets": found.where.targets}, shape)
-        values = np.array([told.get(p.name, 0.0) * p.factor for p in own.parameters])
-        true, fitted = own.shift(sightings, hidden.values), effect.shift(sightings, values)
+        shape = {s.name: estimates[s.name] for s in injected.shape if s.name in estimates}
+        effect = effect_from(
+            injected.name, {"stations": finding.where.stations, "targets": finding.where.targets}, shape
+        )
+        values = np.array([estimates.get(p.name, 0.0) * p.factor for p in injected.parameters])
+        true, fitted = injected.shift(sightings, applied.values), effect.shift(sightings, values)
     except LtsimError:
         return []
     column = int(np.argmax(np.abs(true).max(axis=0) * [1.0, *2 * [float(np.median(sightings.range_))]]))
     rows, observable = np.abs(true).max(axis=1) > 0, OBSERVABLES[column]
     unit = OBSERVABLE_UNIT[observable]
-    far = "distance" in own.covariates
+    far = "distance" in injected.covariates
     at = sightings.range_[rows] if far else sightings.time[rows] / 60.0
     hid, got = (shift[rows, column] / FACTOR[unit] for shift in (true, fitted))
     names = "distance [m]" if far else "time [min]", f"change of the {observable} [{typeset(unit)}]"
-    text = f"What {own.name} did to the {observable} readings ({_place_of(own)}), and what was found of it."
-    return [Picture("Hidden and found", lambda: figures.residuals.hidden_and_found(at, hid, got, *names), text)]
+    text = f"What {injected.name} did to the {observable} readings ({_place_of(injected)}), and what was found of it."
+    return [Picture("Hidden and found", lambda: figures.residuals.injected_and_estimated(at, hid, got, *names), text)]

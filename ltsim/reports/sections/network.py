@@ -19,7 +19,6 @@ from ltsim.physics.model.construction import declared_construction
 from ltsim.recordings import Recording, read
 from ltsim.reports import figures
 from ltsim.reports.document import (
-    Beside,
     Block,
     Detail,
     Fact,
@@ -27,6 +26,7 @@ from ltsim.reports.document import (
     Listing,
     Note,
     Picture,
+    ReportContext,
     Scene,
     Section,
     mood,
@@ -60,9 +60,9 @@ def adjusted_if_possible(recording: Recording | None) -> Pair | None:
         return None
 
 
-def truth_of(beside: Beside) -> Truth | None:
+def truth_of(context: ReportContext) -> Truth | None:
     """The truth of a simulation that lies beside a result."""
-    file = beside.folder / TRUTH if beside.folder else None
+    file = context.folder / TRUTH if context.folder else None
     return read_truth(file) if file is not None and file.is_file() else None
 
 
@@ -80,8 +80,8 @@ def over_covariates(after: Residuals) -> list[Block]:
     """Residuals against what is known of each pointing."""
     text = "Lines: running means with twice their standard error; where the model holds they stay at zero."
     title = "Residuals against what they might depend on"
-    known = set(USUAL) & set(after.covariates)
-    return [Picture(title, lambda: figures.residuals.residuals_by_covariate(after), text)] if known else []
+    shared = set(USUAL) & set(after.covariates)
+    return [Picture(title, lambda: figures.residuals.residuals_by_covariate(after), text)] if shared else []
 
 
 def workshop_blocks(shown: Callable[[], PlacedWorkshop], detail: Detail) -> list[Block]:
@@ -142,12 +142,12 @@ def target_table(file: Path | None, *, note: str) -> list[Grid]:
 
 def targets_in_words(sigma: Floats) -> str:
     """Uncertainty of targets in words, from standard deviations (T, 3) [m]: in plan where heights are undetermined."""
-    told = sigma[np.isfinite(sigma[:, :2]).all(axis=1)]
-    flat = bool(np.isnan(told).any())
-    known = np.sort(np.sqrt((told[:, : 2 if flat else 3] ** 2).sum(axis=1)))
-    if not len(known):
+    placed = sigma[np.isfinite(sigma[:, :2]).all(axis=1)]
+    flat = bool(np.isnan(placed).any())
+    sizes = np.sort(np.sqrt((placed[:, : 2 if flat else 3] ** 2).sum(axis=1)))
+    if not len(sizes):
         return ""
-    typical, worst = (number(2e6 * s, 2) for s in (np.median(known), known[-1]))
+    typical, worst = (number(2e6 * s, 2) for s in (np.median(sizes), sizes[-1]))
     return f"A target is known to U = {typical} um (k = 2) in {'plan' if flat else 'space'}, the worst to {worst} um."
 
 
@@ -177,7 +177,7 @@ def recording_section(folder: Path, *, detail: Detail = "turn", brief: bool = Fa
         return Section(title, "Recording", answer, "bad", facts, last)
     agrees, words = agreement(full.chi2, full.dof, full.p_value)
     outliers = full.outliers()
-    found = f" Outliers: {count(len(outliers), 'reading')}." if outliers else ""
+    outlier_text = f" Outliers: {count(len(outliers), 'reading')}." if outliers else ""
     facts += [
         Fact("sigma0", f"{np.sqrt(full.chi2 / max(full.dof, 1)):.3f}", mood(agrees)),
         Fact("p, two-sided", p_text(two_sided(full.p_value)), mood(agrees)),
@@ -187,7 +187,7 @@ def recording_section(folder: Path, *, detail: Detail = "turn", brief: bool = Fa
     if not brief:
         before, after = Residuals.from_adjustment(plain), Residuals.from_adjustment(full)
         last = [*residual_blocks(after, before), *last]
-    answer = f"{_contents(recording)} With the instrument's parameters adjusted, {words}.{found}"
+    answer = f"{_contents(recording)} With the instrument's parameters adjusted, {words}.{outlier_text}"
     return Section(title, "Recording", answer, mood(agrees and not outliers), facts, [*blocks, *last], shown=2)
 
 

@@ -15,7 +15,19 @@ from ltsim.measurands.comparison import DISPLACEMENTS, Comparison
 from ltsim.measurands.files import UncertaintyFile
 from ltsim.planning.result import NextFile
 from ltsim.reports import figures
-from ltsim.reports.document import Beside, Block, Fact, Grid, Note, Notes, Picture, Section, mood, table_block, table_of
+from ltsim.reports.document import (
+    Block,
+    Fact,
+    Grid,
+    Note,
+    Notes,
+    Picture,
+    ReportContext,
+    Section,
+    mood,
+    table_block,
+    table_of,
+)
 from ltsim.reports.words import count, distinct_labels, duration, listing, natural, sentence
 
 if TYPE_CHECKING:
@@ -37,9 +49,9 @@ AGAINST = {
 """Next step where a check of these kinds fails."""
 
 
-def check_section(content: CheckFile, beside: Beside) -> Section:
+def check_section(content: CheckFile, context: ReportContext) -> Section:
     """Go or no-go, and every test."""
-    drawn = beside.file("check.svg", content)
+    drawn = context.file("check.svg", content)
     caption = "Above: half two-face differences over their limits. Below: what each pointing misses over time."
     blocks: list[Block] = [] if drawn is None else [Picture("At a glance", lambda: drawn.read_text("utf-8"), caption)]
     fields = ("station", "kind=test", "sentence=what was found", "targets", "p_value")
@@ -55,7 +67,7 @@ def check_section(content: CheckFile, beside: Beside) -> Section:
     return Section(title, "Check", answer, mood(content.passed), facts, blocks, shown=shown, actions=actions)
 
 
-def comparison_section(content: Comparison, _: Beside) -> Section:
+def comparison_section(content: Comparison, _: ReportContext) -> Section:
     """Section of a comparison of epochs: the points that moved."""
     points = sorted(content.displacements, key=lambda d: (not d.moved, natural(d.target)))
     moved = [d.target for d in points if d.moved]
@@ -71,14 +83,14 @@ def comparison_section(content: Comparison, _: Beside) -> Section:
     ]
     answer = " ".join(map(sentence, (content.sentence, *content.notes)))
     drawn = Picture("Displacements", lambda: figures.points.displacement_figure(content), caption)
-    said = f"Look at what moved, and measure it again before it is used as a reference: {listing(moved)}."
+    action = f"Look at what moved, and measure it again before it is used as a reference: {listing(moved)}."
     return Section(
         "Comparison of two epochs", "Comparison", answer, mood(not moved), facts, [drawn, *table],
-        axes="the first epoch's", actions=[said] if moved else [],
+        axes="the first epoch's", actions=[action] if moved else [],
     )  # fmt: skip
 
 
-def acceptance_section(content: AcceptanceFile, _: Beside) -> Section:
+def acceptance_section(content: AcceptanceFile, _: ReportContext) -> Section:
     """Tests against the maker's limits."""
     predicted = content.kind == "predicted"
     good = mood(content.passes >= (LIKELY if predicted else 1.0))
@@ -125,15 +137,15 @@ def acceptance_section(content: AcceptanceFile, _: Beside) -> Section:
     return Section(title, kind, sentence(content.sentence), good, facts, blocks, instrument=named)
 
 
-def uncertainty_section(content: UncertaintyFile, _: Beside) -> Section:
+def uncertainty_section(content: UncertaintyFile, _: ReportContext) -> Section:
     """Section of the uncertainties of tasks."""
-    told = [r for r in content.results if r.conformity is not None]
+    judged_results = [r for r in content.results if r.conformity is not None]
     results = content.tables()["results"]().only(
         "task result unit value U mc_low mc_high agrees judgement largest_source"
     )
     blocks: list[Block] = [*table_block("Results", results, note=UNITED, folds=False)]
     judged = [[r.task, r.name, *(number(x, 6) for x in (c.lower, c.upper, c.guard_band)), r.unit,
-               f"{100 * c.probability:.1f} %", c.judgement] for r in told if (c := r.conformity)]  # fmt: skip
+               f"{100 * c.probability:.1f} %", c.judgement] for r in judged_results if (c := r.conformity)]  # fmt: skip
     header = ["task", "result", "lower", "upper", "guard band", "unit", "conforms with", "judgement"]
     blocks += [Grid("Conformity (JCGM 106)", header, judged, 2)] if judged else []
     caption = "Where each result's variance comes from; improve the widest bar first."
@@ -143,7 +155,7 @@ def uncertainty_section(content: UncertaintyFile, _: Beside) -> Section:
     for r in content.results:
         head = f"Budget of {r.task}, {r.name}" + (f" [{r.unit}]" if r.unit else "")
         blocks += table_of(head, [part for part in r.budget if part.share > 1e-3], *fields)
-    by_word = {w: [r.words for r in told if r.conformity and r.conformity.judgement == w]
+    by_word = {w: [r.words for r in judged_results if r.conformity and r.conformity.judgement == w]
                for w in ("accepted", "rejected", "undecided")}  # fmt: skip
     answer = (
         "; ".join(f"{word}: {listing(names, 3)}" for word, names in by_word.items() if names)
@@ -165,7 +177,7 @@ def budget_of(content: UncertaintyFile) -> Figure:
     return figures.parameters.budget_figure([f"{r.task}, {r.name}" for r in shown], shares)
 
 
-def next_section(content: NextFile, _: Beside) -> Section:
+def next_section(content: NextFile, _: ReportContext) -> Section:
     """Section of proposals of further measurements."""
     best = content.proposals[0]
     decided = mood(best.decides) if content.between else "plain"
@@ -181,27 +193,27 @@ def next_section(content: NextFile, _: Beside) -> Section:
     if content.between:
         rivals = content.between[1:]
         now = ["as it is now", *(number(content.evidence_now.get(name, 0.0)) for name in rivals), ""]
-        seen = [[p.do, *(number(p.evidence.get(name, 0.0)) for name in rivals), "yes" if p.decides else "no"]
+        evidence = [[p.do, *(number(p.evidence.get(name, 0.0)) for name in rivals), "yes" if p.decides else "no"]
                 for p in content.proposals if p.evidence]  # fmt: skip
-        told = f"The larger, the more surely {content.between[0]} is told from it."
+        explanation = f"The larger, the more surely {content.between[0]} is told from it."
         heads = ["measurement", *(f"chi2 against {name}" for name in rivals), "decides"]
-        blocks.append(Grid("What would decide", heads, [now, *seen], note=told))
+        blocks.append(Grid("What would decide", heads, [now, *evidence], note=explanation))
     blocks += [Note("What the diagnosis of the recording said", content.diagnosis)] if content.diagnosis else []
     facts = [Fact("time for it", duration(60 * best.minutes)), Fact("instrument sharper by", f"{saved[0]:.0f} %")]
     actions = [sentence(proposal.do) for proposal in content.proposals[:1]]
     return Section("What to measure next", "Next measurement", answer, decided, facts, blocks, actions=actions)
 
 
-def history_section(content: HistoryFile, _: Beside) -> Section:
+def history_section(content: HistoryFile, _: ReportContext) -> Section:
     """Whether an instrument has changed."""
     labels = [c.label for c in content.calibrations]
     short = dict(zip(labels, distinct_labels(labels), strict=True))
     since, usual = content.since_first, len(labels) > ENOUGH_STEPS
     changed = bool(content.events) if usual else since.p_value < LEVEL
-    known = [p for p in content.parameters if p.constant.dof]
+    determined = [p for p in content.parameters if p.constant.dof]
     text = "Estimates with 95 % intervals; the band is the mean +- the spread of the true values between calibrations."
-    course = Picture("Course of the parameters", lambda: figures.parameters.history_figure(labels, known), text)
-    drawn = [course] if known else []
+    course = Picture("Course of the parameters", lambda: figures.parameters.history_figure(labels, determined), text)
+    drawn = [course] if determined else []
     ends: dict[str, Callable[[Any], str]] = {
         "from_": lambda e: short.get(e.from_, e.from_),
         "to": lambda e: short.get(e.to, e.to),
@@ -222,7 +234,7 @@ def history_section(content: HistoryFile, _: Beside) -> Section:
                   "usual=its usual step", "unit", "p_value"),
         Grid("Parameters", ["parameter", "last", "mean", "spread", "p constant"],
               [[p.name, with_sigma(p.values[-1], p.sigmas[-1], p.unit), number(p.mean), number(p.spread),
-                p_text(p.constant.p_value)] for p in known]),
+                p_text(p.constant.p_value)] for p in determined]),
         Grid("Fits of the calibrations", ["calibration", "chi2", "degrees of freedom", "sigma0"],
               [[short[c.label], number(c.fit.chi2), str(c.fit.dof), number(c.fit.sigma0)]
                for c in content.calibrations],

@@ -10,7 +10,6 @@ from ltsim.core.units import MILLIMETRE
 from ltsim.planning.result import PlanResult
 from ltsim.reports import figures
 from ltsim.reports.document import (
-    Beside,
     Block,
     Fact,
     Grid,
@@ -18,6 +17,7 @@ from ltsim.reports.document import (
     Note,
     Notes,
     Picture,
+    ReportContext,
     Section,
     mood,
     table_block,
@@ -28,7 +28,7 @@ from ltsim.scene.floor import Floor
 from ltsim.simulation.scenario import Scenario, load_scenario
 
 
-def plan_section(content: PlanResult, beside: Beside) -> Section:
+def plan_section(content: PlanResult, context: ReportContext) -> Section:
     """The section of a `plan.json` (and of the `scenario.toml` beside it, for the pictures).
 
     Raises
@@ -38,9 +38,9 @@ def plan_section(content: PlanResult, beside: Beside) -> Section:
     """
     frame = f"{content.frame[:1].upper()}{content.frame[1:]}." if content.frame else ""
     blocks: list[Block] = [*table_block("Where to put the tripod", content.table("stations"), note=frame)]
-    file = beside.file("scenario.toml", content)
+    file = context.file("scenario.toml", content)
     scenario = None if file is None else load_scenario(file)
-    drawn, changed = _pictures(content, scenario, turn=beside.detail == "turn")
+    drawn, changed = _pictures(content, scenario, turn=context.detail == "turn")
     blocks += drawn
     if content.not_seen:
         blocks.append(Notes("Who does not see whom", content.not_seen))
@@ -72,7 +72,7 @@ def _tolerances(content: PlanResult) -> list[Block]:
     if not asked.rows:
         return []
     level = content.settings.get("goal", {}).get("level_pct", 95)
-    over = frozenset(i for i, kept in enumerate(asked.column("kept")) if not kept)
+    over = frozenset(i for i, is_met in enumerate(asked.column("kept")) if not is_met)
     blocks: list[Block] = [*table_block(f"Points against their tolerances, at {level:g} %", asked, marked=over)]
     return [*blocks, *table_block("When a station or a sight is lost", content.table("losses"))]
 
@@ -131,8 +131,8 @@ def _curve(content: PlanResult) -> list[Block]:
     text = "Every dot is the best layout found for its way of working."
     blocks: list[Block] = [
         Picture(f"Cost against quality: {name}", partial(figures.parameters.trade_off, content, name), text)
-        for name, own in content.quality.items()
-        if own is not None and sum(option.quality.get(name) is not None for option in content.tradeoff) > 1
+        for name, value in content.quality.items()
+        if value is not None and sum(option.quality.get(name) is not None for option in content.tradeoff) > 1
     ]
     factor, unit = (1e6, "um") if set(content.quality) == {"targets"} else (1.0, "")
     rows = [
