@@ -1,4 +1,4 @@
-"""The picture of each result, for `plot()`."""
+"""Figure of each kind of result, for `plot()`."""
 
 from functools import singledispatch
 from typing import Any, cast
@@ -50,12 +50,12 @@ MOST_PROPOSALS = 12
 
 @singledispatch
 def figure_of(result: Result) -> Figure:
-    """The picture of a result; raises ModelError for one that has none."""
+    """Figure of a result; raises ModelError for a result without one."""
     if type(result).__module__ == "ltsim.campaigns.results":  # not registered: its packages may be missing
         from ltsim.reports.sections.campaign import campaign_figure
 
         return campaign_figure(cast(Any, result))
-    raise ModelError(f"a {type(result).__name__} has no picture of its own")
+    raise ModelError(f"a {type(result).__name__} has no figure")
 
 
 figure_of.register(Check, check_figure)
@@ -73,14 +73,14 @@ def _(result: Calibration) -> Figure:
     if result.names:
         return parameter_figure(result.parameters)
     if result.adjustment is None:
-        raise ModelError("a network that was read from its file has no picture; lt.report makes a page of it")
+        raise ModelError("a network read from a file has no figure; lt.report writes a page about it")
     return figure_of(result.adjustment)
 
 
 @figure_of.register
 def _(result: Criteria) -> Figure:
     if result.distance.after is None:
-        raise ModelError("criteria without a calibration have no before and after to draw")
+        raise ModelError("criteria without a calibration have no figure; call evaluate with a calibration")
     return criteria_figure(result.table())
 
 
@@ -100,7 +100,7 @@ def _(result: History) -> Figure:
     content = history_file(result)
     determined = [course for course in content.parameters if course.constant.dof]
     if not determined:
-        raise ModelError("no parameter of these calibrations is known better than by its guarantee; there is no course")
+        raise ModelError("no parameter of these calibrations is determined; there is no figure")
     return history_figure([c.label for c in content.calibrations], determined)
 
 
@@ -137,7 +137,7 @@ def _(result: InjectionCurve) -> Figure:
 def _(result: Recovery) -> Figure:
     """The errors of each parameter over their stated sigmas, those of a calibrator without sigmas over their rms."""
     if not result.converged:
-        raise ModelError("no trial of this recovery converged; there is nothing to draw")
+        raise ModelError("no trial of this recovery converged; there is no figure")
     error = np.array([trial.estimate - trial.truth for trial in result.converged])
     has_sigmas = np.isfinite(result.z).all()
     shown = result.z if has_sigmas else error / np.sqrt(np.mean(error**2, axis=0))

@@ -1,4 +1,4 @@
-"""The floor seen from above, as the paper's Figure 5, with names where there is room."""
+"""Floor plan seen from above, as Figure 5 of the paper, with names of stations and targets."""
 
 from collections import defaultdict
 from collections.abc import Callable, Sequence
@@ -22,16 +22,16 @@ from ltsim.scene.floor import Floor, FloorArea, distance
 
 TURNS = np.radians([0, 180, 90, 270])
 GAP = 6.0
-"""[pt] From a place to its name."""
+"""Distance [pt] from a place to its name."""
 LETTER = (0.62, 1.25)
-"""Width and height of a letter over the font's."""
+"""Width and height of a letter, over the font size."""
 HALO = {"boxstyle": "square,pad=0", "facecolor": "#FFFFFFB0", "edgecolor": "none"}
-"""Behind a name: no line crosses it."""
+"""Background of a name."""
 
 
 @dataclass(frozen=True)
 class Label:
-    """A name, its place (2,) in data units, its size [pt]; `bold` ones are printed strongly, `away` is tried first."""
+    """Name with its place (2,) in data units and size [pt]; direction `away` [rad] is tried first."""
 
     text: str
     place: Floats
@@ -42,20 +42,20 @@ class Label:
 
 
 def place_labels(figure: Figure, ax: Axes, labels: Sequence[Label], markers: Floats) -> None:
-    """Write labels beside markers (n, 2), the first ones first; the axes' limits must stand."""
+    """Write labels next to markers (n, 2) where they fit, in order of priority; the limits of the axes must be set."""
     figure.draw_without_rendering()
     point = figure.dpi / 72.0
     spots = ax.transData.transform(markers).reshape(-1, 2) / point
     edge, below = ax.get_window_extent().p0 / point
     right, top = 72.0 * figure.get_size_inches()
-    numbers = [[-1e4, -1e4, edge, 1e4], [-1e4, -1e4, 1e4, below]]  # those of the axes stand there
-    numbers += [[right, -1e4, 1e4, 1e4], [-1e4, top, 1e4, 1e4]]  # and here the figure ends
+    numbers = [[-1e4, -1e4, edge, 1e4], [-1e4, -1e4, 1e4, below]]  # tick labels of the axes
+    numbers += [[right, -1e4, 1e4, 1e4], [-1e4, top, 1e4, 1e4]]  # outside the figure
     taken = np.concatenate([np.concatenate([spots - 3.0, spots + 3.0], axis=1), numbers])
     for label in labels:
         half = 0.5 * label.size * np.array([LETTER[0] * len(label.text), LETTER[1]])
         for turn in label.away + TURNS:
             way = np.array([np.cos(turn), np.sin(turn)])
-            offset = way * GAP + half * np.clip(1.5 * way, -1.0, 1.0)  # its box clears the mark, aslant too
+            offset = way * GAP + half * np.clip(1.5 * way, -1.0, 1.0)  # the box does not cover the mark
             middle = ax.transData.transform(label.place) / point + offset
             box = np.concatenate([middle - half, middle + half])
             if not ((box[:2] < taken[:, 2:]) & (box[2:] > taken[:, :2])).all(axis=1).any():
@@ -71,14 +71,14 @@ def place_labels(figure: Figure, ax: Axes, labels: Sequence[Label], markers: Flo
 LEVELS = ((0.9, "v", style.ORANGE, "low"), (3.2, "s", style.SKY, "middle"), (np.inf, "^", style.BLUE, "high"))
 MOST_LABELS = 60
 FEW_DOTS = 150
-"""Above so many targets their marks are one small image."""
+"""Number of targets above which their marks are rasterised."""
 MOST_PLACES, MOST_STACKED = 16, 4
 NEAR = 0.05
-"""Share of the floor within which targets share a label."""
+"""Distance within which targets share a label, over the size of the floor."""
 WIDE, HEIGHTS, ROW = 4.3, (3.6, 6.6), 0.16
-"""Inches: width of the axes, the figure's least and greatest height, and what each listed place adds to it."""
+"""Width of the axes, limits of the height of the figure, and additional height per listed place [inch]."""
 ON_A_WALL = 0.35
-"""[m] from a side of the floor within which its wall is taken to hold a target."""
+"""Distance [m] from a side of the floor within which a target belongs to its wall."""
 
 
 @style.styled
@@ -90,7 +90,7 @@ def floor_plan(
     ground: Floor | None = None,
     marks: Callable[[Axes], list[Label]] = lambda ax: [],
 ) -> Figure:
-    """Top view in metres: circles are the shadows of both cone openings on the floor, the tick is azimuth zero.
+    """Top view in metres: circles are the shadow cones of both openings on the floor, the tick is azimuth zero.
 
     Parameters
     ----------
@@ -98,11 +98,11 @@ def floor_plan(
     reference : (k, 3) float, optional, [m]
         Stations of another layout, to compare with.
     coordinates : bool
-        List where each tripod goes beside the picture.
+        True to list the places of the tripods below the figure.
     ground : Floor, optional
-        Areas for tripods, what stays free, and doors of a plan.
+        Areas for tripods, areas to keep free, and doors of a plan.
     marks : function, optional
-        Draws further marks, which stand in the legend by their labels, and gives their names.
+        Function that draws further marks, with labels for the legend, and returns their names.
     """
     low, high = _limits(workshop)
     tall = (high[1] - low[1]) / (high[0] - low[0])
@@ -148,7 +148,7 @@ def floor_plan(
 
 
 def _walls(ax: Axes, workshop: PlacedWorkshop) -> None:
-    """Sides of the floor that hold targets; a single one near a side belongs to the wall that meets it there."""
+    """Draw the sides of the floor with at least two targets nearest to them."""
     word: str | None = "wall with targets"
     sides = np.stack([workshop.floor, np.roll(workshop.floor, -1, axis=0)], axis=1)
     away = np.array([distance(side, workshop.points[:, :2]) for side in sides])
@@ -160,7 +160,7 @@ def _walls(ax: Axes, workshop: PlacedWorkshop) -> None:
 
 
 def _ground(ax: Axes, ground: Floor) -> list[Label]:
-    """Areas for tripods, what stays free, doors; their names."""
+    """Draw areas for tripods, areas to keep free, and doors; returns their names."""
     mm, names = MILLIMETRE, []
     areas = ground.areas or ((FloorArea(corners_mm=ground.corners_mm),) if ground.corners_mm else ())
     for i, area in enumerate(areas):
@@ -190,7 +190,7 @@ def _ground(ax: Axes, ground: Floor) -> list[Label]:
 
 
 def _limits(workshop: PlacedWorkshop) -> Floats:
-    """Least and greatest x and y (2, 2) that show the floor and the inner circles whole; the outer ones may run out."""
+    """Limits (2, 2) of x and y that show the whole floor and the inner circles."""
     radius = workshop.shadow_radius(workshop.openings[0])[:, None]
     places = np.concatenate([workshop.floor, workshop.position[:, :2] - radius, workshop.position[:, :2] + radius])
     low, high = places.min(axis=0), places.max(axis=0)
@@ -219,7 +219,7 @@ def _obstacles(ax: Axes, workshop: PlacedWorkshop) -> None:
 
 
 def _sight_matrix(workshop: PlacedWorkshop) -> Bools | None:
-    """(S, T): who sees whom, where that is known, some pair does not, and stations are few enough for a colour each."""
+    """Matrix (S, T) of visible pairs; None if unknown, if all are visible, or with more stations than colours."""
     count = len(workshop.stations), len(workshop.targets)
     if workshop.sights is None or count[0] > len(style.CYCLE) or not len(workshop.hidden):
         return None
@@ -229,7 +229,7 @@ def _sight_matrix(workshop: PlacedWorkshop) -> Bools | None:
 
 
 def _pies(ax: Axes, workshop: PlacedWorkshop, visible: Bools) -> None:
-    """Each target as a circle with a slice, in the station's colour, for each station that sees it."""
+    """Draw each target as a circle with a slice in the colour of each station that sees it."""
     x, y = workshop.points[:, :2].T
     size = 62 if len(workshop.targets) <= MOST_LABELS else 34
     label = "target: slices are the\nstations that see it"
@@ -243,7 +243,7 @@ def _pies(ax: Axes, workshop: PlacedWorkshop, visible: Bools) -> None:
         ax.scatter(x[sees], y[sees], linewidths=0, zorder=5, **look)
     none = ~visible.any(axis=0)
     if none.any():
-        ax.scatter(x[none], y[none], marker="x", s=size, color=style.RED, zorder=5, label="seen from nowhere")
+        ax.scatter(x[none], y[none], marker="x", s=size, color=style.RED, zorder=5, label="not visible")
 
 
 def _gauge(ax: Axes, workshop: PlacedWorkshop) -> None:
@@ -255,7 +255,7 @@ def _gauge(ax: Axes, workshop: PlacedWorkshop) -> None:
 
 
 def _targets(ax: Axes, workshop: PlacedWorkshop) -> None:
-    """Targets by height; those above each other share one label."""
+    """Draw targets with marks by height."""
     height = workshop.points[:, 2] - workshop.floor_height
     low = -np.inf
     for high, marker, colour, word in LEVELS:
@@ -278,7 +278,7 @@ def _targets(ax: Axes, workshop: PlacedWorkshop) -> None:
 
 
 def _target_labels(workshop: PlacedWorkshop) -> list[Label]:
-    """One label for targets that stand above each other, away from the middle of the floor where that is free."""
+    """Labels of targets, one for those above each other, preferably away from the middle of the floor."""
     middle, size = workshop.floor.mean(axis=0), np.ptp(workshop.floor, axis=0)
     stacks: dict[tuple[float, ...], list[int]] = defaultdict(list)
     for i, cell in enumerate(np.round(workshop.points[:, :2] / (NEAR * size.max())).tolist()):
@@ -314,7 +314,7 @@ def _station_labels(workshop: PlacedWorkshop) -> list[Label]:
 
 
 def _places(workshop: PlacedWorkshop, entries: int) -> tuple[list[Line2D], list[str]]:
-    """Lines of a legend that are its second column beside so many others."""
+    """Entries of the second column of a legend, whose first column has `entries` lines."""
     lines = [
         f"{style.shorten(name, 10)}: {x:.3f}, {y:.3f}, {z:.3f} m, {yaw / DEGREE % 360:.0f}°"
         for name, (x, y, z), yaw in zip(workshop.stations, workshop.position, workshop.yaw, strict=True)
@@ -326,7 +326,7 @@ def _places(workshop: PlacedWorkshop, entries: int) -> tuple[list[Line2D], list[
 
 @style.styled
 def whereabouts(workshop: PlacedWorkshop, marked: Sequence[str], pairs: Sequence[tuple[str, str]] = ()) -> Figure:
-    """The floor plan with red rings around stations and targets, and an arrow between the targets of each pair."""
+    """Floor plan with red rings around marked stations and targets, and an arrow between the targets of each pair."""
     figure = floor_plan(workshop)
     ax = figure.axes[0]
     names = [*workshop.stations, *workshop.targets]
@@ -342,12 +342,12 @@ def whereabouts(workshop: PlacedWorkshop, marked: Sequence[str], pairs: Sequence
 
 
 SAME_PLACE = 0.04
-"""Share of the hall's size within which places have one mark, seen from above."""
+"""Distance within which changes share a mark, over the size of the hall."""
 
 
 @style.styled
 def reflector_changes(workshop: PlacedWorkshop, changes: Sequence[PlanChange], ground: Floor | None = None) -> Figure:
-    """The floor plan with each change and its number: moves as arrows, crosses are left out."""
+    """Floor plan with numbered changes of reflectors: moves as arrows, omitted ones as crosses."""
     current = dict(zip(workshop.targets, workshop.points[:, :2].tolist(), strict=True))
 
     def marks(ax: Axes) -> list[Label]:
