@@ -19,7 +19,7 @@ from ltsim.core.units import MICROMETRE
 from ltsim.physics.effects.effect import Effect
 from ltsim.physics.model.construction import Construction, misalignment
 from ltsim.recordings.recording import Recording
-from ltsim.reports.figures.campaign import Swept, by_factor
+from ltsim.reports.figures.campaign import SweepPoint, by_factor
 
 PERCENT = (0.0, 1.0, 2.0)
 SIZE = (100 * MICROMETRE, 500 * MICROMETRE)
@@ -102,7 +102,7 @@ def run(given: Options) -> Made:
             about = {"outliers_percent": percent, "method": title, "noise_floor_um": floor["mean"]}
             targets = {"target_error_um": summary(columns["target_error_um"])["mean"]}
             table.append(about | {f"new_point_{name}": value for name, value in new.items()} | targets)
-            rows.append(Swept(percent, title, "", *(new[k] for k in ("mean", "low", "high", "p5", "p95"))))
+            rows.append(SweepPoint(percent, title, "", *(new[k] for k in ("mean", "low", "high", "p5", "p95"))))
     write_table(given.out / "methods.csv", table)
     write_figure(given.out / "new_points.svg", by_factor(rows, label=NEW_POINTS, axis="outliers [% of the readings]"))
     return Made(campaign.seed, campaign.trials)

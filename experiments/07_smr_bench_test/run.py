@@ -11,7 +11,7 @@ from ltsim.core.arrays import Floats
 from ltsim.core.randomness import stream
 from ltsim.core.units import DEGREE, MICROMETRE
 from ltsim.physics.effects.smr_incidence import TABLE_ANGLES
-from ltsim.reports.figures.campaign import Swept, by_factor
+from ltsim.reports.figures.campaign import SweepPoint, by_factor
 
 
 def table_of(reflector: dict[str, Any]) -> Floats:
@@ -51,7 +51,7 @@ def row_of(results: list[BenchResult], table: Floats) -> dict[str, float]:
     }
 
 
-def panel(name: str, table: Floats, results: list[BenchResult]) -> list[Swept]:
+def panel(name: str, table: Floats, results: list[BenchResult]) -> list[SweepPoint]:
     """How far the found tables are from the one put in, with and without the probe: mean and middle 90 % of trials."""
     lines = {
         "lengths as recorded": [r.uncorrected for r in results],
@@ -63,7 +63,7 @@ def panel(name: str, table: Floats, results: list[BenchResult]) -> list[Swept]:
         mean, (five, ninety_five) = found.mean(axis=0), np.percentile(found, [5, 95], axis=0)
         half = 1.96 * found.std(axis=0) / np.sqrt(len(found))
         columns = np.array([mean, mean - half, mean + half, five, ninety_five]) / MICROMETRE
-        rows += [Swept(a, line, name, *c) for a, c in zip(TABLE_ANGLES / DEGREE, columns.T.tolist(), strict=True)]
+        rows += [SweepPoint(a, line, name, *c) for a, c in zip(TABLE_ANGLES / DEGREE, columns.T.tolist(), strict=True)]
     return rows
 
 
@@ -71,7 +71,7 @@ def run(given: Options) -> Made:
     config = given.config
     trials, seed = given.trials or config["trials"], config["seed"]
     rows: list[dict[str, Any]] = []
-    shown: list[Swept] = []
+    shown: list[SweepPoint] = []
     for name, reflector in config["reflectors"].items():
         table = table_of(reflector)
         for probed, (first, last, step) in config["probe_angles_deg"].items():

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from experiments.common import ERROR, NEW_POINTS, Made, Options, campaign, write_figure
-from ltsim.reports.figures.campaign import Swept, by_factor, swept
+from ltsim.reports.figures.campaign import SweepPoint, by_factor, swept
 
 DRIFTS = (0.0, 0.25, 0.5, 1.0)
 """Of the prior, 9.7 urad and 14 um, over 7 K: a share of 0.25 is 0.35 urad and 0.5 um per kelvin."""
@@ -11,7 +11,7 @@ AS_READ = "new_point_error_raw_um"
 
 
 def run(given: Options) -> Made:
-    rows: list[Swept] = []
+    rows: list[SweepPoint] = []
     for drift in DRIFTS:
         results = campaign("config.toml", given, f"drift-{drift:g}", judge_drift=drift)
         rows += [replace(s, x=drift) for s in swept(results, ERROR, "gauge_scale_ppm", panel="gauge_scale_ppm")]

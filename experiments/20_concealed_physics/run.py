@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 
 from experiments.common import ROOT, Made, Options, commit, write_figure
-from ltsim.reports.figures.campaign import Swept, by_factor
+from ltsim.reports.figures.campaign import SweepPoint, by_factor
 
 from . import entrants, make
 from .__main__ import plan_file, score
@@ -47,7 +47,7 @@ def draw(folder: Path) -> None:
         write_figure(folder / "targets.svg", figure)
 
 
-def points(answers: dict[str, Answer], question: str, line: str, panel: str) -> list[Swept]:
+def points(answers: dict[str, Answer], question: str, line: str, panel: str) -> list[SweepPoint]:
     """A question by strength; shares in percent."""
     found = []
     for asked, a in answers.items():
@@ -55,5 +55,5 @@ def points(answers: dict[str, Answer], question: str, line: str, panel: str) -> 
         if place.startswith("unknown hall") and words == question and a["of"]:
             middle, unit = ("value", 1.0) if "value" in a else ("share", 100.0)
             ends = (unit * a[key] for key in (middle, "low", "high", middle, middle))
-            found.append(Swept(place.split()[2], line, panel, *ends))
+            found.append(SweepPoint(place.split()[2], line, panel, *ends))
     return found

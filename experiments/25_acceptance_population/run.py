@@ -13,7 +13,7 @@ from ltsim.core.randomness import stream
 from ltsim.geometry.polar import to_polar
 from ltsim.physics.model.construction import misalignment
 from ltsim.recordings.specification import sheet
-from ltsim.reports.figures.campaign import Swept, by_factor
+from ltsim.reports.figures.campaign import SweepPoint, by_factor
 
 BLOCK = 1000
 
@@ -69,7 +69,7 @@ def run(given: Options) -> Made:
     for row in rows:
         for name in found.columns.drop("share"):
             ends = np.clip(row[name] + np.array([0.0, -1.96, 1.96]) * row[f"{name}_uncertainty"], 0, 100)
-            curves.append(Swept(row["error_over_limit"], name, "", *ends, ends[0], ends[0]))
+            curves.append(SweepPoint(row["error_over_limit"], name, "", *ends, ends[0], ends[0]))
     rows += [row_of("all within", found[found.share <= 1]), row_of("all beyond", found[found.share > 1])]
     show_table(given.out / "population.csv", rows)
     axis = "largest point error over its limit, in steps"

@@ -29,7 +29,7 @@ from ltsim.physics.effects.signature import Tunable
 from ltsim.physics.laws.law import Law
 from ltsim.recordings import Hints, Recording
 from ltsim.recordings.recording import SIGMA_COLUMNS
-from ltsim.reports.figures.campaign import Swept, by_factor
+from ltsim.reports.figures.campaign import SweepPoint, by_factor
 
 MEASURES = {"found": "found", "placed": "place right", "right": "told rightly"}
 DRAWN = (*MEASURES.values(), "reliability")
@@ -179,7 +179,7 @@ def run(given: Options) -> Made:
     table = table_of(rows, sorted(settings["strengths"]), told)
     write_table(given.out / "table.csv", table)
     ends = ("share", "low", "high", "share", "share")
-    curves = [Swept(str(r["strength"]), r["measure"], "", *(100 * r[k] for k in ends))
+    curves = [SweepPoint(str(r["strength"]), r["measure"], "", *(100 * r[k] for k in ends))
               for r in table if r["network"] == "all" and r["strength"] != "all" and r["measure"] in DRAWN]  # fmt: skip
     axis = "noncentrality after the adjustment"
     write_figure(given.out / "curves.svg", by_factor(curves, label="share of causes, of findings [%]", axis=axis))

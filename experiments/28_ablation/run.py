@@ -21,7 +21,7 @@ from ltsim.diagnosis.probe import TRIALS, Probe
 from ltsim.diagnosis.space import panels
 from ltsim.physics.laws.regressors import Regressor, base_of
 from ltsim.physics.model.construction import declared_construction
-from ltsim.reports.figures.campaign import Swept, by_factor
+from ltsim.reports.figures.campaign import SweepPoint, by_factor
 
 make = import_module("experiments.20_concealed_physics.make")
 WORK, LEVEL = ROOT / "build" / "ablation", 0.05
@@ -95,7 +95,7 @@ def run(given: Options) -> Made:
         write_table(file, rows)
     table = pd.read_csv(file).query("strength > 0").groupby("search")
     least = table["share"].sum().drop([WHOLE, CHI2]).nsmallest(3)
-    lines = [Swept(str(r["strength"]), what, "", *(100 * r[k] for k in ("share", "low", "high", "share", "share")))
+    lines = [SweepPoint(str(r["strength"]), what, "", *(100 * r[k] for k in ("share", "low", "high", "share", "share")))
              for what in (WHOLE, CHI2, *least.index) for r in table.get_group(what).to_dict("records")]  # fmt: skip
     axis = "strength: noncentrality left by least squares"
     figure = by_factor(lines, label="laws found at 5 % false alarms [%]", axis=axis)

@@ -1,6 +1,6 @@
-"""A report as data: sections of facts, tables, pictures and a scene. A template turns it into HTML, `text` into lines.
+"""Report as data: sections of facts, tables, pictures and a scene, rendered to HTML or text.
 
-A picture is drawn when the page is written: a terminal says the same without drawing.
+Pictures are drawn only when HTML is written.
 """
 
 from __future__ import annotations
@@ -25,19 +25,19 @@ POLICY = (
     "default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; "
     "script-src 'unsafe-inline' blob:; worker-src blob:; connect-src data: blob:; frame-src 'self'"
 )
-"""Content security policy of a page: the browser itself refuses whatever is not in the file."""
+"""Content Security Policy of a page: no external resources."""
 Mood = Literal["good", "bad", "plain"]
 Detail = Literal["turn", "plan", "none"]
-"""View of the workshop in a section: in 3D to turn, from above alone, or not, since another section shows it."""
+"""View of the workshop in a section: interactive 3D, floor plan only, or none if another section shows it."""
 LONG, ENDLESS = 30, 120
-"""Rows of a table from which it is folded, and from which a print leaves it out: three pages."""
+"""Numbers of rows above which a table is folded, and above which it is not printed (three pages)."""
 FIRST, WIDEST = 8, 160
-"""Rows of a folded table that a terminal shows, and the letters of a line up to which it shows columns."""
+"""Rows of a folded table shown on a terminal, and the largest width of a table there [characters]."""
 
 
 @dataclass(frozen=True)
-class Beside:
-    """Context of a result: its folder, the recording behind it, and how much of them its section shows.
+class ReportContext:
+    """Folder and recording of a result, and the level of detail of its section.
 
     A `brief` section leaves residuals to another one.
     """
@@ -48,18 +48,18 @@ class Beside:
     brief: bool = False
 
     def file(self, name: str, content: ResultFile) -> Path | None:
-        """A file that was written with a result; None where there is none, RecordError where it is of another."""
+        """Companion file of a result; None if it does not exist; raises RecordError if it belongs to another result."""
         return None if self.folder is None else companion(self.folder, name, content)
 
 
 def mood(good: bool) -> Mood:
-    """Good or bad."""
+    """`good` or `bad`."""
     return "good" if good else "bad"
 
 
 @dataclass(frozen=True)
 class Fact:
-    """One figure to see at a glance."""
+    """Key figure of a section."""
 
     name: str
     value: str
@@ -68,7 +68,7 @@ class Fact:
 
 @dataclass(frozen=True)
 class Grid:
-    """Cells are texts; `text_columns` are set left, all others right; `meanings` of the columns explain the header."""
+    """Table of texts; the first `text_columns` columns are flush left; `meanings` explain the header."""
 
     title: str
     header: Sequence[str]
@@ -78,23 +78,23 @@ class Grid:
     marked: frozenset[int] = frozenset()
     meanings: Sequence[str] = ()
     folds: bool = True
-    """True where the table is folded when it is long; False where the table is the product."""
+    """True if the table is folded when it is long; False for a table that is the product."""
     kind: Literal["table"] = "table"
 
     @property
     def endless(self) -> bool:
-        """Whether the table is left out of a print."""
+        """True if the table is too long to print."""
         return len(self.rows) > ENDLESS
 
     @property
     def long(self) -> bool:
-        """Whether the table starts folded."""
+        """True if the table starts folded."""
         return len(self.rows) > LONG and self.folds
 
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure, or its SVG, with a caption that also serves readers who cannot see it; drawn when it is asked for."""
+    """Figure or SVG with a caption, which is also its alternative text; drawn on first use."""
 
     title: str
     draw: Callable[[], Figure | str]
@@ -103,7 +103,7 @@ class Picture:
 
     @cached_property
     def uri(self) -> str:
-        """As a `data:` address."""
+        """Picture as a `data:` URI."""
         from ltsim.reports.style import svg, svg_uri
 
         drawn = self.draw()
@@ -112,7 +112,7 @@ class Picture:
 
 @dataclass(frozen=True)
 class Scene:
-    """The 3D view: a picture, and behind it the page to turn."""
+    """3D view: a picture, and the interactive page that it opens."""
 
     title: str
     image: str
@@ -122,13 +122,13 @@ class Scene:
 
     @property
     def packed(self) -> str:
-        """The page as the browser unpacks it: gzip in base64."""
+        """Interactive page as gzip in base64, unpacked by the browser."""
         return base64.b64encode(gzip.compress(self.page.encode(), mtime=0)).decode()
 
 
 @dataclass(frozen=True)
 class Note:
-    """A paragraph with a heading."""
+    """Paragraph with a heading."""
 
     title: str
     text: str
@@ -138,7 +138,7 @@ class Note:
 
 @dataclass(frozen=True)
 class Listing:
-    """Settings or another text to keep as it is; folded away."""
+    """Preformatted text, such as settings; folded."""
 
     title: str
     text: str
@@ -147,7 +147,7 @@ class Listing:
 
 @dataclass(frozen=True)
 class Notes:
-    """A few sentences, one a line."""
+    """Bullet list of sentences."""
 
     title: str
     lines: Sequence[str]
@@ -159,11 +159,11 @@ Block = Notes | Grid | Picture | Scene | Note | Listing
 
 @dataclass(frozen=True)
 class Section:
-    """One folder's part of the report; `answer` is one sentence that stands first.
+    """Section of a page: one result of one folder; `answer` is its first sentence.
 
-    `title` says what a page of this section alone is about; `kind` and `folder` head it among others. The first
-    `shown` blocks stand open, the others are details; `lead` of them stand side by side in the head of the page. A
-    terminal prints the first `told`, or all.
+    `title` is the title of a page with this section alone; `kind` and `folder` are its heading among others. The first
+    `shown` blocks are open, the others are details; the first `lead` blocks are side by side at the head of the page. A
+    terminal prints the first `terminal_blocks`, or all.
     """
 
     title: str
@@ -181,19 +181,19 @@ class Section:
     measured: str = ""
     shown: int = 3
     lead: int = 0
-    told: int | None = None
+    terminal_blocks: int | None = None
 
     def text(self) -> str:
-        """Text for a terminal: the answer, the facts, sentences and tables, what to do next."""
+        """Text for a terminal: answer, facts, sentences, tables, next actions."""
         facts = "; ".join(f"{fact.name}: {fact.value}" for fact in self.facts)
-        said = [self.answer, facts, *map(_as_text, self.blocks[: self.told])]
-        said += ["\n".join(["What to do next:", *(f"- {line}" for line in self.actions)])] if self.actions else []
-        return "\n\n".join(filter(None, said))
+        parts = [self.answer, facts, *map(_as_text, self.blocks[: self.terminal_blocks])]
+        parts += ["\n".join(["What to do next:", *(f"- {line}" for line in self.actions)])] if self.actions else []
+        return "\n\n".join(filter(None, parts))
 
 
 @dataclass(frozen=True)
 class Document:
-    """The whole page: who and what, `verdict` in a few words, `answer` in a sentence, what to do, then the evidence."""
+    """Whole page: header lines, headline `verdict`, sentence `answer`, next actions, sections."""
 
     title: str
     answer: str
@@ -206,7 +206,7 @@ class Document:
 
 
 def _as_text(block: Block) -> str:
-    """A block in lines; pictures and settings stay on the page."""
+    """Text of a block for a terminal; empty for pictures and settings."""
     match block:
         case Note():
             return f"{block.title}: {block.text}" if block.title else block.text
@@ -214,17 +214,17 @@ def _as_text(block: Block) -> str:
             return "\n".join([f"{block.title}:", *(f"- {line}" for line in block.lines)])
         case Grid():
             rows = block.rows[:FIRST] if block.long else block.rows
-            said = [f"{block.title}:", _lines(replace(block, rows=rows))]
-            said += [f"and {len(block.rows) - FIRST} more"] if block.long else []
-            return "\n".join(said + ([block.note] if block.note else []))
+            lines = [f"{block.title}:", _lines(replace(block, rows=rows))]
+            lines += [f"and {len(block.rows) - FIRST} more"] if block.long else []
+            return "\n".join(lines + ([block.note] if block.note else []))
     return ""
 
 
 def _lines(table: Grid) -> str:
-    """A table in columns, or where its texts are long a sentence a row."""
-    said = aligned(table.header, table.rows, table.text_columns)
-    if max(map(len, said.split("\n"))) <= WIDEST:
-        return said
+    """Text of a table in columns, or in one line per row if it is too wide."""
+    text = aligned(table.header, table.rows, table.text_columns)
+    if max(map(len, text.split("\n"))) <= WIDEST:
+        return text
     heads = ["" if i < table.text_columns else f"{head}: " for i, head in enumerate(table.header)]
     rows = (
         [head + cell for head, cell in zip(heads, row, strict=True) if cell not in ("", NONE)] for row in table.rows
@@ -240,18 +240,18 @@ def table_of(
     marked: Callable[[Any], bool] | None = None,
     folds: bool = True,
 ) -> list[Grid]:
-    """Entries of a result file as a table, none where there are none; meanings and units are those of their model.
+    """Table of entries of a result file, with meanings and units of their model; empty list without entries.
 
-    A field may be `field=head`, and with its standard deviation beside it `field+-sigma`.
+    A field is `name`, `name=title`, or `name+-sigma` with the field of its standard deviation.
     """
     rows = list(entries)
     columns: list[results.Column] = []
     for field in fields if rows else ():
         (name, _, sigma), head = field.partition("=")[0].partition("+-"), field.partition("=")[2]
-        known = type(rows[0]).model_fields.get(name)
+        declared = type(rows[0]).model_fields.get(name)
         first = getattr(rows[0], name)
         kind: results.Kind = "chance" if name == "p_value" else "text" if isinstance(first, str | tuple) else "number"
-        about = (known.description or "") if known else ""
+        about = (declared.description or "") if declared else ""
         columns.append(results.Column(name, about, kind, sigma=sigma, title=head or {"p_value": "p"}.get(name, "")))
         columns += [results.Column(sigma)] if sigma else []
     cells = [[_joined(getattr(row, column.name)) for column in columns] for row in rows]
@@ -264,18 +264,18 @@ def table_of(
 def table_block(
     title: str, table: results.Table, *, note: str = "", marked: frozenset[int] = frozenset(), folds: bool = True
 ) -> list[Grid]:
-    """A table of a result as the page has it, none where it has no rows; text to the left, numbers to the right."""
+    """Table of a result as a block, text flush left, numbers flush right; empty list without rows."""
     if not table.rows:
         return []
     heads = table.headings
     words = [next(c.kind == "text" for c in table.columns if c.heading == head) for head in heads]
-    left = words.index(False) if False in words else len(words)
+    text_columns = words.index(False) if False in words else len(words)
     meanings = [table.meanings.get(head, "") for head in heads]
-    return [Grid(title, heads, table.cells(), left, note, marked, meanings, folds)]
+    return [Grid(title, heads, table.cells(), text_columns, note, marked, meanings, folds)]
 
 
 def _joined(value: Any) -> Any:
-    """A list as a person reads it in one cell."""
+    """Text of a list in one cell."""
     if isinstance(value, str) or not isinstance(value, Sequence):
         return value
     return ", ".join(v if isinstance(v, str) else number(v) for v in value)

@@ -1,4 +1,4 @@
-"""The page a person reads: one HTML file that opens offline, the answer first, what to do next."""
+"""Report page: one HTML file that works offline, with verdict, next actions and evidence."""
 
 import importlib.metadata
 import platform
@@ -18,13 +18,13 @@ from ltsim.recordings.native import OBSERVATIONS, SETUP
 from ltsim.recordings.result_file import digest_of, read_json
 from ltsim.recordings.settings import read_setup
 from ltsim.recordings.setup import About
-from ltsim.reports.document import POLICY, Beside, Detail, Document, Section
+from ltsim.reports.document import POLICY, Detail, Document, ReportContext, Section
 from ltsim.reports.sections import WRITERS, content_of, section_of
 from ltsim.reports.sections.network import TRUTH, recording_section
 from ltsim.reports.words import natural, typeset
 
-MOST = 5
-"""Actions at the head of a page."""
+MOST_ACTIONS = 3
+"""Largest number of next actions at the head of a page."""
 
 
 HEADLINES = {
@@ -45,7 +45,7 @@ HEADLINES = {
     ("Comparison", "good"): "No point moved.",
     ("Comparison", "bad"): "Points moved.",
 }
-"""The verdict in a few words, of the kinds that give one."""
+"""Headline by kind of result and verdict."""
 
 
 NAME, MANIFEST = "report.html", "manifest.json"
@@ -55,7 +55,7 @@ UNREADABLE = "Not readable"
 
 @dataclass(frozen=True)
 class PagePart:
-    """One section to come: its folder, kind, the recording behind it; `brief` where others tell more of that."""
+    """Folder, kind and recording of a section; a `brief` section leaves details of the recording to another one."""
 
     folder: Path
     kind: str
@@ -64,11 +64,11 @@ class PagePart:
 
 
 KINDS = ("diagnosis.json", "calibration.json", OBSERVATIONS, *(k for k in WRITERS if k not in HEADS), MANIFEST)
-"""Files that identify the content of a folder, in the order of the page; the answer of the first one heads it."""
+"""Files that identify the content of a folder, in the order of the page; the first one gives its headline."""
 
 
 def section(part: PagePart, detail: Detail = "none") -> Section:
-    """Section of the page for one folder; raises RecordError, and SetupError where packages for it are missing."""
+    """Section of the page for one folder; raises RecordError, and SetupError if packages are missing."""
     if part.kind == OBSERVATIONS:
         return recording_section(part.folder, detail=detail, brief=part.brief)
     if part.kind == MANIFEST:
@@ -78,22 +78,22 @@ def section(part: PagePart, detail: Detail = "none") -> Section:
         return campaign_section(part.folder)
     content = content_of(part.folder, part.kind)
     recording = read(part.recording) if part.recording else None
-    made = section_of(content, Beside(part.folder, recording, detail, part.brief))
+    made = section_of(content, ReportContext(part.folder, recording, detail, part.brief))
     return replace(made, measured=(content.recording and content.recording.measured) or made.measured)
 
 
 def document(
     folder: Path, *, recording: Path | None = None, title: str | None = None, about: About | None = None
 ) -> Document:
-    """Document of the page.
+    """Document of the page of a folder.
 
     Raises
     ------
     RecordError
-        When there is nothing to report, or a file of the folder itself is malformed.
+        When there is nothing to report, or a file directly in the folder is malformed.
     """
     if not folder.is_dir():
-        raise RecordError("there is no such folder; give the folder that a command wrote", file=folder)
+        raise RecordError("this folder does not exist; give a folder that a command wrote", file=folder)
     parts = _parts(folder, recording)
     sections = [replace(made, folder=part.folder.name) for part, made in _sections(parts, folder)]
     sections.sort(key=lambda made: made.kind == UNREADABLE)
@@ -106,55 +106,55 @@ def document(
         versions=versions(),
         about=_about(parts, sections, about or About()),
         verdict=HEADLINES.get((first.kind.split(" ", maxsplit=1)[0], first.mood), ""),
-        actions=list(dict.fromkeys([*first.actions, *(a for s in sections for a in s.actions)]))[:MOST],
+        actions=list(dict.fromkeys([*first.actions, *(a for s in sections for a in s.actions)]))[:MOST_ACTIONS],
     )
 
 
 def _about(parts: list[PagePart], sections: list[Section], given: About) -> list[tuple[str, str]]:
-    """Who measured what for whom, when, in which axes: as asked for, else as set-ups and results say."""
+    """Header lines (name, text): instrument, date, operator, customer, axes; unknown ones are omitted."""
     folders = dict.fromkeys(part.recording for part in parts if part.recording)
     setups = [read_setup(place / SETUP) for place in folders if (place / SETUP).is_file()]
-    stated = [setup.report for setup in setups if setup.report is not None]
+    reports = [setup.report for setup in setups if setup.report is not None]
     instruments = "; ".join(
         dict.fromkeys(filter(None, [*(s.instruments_in_words for s in setups), *(s.instrument for s in sections)]))
     )
     days = ", ".join(dict.fromkeys(s.measured[:10] for s in sections if s.measured))
     fallback = {"instrument": instruments, "date": days}
-    said = []
+    lines = []
     for key in About.model_fields:
-        values = [getattr(given, key)] if getattr(given, key) else [getattr(entry, key) for entry in stated]
+        values = [getattr(given, key)] if getattr(given, key) else [getattr(entry, key) for entry in reports]
         text = ", ".join(dict.fromkeys(value for value in values if value)) or fallback.get(key)
-        said += [] if text is None else [(key, text or "not stated")]
+        lines += [(key, text)] if text else []
     axes = ", ".join(dict.fromkeys(s.axes for s in sections if s.axes))
-    return [*said, ("axes", axes or "not stated")]
+    return [*lines, *([("axes", axes)] if axes else [])]
 
 
 def _parts(folder: Path, recording: Path | None) -> list[PagePart]:
     inner = sorted((p for p in folder.iterdir() if p.is_dir()), key=lambda p: natural(p.name))
-    found = [
+    parts = [
         PagePart(place, kind, recording or _recording_of(place, folder))
         for kind in KINDS
         for place in (folder, *inner)
         if (place / kind).is_file()
     ]
-    if not found:
-        raise RecordError(f"holds nothing to report; expected one of {', '.join(KINDS)} in it", file=folder)
-    digests = [_digest(part) for part in found]
-    near = {digest: part.recording for digest, part in zip(digests, found, strict=True) if digest and part.recording}
-    found = [replace(part, recording=near.get(d, part.recording)) for d, part in zip(digests, found, strict=True)]
-    used = Counter(part.recording for part in found)
-    diagnosed = {part.recording for part in found if part.kind == "diagnosis.json"} - {None}
+    if not parts:
+        raise RecordError(f"the folder contains no results; expected one of {', '.join(KINDS)}", file=folder)
+    digests = [_digest(part) for part in parts]
+    near = {digest: part.recording for digest, part in zip(digests, parts, strict=True) if digest and part.recording}
+    parts = [replace(part, recording=near.get(d, part.recording)) for d, part in zip(digests, parts, strict=True)]
+    used = Counter(part.recording for part in parts)
+    diagnosed = {part.recording for part in parts if part.kind == "diagnosis.json"} - {None}
     return [
         replace(part, brief=used[part.recording] > 1 if part.kind == OBSERVATIONS else part.recording in diagnosed)
-        for part in found
+        for part in parts
     ]
 
 
 def _sections(parts: list[PagePart], top: Path) -> Iterator[tuple[PagePart, Section]]:
-    """The sections; the first recording is shown in 3D, others from above.
+    """Parts with their sections; the first recording is shown in 3D, others from above.
 
-    So is that of a diagnosis alone, whose page is to be quick and small, unless it stands beside a truth. A folder in
-    the `top` one that cannot be read is a section that says so, unless there is nothing else.
+    The recording of a diagnosis alone is also shown from above, unless there is a truth, to keep its page small. A
+    folder in `top` that cannot be read becomes a section with the error, unless it is the only one.
     """
     shown: set[Path | str | None] = set()
     flat = (top / "diagnosis.json").is_file() and not (top / TRUTH).is_file()
@@ -173,7 +173,7 @@ def _sections(parts: list[PagePart], top: Path) -> Iterator[tuple[PagePart, Sect
 
 
 def _digest(part: PagePart) -> str:
-    """Digest of a recording, or of the one that a result names; empty where it names none."""
+    """Digest of the recording of a part; empty if a result names none."""
     try:
         if part.kind == OBSERVATIONS:
             return digest_of(read(part.folder))
@@ -184,30 +184,30 @@ def _digest(part: PagePart) -> str:
 
 
 def render(content: Document) -> str:
-    """The page as text; every name in it is escaped."""
+    """HTML of the page; all texts are escaped."""
     loader = PackageLoader("ltsim.reports")
     environment = Environment(loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True)
     environment.filters["print"] = typeset
     environment.filters["names"] = lambda text: Markup(re.sub(r"[_:]|\.(?=[a-z])", r"\g<0><wbr>", str(escape(text))))
     files = "palette.css", "page.css", "page.js"
     palette, style, script = (loader.get_source(environment, file)[0] for file in files)
-    own = {"style": Markup(palette + style), "script": Markup(script)}
-    return environment.get_template("page.html.j2").render(document=content, policy=POLICY, **own)
+    assets = {"style": Markup(palette + style), "script": Markup(script)}
+    return environment.get_template("page.html.j2").render(document=content, policy=POLICY, **assets)
 
 
 def versions() -> list[tuple[str, str]]:
-    """Versions of what made the page."""
-    found = [("Python", platform.python_version())]
+    """Versions of the packages that made the page."""
+    entries = [("Python", platform.python_version())]
     for name in ("ltsim", "numpy", "scipy", "matplotlib", "pyvista"):
         try:
-            found.append((name, importlib.metadata.version(name)))
+            entries.append((name, importlib.metadata.version(name)))
         except importlib.metadata.PackageNotFoundError:
-            found.append((name, "(not installed as a package)"))
-    return found
+            entries.append((name, "(not installed as a package)"))
+    return entries
 
 
 def _recording_of(place: Path, top: Path) -> Path | None:
-    """The recording behind the results of a folder, if it lies near."""
+    """Folder of the recording of the results in a folder, searched in and next to it."""
     for candidate in (place, place / "recording", place.parent / "recording", top):
         if (candidate / OBSERVATIONS).is_file():
             return candidate.resolve()

@@ -1,4 +1,4 @@
-"""The picture of each result, for `plot()`."""
+"""Figure of each kind of result, for `plot()`."""
 
 from functools import singledispatch
 from typing import Any, cast
@@ -50,12 +50,12 @@ MOST_PROPOSALS = 12
 
 @singledispatch
 def figure_of(result: Result) -> Figure:
-    """The picture of a result; raises ModelError for one that has none."""
+    """Figure of a result; raises ModelError for a result without one."""
     if type(result).__module__ == "ltsim.campaigns.results":  # not registered: its packages may be missing
         from ltsim.reports.sections.campaign import campaign_figure
 
         return campaign_figure(cast(Any, result))
-    raise ModelError(f"a {type(result).__name__} has no picture of its own")
+    raise ModelError(f"a {type(result).__name__} has no figure")
 
 
 figure_of.register(Check, check_figure)
@@ -73,14 +73,14 @@ def _(result: Calibration) -> Figure:
     if result.names:
         return parameter_figure(result.parameters)
     if result.adjustment is None:
-        raise ModelError("a network that was read from its file has no picture; lt.report makes a page of it")
+        raise ModelError("a network read from a file has no figure; lt.report writes a page about it")
     return figure_of(result.adjustment)
 
 
 @figure_of.register
 def _(result: Criteria) -> Figure:
     if result.distance.after is None:
-        raise ModelError("criteria without a calibration have no before and after to draw")
+        raise ModelError("criteria without a calibration have no figure; call evaluate with a calibration")
     return criteria_figure(result.table())
 
 
@@ -98,10 +98,10 @@ def _(result: Diagnosis) -> Figure:
 @figure_of.register
 def _(result: History) -> Figure:
     content = history_file(result)
-    known = [course for course in content.parameters if course.constant.dof]
-    if not known:
-        raise ModelError("no parameter of these calibrations is known better than by its guarantee; there is no course")
-    return history_figure([c.label for c in content.calibrations], known)
+    determined = [course for course in content.parameters if course.constant.dof]
+    if not determined:
+        raise ModelError("no parameter of these calibrations is determined; there is no figure")
+    return history_figure([c.label for c in content.calibrations], determined)
 
 
 @figure_of.register
@@ -137,14 +137,14 @@ def _(result: InjectionCurve) -> Figure:
 def _(result: Recovery) -> Figure:
     """The errors of each parameter over their stated sigmas, those of a calibrator without sigmas over their rms."""
     if not result.converged:
-        raise ModelError("no trial of this recovery converged; there is nothing to draw")
+        raise ModelError("no trial of this recovery converged; there is no figure")
     error = np.array([trial.estimate - trial.truth for trial in result.converged])
-    stated = np.isfinite(result.z).all()
-    shown = result.z if stated else error / np.sqrt(np.mean(error**2, axis=0))
+    has_sigmas = np.isfinite(result.z).all()
+    shown = result.z if has_sigmas else error / np.sqrt(np.mean(error**2, axis=0))
     ends = np.percentile(shown, [50, 2.5, 97.5], axis=0).T.tolist()
     rows = {name: (middle, low, high) for name, (middle, low, high) in zip(result.names, ends, strict=True)}
-    label = f"error / {'stated sigma' if stated else 'its rms'}: median, middle 95 % of the trials"
-    return values_figure(rows, label, marks={"95 % of right ones": (-1.96, 1.96)} if stated else {})
+    label = f"error / {'stated sigma' if has_sigmas else 'its rms'}: median, middle 95 % of the trials"
+    return values_figure(rows, label, marks={"95 % of right ones": (-1.96, 1.96)} if has_sigmas else {})
 
 
 @figure_of.register
@@ -155,9 +155,9 @@ def _(result: NextMeasurement) -> Figure:
 
 @figure_of.register
 def _(result: Judged) -> Figure:
-    found = next(iter(result.errors.values()))
+    example = next(iter(result.errors.values()))
     rows = {name: (error.calibrated / MICROMETRE,) * 3 for name, error in result.errors.items()}
-    ends = {"as read": [found.raw / MICROMETRE], "by the true parameters": [found.true_parameters / MICROMETRE]}
+    ends = {"as read": [example.raw / MICROMETRE], "by the true parameters": [example.true_parameters / MICROMETRE]}
     return values_figure(rows, "error of a new point [um]", marks=ends)
 
 
@@ -171,6 +171,8 @@ def _(result: Paired) -> Figure:
         )
         for e in result.entries
     }
-    one = result.entries[0]
-    unit = f" [{one.unit}]" if one.unit else ""
-    return values_figure(rows, f"{one.first} less {one.second}{unit}, 95 % interval", marks={"no difference": [0.0]})
+    first = result.entries[0]
+    unit = f" [{first.unit}]" if first.unit else ""
+    return values_figure(
+        rows, f"{first.first} less {first.second}{unit}, 95 % interval", marks={"no difference": [0.0]}
+    )

@@ -1,4 +1,4 @@
-"""Residuals as figures need them: one row an observation, in the unit a person reads, with its covariates."""
+"""Residuals for figures: one row per observation, in display units, with covariates."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ Names = NDArray[np.str_]
 
 OBSERVABLE_UNIT = {"distance": "um", "azimuth": "arcsec", "elevation": "arcsec"}
 USUAL = ("azimuth", "elevation", "distance", "time", "row")
-"""Covariates that every recording has: the time where it has a clock, the row where it has none."""
+"""Covariates of every recording: the time if it has a clock, else the row."""
 COVARIATE_UNIT = {"azimuth": "°", "elevation": "°", "distance": "m", "time": "min", "incidence": "°", "row": ""}
 
 
 @dataclass(frozen=True)
 class Residuals:
-    """Observed minus adjusted, one row an observation."""
+    """Residuals, observed minus adjusted, one row per observation."""
 
     row: Ints
     """(n,): data row of the recording, from 1."""
@@ -56,22 +56,22 @@ class Residuals:
         return list(dict.fromkeys(self.station.tolist()))
 
     def of(self, observable: str) -> Bools:
-        """(n,) bool: which rows are of one observable."""
+        """Mask (n,) of the rows of an observable."""
         return self.observable == OBSERVABLES.index(observable)
 
     @property
     def order(self) -> str:
-        """Covariate of the order of the work: the time, or the row where the recording is known to have no clock."""
+        """Covariate of the order of the work: the time, or the row if the recording has no clock."""
         return "time" if "time" in self.covariates or "azimuth" not in self.covariates else "row"
 
     @property
     def sigma(self) -> Floats:
-        """(n,): standard deviations of the readings that the normalised residuals rest on."""
+        """Standard deviations (n,) of the readings, from which the residuals were normalised."""
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.asarray(np.abs(self.residual / self.w) / np.sqrt(self.redundancy))
 
     def at(self, stations: Sequence[str], targets: Sequence[str]) -> Bools:
-        """(n,): which rows are at the named stations and targets; all where none is named."""
+        """Mask (n,) of the rows at the given stations and targets; an empty list means all."""
         inside = np.ones(len(self), dtype=np.bool_)
         for names, column in ((stations, self.station), (targets, self.target)):
             if names:
@@ -80,11 +80,11 @@ class Residuals:
 
     @classmethod
     def from_table(cls, table: Table, file: Path | None = None) -> Residuals:
-        """Residuals of a table `RESIDUALS`; raises RecordError for an observable or a unit that is none."""
-        for column, known in (("observable", OBSERVABLES), ("unit", FACTOR)):
-            wrong = next((i for i, name in enumerate(table.column(column)) if name not in known), None)
+        """Residuals of a table `RESIDUALS`; raises RecordError for an invalid observable or unit."""
+        for column, allowed in (("observable", OBSERVABLES), ("unit", FACTOR)):
+            wrong = next((i for i, name in enumerate(table.column(column)) if name not in allowed), None)
             if wrong is not None:
-                message = f"'{shown(table.column(column)[wrong])}' is none of {', '.join(known)}"
+                message = f"'{shown(table.column(column)[wrong])}' is none of {', '.join(allowed)}"
                 raise RecordError(message, file=file, row=wrong + 1, column=column)
         names, units = table.column("observable"), table.column("unit")
         scale = np.array([FACTOR[u] / FACTOR[OBSERVABLE_UNIT[o]] for o, u in zip(names, units, strict=True)])
@@ -103,30 +103,30 @@ class Residuals:
     @classmethod
     def from_adjustment(cls, adjustment: Adjustment) -> Residuals:
         """Residuals of an adjustment with the geometry of its pointings."""
-        found = cls.from_table(residuals_table(adjustment))
-        return replace(found, covariates=_geometry(adjustment, found.row - 1))
+        residuals = cls.from_table(residuals_table(adjustment))
+        return replace(residuals, covariates=_geometry(adjustment, residuals.row - 1))
 
     @classmethod
     def read(cls, file: Path) -> Residuals:
-        """Residuals from a `residuals.csv`; raises RecordError when a column is missing or a field is no number."""
+        """Residuals from a `residuals.csv`; raises RecordError if a column is missing or a field is not a number."""
         return cls.from_table(RESIDUALS.parsed(read_text(file), file), file)
 
     def with_covariates(self, other: Residuals | None) -> Residuals:
-        """The same residuals with the covariates that `other`, if there is one, knows for the same observations."""
+        """The residuals with the covariates of the same observations in `other`, if given."""
         if other is None:
             return self
         at = self._places_in(other)
-        found = {name: np.append(column, np.nan)[at] for name, column in other.covariates.items()}
-        return replace(self, covariates=found)
+        covariates = {name: np.append(column, np.nan)[at] for name, column in other.covariates.items()}
+        return replace(self, covariates=covariates)
 
     def by_noise_of(self, other: Residuals) -> Residuals:
-        """The same residuals, normalised by the standard deviations that `other` rests on."""
+        """The residuals, normalised by the standard deviations of `other`."""
         sigma = np.append(other.sigma, np.nan)[self._places_in(other)]
         with np.errstate(divide="ignore", invalid="ignore"):
             return replace(self, w=self.residual / (sigma * np.sqrt(self.redundancy)))
 
     def _places_in(self, other: Residuals) -> Ints:
-        """Indices (n,) of the same observations in `other`; -1 where it lacks one."""
+        """Indices (n,) of the same observations in `other`; -1 if missing."""
         place = {key: i for i, key in enumerate(zip(other.row.tolist(), other.observable.tolist(), strict=True))}
         keys = zip(self.row.tolist(), self.observable.tolist(), strict=True)
         return np.array([place.get(key, -1) for key in keys], dtype=np.int64)
@@ -134,16 +134,16 @@ class Residuals:
 
 def _geometry(adjustment: Adjustment, rows: Ints) -> dict[str, Floats]:
     sightings, clock = adjustment.sightings, adjustment.recording.has_clock
-    found = {
+    covariates = {
         "azimuth": sightings.azimuth[rows] / DEGREE,
         "elevation": sightings.elevation[rows] / DEGREE,
         "distance": sightings.range_[rows],
     }
     incidence = sightings.incidence[rows] / DEGREE
     if np.isfinite(incidence).any():
-        found["incidence"] = incidence
+        covariates["incidence"] = incidence
     further = {name: column[rows] for name, column in sightings.covariates.items()}
     order: dict[str, Floats] = (
         {"time": sightings.time[rows] / 60.0} if clock else {"row": (rows + 1).astype(np.float64)}
     )
-    return found | order | further
+    return covariates | order | further

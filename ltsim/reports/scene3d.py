@@ -1,4 +1,4 @@
-"""The workshop in 3D with pyvista: a picture, a window, or one page that opens offline."""
+"""3D scene of a workshop with pyvista: picture and window."""
 
 import io
 from collections.abc import Sequence
@@ -20,20 +20,20 @@ from ltsim.reports.workshop import PlacedWorkshop
 WALL, FLOOR, LEG = "#D5DBE0", "#E3E7EA", "#5C6166"
 MOST_ARROWS, MOST_METRES = 300, 200
 MOST_HIDDEN = 4
-"""Names of which it is said that they are left out, each by itself."""
+"""Largest number of omitted names that the legend lists."""
 MOST_LABELS = 60
 FEW_BALLS, MANY_BALLS = 150, 600
-"""Above so many balls eight sides look round on the screen, and six."""
+"""Numbers of spheres above which they are drawn with fewer facets."""
 LINES = ListedColormap(mpl.colormaps["viridis"](np.linspace(0.0, 0.86, 128)))
 
-vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_ERROR)  # else it complains about a missing display
+vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_ERROR)  # suppresses a warning about a missing display
 
 
 @dataclass(frozen=True)
 class Legend:
-    """Meaning of the colours and sizes of a scene; pictures and pages print it.
+    """Legend of a scene: lines of text, and colour bar.
 
-    `bar` is label, lowest and highest value of the coloured lines, None where there are none.
+    `bar` is label, lowest and highest value of the coloured lines; None without them.
     """
 
     lines: tuple[str, ...]
@@ -41,7 +41,7 @@ class Legend:
 
 
 def round_magnification(length: float, shown: float) -> float:
-    """The magnification 1, 2 or 5 times a power of ten that brings `length` to about `shown`."""
+    """Magnification of `length` to about `shown`: 1, 2 or 5 times a power of ten."""
     if not length > 0:
         return 1.0
     ratio = shown / length
@@ -51,7 +51,7 @@ def round_magnification(length: float, shown: float) -> float:
 
 
 def times(scale: float) -> str:
-    """A magnification in words."""
+    """Text of a magnification."""
     return f"{scale:,.0f}".replace(",", " ")
 
 
@@ -66,7 +66,7 @@ def build(
     off_screen: bool = True,
     camera: Camera | None = None,
 ) -> tuple[pv.Plotter, Legend]:
-    """A plotter with the whole scene, and its legend; size in pixels, `off_screen` is False for a window."""
+    """Plotter with the whole scene, and its legend; size in pixels, `off_screen=False` for a window."""
     plotter = pv.Plotter(off_screen=off_screen, window_size=list(window_size), lighting="three lights")
     plotter.background_color = pv.Color("white")
     _surroundings(plotter, workshop)
@@ -86,7 +86,7 @@ def build(
 
 
 def picture(workshop: PlacedWorkshop, *, window_size: tuple[int, int] = (1400, 1000)) -> bytes:
-    """The scene as a PNG, with the legend written on it."""
+    """PNG of the scene with its legend."""
     plotter, legend = build(workshop, window_size=window_size)
     write_legend(plotter, workshop.title, legend)
     stream = io.BytesIO()
@@ -95,7 +95,7 @@ def picture(workshop: PlacedWorkshop, *, window_size: tuple[int, int] = (1400, 1
 
 
 def taken(plotter: pv.Plotter) -> Image.Image:
-    """Image of the scene of a plotter; the plotter is closed."""
+    """Image of the scene of a plotter, which is closed."""
     image = plotter.screenshot(return_img=True)
     plotter.close()
     return Image.fromarray(np.asarray(image))
@@ -109,7 +109,7 @@ def show(workshop: PlacedWorkshop) -> None:
 
 
 def write_legend(plotter: pv.Plotter, title: str, legend: Legend) -> None:
-    """Write title, magnifications and the colour bar on a picture."""
+    """Draw title, legend and colour bar on a picture."""
     if title:
         plotter.add_text(title, position=(0.015, 0.955), viewport=True, font_size=13, color=style.INK, shadow=False)
     text = "\n".join(legend.lines)
@@ -152,7 +152,7 @@ def _surroundings(plotter: pv.Plotter, workshop: PlacedWorkshop) -> None:
 
 
 def _sights(plotter: pv.Plotter, workshop: PlacedWorkshop) -> tuple[str, float, float] | None:
-    """Lines of sight, one a pair, coloured by the largest value of the pair."""
+    """Draw lines of sight, one per pair, coloured by the largest value of the pair; returns the colour bar."""
     sights = workshop.sights
     if sights is None or not len(sights.station):
         return None
@@ -178,7 +178,7 @@ def _sights(plotter: pv.Plotter, workshop: PlacedWorkshop) -> tuple[str, float, 
 
 
 def _shadows(plotter: pv.Plotter, workshop: PlacedWorkshop, lines: list[str]) -> None:
-    """The cone under each station that the elevation limit hides, and its rim on the floor."""
+    """Draw the shadow cone of each station, which its elevation limit hides, and the rims on the floor."""
     z = workshop.floor_height
     for k, opening in enumerate(workshop.openings):
         radius = workshop.shadow_radius(opening)
@@ -205,12 +205,12 @@ def _shadows(plotter: pv.Plotter, workshop: PlacedWorkshop, lines: list[str]) ->
 
 
 def _polygon(corners: Floats) -> pv.PolyData:
-    """A flat convex face through corners (k, 3)."""
+    """Flat convex face with corners (k, 3)."""
     return pv.PolyData(corners, faces=[len(corners), *range(len(corners))])
 
 
 def _rod(begin: Floats, end: Floats, radius: float) -> pv.PolyData:
-    """A round bar between two points (3,)."""
+    """Cylinder between two points (3,)."""
     along = end - begin
     height = float(np.linalg.norm(along))
     return pv.Cylinder(center=0.5 * (begin + end), direction=along, radius=radius, height=height, resolution=12)
@@ -271,7 +271,7 @@ def _stations(plotter: pv.Plotter, workshop: PlacedWorkshop) -> None:
 
 
 def _uncertainty(plotter: pv.Plotter, workshop: PlacedWorkshop, lines: list[str]) -> None:
-    """Ellipsoids of one sigma around the targets at a round magnification."""
+    """Draw ellipsoids of one sigma around the targets with a round magnification."""
     if workshop.covariance is None:
         return
     spread, axes = np.linalg.eigh(workshop.covariance)
@@ -315,10 +315,10 @@ def _corrections(plotter: pv.Plotter, workshop: PlacedWorkshop, lines: list[str]
 
 
 def _names(plotter: pv.Plotter, workshop: PlacedWorkshop, lines: list[str]) -> None:
-    """Names towards the camera, stations first; one that would cover another is left out, and said."""
+    """Draw names facing the camera, stations first; a name that would cover another is omitted and listed."""
     eye = np.array(plotter.camera.position)
     axes = _facing(eye - np.array(plotter.camera.focal_point))
-    size, kept, hidden = 0.026 * workshop.size, list[tuple[Floats, Floats]](), list[str]()
+    size, placed, hidden = 0.026 * workshop.size, list[tuple[Floats, Floats]](), list[str]()
     groups = [("station-names", workshop.stations, workshop.position, 0.15 + size, 1.5 * size, style.INK)]
     if len(workshop.targets) <= MOST_LABELS:
         groups.append(("target-names", workshop.targets, workshop.points, size, size, "#3A4046"))
@@ -326,23 +326,23 @@ def _names(plotter: pv.Plotter, workshop: PlacedWorkshop, lines: list[str]) -> N
         words = []
         for name, place in zip(names, places + np.array([0.0, 0.0, up]), strict=True):
             word = _letters(name, place, axes, height)
-            if not word.n_points:  # letters that the drawing lacks
+            if not word.n_points:  # characters without a glyph
                 continue
-            seen = (word.points - eye) @ axes.T
-            low, high = (f(seen[:, :2] / -seen[:, 2:], axis=0) for f in (np.min, np.max))
-            if any(np.all((low < top) & (bottom < high)) for bottom, top in kept):
+            projected = (word.points - eye) @ axes.T
+            low, high = (f(projected[:, :2] / -projected[:, 2:], axis=0) for f in (np.min, np.max))
+            if any(np.all((low < top) & (bottom < high)) for bottom, top in placed):
                 hidden.append(name)
             else:
-                kept.append((low, high))
+                placed.append((low, high))
                 words.append(word)
         if words:
             plotter.add_mesh(pv.merge(words), color=colour, lighting=False, name=key)
     if hidden:
-        lines.append(f"names left out: {listing(hidden, MOST_HIDDEN)}")
+        lines.append(f"omitted names: {listing(hidden, MOST_HIDDEN)}")
 
 
 def _facing(direction: Floats) -> Floats:
-    """Axes (3, 3) of a plane square to a direction: to the right, upwards, and out of it."""
+    """Axes (3, 3) of a plane perpendicular to a direction: right, up, and outwards."""
     out = direction / np.linalg.norm(direction)
     right = np.cross([0.0, 0.0, 1.0] if abs(out[2]) < 1 - 1e-9 else [-1.0, 0.0, 0.0], out)
     right /= np.linalg.norm(right)
@@ -350,15 +350,15 @@ def _facing(direction: Floats) -> Floats:
 
 
 def _letters(name: str, place: Floats, axes: Floats, height: float) -> pv.PolyData:
-    """A short name of a given height [m] in the plane of `axes`."""
+    """Mesh of a name with letters of a height [m], in the plane of `axes`."""
     text = style.shorten(name, 16).replace("…", "..").encode("latin-1", "replace").decode("latin-1")
     mesh = pv.Text3D(text, depth=0.0, height=height, center=(0.0, 0.0, 0.0), normal=(0.0, 0.0, 1.0))
-    mesh.points = mesh.points @ axes + place + 0.25 * axes[2]  # clear of the wall that the target may stand on
+    mesh.points = mesh.points @ axes + place + 0.25 * axes[2]  # in front of a wall behind the target
     return mesh
 
 
 def _camera(plotter: pv.Plotter, workshop: PlacedWorkshop) -> None:
-    """Look from the open side, above, at the middle."""
+    """Place the camera above the open side, looking at the middle."""
     low = np.array([*workshop.floor.min(axis=0), workshop.floor_height])
     high = np.array([*workshop.floor.max(axis=0), max(workshop.points[:, 2].max(), workshop.position[:, 2].max())])
     middle = 0.5 * (low + high) - np.array([0.0, 0.0, 0.04 * (high - low)[2]])

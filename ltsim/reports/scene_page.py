@@ -1,4 +1,4 @@
-"""The workshop in 3D as one HTML page that opens offline, in the viewer of vtk.js, without any server."""
+"""3D scene of a workshop as one HTML page that works offline, with the viewer of vtk.js."""
 
 import io
 import json
@@ -40,11 +40,11 @@ HEAD = f'<meta http-equiv="Content-Security-Policy" content="{POLICY}"><meta nam
 
 
 FINEST = 40_000
-"""Steps of places across a scene: too small to see on a screen of 1400 pixels, and numbers of few digits pack well."""
+"""Number of steps of coordinates across a scene, to which they are rounded for compression; invisible on a screen."""
 
 
 def scene_page(workshop: PlacedWorkshop, camera: scene3d.Camera | None = None) -> str:
-    """One self-contained HTML page with the scene to turn; it asks nothing of any server."""
+    """Self-contained HTML page with the interactive scene."""
     plotter, legend = scene3d.build(workshop, camera=camera)
     html = _page(plotter, workshop, legend)
     plotter.close()
@@ -52,7 +52,7 @@ def scene_page(workshop: PlacedWorkshop, camera: scene3d.Camera | None = None) -
 
 
 def picture_and_page(workshop: PlacedWorkshop) -> tuple[Image.Image, scene3d.Legend, str]:
-    """A picture, what its colours mean, and the page to turn, from one scene."""
+    """Picture, legend and interactive page of one scene."""
     plotter, legend = scene3d.build(workshop, window_size=(1200, 860))
     html = _page(plotter, workshop, legend)
     scene3d.write_legend(plotter, "", scene3d.Legend((), legend.bar))
@@ -93,13 +93,13 @@ def _overlay(title: str, legend: scene3d.Legend) -> str:
 
 
 FAVICON = re.compile(r"https://kitware\.github\.io/vtk-js/icon/favicon-\$\{\w+\}x\$\{\w+\}\.png")
-"""vtk.js asks its maker's site for an icon when it loads; the address is replaced by an empty one."""
+"""Address of the icon that vtk.js loads from the network; it is replaced by an empty one."""
 
 LONG_AGO = (1980, 1, 1, 0, 0, 0)
 
 
 def _scene(window: Any) -> dict[str, Any]:
-    """The render window in vtk.js' own description, with its arrays."""
+    """Render window in the format of vtk.js, with its arrays."""
     serializers.initialize_serializers()
     context = serializers.SynchronizationContext()
     context.set_ignore_last_dependencies(True)
@@ -118,7 +118,7 @@ def _scene(window: Any) -> dict[str, Any]:
 
 
 def _packed(scene: dict[str, Any]) -> bytes:
-    """The zip that the viewer opens; it carries no date."""
+    """Zip archive for the viewer, without dates."""
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w") as archive:
         entry = zipfile.ZipInfo("index.json", LONG_AGO)

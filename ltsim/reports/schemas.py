@@ -1,6 +1,6 @@
-"""Every result file with its model, every table with its columns: the one list that documentation is made from.
+"""Registry of all result files with their models and tables, from which the documentation is made.
 
-``python -m ltsim.reports.schemas DIR`` writes a JSON Schema (draft 2020-12) a file, and tables.json for the tables.
+``python -m ltsim.reports.schemas DIR`` writes one JSON Schema (draft 2020-12) per file, and tables.json for the tables.
 """
 
 import json
@@ -47,7 +47,7 @@ RESULTS: tuple[type[ResultFile], ...] = (
     acceptance.AcceptanceFile,
     BenchFile,
 )
-"""Files that verbs write."""
+"""Models of the files that verbs write."""
 
 FILES: dict[str, type[BaseModel]] = {
     **{model.FILE: model for model in RESULTS},
@@ -59,7 +59,7 @@ FILES: dict[str, type[BaseModel]] = {
     "tasks.toml": Tasks,
     "acceptance.toml": Acceptance,
 }
-"""Every file with a model, those that people write among them."""
+"""Models of all files, including those that users write, by name."""
 
 TABLES: dict[str, tuple[Table, ...]] = {
     CalibrationFile.FILE: (TARGETS, RESIDUALS),
@@ -75,16 +75,16 @@ TABLES: dict[str, tuple[Table, ...]] = {
     acceptance.AcceptanceFile.FILE: (acceptance.TESTS,),
     RecoveryFile.FILE: (TRIALS,),
 }
-"""The tables beside each file."""
+"""Companion tables by the name of their result file."""
 
 
 def schemas() -> dict[str, dict[str, Any]]:
-    """The JSON Schema of every file, by the file's name."""
+    """JSON Schema of every file, by its name."""
     return {name: model.model_json_schema(by_alias=True) for name, model in FILES.items()}
 
 
 def tables() -> dict[str, list[dict[str, Any]]]:
-    """The tables beside each file: name, what it is about, its columns with their meaning."""
+    """Companion tables of each file: name, subject, columns with their meaning."""
     return {
         file: [
             {
@@ -92,9 +92,9 @@ def tables() -> dict[str, list[dict[str, Any]]]:
                 "about": table.about,
                 "columns": [{"name": c.name, "kind": c.kind, "about": c.meaning} for c in table.columns],
             }
-            for table in beside
+            for table in companions
         ]
-        for file, beside in TABLES.items()
+        for file, companions in TABLES.items()
     }
 
 

@@ -1,8 +1,7 @@
-"""One look for every figure: colours, sizes, axes, and how a figure becomes bytes.
+"""Common style of all figures: colours, sizes, axes, export.
 
-The colours are those of Okabe and Ito (2008), told apart by colour-blind eyes; what matters also differs in marker or
-line, so that a grey print still reads. A figure is drawn once: its letters can be read at the width of a phone, and the
-page turns its lightness over where the reader's screen is dark.
+The colours of Okabe and Ito (2008) can be distinguished by colour-blind readers; marker or line style differ too, for
+grey prints. Text is readable at the width of a phone; the page inverts the lightness on dark screens.
 """
 
 import base64
@@ -27,18 +26,18 @@ BLUE, ORANGE, GREEN, RED = "#0072B2", "#E69F00", "#009E73", "#D55E00"
 SKY, PURPLE, GREY, PALE, INK = "#56B4E9", "#CC79A7", "#8A8F94", "#E8ECEF", "#22272B"
 CYCLE = (BLUE, ORANGE, GREEN, RED, PURPLE, SKY, "#666666", INK)
 MARKERS = "osD^vP*X"
-"""Beside the colours: what a grey print still tells apart."""
+"""Markers, which distinguish lines in grey prints."""
 BEFORE, AFTER = GREY, BLUE
 BAND = "#8A8F9440"
-"""Clear, so that it shows on a page that is dark as well."""
+"""Transparent, for light and dark pages."""
 DIVERGING = "RdBu_r"
 ON_PALE, ON_DEEP = "#23282c", "#fefefe"
-"""Letters on coloured cells."""
+"""Colours of text on coloured cells."""
 
 WIDTH = 4.9
-"""Inches of every figure: on a phone its letters still have nine pixels."""
+"""Width of every figure [inch], at which text has nine pixels on a phone."""
 LINE, HANDLE = 75, 8
-"""Letters that a legend as wide has in a line, and those that fit where a label's mark stands."""
+"""Characters per line of a legend, and characters that the mark of an entry takes."""
 
 _SETTINGS: dict[Any, Any] = {
     "font.sans-serif": ["DejaVu Sans", "Verdana", "Arial"],
@@ -66,7 +65,7 @@ _SETTINGS: dict[Any, Any] = {
     "legend.fontsize": 8.0,
     "text.color": INK,
     "text.parse_math": False,
-    "text.usetex": False,  # a matplotlibrc in the working folder may ask for a program of TeX
+    "text.usetex": False,  # a matplotlibrc in the working folder may request TeX
     "lines.linewidth": 1.4,
     "svg.fonttype": "none",
     "svg.hashsalt": "ltsim",
@@ -78,7 +77,7 @@ P = ParamSpec("P")
 
 
 def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
-    """Draw a figure under the common settings; nothing global changes."""
+    """Decorator that applies the common settings while a figure is drawn."""
 
     @wraps(draw)
     def inside(*args: P.args, **kwargs: P.kwargs) -> Figure:
@@ -89,18 +88,18 @@ def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
 
 
 def new_figure(height: float, *, layout: Any = "constrained") -> Figure:
-    """An empty figure [inch] that arranges itself and belongs to no window."""
+    """Empty figure of a height [inch] with automatic layout and without a window."""
     return Figure(figsize=(WIDTH, height), layout=layout)
 
 
 def panel(height: float, *, layout: Any = "constrained") -> tuple[Figure, Axes]:
-    """An empty figure with one panel."""
+    """Empty figure with one panel."""
     figure = new_figure(height, layout=layout)
     return figure, figure.subplots()
 
 
 def svg(figure: Figure) -> str:
-    """The figure as SVG text, the same bytes for the same data."""
+    """SVG text of the figure, reproducible to the byte."""
     stream, layout, dpi = io.StringIO(), figure.get_layout_engine(), figure.dpi
     with mpl.rc_context(_SETTINGS):
         if layout is not None:  # `savefig` would draw everything twice, the first time for the layout alone
@@ -115,19 +114,19 @@ def svg(figure: Figure) -> str:
 
 
 def png(figure: Figure) -> bytes:
-    """The figure as a picture to print."""
+    """PNG of the figure for printing."""
     stream = io.BytesIO()
     figure.savefig(stream, format="png", dpi=150)
     return stream.getvalue()
 
 
 def svg_uri(text: str) -> str:
-    """An SVG as a `data:` address for an `img`, in which names can run nothing."""
+    """`data:` URI of an SVG for an `img` element, in which scripts are not executed."""
     return "data:image/svg+xml," + quote(text, safe=" !$'()*+,/:;<=>?@[]{|}")
 
 
 def webp_uri(picture: Image.Image) -> str:
-    """A picture of a scene as a `data:` address of a fifth of its size as a PNG."""
+    """`data:` URI of a picture as WebP, a fifth of the size of PNG."""
     small = io.BytesIO()
     picture.convert("RGB").save(small, format="WEBP", quality=82)
     return "data:image/webp;base64," + base64.b64encode(small.getvalue()).decode()
@@ -146,7 +145,7 @@ def quiet_axis(ax: Axes, *, grid: str = "y") -> None:
 
 
 def category_rows(ax: Axes, names: Sequence[str], *, size: float = 8.0) -> Floats:
-    """Put names on the y axis, the first on top; gives their places."""
+    """Set names on the y axis, the first on top; returns their positions."""
     places = np.arange(len(names), dtype=np.float64)
     ax.set_yticks(places, [shorten(name) for name in names], fontsize=size)
     ax.set_ylim(len(names) - 0.4, -0.6)
@@ -156,7 +155,7 @@ def category_rows(ax: Axes, names: Sequence[str], *, size: float = 8.0) -> Float
 
 
 def at_right(ax: Axes, places: Floats, texts: Sequence[str]) -> None:
-    """Texts beside the rows, at the right end."""
+    """Write texts at the right end of the rows."""
     right = ax.secondary_yaxis("right")
     right.set_yticks(places, [typeset(text) for text in texts], fontsize=8)
     right.tick_params(length=0)
@@ -165,17 +164,17 @@ def at_right(ax: Axes, places: Floats, texts: Sequence[str]) -> None:
 
 def legend_of(figure: Figure, panels: Iterable[Axes], *, ncols: int = 3) -> None:
     """One legend above all panels, each label once."""
-    known = {label: handle for ax in panels for handle, label in zip(*ax.get_legend_handles_labels(), strict=True)}
-    columns = columns_for(list(known), ncols)
-    figure.legend(list(known.values()), list(known), loc="outside upper left", ncols=columns)
+    handles = {label: handle for ax in panels for handle, label in zip(*ax.get_legend_handles_labels(), strict=True)}
+    columns = columns_for(list(handles), ncols)
+    figure.legend(list(handles.values()), list(handles), loc="outside upper left", ncols=columns)
 
 
 def columns_for(labels: Sequence[str], most: int) -> int:
-    """Columns of a legend, as many as have room for the longest label: a wider one leaves a figure no axes."""
+    """Number of legend columns that fit the longest label, at most `most`."""
     return max(1, min(most, LINE // (max(map(len, labels), default=0) + HANDLE)))
 
 
 def shorten(name: str, most: int = 34) -> str:
-    """A name that fits on an axis: cut in the middle, since names of one place often differ in their ends."""
+    """Name of at most `most` characters, cut in the middle, since names often differ at their ends."""
     flat, end = " ".join(name.split()), most // 2
     return flat if len(flat) <= most else f"{flat[: most - 1 - end]}…{flat[-end:]}"

@@ -1,4 +1,4 @@
-"""Drawings: the workshop in 3D, and the page a person reads."""
+"""Public functions `view` and `report`: the workshop in 3D, and the report page."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ from ltsim.simulation.scenario import Scenario
 
 @dataclass(frozen=True, repr=False)
 class View(Result):
-    """A workshop to look at: turned by hand in a notebook, or as a picture, a page or a window."""
+    """3D view of a workshop: interactive in a notebook, or as a picture, a page or a window."""
 
     workshop: PlacedWorkshop
 
@@ -42,7 +42,7 @@ class View(Result):
         write_text(Path(path), scene3d.picture(self.workshop))
 
     def html(self, path: str | Path) -> None:
-        """Write one page to turn in a browser, offline."""
+        """Write an interactive page for a browser, which works offline."""
         from ltsim.reports.scene_page import scene_page
 
         write_text(Path(path), scene_page(self.workshop))
@@ -69,13 +69,13 @@ def view(
     source : Recording, Scenario, str or Path
         A recording (adjusted first), a scenario, the file of either, or the name of a built-in scenario.
     cad : str or Path, optional
-        STL, OBJ, PLY, GLB, STEP or IGES to stand in the room.
+        CAD file (STL, OBJ, PLY, GLB, STEP or IGES) to show in the workshop.
     cad_unit : {`mm`, `m`, `in`}, optional
         Unit of its coordinates; default by its format (glTF: metres; STEP: its own; others: millimetres).
     cad_up : {`y`, `z`}, optional
-        Its axis that points up; default by its format (glTF: y).
+        Axis of the CAD file that points up; default by its format (glTF: y).
     colour : {`incidence`, `residual`}
-        What colours the lines of sight of a recording.
+        Quantity shown by the colour of the lines of sight of a recording.
 
     Raises
     ------
@@ -97,7 +97,7 @@ def view(
 
 
 def _workshop_of(source: Recording | Scenario | str | Path) -> PlacedWorkshop:
-    """The workshop of a scenario or a recording; a name that is no file is taken for a scenario's."""
+    """Workshop of a scenario or a recording; a name without a file is taken as a built-in scenario."""
     from ltsim.simulation.verbs import scenario  # loads the simulator, which no page needs
 
     if isinstance(source, Recording):
@@ -118,25 +118,25 @@ def report(
     about: About | Mapping[str, str] | None = None,
     tell: Callable[[str], None] = lambda words: None,
 ) -> Path:
-    """Write `report.html` into a folder: one page that opens offline, the answer first.
+    """Write `report.html` into a folder: one page that works offline.
 
     Parameters
     ----------
     folder : str or Path
         A recording, a calibration, a diagnosis, a campaign, a plan, or a folder of such folders.
     recording : str or Path, optional
-        The recording behind a calibration or diagnosis, where it does not lie in the folder.
+        Recording of a calibration or diagnosis, if it is not in the folder.
     title : str, optional
-        Of the page.
+        Title of the page.
     about : mapping of str to str, optional
         `instrument`, `date`, `operator`, `customer`; default the table ``[report]`` of the set-up.
     tell : callable
-        Told of each folder in the folder that cannot be read; the page says it too.
+        Callback for the error of each inner folder that cannot be read; the page shows it too.
 
     Returns
     -------
     Path
-        Of the page.
+        Path of the page.
 
     Raises
     ------

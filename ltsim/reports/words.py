@@ -1,4 +1,4 @@
-"""Words that sections share: names are counted and listed, members of statistics are put into words."""
+"""Text formatting shared by sections and figures."""
 
 import math
 import re
@@ -14,16 +14,16 @@ QUALITY = {
     "targets": ("targets: rms sigma [um]", 1e6),
     "diagnosis": ("effects: found / plausible size", 1.0),
 }
-"""Quality measure of each goal of a plan: its name with its unit, and that unit in SI."""
+"""Quality measure of each goal of a plan: name with unit, and factor from SI to that unit."""
 
 
 def is_determined(sigma: float | None, prior_sigma: float | None) -> bool:
-    """Whether a measurement tells more than half of what is known of a parameter."""
+    """True if the measurement gives at least half of the information on a parameter: sigma < 0.7 prior sigma."""
     return prior_sigma is None or (sigma or 0.0) < 0.7 * prior_sigma
 
 
 def duration(seconds: float) -> str:
-    """A time span."""
+    """Text of a time span [s]."""
     minutes = seconds / 60.0
     if minutes < 1:
         return f"{seconds:.0f} s"
@@ -34,28 +34,28 @@ def duration(seconds: float) -> str:
 
 
 def of_presets(scenarios: Iterable[Mapping[str, Any]]) -> str:
-    """The trackers of scenarios as tables, by the presets or data sheets that state them."""
+    """Presets of the trackers in scenarios, as text."""
     trackers = [t for s in scenarios for t in (*s.get("instruments", {}).values(),) or (s["instrument"],)]
     return ", ".join(f"preset {name}" for name in dict.fromkeys(t["preset"] for t in trackers))
 
 
-def count(number: int, one: str, many: str = "") -> str:
-    """`1 station`, `5 stations`."""
-    return f"{number} {one if number == 1 else many or one + 's'}"
+def count(number: int, singular: str, many: str = "") -> str:
+    """Number with noun: `1 station`, `5 stations`."""
+    return f"{number} {singular if number == 1 else many or singular + 's'}"
 
 
 def natural(name: str) -> list[tuple[int, str]]:
-    """Sort key by which T9 comes before T10."""
+    """Sort key of natural order: T9 before T10."""
     return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"([0-9]+)", name) if part]
 
 
 def sentence(words: str) -> str:
-    """Words with a capital before them and a full stop behind."""
+    """Text as a sentence, with a capital letter and a full stop."""
     return f"{words[:1].upper()}{words[1:].rstrip('.')}." if words else ""
 
 
 def typeset(text: str) -> str:
-    """A text with the signs of print: plus-minus, minus before a number, micro, chi, a dash for what does not exist."""
+    """Text with typographic signs: plus-minus, minus, micro, chi, a dash for a missing value."""
     signs = re.sub(
         r"\bu(m|rad)\b",
         "µ\\1",
@@ -65,21 +65,21 @@ def typeset(text: str) -> str:
 
 
 def agreement(chi2: float, dof: int, p: float | None) -> tuple[bool, str]:
-    """Whether readings agree with the model, at 1 % on each side, and the words for it; `p` is that of a larger one."""
+    """Verdict of the global test at 1 % on each side, and its text; `p` is the probability of a larger chi-square."""
     if dof <= 0 or p is None or not math.isfinite(p):
-        return True, "there is no redundancy to test the model with"
+        return True, "the model cannot be tested, as there is no redundancy"
     agrees, tested = two_sided(p) >= AGREEMENT_LEVEL, f"(chi2 {chi2:.0f} for {dof}, two-sided {format_p(two_sided(p))})"
     if not agrees and p > 0.5:
-        return False, f"the readings scatter less than the stated noise says {tested}"
+        return False, f"the scatter of the readings is smaller than the stated noise {tested}"
     return agrees, f"the readings {'agree' if agrees else 'do not agree'} with the model and the stated noise {tested}"
 
 
 def distinct_labels(labels: Sequence[str]) -> tuple[str, ...]:
-    """Labels without the words that all of them begin with, where something is left then."""
+    """Labels without their common first words, unless a label would be empty."""
     if len(set(labels)) < 2:
         return tuple(labels)
-    alike = takewhile(lambda letters: len(set(letters)) == 1, zip(*labels, strict=False))
-    common = "".join(letters[0] for letters in alike)
+    shared = takewhile(lambda letters: len(set(letters)) == 1, zip(*labels, strict=False))
+    common = "".join(letters[0] for letters in shared)
     begin = 1 + max(common.rfind(separator) for separator in "_- .")
     short = tuple(label[begin:] for label in labels)
     return short if all(short) else tuple(labels)

@@ -1,4 +1,4 @@
-"""The page for the shop floor: where each tripod goes by tape, what to measure in which order, what to check when."""
+"""Work order, a page for the shop floor: places of the tripods by tape, order of the measurements, checks."""
 
 from ltsim.core.units import MILLIMETRE
 from ltsim.planning.plan import Plan
@@ -9,7 +9,7 @@ from ltsim.reports.words import duration
 
 
 def work_order_page(plan: Plan) -> str:
-    """The page of a plan, to print and take along."""
+    """HTML page of the work order of a plan."""
     survey = plan.chosen.survey
     title = f"Work order: {plan.file.title or plan.scenario.title or 'the plan'}"
     section = Section(title=title, kind="Work order", answer=f"{survey.words}.", blocks=_blocks(plan))
@@ -26,16 +26,18 @@ def _blocks(plan: Plan) -> list[Block]:
     ]  # fmt: skip
     header = ["station", "head over floor [m]", "tape 1", "tape 2", "tape 3", "azimuth zero looks"]
     note = (
-        "Distances lie on the floor, from the mark under the head to the floor under the point; straight ones go from "
-        "the head's centre to the reflector. Two set the place, the third checks it."
+        "Distances are on the floor, from the mark under the tracker head to the floor under the point; straight ones "
+        "are from the centre of the head to the reflector. Two distances set the place, the third checks it."
     )
     note = " ".join([note, *(f"{s.name}: {s.lacking}" for s in stations if s.lacking)])
     blocks: list[Block] = [
-        Grid("Where the tripods go", header, rows, 6, note),
+        Grid("Places of the tripods", header, rows, 6, note),
         Picture(
-            "Floor plan", plan.plot, "Seen from above; x and y in metres. Inside the circles the floor is out of sight."
+            "Floor plan",
+            plan.plot,
+            "Seen from above; x and y in metres. The elevation limit hides the floor inside the circles.",
         ),
-        Notes("What to check, and when", checks(plan)),
+        Notes("Checks", checks(plan)),
     ]
     faces = "in both faces" if len(survey.faces) == 2 else f"in face {survey.faces[0]}"
     rounds = "once" if survey.repeats == 1 else f"{survey.repeats} rounds"
@@ -46,17 +48,17 @@ def _blocks(plan: Plan) -> list[Block]:
         blocks.append(Note(f"{s.name}: order of work", text))
     blocks += _before(plan)
     text = (
-        "nominals.csv holds the points for the tracker's software, work-order.csv every pointing with the readings to "
-        "expect, scenario.toml the same work to simulate. "
+        "nominals.csv has the points for the tracker's software, work-order.csv every pointing with its expected "
+        "readings, scenario.toml the same work for a simulation. "
     )
-    blocks.append(Note("Files", f"{text}A move is taken to last {duration(survey.seconds_per_move)}."))
+    blocks.append(Note("Files", f"{text}A move of the tripod is assumed to take {duration(survey.seconds_per_move)}."))
     return blocks
 
 
 def _before(plan: Plan) -> list[Block]:
-    """Reflectors worth another place, while there is time for it."""
+    """Proposals to move or add a reflector before the work."""
     worth = [change for change in plan.changes.told if change.do != "remove"]
     if not worth:
         return []
-    said = [f"{c.deed}: the other points become {c.gain_um:.2f} µm better, most {c.serves}" for c in worth]
-    return [Notes("Worth doing before, one of these (z from the floor); then plan again", said)]
+    lines = [f"{c.deed}: the other points improve by {c.gain_um:.2f} µm, most of all {c.serves}" for c in worth]
+    return [Notes("Possible improvements: one of these (z from the floor), then plan again", lines)]

@@ -1,4 +1,4 @@
-"""Content of the workshop, ready to be drawn: as measured (a recording, calibrated poses) or as planned."""
+"""Workshop for drawing, from a recording, a calibration or a scenario."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ from ltsim.simulation.scenario import Scenario
 from ltsim.simulation.workshop import Layout, obstacles_of, planned, visibility_of
 
 SECOND_OPENING = 110.0 * DEGREE
-"""The other reading of the paper's shadow cone (section 2.3.2)."""
+"""Alternative opening of the shadow cone in the paper (section 2.3.2)."""
 HEAD = 3.0
-"""Height [m] of a tracker's head above the floor at most: a plan whose zero lies farther down tells no floor."""
+"""Largest height [m] of a tracker above the floor; a plan whose zero is farther below has no floor."""
 FACING, FLUSH, MARGIN = 0.25, 0.2, 0.4
-"""Least component of a nest's look across its wall; how far [m] nests of one wall differ in depth at most, and how far
-the floor reaches beyond what stands on it."""
+"""Smallest component of a nest's normal across its wall; largest difference in depth [m] of nests of one wall; margin
+[m] of the floor around stations and targets."""
 
 
 @dataclass(frozen=True)
 class Sights:
-    """Lines of sight (n,) with a value each; `label` is the value's name and unit."""
+    """Lines of sight (n,) with values; `label` is name and unit of the value."""
 
     station: Ints
     target: Ints
@@ -53,7 +53,7 @@ class PlacedWorkshop(ValueEquality):
     targets: tuple[str, ...]
     points: Floats
     nest_normal: Floats = field(default_factory=lambda: np.zeros((0, 3)))
-    """(T, 3): the normal is NaN where the reflector is turned by hand."""
+    """(T, 3): normals of the nests; NaN for a reflector that is turned by hand."""
     floor: Floats = field(default_factory=lambda: np.zeros((0, 2)))
     """(k, 2): outline."""
     floor_height: float = 0.0
@@ -68,22 +68,22 @@ class PlacedWorkshop(ValueEquality):
     correction: Floats | None = None
     """(T, 3): change of the targets by a calibration or a finding."""
     obstacles: Floats = field(default_factory=lambda: np.zeros((0, 3, 3)))
-    """(k, 3, 3): corners of the triangles of what stands in the way."""
+    """(k, 3, 3): corners of the triangles of obstacles."""
     hidden: Ints = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
-    """(k, 2): station and target of the sights that these obstacles hide."""
+    """(k, 2): station and target of the sights that obstacles block."""
     notes: tuple[str, ...] = ()
     """Notes for the reader, such as an assumed floor."""
 
     @property
     def yaw(self) -> Floats:
-        """(S,) [rad]: where azimuth zero of each station looks."""
+        """(S,) [rad]: direction of azimuth zero of each station."""
         return np.arctan2(self.rotation[:, 1, 0], self.rotation[:, 0, 0])
 
     @property
     def openings(self) -> tuple[float, ...]:
-        """Full angles [rad] of the shadow cones: by the elevation limit, then the paper's other reading."""
-        own = cone_opening(self.elevation_min)
-        return (own,) if abs(own - SECOND_OPENING) < 1e-9 else (own, SECOND_OPENING)
+        """Full angles [rad] of the shadow cones: by the elevation limit, and the alternative of the paper."""
+        limit = cone_opening(self.elevation_min)
+        return (limit,) if abs(limit - SECOND_OPENING) < 1e-9 else (limit, SECOND_OPENING)
 
     def shadow_radius(self, opening: float) -> Floats:
         """(S,) [m]: radius on the floor of the cone with a full angle `opening`."""
@@ -101,24 +101,24 @@ class PlacedWorkshop(ValueEquality):
         return float(np.max(np.ptp(points, axis=0)))
 
     def incidence(self) -> Sights | None:
-        """Lines of sight coloured by the angle between beam and nest, for the nests that are known."""
+        """Lines of sight with the angle between beam and nest normal, for nests with a normal."""
         if self.sights is None or not np.isfinite(self.nest_normal).any():
             return None
         station, target = self.sights.station, self.sights.target
         back = self.position[station] - self.points[target]
         cosine = np.sum(back * self.nest_normal[target], axis=1) / np.linalg.norm(back, axis=1)
-        known = np.isfinite(cosine)
-        angle = np.arccos(np.clip(cosine[known], -1.0, 1.0)) / DEGREE
-        return Sights(station[known], target[known], angle, "incidence on the nest [°]")
+        with_normal = np.isfinite(cosine)
+        angle = np.arccos(np.clip(cosine[with_normal], -1.0, 1.0)) / DEGREE
+        return Sights(station[with_normal], target[with_normal], angle, "incidence on the nest [°]")
 
     def coloured(self, by: str) -> PlacedWorkshop:
-        """The same workshop with lines of sight coloured by 'incidence' or 'residual'; as it is where unknown."""
+        """Workshop with lines of sight coloured by 'incidence' or 'residual'; unchanged if not available."""
         sights = self.incidence() if by == "incidence" else None
         return self if sights is None else replace(self, sights=sights)
 
 
 def from_adjustment(adjustment: Adjustment, *, plain: Adjustment | None = None) -> PlacedWorkshop:
-    """The workshop of an adjusted network; `plain` is the adjustment before, for the correction arrows."""
+    """Workshop of an adjusted network; `plain` is the adjustment without parameters, for the correction arrows."""
     recording, state = adjustment.recording, adjustment.state
     worst = np.nanmax(np.abs(np.nan_to_num(adjustment.w)), axis=1)
     placed = np.asarray(np.isfinite(adjustment.target_covariance[:, :2, :2]).all(axis=(1, 2)))
@@ -129,7 +129,7 @@ def from_adjustment(adjustment: Adjustment, *, plain: Adjustment | None = None) 
         stations=recording.stations,
         position=state.position,
         rotation=state.rotation,
-        targets=tuple(name for name, known in zip(recording.targets, placed, strict=True) if known),
+        targets=tuple(name for name, is_placed in zip(recording.targets, placed, strict=True) if is_placed),
         points=state.points[placed],
         sights=Sights(
             recording.station[rows], number[recording.target[rows]], worst[rows], "largest normalised residual"
@@ -141,7 +141,7 @@ def from_adjustment(adjustment: Adjustment, *, plain: Adjustment | None = None) 
 
 
 def from_recording(recording: Recording) -> PlacedWorkshop:
-    """The workshop of a recording, adjusted with the instrument's parameters; arrows show what they change."""
+    """Workshop of a recording, adjusted with the instrument's parameters; arrows show the change by them."""
     plain = adjust(recording)
     plain.solution.require_success()
     full = adjust(recording, declared_construction(recording))
@@ -149,7 +149,7 @@ def from_recording(recording: Recording) -> PlacedWorkshop:
 
 
 def with_surroundings(network: PlacedWorkshop, setup: Setup) -> PlacedWorkshop:
-    """Bring a network into the frame of the floor plan where the set-up knows one, and add floor, walls and gauge."""
+    """Network in the frame of the floor plan of the set-up, if there is one, with floor, walls and gauge."""
     plan = FloorPlan.by(setup, network.stations, network.position, network.rotation)
     turn, planned = plan.rotation, plan.known
     points, position = plan.place(network.points), plan.place(network.position)
@@ -174,7 +174,7 @@ def with_surroundings(network: PlacedWorkshop, setup: Setup) -> PlacedWorkshop:
         elevation_min=(instrument.limits or Limits()).elevation_min_deg * DEGREE,
         covariance=None if network.covariance is None else turn @ network.covariance @ turn.T,
         correction=None if network.correction is None else network.correction @ turn.T,
-        notes=() if height == 0.0 else ("the floor is taken at the lowest target",),
+        notes=() if height == 0.0 else ("the floor is assumed at the lowest target",),
     )
 
 
@@ -185,9 +185,9 @@ def _nest_normals(setup: Setup, targets: tuple[str, ...]) -> Floats:
 
 
 def _wall_planes(points: Floats, normal: Floats) -> list[tuple[int, float, float]]:
-    """Axis, side (the sign of the free side) and place [m] of upright planes that at least four nests stand on.
+    """Axis, sign of the free side, and position [m] of vertical walls with at least four nests.
 
-    Their nests look away from them, straight or aimed at the stations, and nothing stands behind them.
+    The nests point away from the wall, straight or at the stations, and no target is behind it.
     """
     planes = []
     for axis in range(2):
@@ -221,7 +221,7 @@ def _wall_corners(planes: list[tuple[int, float, float]], floor: Floats, low: fl
 
 
 def from_scenario(scenario: Scenario) -> PlacedWorkshop:
-    """Stations, targets, the room's corner and what stands in it; lines of sight where stations see targets.
+    """Workshop of a scenario: stations, targets, walls, obstacles, and visible lines of sight.
 
     Raises
     ------
@@ -232,7 +232,7 @@ def from_scenario(scenario: Scenario) -> PlacedWorkshop:
     table = visibility_of(scenario, layout)
     obstacles = obstacles_of(scenario)
     hidden = int((~table.visible).sum())
-    lost = (f"{hidden} of {table.visible.size} pairs do not see each other.",) if hidden else ()
+    lost = (f"{hidden} of {table.visible.size} lines of sight are blocked.",) if hidden else ()
     x, y, z = np.array(scenario.workshop.size_mm) * MILLIMETRE
     floor = np.array([[0.0, 0.0], [x, 0.0], [x, y], [0.0, y]])
     gauge = range(len(scenario.targets), len(layout.targets))
@@ -256,12 +256,12 @@ def from_scenario(scenario: Scenario) -> PlacedWorkshop:
 
 
 def with_cad(workshop: PlacedWorkshop, file: Path, unit: str | None = None, up: str | None = None) -> PlacedWorkshop:
-    """The workshop with a CAD file standing in it; `unit` and `up` where its format's convention does not hold.
+    """Workshop with the bodies of a CAD file; `unit` and `up` override the convention of its format.
 
     Raises
     ------
     SetupError
-        When it cannot be read, or its size has to be asked about.
+        When the file cannot be read, or its size is implausible.
     """
     cad = read_mesh(file, unit, up)
     if asked := size_question(cad, np.ptp(workshop.floor, axis=0)):

@@ -69,7 +69,7 @@ def correlation_figure() -> Figure:
 
 def by_setting() -> Figure:
     rows = [
-        sweeps.Swept(f"noise {s} {MARKUP}", method, "", 40.0 + s, 39.0 + s, 41.0 + s, 20.0 + s, 60.0 + s)
+        sweeps.SweepPoint(f"noise {s} {MARKUP}", method, "", 40.0 + s, 39.0 + s, 41.0 + s, 20.0 + s, 60.0 + s)
         for s in range(3)
         for method in ("network", "distance")
     ]
@@ -78,7 +78,7 @@ def by_setting() -> Figure:
 
 def by_factor() -> Figure:
     rows = [
-        sweeps.Swept(x, method, f"faces {panel} {MARKUP}", x + m, x + m - 0.2, x + m + 0.2, x + m - 2, x + m + 2)
+        sweeps.SweepPoint(x, method, f"faces {panel} {MARKUP}", x + m, x + m - 0.2, x + m + 0.2, x + m - 2, x + m + 2)
         for x in (1.0, 2.0, 4.0, 10.0)
         for m, method in enumerate(("network", "distance"))
         for panel in (1, 2)
@@ -214,9 +214,9 @@ def coverage() -> Figure:
     return sweeps.coverage(scores(stream(2, "figure").standard_normal((5, 400))))
 
 
-def hidden_and_found() -> Figure:
+def injected_and_estimated() -> Figure:
     at = np.linspace(0, 30, 40)
-    return misfits.hidden_and_found(at, np.sin(at), 1.1 * np.sin(at), axis="time [min]", label="change [µm]")
+    return misfits.injected_and_estimated(at, np.sin(at), 1.1 * np.sin(at), axis="time [min]", label="change [µm]")
 
 
 def values_figure() -> Figure:
@@ -238,7 +238,7 @@ DRAWINGS = {
     f.__name__: f
     for f in (
         shares_of_limits, budget_figure, by_factor, by_setting, check_figure, correlation_figure, coverage,
-        criteria_figure, displacement_figure, distributions, driver_curve, floor_plan, hidden_and_found,
+        criteria_figure, displacement_figure, distributions, driver_curve, floor_plan, injected_and_estimated,
         history_figure, lines_figure, parameter_figure, reflector_changes, residuals_by_covariate,
         residuals_by_station, sigma_figure, signature_figure, trade_off, values_figure, whereabouts,
     )
@@ -371,17 +371,17 @@ def test_coverage_is_red_exactly_where_its_caption_says() -> None:
 
 
 def test_factors_with_words_and_designs_have_axes_that_read() -> None:
-    rows = [sweeps.Swept(x, "network", "", 1.0, 0.9, 1.1, 0.5, 1.5) for x in ("no", "yes")]
+    rows = [sweeps.SweepPoint(x, "network", "", 1.0, 0.9, 1.1, 0.5, 1.5) for x in ("no", "yes")]
     ax = sweeps.by_factor(rows, label="error [µm]", axis="corrected").axes[0]
     assert [t.get_text() for t in ax.get_xticklabels()] == ["no", "yes"]
-    spread = [sweeps.Swept(x, "network", "noise", 1.0, 0.9, 1.1, 0.5, 1.5) for x in np.geomspace(0.1, 3, 20)]
+    spread = [sweeps.SweepPoint(x, "network", "noise", 1.0, 0.9, 1.1, 0.5, 1.5) for x in np.geomspace(0.1, 3, 20)]
     ax = sweeps.by_factor(spread, label="error [µm]", axis="", joined=False).axes[0]
     assert [t.get_text() for t in ax.get_xticklabels()] == ["0.1", "0.2", "0.5", "1", "2"]
     assert ax.get_xlabel() == "noise"
 
 
 def test_panels_above_nothing_have_ticks_and_nothing_is_shaded_where_nothing_spreads() -> None:
-    rows = [sweeps.Swept(x, "network", panel, 1.0, 0.9, 1.1, 1.0, 1.0) for x in (1.0, 2.0) for panel in "abc"]
+    rows = [sweeps.SweepPoint(x, "network", panel, 1.0, 0.9, 1.1, 1.0, 1.0) for x in (1.0, 2.0) for panel in "abc"]
     figure = sweeps.by_factor(rows, label="error [µm]", axis="noise")
     figure.draw_without_rendering()
     seen = [any(t.get_visible() and t.get_text() for t in ax.get_xticklabels()) for ax in figure.axes[:3]]

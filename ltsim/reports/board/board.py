@@ -1,4 +1,4 @@
-"""A plan under the hand: what a layout whose stations somebody moves would tell, and the files that keep it."""
+"""Interactive plan: accuracy of a layout whose stations are moved by hand, and its files."""
 
 from __future__ import annotations
 
@@ -40,18 +40,18 @@ FEWEST_STATIONS, MOST_STATIONS = 2, 40
 NAME = r"\w[\w.\-]{0,39}"
 """Pattern of the name of a station."""
 FAR = 1e6
-"""[mm] beyond which no station is put."""
+"""Largest coordinate [mm] of a station."""
 
 
 @dataclass(frozen=True)
 class Board:
-    """A hall whose stations are moved by hand."""
+    """Layout of a hall whose stations are moved by hand."""
 
     file: PlanFile
     scenario: Scenario
-    """With the stations to begin from."""
+    """Scenario with the initial stations."""
     site: Site
-    """Its survey has the scenario's way of working."""
+    """Search space; its survey has the faces and rounds of the scenario."""
     construction: Construction
     demands: Demands
     """Tolerances of points."""
@@ -95,9 +95,9 @@ class Board:
         }  # fmt: skip
 
     def survey(self, stations: Sequence[Mapping[str, Any]]) -> Survey:
-        """The survey with these stations: `name`, `mm` (3) and `yaw` [deg] of each; raises SetupError.
+        """Survey with the given stations: `name`, `mm` (3) and `yaw` [deg] of each; raises SetupError.
 
-        Stations that the plan does not have are further ones, which work in the order of those before them.
+        Additional stations take sights and order of the stations of the plan in turn.
         """
         survey = self.site.survey
         try:
@@ -105,13 +105,13 @@ class Board:
             place = np.array([s["mm"] for s in stations], dtype=np.float64).reshape(-1, 3)
             yaw = np.array([s["yaw"] for s in stations], dtype=np.float64)
         except (KeyError, TypeError, ValueError):
-            raise SetupError("expected stations with name, mm (x, y, z) and yaw") from None
+            raise SetupError("each station needs name, mm (x, y, z) and yaw") from None
         if not np.all(np.abs([*place.ravel(), *yaw]) < FAR):
-            raise SetupError("expected stations at places in millimetres, and turns in degrees")
+            raise SetupError(f"coordinates and yaw of a station must be smaller than {FAR:g} mm and degrees")
         if not FEWEST_STATIONS <= len(names) <= MOST_STATIONS:
-            raise SetupError(f"expected {FEWEST_STATIONS} to {MOST_STATIONS} stations, found {len(names)}")
+            raise SetupError(f"a layout has {FEWEST_STATIONS} to {MOST_STATIONS} stations, not {len(names)}")
         if len({*names}) < len(names) or not all(re.fullmatch(NAME, name) for name in names):
-            raise SetupError("expected a different name for each station")
+            raise SetupError("each station needs a different name of letters, digits, points and hyphens")
         before = survey.station_names
         like = [before.index(name) if name in before else k % len(before) for k, name in enumerate(names)]
         return survey.replace(
@@ -123,7 +123,7 @@ class Board:
         )
 
     def _site(self, survey: Survey) -> Site:
-        """The freedom of the plan for a survey, whose stations may be more or fewer than the plan's."""
+        """Search space of the plan for a survey with any number of stations."""
         asked = self.file.stations.seen_from
         return self.site.replace(survey=survey, least=len(survey.position) if asked == "all" else asked)
 
@@ -135,7 +135,7 @@ class Board:
             return {"problem": words_of(places)}
         table = sight_table(site, survey)
         survey = survey.replace(seen=table.visible)
-        found = {
+        evaluation = {
             "reasons": table.reason.tolist(),
             "hidden": int(Reason.OBSTACLE),
             "may_stand": self.site.allowed(survey.position).tolist(),
@@ -143,46 +143,46 @@ class Board:
             "hours": survey.seconds / 3600.0,
             "problem": words_of((*places, *site.broken_sights(survey))),
         }
-        seen = np.asarray(survey.seen.any(axis=0))
+        visible = np.asarray(survey.seen.any(axis=0))
         try:
-            information = LayoutInformation.of(survey.only(seen), self.construction)
+            information = LayoutInformation.of(survey.only(visible), self.construction)
             covariance = information.target_covariance
         except LtsimError as problem:
-            return found | {"problem": f"{problem}"}
-        points: list[dict[str, Any] | None] = [None] * len(seen)
+            return evaluation | {"problem": f"{problem}"}
+        points: list[dict[str, Any] | None] = [None] * len(visible)
         sigma, within = information.target_sigma, radius(covariance, self.demands.level)
-        for k, t in enumerate(np.flatnonzero(seen)):
-            known = {"sigma_um": float(sigma[k]) / MICROMETRE, "within_um": float(within[k]) / MICROMETRE}
+        for k, t in enumerate(np.flatnonzero(visible)):
+            accuracy = {"sigma_um": float(sigma[k]) / MICROMETRE, "within_um": float(within[k]) / MICROMETRE}
             tolerance = self.demands.tolerance.get(survey.target_names[t])
-            points[t] = known | (_against(float(within[k]) / tolerance) if tolerance else {})
-        return found | {"points": points, "rms_um": information.target_rms / MICROMETRE}
+            points[t] = accuracy | (_against(float(within[k]) / tolerance) if tolerance else {})
+        return evaluation | {"points": points, "rms_um": information.target_rms / MICROMETRE}
 
     def verdict(self, stations: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:
-        """Whether rules and tolerances are kept, and still are with any one station lost; None without tolerances."""
+        """Verdict on rules and tolerances, also after the loss of any one station; None without tolerances."""
         survey = self.survey(stations)
         if not self.demands or _touches(survey):
             return None
         site = self._site(survey)
         survey = survey.replace(seen=sight_table(site, survey).visible)
         losses = losses_of(survey, self.demands, self.construction)
-        kept = judged(survey, self.demands, self.construction)
-        judgement = verdict(self.demands, kept, losses, site.broken_rules(survey))
+        checks = judged(survey, self.demands, self.construction)
+        judgement = verdict(self.demands, checks, losses, site.broken_rules(survey))
         return {"reached": judgement.reached, "words": judgement.words}
 
     def moved(self, stations: Sequence[Mapping[str, Any]]) -> Scenario:
-        """The scenario with its stations there."""
+        """Scenario with the given stations."""
         return with_layout(self.scenario, self.survey(stations))
 
     def scene(self, stations: Sequence[Mapping[str, Any]], camera: Camera | None = None) -> str:
-        """The hall in 3D as a page, seen from a camera."""
+        """Page with the hall in 3D, seen from a camera."""
         return scene_page(from_scenario(self.moved(stations)), camera)
 
     def save(self, stations: Sequence[Mapping[str, Any]], folder: Path) -> list[Path]:
         """Write the layout: scenario.toml for `ltsim simulate`, plan.toml for `ltsim plan`, its stations fixed."""
         scenario = self.moved(stations)
         plan = self.file.model_dump(mode="json", exclude_defaults=True)
-        for own in ("workshop", "instrument", "smr", "work"):
-            plan.pop(own, None)
+        for key in ("workshop", "instrument", "smr", "work"):
+            plan.pop(key, None)
         names = list(scenario.stations)
         plan |= {"format": self.file.format, "scenario": SCENARIO}
         plan["stations"] = plan.get("stations", {}) | {"count": len(names), "fixed": names}
@@ -193,25 +193,23 @@ class Board:
 
 
 def _against(ratio: float) -> dict[str, Any]:
-    """An error over its tolerance, in per cent, and whether it keeps it."""
+    """Ratio of an error to its tolerance, its text in percent, and True if the tolerance is met."""
     return {"ratio": ratio, "used": percent(ratio), "kept": keeps(ratio)}
 
 
 def _touches(survey: Survey) -> bool:
-    """True where a station stands in a target: nothing can be judged there."""
+    """True if a station coincides with a target, so that no accuracy can be computed."""
     return bool(np.linalg.norm(survey.position[:, None] - survey.points, axis=2).min() < TOUCH)
 
 
 def _from_above(obstacles: Any) -> str:
-    """Obstacles as the path of an SVG, x and y in metres."""
+    """SVG path of the obstacles seen from above, x and y in metres."""
     if not isinstance(obstacles, Obstacles):
         return ""
     flat: Floats = obstacles.triangles[:, :, :2]
-    one, other = flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0]
-    area = one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]
-    flat = np.where(
-        area[:, None, None] < 0, flat[:, ::-1], flat
-    )  # all one way round: else they would cut each other out
-    kept = np.argsort(-np.abs(area), kind="stable")[:MOST_TRIANGLES]
-    shown = np.round(flat[kept[area[kept] != 0]], 3).tolist()
+    first, second = flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0]
+    area = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
+    flat = np.where(area[:, None, None] < 0, flat[:, ::-1], flat)  # equal orientation, else overlaps would be holes
+    largest = np.argsort(-np.abs(area), kind="stable")[:MOST_TRIANGLES]
+    shown = np.round(flat[largest[area[largest] != 0]], 3).tolist()
     return "".join("M" + "L".join(f"{x:g} {y:g}" for x, y in triangle) + "Z" for triangle in shown)

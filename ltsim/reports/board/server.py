@@ -1,10 +1,10 @@
-"""HTTP interface of the board: for this machine, and for the page whose address holds a secret token.
+"""Local HTTP server of the interactive planner: loopback only, protected by a token in the URL.
 
-Pages of the web that are open in the same browser reach this machine too. They do not know the token; and a request is
-refused whose Host is another name of this machine (DNS rebinding) or whose Origin is another page.
+Other web pages in the same browser can reach this machine too, but do not know the token. A request is refused if its
+Host is another name of this machine (DNS rebinding) or its Origin is another page.
 
-Requests come in threads of their own, as browsers keep connections open; the work is done by the thread that serves,
-since the 3D view must not change threads. No request ends the server.
+Each connection has a thread, since browsers keep connections open; the work is done by the serving thread, since the 3D
+view must stay in one thread. No request ends the server.
 """
 
 from __future__ import annotations
@@ -32,20 +32,20 @@ from ltsim.reports.document import POLICY
 
 HERE = "127.0.0.1"
 MOST_BYTES = 1 << 20
-"""Largest size of a request's body [byte]."""
+"""Largest size of the body of a request [byte]."""
 MOST_CONNECTIONS = 32
-"""At once; a browser opens six."""
+"""Largest number of simultaneous connections; a browser opens six."""
 PATIENCE = 10.0
-"""[s] for which a connection may be silent, and a body may take."""
+"""Timeout [s] of a silent connection, and of the body of a request."""
 WAIT = 0.2
-"""[s] between two looks whether somebody wants to stop."""
+"""Time [s] between two checks for Ctrl-C."""
 HEADERS = {
     "Cache-Control": "no-store",
     "Cross-Origin-Resource-Policy": "same-origin",
     "Referrer-Policy": "no-referrer",
     "X-Content-Type-Options": "nosniff",
 }
-"""HTTP headers of every answer: it is for the page alone, and the address is not passed on."""
+"""HTTP headers of every answer, which keep answer and address private."""
 Triple = Annotated[list[FiniteFloat], Field(min_length=3, max_length=3)]
 
 
@@ -77,11 +77,11 @@ class Answer(NamedTuple):
     content: bytes = b""
 
 
-NOT_FOUND = Answer(HTTPStatus.NOT_FOUND)
+MISSING = Answer(HTTPStatus.NOT_FOUND)
 
 
 class BoardAccess:
-    """The questions that the page may ask of a board; every path begins with the token."""
+    """Requests that the page may send; every path begins with the token."""
 
     def __init__(self, board: Board, folder: Path) -> None:
         self.board, self.folder = board, folder
@@ -94,7 +94,7 @@ class BoardAccess:
         }
 
     def page(self) -> str:
-        """The page, with the hall in it."""
+        """HTML of the page, with the hall."""
         hall = json.dumps(self.board.hall() | {"folder": str(self.folder)}).replace("<", "\\u003c")
         text = (files("ltsim.reports.board") / "page.html").read_text(encoding="utf-8")
         policy = POLICY.replace("connect-src", "connect-src 'self'")
@@ -102,14 +102,14 @@ class BoardAccess:
         return text.replace("POLICY", policy, 1).replace("PALETTE", palette, 1).replace("HALL", hall, 1)
 
     def knows(self, path: str) -> bool:
-        """True for a path that begins with the token."""
+        """True if a path begins with the token."""
         return secrets.compare_digest(path.removeprefix("/").partition("/")[0].encode(), self.token.encode())
 
     def answer(self, method: str, path: str, body: bytes) -> Answer:
-        """Answer to a request; not found where the token is missing, whatever else it asks."""
+        """Answer to a request; status 404 without the token."""
         name = path.removeprefix("/").partition("/")[2]
         if not self.knows(path) or (name and name not in self._asked):
-            return NOT_FOUND
+            return MISSING
         if method != ("POST" if name else "GET"):
             return Answer(HTTPStatus.METHOD_NOT_ALLOWED)
         if not name:
@@ -117,47 +117,47 @@ class BoardAccess:
         status = HTTPStatus.OK
         try:
             question = Question.model_validate_json(body)
-            found = self._asked[name]([station.model_dump() for station in question.stations], question)
+            content = self._asked[name]([station.model_dump() for station in question.stations], question)
         except ValidationError as problem:
             first = problem.errors(include_url=False, include_input=False)[0]
             status = HTTPStatus.BAD_REQUEST
-            found = {"problem": f"{'.'.join(map(str, first['loc'])) or 'the request'}: {first['msg']}"}
+            content = {"problem": f"{'.'.join(map(str, first['loc'])) or 'the request'}: {first['msg']}"}
         except (LtsimError, OSError) as problem:
-            found = {"problem": str(problem)}
-        return Answer(status, "application/json", json.dumps(found).encode())
+            content = {"problem": str(problem)}
+        return Answer(status, "application/json", json.dumps(content).encode())
 
 
 class _Handler(BaseHTTPRequestHandler):
-    """Checks a request, hands it to the thread that works, and sends its answer."""
+    """Handler that checks a request, passes it to the serving thread, and sends its answer."""
 
     work: SimpleQueue[tuple[Future[Answer], str, str, bytes]]
     access: BoardAccess
     hosts: frozenset[str]
-    """Names of the board in Host; Origin has the same behind http://."""
+    """Allowed values of Host, and of Origin after http://."""
     timeout = PATIENCE
     server_version, sys_version = "ltsim", ""
 
     def do_GET(self) -> None:
-        """The page."""
+        """Send the page."""
         self._send(self._refused() or self._worked(b""))
 
     def do_POST(self) -> None:
-        """A question of the page."""
+        """Answer a request of the page."""
         refused = self._refused()
         body = b"" if refused else self._body()
         self._send(refused or (body if isinstance(body, Answer) else self._worked(body)))
 
     def _refused(self) -> Answer | None:
-        """The answer to a request that is not of the board's page; None for one that is."""
+        """Refusal of a request that does not come from the page; None for one that does."""
         hosts, origins = (self.headers.get_all(name, []) for name in ("Host", "Origin"))
         if len(hosts) != 1 or hosts[0].lower() not in self.hosts:
             return Answer(HTTPStatus.MISDIRECTED_REQUEST)
         if any(origin.lower().removeprefix("http://") not in self.hosts for origin in origins):
             return Answer(HTTPStatus.FORBIDDEN)
-        return None if self.access.knows(self.path) else NOT_FOUND
+        return None if self.access.knows(self.path) else MISSING
 
     def _body(self) -> bytes | Answer:
-        """The body of a request, or the answer to one that says its length wrongly or takes too long."""
+        """Body of a request, or the answer to an invalid length or a timeout."""
         lengths = self.headers.get_all("Content-Length", [])
         if "Transfer-Encoding" in self.headers or len(lengths) != 1:
             return Answer(HTTPStatus.LENGTH_REQUIRED)
@@ -165,13 +165,13 @@ class _Handler(BaseHTTPRequestHandler):
             return Answer(HTTPStatus.BAD_REQUEST)
         if len(lengths[0]) > len(str(MOST_BYTES)) or int(lengths[0]) > MOST_BYTES:
             return Answer(HTTPStatus.REQUEST_ENTITY_TOO_LARGE)
-        left, parts, end = int(lengths[0]), [], time.monotonic() + PATIENCE
-        while left:
-            part = self.rfile.read1(left)
+        remaining, parts, end = int(lengths[0]), [], time.monotonic() + PATIENCE
+        while remaining:
+            part = self.rfile.read1(remaining)
             if not part or time.monotonic() > end:
                 return Answer(HTTPStatus.REQUEST_TIMEOUT)
             parts.append(part)
-            left -= len(part)
+            remaining -= len(part)
         return b"".join(parts)
 
     def _worked(self, body: bytes) -> Answer:
@@ -189,22 +189,22 @@ class _Handler(BaseHTTPRequestHandler):
         self.wfile.write(answer.content)
 
     def log_message(self, *_: Any) -> None:
-        """Say nothing of each request."""
+        """Suppress the log of requests."""
 
 
 class _Server(ThreadingHTTPServer):
-    """Serves so many connections at once, closes those beyond, and says nothing of those that break."""
+    """Server with a limited number of connections, which ignores broken ones."""
 
     daemon_threads = True
     request_queue_size = 2 * MOST_CONNECTIONS
-    """Connections that wait to be accepted; those that find the queue full would try again after seconds."""
+    """Length of the queue of waiting connections."""
 
     def __init__(self, address: tuple[str, int], handler: type[_Handler]) -> None:
         self._free = threading.BoundedSemaphore(MOST_CONNECTIONS)
         super().__init__(address, handler)
 
     def process_request(self, request: socket.socket | tuple[bytes, socket.socket], client_address: Any) -> None:
-        """Begin a thread for a connection."""
+        """Start the thread of a connection."""
         if self._free.acquire(blocking=False):
             super().process_request(request, client_address)
         else:
@@ -218,23 +218,23 @@ class _Server(ThreadingHTTPServer):
             self._free.release()
 
     def handle_error(self, request: object, client_address: object) -> None:
-        """Nothing: the other side went away, or was silent for too long."""
+        """Ignore a closed or silent connection."""
 
 
-def serve(access: BoardAccess, tell: Callable[[str], None], port: int = 0) -> None:
-    """Answer the page until Ctrl-C; `tell` is given the address; raises SetupError for a port that is taken."""
+def serve(access: BoardAccess, announce: Callable[[str], None], port: int = 0) -> None:
+    """Serve the page until Ctrl-C; `announce` is called with the address; raises SetupError if the port is in use."""
     work: SimpleQueue[tuple[Future[Answer], str, str, bytes]] = SimpleQueue()
     handler: type[_Handler] = type("Handler", (_Handler,), {"work": work, "access": access})
     try:
         server = _Server((HERE, port), handler)
     except OSError as problem:
-        raise SetupError(f"--port {port}: {problem.strerror}; leave it out for any that is free") from None
+        raise SetupError(f"--port {port} cannot be used ({problem.strerror}); omit it to use any free port") from None
     ports = (f":{server.server_port}", *([""] if server.server_port == HTTP_PORT else []))
     handler.hosts = frozenset(name + behind for name in (HERE, "localhost") for behind in ports)
     with server:
         threading.Thread(target=server.serve_forever, daemon=True).start()
         try:
-            tell(f"http://{HERE}:{server.server_port}/{access.token}/")
+            announce(f"http://{HERE}:{server.server_port}/{access.token}/")
             while True:
                 try:
                     future, method, path, body = work.get(timeout=WAIT)
@@ -250,7 +250,7 @@ def serve(access: BoardAccess, tell: Callable[[str], None], port: int = 0) -> No
 def _answered(access: BoardAccess, method: str, path: str, body: bytes) -> Answer:
     try:
         return access.answer(method, path, body)
-    except Exception as problem:  # a fault of ltsim: the page says so, and the board goes on
+    except Exception as problem:  # internal error: shown by the page, the server continues
         words = f"internal error of ltsim ({type(problem).__name__}: {problem}); please report it"
         content = json.dumps({"problem": words}).encode()
         return Answer(HTTPStatus.INTERNAL_SERVER_ERROR, "application/json", content)

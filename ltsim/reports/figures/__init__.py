@@ -1,6 +1,6 @@
-"""One figure a function, in modules by what they show; each is loaded when it is first used, since drawing takes time.
+"""Figures of reports, in modules that are imported on first use, since matplotlib is slow to import.
 
-Sections say `figures.points.displacement_figure(...)` where a picture is drawn, and load nothing before.
+Sections call `figures.points.displacement_figure(...)` when a picture is drawn.
 """
 
 from importlib import import_module
@@ -21,7 +21,7 @@ MODULES = ("campaign", "floor_plan", "parameters", "points", "residuals")
 def _load(name: str) -> Any:
     if name in MODULES:
         return import_module(f"{__name__}.{name}")
-    raise AttributeError(f"there are no figures '{name}'")
+    raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
 
 
 if not TYPE_CHECKING:

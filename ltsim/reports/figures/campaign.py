@@ -1,4 +1,4 @@
-"""Statistics over the trials of a campaign: distributions, means over what is varied, coverage."""
+"""Figures of campaigns: distributions, means over factors, coverage."""
 
 import math
 import textwrap
@@ -24,7 +24,7 @@ from ltsim.reports.words import typeset
 
 MOST_PANELS, MOST_LINES = 12, 8
 LETTERS = 26
-"""Letters of a label per row of panels."""
+"""Width of a label per row of panels [characters]."""
 NINETY, FLOOR = "90 % of trials", "noise floor"
 PAPER = MappingProxyType(
     {
@@ -42,14 +42,14 @@ PAPER = MappingProxyType(
         },
     }
 )  # fmt: skip
-"""Tables 3 and 4 of Sensors 2021, 21, 7479."""
+"""Published values: tables 3 and 4 of Sensors 2021, 21, 7479."""
 
 
 @dataclass(frozen=True)
-class Swept:
-    """Mean of one statistic at one place: its `x`, line and panel in words, its 95 % interval, the middle 90 %.
+class SweepPoint:
+    """Mean of a statistic at one level, with its 95 % interval and the central 90 % of the trials.
 
-    `x` is a number, or a word where the levels are no numbers.
+    `x` is the level, a number or a text; `line` and `panel` are labels.
     """
 
     x: float | str
@@ -58,19 +58,19 @@ class Swept:
     mean: float
     low: float
     high: float
-    five: float
-    ninety_five: float
+    p05: float
+    p95: float
 
 
 def title(factor: Factor) -> str:
-    """A factor as an axis calls it: `angle noise [arcsec]`."""
+    """Title of the axis of a factor: `angle noise [arcsec]`."""
     plain = next((factor.name.removesuffix(e) for e in BY_ENDING if factor.name.endswith(e)), factor.name)
     unit = typeset(factor.unit)
     return plain.replace("_", " ") + (f" [{unit}]" if unit else "")
 
 
 def short(factor: Factor, level: Any) -> str:
-    """A factor with its value: `angle noise 0.2 arcsec`; a title by itself."""
+    """Text of a factor with its level: `angle noise 0.2 arcsec`."""
     if factor.name == "title":
         return str(level)
     name, _, unit = title(factor).partition(" [")
@@ -80,51 +80,53 @@ def short(factor: Factor, level: Any) -> str:
 
 def swept(
     results: Results, statistic: str, along: str | Sequence[str], *, panel: str = "", **levels: Any
-) -> list[Swept]:
-    """A statistic of a campaign for `by_factor`, or `by_setting`: a row a cell and method.
+) -> list[SweepPoint]:
+    """Points of a statistic of a campaign for `by_factor` or `by_setting`: one per cell and method.
 
     Parameters
     ----------
     results : Results
     statistic : str
-        A column of the rows, or a share. Calibrated errors have a further line: the floor that the noise of readings
-        makes, by the method whose parameters can be true.
+        A column of the rows, or a share. Calibrated errors have a further line, the noise floor: the error that remains
+        with the true parameters.
     along : str or sequence of str
-        A factor whose levels are the places; several are said in words.
+        A factor whose levels are the places; several factors give texts.
     panel : str
-        A factor that has a panel a level.
+        A factor with one panel per level.
     **levels
-        Only the cells that have these levels, ``faces=1``, or one ``method``.
+        Restriction to cells with these levels, such as ``faces=1``, or to one ``method``.
     """
-    known = {factor.name: factor for factor in results.factors}
+    factors = {factor.name: factor for factor in results.factors}
     names = [along] if isinstance(along, str) else [*along]
     for name in filter(None, (*names, panel, *levels)):
-        if name not in known and name != "method":
-            raise unknown_name("factor of this campaign", name, ("method", *known))
+        if name not in factors and name != "method":
+            raise unknown_name("factor of this campaign", name, ("method", *factors))
     places = [level | {"method": method} for level in results.levels for method in results.manifest.methods]
-    for name, own in levels.items():
-        if own not in (there := list(dict.fromkeys(place[name] for place in places))):
-            raise unknown_name(f"level of {name}", str(own), [str(level) for level in there])
+    for name, wanted in levels.items():
+        if wanted not in (there := list(dict.fromkeys(place[name] for place in places))):
+            raise unknown_name(f"level of {name}", str(wanted), [str(level) for level in there])
     floor = statistic.replace("error_calibrated", "error_true_parameters")
     floors = results.spread(floor) if floor != statistic else []
     lowest = [min((s for s in floors if s.cell == cell), key=lambda s: s.mean) for cell in {s.cell: 0 for s in floors}]
     rows = []
     for s in [*results.spread(statistic), *lowest]:
         here = results.levels[s.cell] | {"method": s.method}
-        if any(here[name] != own for name, own in levels.items()):
+        if any(here[name] != wanted for name, wanted in levels.items()):
             continue
-        said = {name: short(factor, here[name]) for name, factor in known.items()} | {"method": s.method}
-        place = here[names[0]] if len(names) == 1 else ", ".join(said[name] for name in names)
+        texts = {name: short(factor, here[name]) for name, factor in factors.items()} | {"method": s.method}
+        place = here[names[0]] if len(names) == 1 else ", ".join(texts[name] for name in names)
         line = s.method if s.column == statistic else FLOOR
-        rows.append(Swept(place, line, said.get(panel, ""), s.mean, s.low, s.high, s.quantiles[1], s.quantiles[5]))
+        rows.append(
+            SweepPoint(place, line, texts.get(panel, ""), s.mean, s.low, s.high, s.quantiles[1], s.quantiles[5])
+        )
     return rows
 
 
 def sweep_figure(results: Results, statistic: str, along: str, *, panel: str = "", **levels: Any) -> Figure:
-    """As `Results.plot`: means of a statistic along a factor, a line a method."""
+    """Figure of the means of a statistic along a factor, one line per method, as of `Results.plot`."""
     if not along:
-        known = " or ".join(f.name for f in results.factors) or "nothing, since nothing varies"
-        raise ModelError(f"a statistic is drawn along a factor, here {known}")
+        names = " or ".join(f.name for f in results.factors) or "none, since nothing varies"
+        raise ModelError(f"along is empty; give a factor of the campaign: {names}")
     axis = title(next((f for f in results.factors if f.name == along), Factor(name=along, keys=())))
     unit = results.units.get(statistic, "")
     words = statistic.removesuffix("_percent").removesuffix("_um").replace("_", " ")
@@ -132,28 +134,27 @@ def sweep_figure(results: Results, statistic: str, along: str, *, panel: str = "
     rows = swept(results, statistic, along, panel=panel, **levels)
     if len({(row.x, row.line, row.panel) for row in rows}) < len(rows):
         others = [f.name for f in results.factors if f.name not in (along, panel, *levels)]
-        raise ModelError(f"there are several cells at one place: give a panel, or a level of {' or '.join(others)}")
+        raise ModelError(f"several cells have the same place; give panel, or a level of {' or '.join(others)}")
     return by_factor(rows, label=label, axis=axis)
 
 
 @style.styled
 def by_factor(
-    rows: Sequence[Swept], *, label: str, axis: str, published: float | None = None, joined: bool = True
+    rows: Sequence[SweepPoint], *, label: str, axis: str, published: float | None = None, joined: bool = True
 ) -> Figure:
-    """Small multiples with common axes: values, of trials their means, with 95 % intervals; their middle 90 % shaded.
+    """Panels with common axes: means with 95 % intervals; the central 90 % of the trials shaded.
 
     Parameters
     ----------
-    rows : sequence of Swept
+    rows : sequence of SweepPoint
     label : str
         The statistic with its unit.
     axis : str
         The factor along the lines, with its unit.
     published : float, optional
-        A published figure to compare with.
+        A published value to compare with.
     joined : bool
-        Whether points of a line are joined. Points spread over ranges are not, and each panel has its own factor: the
-        panel's name.
+        True to join the points of a line. If False, each panel has its own factor, named by the panel.
     """
     panels = list(dict.fromkeys(row.panel for row in rows))[:MOST_PANELS]
     across = min(len(panels), 2)
@@ -164,10 +165,10 @@ def by_factor(
     names = list(dict.fromkeys(row.line for row in rows))[:MOST_LINES]
     for ax, panel in zip(axes.flat, panels, strict=False):
         for k, name in enumerate(names):
-            own = [row for row in rows if (row.panel, row.line) == (panel, name)]
-            _line(ax, own, _places(own, words, (k + 0.5) / len(names)), k, joined=joined)
+            points = [row for row in rows if (row.panel, row.line) == (panel, name)]
+            _line(ax, points, _places(points, words, (k + 0.5) / len(names)), k, joined=joined)
         if published is not None:
-            ax.axhline(published, color=style.INK, linewidth=1.2, linestyle=(0, (4, 2)), label="the paper")
+            ax.axhline(published, color=style.INK, linewidth=1.2, linestyle=(0, (4, 2)), label="published")
         if joined:
             ax.set_title(style.shorten(panel, 44 if across < 2 else 34), fontsize=8.5)
         else:
@@ -184,33 +185,33 @@ def by_factor(
     return figure
 
 
-def _places(rows: Sequence[Swept], words: Sequence[str], share: float) -> Floats:
-    """Positions of rows on the axis; at words each line has a separate share of the space."""
+def _places(rows: Sequence[SweepPoint], words: Sequence[str], share: float) -> Floats:
+    """Positions of points on the axis; with text levels the lines are shifted against each other."""
     place = [words.index(row.x) if isinstance(row.x, str) else row.x for row in rows]
     return np.array(place, dtype=np.float64) + (0.3 * (share - 0.5) if words else 0.0)
 
 
-def _line(ax: Axes, rows: Sequence[Swept], place: Floats, k: int, *, joined: bool) -> None:
+def _line(ax: Axes, rows: Sequence[SweepPoint], place: Floats, k: int, *, joined: bool) -> None:
     if not rows:
         return
     order = np.argsort(place, kind="stable")
     x, mean = place[order], np.array([rows[i].mean for i in order])
     low, high = (np.array([getattr(rows[i], side) for i in order]) for side in ("low", "high"))
     colour = style.CYCLE[k % len(style.CYCLE)]
-    five, ninety_five = (np.array([getattr(rows[i], side) for i in order]) for side in ("five", "ninety_five"))
-    trials = bool(np.any(five < ninety_five))
+    p05, p95 = (np.array([getattr(rows[i], side) for i in order]) for side in ("p05", "p95"))
+    trials = bool(np.any(p05 < p95))
     if joined and not isinstance(rows[0].x, str) and trials:
-        ax.fill_between(x, five, ninety_five, color=colour, alpha=0.12, linewidth=0, label=NINETY if k == 0 else None)
-    words = "mean, 95 % interval" if trials else "95 % interval"  # without trials a share, or what the label says
-    told = (f"{rows[0].line}: {words}" if k == 0 else rows[0].line).removeprefix(": ")
+        ax.fill_between(x, p05, p95, color=colour, alpha=0.12, linewidth=0, label=NINETY if k == 0 else None)
+    words = "mean, 95 % interval" if trials else "95 % interval"  # a share has no trials
+    label = (f"{rows[0].line}: {words}" if k == 0 else rows[0].line).removeprefix(": ")
     ax.errorbar(
         x, mean, [mean - low, high - mean], color=colour, marker=style.MARKERS[k % len(style.MARKERS)], markersize=4.5,
-        linestyle=("-" if joined else "none"), elinewidth=2.4, label=told,
+        linestyle=("-" if joined else "none"), elinewidth=2.4, label=label,
     )  # fmt: skip
 
 
 def _axis(ax: Axes, places: Sequence[float | str], words: Sequence[str], *, joined: bool) -> None:
-    """Ticks where the levels are; a logarithmic axis where they span a decade."""
+    """Set ticks at the levels, and a logarithmic axis if they span about a decade."""
     if words:
         ax.set_xticks(range(len(words)), [style.shorten(word, 18) for word in words])
         ax.set_xlim(-0.5, len(words) - 0.5)
@@ -236,17 +237,17 @@ MOST_SETTINGS = 40
 
 
 @style.styled
-def by_setting(rows: Sequence[Swept], *, label: str, published: float | None = None) -> Figure:
-    """A row a setting: marks are means with 95 % intervals, thin lines the middle 90 % of the trials.
+def by_setting(rows: Sequence[SweepPoint], *, label: str, published: float | None = None) -> Figure:
+    """One row per setting: means with 95 % intervals, thin lines for the central 90 % of the trials.
 
     Parameters
     ----------
-    rows : sequence of Swept
+    rows : sequence of SweepPoint
         `x` is the setting, `line` the method.
     label : str
         The statistic with its unit.
     published : float, optional
-        A published figure to compare with.
+        A published value to compare with.
     """
     settings = list(dict.fromkeys(str(row.x) for row in rows))[:MOST_SETTINGS]
     methods = list(dict.fromkeys(row.line for row in rows))
@@ -257,11 +258,11 @@ def by_setting(rows: Sequence[Swept], *, label: str, published: float | None = N
         y = np.array([places[str(row.x)] for row in mine]) + 0.62 * ((m + 0.5) / len(methods) - 0.5)
         colour = style.CYCLE[m % len(style.CYCLE)]
         ninety, mean = ("90 % of trials", "95 % interval of the mean") if m == 0 else ("", "")
-        ax.hlines(y, [r.five for r in mine], [r.ninety_five for r in mine], color=colour, lw=0.9, label=ninety)
+        ax.hlines(y, [r.p05 for r in mine], [r.p95 for r in mine], color=colour, lw=0.9, label=ninety)
         ax.hlines(y, [r.low for r in mine], [r.high for r in mine], color=colour, lw=3.6, label=mean)
         ax.plot([r.mean for r in mine], y, style.MARKERS[m % len(style.MARKERS)], ms=4.5, color=colour, label=method)
     if published is not None:
-        ax.axvline(published, color=style.INK, linewidth=1.2, linestyle=(0, (4, 2)), label="the paper")
+        ax.axvline(published, color=style.INK, linewidth=1.2, linestyle=(0, (4, 2)), label="published")
     ax.set_xlabel(label)
     style.legend_of(figure, [ax], ncols=2)
     return figure
@@ -269,7 +270,7 @@ def by_setting(rows: Sequence[Swept], *, label: str, published: float | None = N
 
 @dataclass(frozen=True)
 class TrialDistribution:
-    """One quantity over trials: values (n,), its unit, and a published figure to compare with."""
+    """Values (n,) of a quantity over trials, its unit, and a published value to compare with."""
 
     name: str
     values: Floats
@@ -279,7 +280,7 @@ class TrialDistribution:
 
 @style.styled
 def distributions(rows: Sequence[TrialDistribution]) -> Figure:
-    """Small histograms, two a line: mean with 95 % interval, middle 90 % of trials, the published figure."""
+    """Histograms, two per row: mean with 95 % interval, central 90 % of the trials, published value."""
     across = min(2, max(len(rows), 1))
     lines = -(-len(rows) // across)
     figure = style.new_figure(0.4 + 1.7 * lines)
@@ -314,21 +315,21 @@ def _panel(ax: Axes, row: TrialDistribution) -> None:
     ax.xaxis.set_major_locator(MaxNLocator(5))
     ax.set_xlabel(f"[{style.unit_text(row.unit)}]" if row.unit else "")
     if row.published is not None:
-        ax.axvline(row.published, color=style.INK, linewidth=1.2, linestyle=(0, (4, 2)), label="the paper")
-        left, below = row.published > 0.5 * (low + high), 100 * float(np.mean(values < row.published))
+        ax.axvline(row.published, color=style.INK, linewidth=1.2, linestyle=(0, (4, 2)), label="published")
+        right, below = row.published > 0.5 * (low + high), 100 * float(np.mean(values < row.published))
         ax.annotate(
             typeset(f"{number(row.published)}, percentile {below:.0f}"), (row.published, 1.27 * top),
-            xytext=(-3 if left else 3, -1), textcoords="offset points", fontsize=7.5, ha="right" if left else "left",
+            xytext=(-3 if right else 3, -1), textcoords="offset points", fontsize=7.5, ha="right" if right else "left",
             va="top", in_layout=False,
         )  # fmt: skip
 
 
 ALLOWED = (0.935, 0.965)
-"""Band for the share of 95 % intervals that hold the truth."""
+"""Allowed band of the coverage of 95 % intervals."""
 
 
 def interval(row: Scores) -> tuple[float, float]:
-    """The 95 % interval of a share that was counted (Wilson 1927, equation 4)."""
+    """95 % interval of an observed coverage (Wilson 1927, equation 4)."""
     n, z2 = row.trials, NORMAL_95**2
     centre = (row.coverage_95 + z2 / (2 * n)) / (1 + z2 / n)
     half = NORMAL_95 / (1 + z2 / n) * np.sqrt(row.coverage_95 * (1 - row.coverage_95) / n + z2 / (4 * n * n))
@@ -336,18 +337,18 @@ def interval(row: Scores) -> tuple[float, float]:
 
 
 def uncovered(rows: Sequence[Scores]) -> list[bool]:
-    """Whether even the interval of the share that holds the truth lies outside the allowed band: what is drawn red."""
+    """True for parameters whose whole coverage interval lies outside the allowed band; they are drawn red."""
     return [high < ALLOWED[0] or low > ALLOWED[1] for low, high in map(interval, rows)]
 
 
 @style.styled
 def coverage(rows: Sequence[Scores]) -> Figure:
-    """Share of trials whose 95 % interval holds the truth, with its own 95 % interval, against the allowed band."""
+    """Coverage of the 95 % intervals of each parameter, with its own 95 % interval and the allowed band."""
     figure, ax = style.panel(0.9 + 0.2 * max(len(rows), 3))
     places = style.category_rows(ax, [row.parameter for row in rows])
     share, bounds = np.array([row.coverage_95 for row in rows]), np.array([interval(row) for row in rows])
-    said = f"allowed {100 * ALLOWED[0]:.1f} to {100 * ALLOWED[1]:.1f} %"
-    ax.axvspan(*ALLOWED, color=style.BAND, linewidth=0, zorder=0, label=said)
+    band = f"allowed {100 * ALLOWED[0]:.1f} to {100 * ALLOWED[1]:.1f} %"
+    ax.axvspan(*ALLOWED, color=style.BAND, linewidth=0, zorder=0, label=band)
     ax.axvline(0.95, color=style.INK, linewidth=1.0, linestyle=(0, (4, 2)), label="nominal 95 %")
     red = np.array(uncovered(rows), dtype=bool)
     for chosen, colour, word in ((~red, style.BLUE, "share, its 95 % interval"), (red, style.RED, "outside the band")):
@@ -355,7 +356,7 @@ def coverage(rows: Sequence[Scores]) -> Figure:
             ax.hlines(places[chosen], *bounds[chosen].T, color=colour, linewidth=1.8)
             ax.plot(share[chosen], places[chosen], "o", ms=4.5, color=colour, label=word)
     ax.xaxis.set_major_formatter(lambda value, _: f"{100 * value:g} %")
-    ax.set_xlabel("95 % intervals that hold the truth")
+    ax.set_xlabel("coverage of the 95 % intervals")
     ax.set_xlim(min(bounds.min(), ALLOWED[0]) - 0.01, min(max(bounds.max(), ALLOWED[1]) + 0.01, 1.0))
     style.legend_of(figure, [ax], ncols=2)
     return figure

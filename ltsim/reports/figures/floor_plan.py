@@ -1,4 +1,4 @@
-"""The floor seen from above, as the paper's Figure 5, with names where there is room."""
+"""Floor plan seen from above, as Figure 5 of the paper, with names of stations and targets."""
 
 from collections import defaultdict
 from collections.abc import Callable, Sequence
@@ -22,16 +22,16 @@ from ltsim.scene.floor import Floor, FloorArea, distance
 
 TURNS = np.radians([0, 180, 90, 270])
 GAP = 6.0
-"""[pt] From a place to its name."""
+"""Distance [pt] from a place to its name."""
 LETTER = (0.62, 1.25)
-"""Width and height of a letter over the font's."""
+"""Width and height of a letter, over the font size."""
 HALO = {"boxstyle": "square,pad=0", "facecolor": "#FFFFFFB0", "edgecolor": "none"}
-"""Behind a name: no line crosses it."""
+"""Background of a name."""
 
 
 @dataclass(frozen=True)
 class Label:
-    """A name, its place (2,) in data units, its size [pt]; `bold` ones are printed strongly, `away` is tried first."""
+    """Name with its place (2,) in data units and size [pt]; direction `away` [rad] is tried first."""
 
     text: str
     place: Floats
@@ -42,20 +42,20 @@ class Label:
 
 
 def place_labels(figure: Figure, ax: Axes, labels: Sequence[Label], markers: Floats) -> None:
-    """Write labels beside markers (n, 2), the first ones first; the axes' limits must stand."""
+    """Write labels next to markers (n, 2) where they fit, in order of priority; the limits of the axes must be set."""
     figure.draw_without_rendering()
     point = figure.dpi / 72.0
     spots = ax.transData.transform(markers).reshape(-1, 2) / point
-    left, below = ax.get_window_extent().p0 / point
+    edge, below = ax.get_window_extent().p0 / point
     right, top = 72.0 * figure.get_size_inches()
-    numbers = [[-1e4, -1e4, left, 1e4], [-1e4, -1e4, 1e4, below]]  # those of the axes stand there
-    numbers += [[right, -1e4, 1e4, 1e4], [-1e4, top, 1e4, 1e4]]  # and here the figure ends
+    numbers = [[-1e4, -1e4, edge, 1e4], [-1e4, -1e4, 1e4, below]]  # tick labels of the axes
+    numbers += [[right, -1e4, 1e4, 1e4], [-1e4, top, 1e4, 1e4]]  # outside the figure
     taken = np.concatenate([np.concatenate([spots - 3.0, spots + 3.0], axis=1), numbers])
     for label in labels:
         half = 0.5 * label.size * np.array([LETTER[0] * len(label.text), LETTER[1]])
         for turn in label.away + TURNS:
             way = np.array([np.cos(turn), np.sin(turn)])
-            offset = way * GAP + half * np.clip(1.5 * way, -1.0, 1.0)  # its box clears the mark, aslant too
+            offset = way * GAP + half * np.clip(1.5 * way, -1.0, 1.0)  # the box does not cover the mark
             middle = ax.transData.transform(label.place) / point + offset
             box = np.concatenate([middle - half, middle + half])
             if not ((box[:2] < taken[:, 2:]) & (box[2:] > taken[:, :2])).all(axis=1).any():
@@ -71,14 +71,14 @@ def place_labels(figure: Figure, ax: Axes, labels: Sequence[Label], markers: Flo
 LEVELS = ((0.9, "v", style.ORANGE, "low"), (3.2, "s", style.SKY, "middle"), (np.inf, "^", style.BLUE, "high"))
 MOST_LABELS = 60
 FEW_DOTS = 150
-"""Above so many targets their marks are one small image."""
+"""Number of targets above which their marks are rasterised."""
 MOST_PLACES, MOST_STACKED = 16, 4
 NEAR = 0.05
-"""Share of the floor within which targets share a label."""
+"""Distance within which targets share a label, over the size of the floor."""
 WIDE, HEIGHTS, ROW = 4.3, (3.6, 6.6), 0.16
-"""Inches: width of the axes, the figure's least and greatest height, and what each listed place adds to it."""
+"""Width of the axes, limits of the height of the figure, and additional height per listed place [inch]."""
 ON_A_WALL = 0.35
-"""[m] from a side of the floor within which its wall is taken to hold a target."""
+"""Distance [m] from a side of the floor within which a target belongs to its wall."""
 
 
 @style.styled
@@ -90,7 +90,7 @@ def floor_plan(
     ground: Floor | None = None,
     marks: Callable[[Axes], list[Label]] = lambda ax: [],
 ) -> Figure:
-    """Top view in metres: circles are the shadows of both cone openings on the floor, the tick is azimuth zero.
+    """Top view in metres: circles are the shadow cones of both openings on the floor, the tick is azimuth zero.
 
     Parameters
     ----------
@@ -98,11 +98,11 @@ def floor_plan(
     reference : (k, 3) float, optional, [m]
         Stations of another layout, to compare with.
     coordinates : bool
-        List where each tripod goes beside the picture.
+        True to list the places of the tripods below the figure.
     ground : Floor, optional
-        Areas for tripods, what stays free, and doors of a plan.
+        Areas for tripods, areas to keep free, and doors of a plan.
     marks : function, optional
-        Draws further marks, which stand in the legend by their labels, and gives their names.
+        Function that draws further marks, with labels for the legend, and returns their names.
     """
     low, high = _limits(workshop)
     tall = (high[1] - low[1]) / (high[0] - low[0])
@@ -117,17 +117,17 @@ def floor_plan(
     _obstacles(ax, workshop)
     _shadows(ax, workshop)
     _gauge(ax, workshop)
-    seen = _seen(workshop)
-    if seen is None:
+    visible = _sight_matrix(workshop)
+    if visible is None:
         _targets(ax, workshop)
     else:
-        _pies(ax, workshop, seen)
+        _pies(ax, workshop, visible)
     if reference is not None and len(reference):
         ax.scatter(
             reference[:, 0], reference[:, 1], s=46, facecolors="white", edgecolors=style.GREY, linewidths=1.4, zorder=5,
             label="station of the reference",
         )  # fmt: skip
-    _stations(ax, workshop, [style.INK] * len(workshop.stations) if seen is None else style.CYCLE)
+    _stations(ax, workshop, [style.INK] * len(workshop.stations) if visible is None else style.CYCLE)
     ax.set_xlabel("x [m]")
     ax.set_ylabel("y [m]")
     ax.set_xlim(low[0], high[0])
@@ -138,7 +138,7 @@ def floor_plan(
         labels_of += _target_labels(workshop)
     handles, labels = ax.get_legend_handles_labels()
     if coordinates and len(workshop.stations) <= MOST_PLACES:
-        blank, places = _places(workshop, beside=len(labels))
+        blank, places = _places(workshop, entries=len(labels))
         handles, labels = [*handles, *blank], [*labels, *places]
         figure.set_figheight(figure.get_figheight() + ROW * len(places))
     figure.legend(handles, labels, loc="outside lower center", ncols=2)
@@ -148,7 +148,7 @@ def floor_plan(
 
 
 def _walls(ax: Axes, workshop: PlacedWorkshop) -> None:
-    """Sides of the floor that hold targets; a single one near a side belongs to the wall that meets it there."""
+    """Draw the sides of the floor with at least two targets nearest to them."""
     word: str | None = "wall with targets"
     sides = np.stack([workshop.floor, np.roll(workshop.floor, -1, axis=0)], axis=1)
     away = np.array([distance(side, workshop.points[:, :2]) for side in sides])
@@ -160,10 +160,10 @@ def _walls(ax: Axes, workshop: PlacedWorkshop) -> None:
 
 
 def _ground(ax: Axes, ground: Floor) -> list[Label]:
-    """Areas for tripods, what stays free, doors; their names."""
+    """Draw areas for tripods, areas to keep free, and doors; returns their names."""
     mm, names = MILLIMETRE, []
-    own = ground.areas or ((FloorArea(corners_mm=ground.corners_mm),) if ground.corners_mm else ())
-    for i, area in enumerate(own):
+    areas = ground.areas or ((FloorArea(corners_mm=ground.corners_mm),) if ground.corners_mm else ())
+    for i, area in enumerate(areas):
         corners = np.array(area.corners_mm) * mm
         word = "area for tripods" if i == 0 else None
         ax.add_patch(
@@ -190,7 +190,7 @@ def _ground(ax: Axes, ground: Floor) -> list[Label]:
 
 
 def _limits(workshop: PlacedWorkshop) -> Floats:
-    """Least and greatest x and y (2, 2) that show the floor and the inner circles whole; the outer ones may run out."""
+    """Limits (2, 2) of x and y that show the whole floor and the inner circles."""
     radius = workshop.shadow_radius(workshop.openings[0])[:, None]
     places = np.concatenate([workshop.floor, workshop.position[:, :2] - radius, workshop.position[:, :2] + radius])
     low, high = places.min(axis=0), places.max(axis=0)
@@ -218,32 +218,32 @@ def _obstacles(ax: Axes, workshop: PlacedWorkshop) -> None:
         ax.plot([], [], color="#B9A98C", linewidth=6.0, label="obstacle")
 
 
-def _seen(workshop: PlacedWorkshop) -> Bools | None:
-    """(S, T): who sees whom, where that is known, some pair does not, and stations are few enough for a colour each."""
+def _sight_matrix(workshop: PlacedWorkshop) -> Bools | None:
+    """Matrix (S, T) of visible pairs; None if unknown, if all are visible, or with more stations than colours."""
     count = len(workshop.stations), len(workshop.targets)
     if workshop.sights is None or count[0] > len(style.CYCLE) or not len(workshop.hidden):
         return None
-    seen = np.zeros(count, dtype=bool)
-    seen[workshop.sights.station, workshop.sights.target] = True
-    return seen
+    visible = np.zeros(count, dtype=bool)
+    visible[workshop.sights.station, workshop.sights.target] = True
+    return visible
 
 
-def _pies(ax: Axes, workshop: PlacedWorkshop, seen: Bools) -> None:
-    """Each target as a circle with a slice, in the station's colour, for each station that sees it."""
+def _pies(ax: Axes, workshop: PlacedWorkshop, visible: Bools) -> None:
+    """Draw each target as a circle with a slice in the colour of each station that sees it."""
     x, y = workshop.points[:, :2].T
     size = 62 if len(workshop.targets) <= MOST_LABELS else 34
     label = "target: slices are the\nstations that see it"
     ax.scatter(x, y, s=size, facecolors="white", edgecolors=style.INK, linewidths=0.7, zorder=4, label=label)
-    turn = 2 * np.pi / len(seen)
-    for s, sees in enumerate(seen):
+    turn = 2 * np.pi / len(visible)
+    for s, sees in enumerate(visible):
         angle = 0.5 * np.pi - turn * np.linspace(s, s + 1, 24)
         slice_ = np.vstack([[0.0, 0.0], np.stack([np.cos(angle), np.sin(angle)], axis=1), [0.0, 0.0]])
         reach = float(np.abs(slice_).max())  # a marker is scaled by its farthest corner
-        own = {"s": 0.8 * size * reach**2, "marker": slice_.tolist(), "color": style.CYCLE[s]}
-        ax.scatter(x[sees], y[sees], linewidths=0, zorder=5, **own)
-    none = ~seen.any(axis=0)
+        look = {"s": 0.8 * size * reach**2, "marker": slice_.tolist(), "color": style.CYCLE[s]}
+        ax.scatter(x[sees], y[sees], linewidths=0, zorder=5, **look)
+    none = ~visible.any(axis=0)
     if none.any():
-        ax.scatter(x[none], y[none], marker="x", s=size, color=style.RED, zorder=5, label="seen from nowhere")
+        ax.scatter(x[none], y[none], marker="x", s=size, color=style.RED, zorder=5, label="not visible")
 
 
 def _gauge(ax: Axes, workshop: PlacedWorkshop) -> None:
@@ -255,7 +255,7 @@ def _gauge(ax: Axes, workshop: PlacedWorkshop) -> None:
 
 
 def _targets(ax: Axes, workshop: PlacedWorkshop) -> None:
-    """Targets by height; those above each other share one label."""
+    """Draw targets with marks by height."""
     height = workshop.points[:, 2] - workshop.floor_height
     low = -np.inf
     for high, marker, colour, word in LEVELS:
@@ -278,7 +278,7 @@ def _targets(ax: Axes, workshop: PlacedWorkshop) -> None:
 
 
 def _target_labels(workshop: PlacedWorkshop) -> list[Label]:
-    """One label for targets that stand above each other, away from the middle of the floor where that is free."""
+    """Labels of targets, one for those above each other, preferably away from the middle of the floor."""
     middle, size = workshop.floor.mean(axis=0), np.ptp(workshop.floor, axis=0)
     stacks: dict[tuple[float, ...], list[int]] = defaultdict(list)
     for i, cell in enumerate(np.round(workshop.points[:, :2] / (NEAR * size.max())).tolist()):
@@ -289,8 +289,8 @@ def _target_labels(workshop: PlacedWorkshop) -> list[Label]:
         away = (place - middle) / size
         sideways = abs(away[0]) > abs(away[1])
         turn = (0.0 if away[0] > 0 else np.pi) if sideways else (0.5 if away[1] > 0 else 1.5) * np.pi
-        told = " ".join(names) if len(names) < MOST_STACKED else f"{names[0]} +{len(names) - 1}"
-        labels.append(Label(told, place, away=turn))
+        text = " ".join(names) if len(names) < MOST_STACKED else f"{names[0]} +{len(names) - 1}"
+        labels.append(Label(text, place, away=turn))
     return labels
 
 
@@ -301,9 +301,9 @@ def _stations(ax: Axes, workshop: PlacedWorkshop, colours: Sequence[str]) -> Non
     for place, end in zip(workshop.position[:, :2], tick, strict=True):
         ax.annotate("", tuple(place + end), tuple(place), zorder=6, arrowprops=arrow)
     x, y = workshop.position[:, :2].T
-    marker, own = "s" if colours is style.CYCLE else "o", list(colours[: len(workshop.stations)])
+    marker, chosen = "s" if colours is style.CYCLE else "o", list(colours[: len(workshop.stations)])
     look: dict[str, Any] = {"s": 64, "edgecolors": "white", "linewidths": 0.8, "zorder": 7}
-    ax.scatter(x, y, marker=marker, color=own, label="station, tick to azimuth 0", **look)
+    ax.scatter(x, y, marker=marker, color=chosen, label="station, tick to azimuth 0", **look)
 
 
 def _station_labels(workshop: PlacedWorkshop) -> list[Label]:
@@ -313,20 +313,20 @@ def _station_labels(workshop: PlacedWorkshop) -> list[Label]:
     ]
 
 
-def _places(workshop: PlacedWorkshop, beside: int) -> tuple[list[Line2D], list[str]]:
-    """Lines of a legend that are its second column beside so many others."""
+def _places(workshop: PlacedWorkshop, entries: int) -> tuple[list[Line2D], list[str]]:
+    """Entries of the second column of a legend, whose first column has `entries` lines."""
     lines = [
         f"{style.shorten(name, 10)}: {x:.3f}, {y:.3f}, {z:.3f} m, {yaw / DEGREE % 360:.0f}°"
         for name, (x, y, z), yaw in zip(workshop.stations, workshop.position, workshop.yaw, strict=True)
     ]
     words = ["station: x, y, z, azimuth 0", *lines]
-    words = [""] * (len(words) - beside) + words + [""] * (beside - len(words))
+    words = [""] * (len(words) - entries) + words + [""] * (entries - len(words))
     return [Line2D([], [], linestyle="none") for _ in words], words
 
 
 @style.styled
 def whereabouts(workshop: PlacedWorkshop, marked: Sequence[str], pairs: Sequence[tuple[str, str]] = ()) -> Figure:
-    """The floor plan with red rings around stations and targets, and an arrow between the targets of each pair."""
+    """Floor plan with red rings around marked stations and targets, and an arrow between the targets of each pair."""
     figure = floor_plan(workshop)
     ax = figure.axes[0]
     names = [*workshop.stations, *workshop.targets]
@@ -341,14 +341,14 @@ def whereabouts(workshop: PlacedWorkshop, marked: Sequence[str], pairs: Sequence
     return figure
 
 
-ONE_MARK = 0.04
-"""Share of the hall's size within which places have one mark, seen from above."""
+SAME_PLACE = 0.04
+"""Distance within which changes share a mark, over the size of the hall."""
 
 
 @style.styled
 def reflector_changes(workshop: PlacedWorkshop, changes: Sequence[PlanChange], ground: Floor | None = None) -> Figure:
-    """The floor plan with each change and its number: moves as arrows, crosses are left out."""
-    known = dict(zip(workshop.targets, workshop.points[:, :2].tolist(), strict=True))
+    """Floor plan with numbered changes of reflectors: moves as arrows, omitted ones as crosses."""
+    current = dict(zip(workshop.targets, workshop.points[:, :2].tolist(), strict=True))
 
     def marks(ax: Axes) -> list[Label]:
         labels = []
@@ -359,12 +359,12 @@ def reflector_changes(workshop: PlacedWorkshop, changes: Sequence[PlanChange], g
                 if (change.position_mm is not None) != new:
                     continue
                 there = change.position_mm
-                x, y = (v * MILLIMETRE for v in there[:2]) if there else known[change.reflector]
-                near = next((p for p in numbers if hypot(p[0] - x, p[1] - y) < ONE_MARK * workshop.size), (x, y))
+                x, y = (v * MILLIMETRE for v in there[:2]) if there else current[change.reflector]
+                near = next((p for p in numbers if hypot(p[0] - x, p[1] - y) < SAME_PLACE * workshop.size), (x, y))
                 numbers.setdefault(near, []).append(number)
                 if new and change.reflector:
                     arrow = {"arrowstyle": "-|>", "color": style.PURPLE, "lw": 1.3, "shrinkA": 3, "shrinkB": 4}
-                    ax.annotate("", near, xytext=known[change.reflector], arrowprops=arrow, zorder=8)
+                    ax.annotate("", near, xytext=current[change.reflector], arrowprops=arrow, zorder=8)
             if numbers:
                 at = np.array([*numbers]).T
                 ax.scatter(at[0], at[1], marker=marker, s=40, color=colour, zorder=9, label=word)

@@ -1,4 +1,4 @@
-"""Numbers estimated or planned: parameters and their course, criteria, budgets, what a plan costs and is worth."""
+"""Figures of parameters and their course, criteria, budgets, and the trade-off of plans."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ if TYPE_CHECKING:
 
 
 def names_of(rows: Sequence[ParameterEntry]) -> list[str]:
-    """Names of parameters, with their instrument where there are several."""
+    """Names of parameters, with their instrument if there are several."""
     return [f"{row.name} ({row.instrument})" if row.instrument else row.name for row in rows]
 
 
 @style.styled
 def parameter_figure(rows: Sequence[ParameterEntry], true: Sequence[float | None] = ()) -> Figure:
-    """Each estimate in units of its prior sigma with its 95 % interval; the numbers stand at the right.
+    """Estimates in units of their prior sigma with 95 % intervals; values at the right.
 
-    Where a parameter has no prior, its own sigma scales it. Hollow marks are hardly determined by the recording; `true`
-    are the values of a simulation, each where it is known.
+    A parameter without a prior is scaled by its sigma. Hollow marks: hardly determined by the recording. `true` are the
+    values of a simulation, None if not available.
     """
     figure, ax = style.panel(0.75 + 0.2 * max(len(rows), 3))
     places = style.category_rows(ax, names_of(rows), size=7.0)
@@ -47,10 +47,10 @@ def parameter_figure(rows: Sequence[ParameterEntry], true: Sequence[float | None
     for chosen, fill, word in ((clear, style.AFTER, "estimate"), (~clear, "white", "hardly determined")):
         if chosen.any():
             ax.plot(values[chosen], places[chosen], "o", ms=4.5, mfc=fill, mec=style.AFTER, label=word)
-    known = [i for i, value in enumerate(true) if value is not None]
-    if known:
-        truth = np.array([true[i] for i in known], dtype=np.float64) / scales[known]
-        ax.plot(truth, places[known], "|", ms=9, mew=1.8, color=style.INK, zorder=4, label="hidden truth")
+    given = [i for i, value in enumerate(true) if value is not None]
+    if given:
+        truth = np.array([true[i] for i in given], dtype=np.float64) / scales[given]
+        ax.plot(truth, places[given], "|", ms=9, mew=1.8, color=style.INK, zorder=4, label="true value")
     style.at_right(ax, places, [with_sigma(r.value, r.sigma, r.unit) for r in rows])
     ax.set_xlabel("estimate / sigma of the prior")
     style.legend_of(figure, [ax])
@@ -59,7 +59,7 @@ def parameter_figure(rows: Sequence[ParameterEntry], true: Sequence[float | None
 
 @style.styled
 def sigma_figure(rows: Sequence[PlannedParameterEntry], reference: Mapping[str, float]) -> Figure:
-    """Sigma as a share of the prior's, on a logarithmic axis: left is better; the sigma stands at the right.
+    """Ratio of sigma to prior sigma on a logarithmic axis; sigma at the right.
 
     `reference` has the sigmas of another layout by name.
     """
@@ -71,7 +71,7 @@ def sigma_figure(rows: Sequence[PlannedParameterEntry], reference: Mapping[str, 
     if np.isfinite(other).any():
         ax.scatter(other, places, s=28, facecolors="white", edgecolors=style.BEFORE, zorder=2, label="reference layout")
     ax.scatter(share, places, s=28, color=style.AFTER, zorder=3, label="this layout")
-    ax.axvline(1.0, color=style.GREY, linewidth=1.0, linestyle=(0, (4, 2)), label="nothing learnt")
+    ax.axvline(1.0, color=style.GREY, linewidth=1.0, linestyle=(0, (4, 2)), label="no information")
     ax.set_xscale("log")
     low = float(np.nanmin(np.concatenate([share, other])))
     ax.set_xlim(0.8 * low, 1.4)
@@ -85,24 +85,26 @@ def sigma_figure(rows: Sequence[PlannedParameterEntry], reference: Mapping[str, 
 
 
 MOST = 24
-"""Parameters whose names can be read."""
+"""Largest number of parameters shown."""
 
 
 @style.styled
 def correlation_figure(rows: Sequence[ParameterEntry], covariance: Floats) -> Figure:
-    """Correlation of parameters with a covariance (p, p) as colours; coefficients above 0.3 are written in percent.
+    """Correlations of parameters with a covariance (p, p) as colours; coefficients above 0.3 in percent.
 
-    Of more than 24 parameters it shows those 24 that correlate most with another, and says so.
+    Of more than 24 parameters the 24 with the largest correlations are shown, with a note.
     """
     names, sigma = names_of(rows), np.sqrt(np.maximum(np.diag(covariance), 0.0))
     scale = np.where(sigma > 0, sigma, 1.0)
     matrix = covariance / np.outer(scale, scale)
-    apart = np.abs(np.where(np.eye(len(names), dtype=bool), 0.0, matrix)).max(axis=1, initial=0.0)
-    shown = np.sort(np.argsort(-apart, kind="stable")[:MOST])
+    strongest = np.abs(np.where(np.eye(len(names), dtype=bool), 0.0, matrix)).max(axis=1, initial=0.0)
+    shown = np.sort(np.argsort(-strongest, kind="stable")[:MOST])
     count, matrix = len(shown), matrix[np.ix_(shown, shown)]
     figure, ax = style.panel(2.2 + 0.15 * count)
     if count < len(names):
-        ax.set_title(f"the {count} of {len(names)} parameters that correlate most", fontsize=7.5, fontweight="normal")
+        ax.set_title(
+            f"the {count} of {len(names)} parameters with the largest correlations", fontsize=7.5, fontweight="normal"
+        )
     ax.set_facecolor("#DDE1E4")
     table = np.where(np.eye(count, dtype=bool), np.nan, matrix)
     colours = ax.pcolormesh(table, cmap=style.DIVERGING, vmin=-1, vmax=1)
@@ -124,7 +126,7 @@ def correlation_figure(rows: Sequence[ParameterEntry], covariance: Floats) -> Fi
 
 @style.styled
 def history_figure(names: Sequence[str], courses: Sequence[CourseEntry]) -> Figure:
-    """A panel a parameter over calibrations: estimates with 95 % intervals, the band in which true values lie."""
+    """Course of parameters over calibrations: estimates with 95 % intervals, and mean with spread; one panel each."""
     columns = 2 if len(courses) > 1 else 1
     rows = max(1, -(-len(courses) // columns))
     figure = style.new_figure(0.7 + 1.35 * rows)
@@ -153,7 +155,7 @@ def history_figure(names: Sequence[str], courses: Sequence[CourseEntry]) -> Figu
 
 @style.styled
 def criteria_figure(criteria: Table) -> Figure:
-    """Two lines a criterion of a table `CRITERIA`, mean and largest; an arrow runs from before to after."""
+    """Criteria of a table `CRITERIA`, mean and largest, with an arrow from before to after."""
     lines = []
     for row in criteria.json():
         change = "" if row["improvement_percent"] is None else f" ({row['improvement_percent']:+.1f} % better)"
@@ -174,32 +176,32 @@ def criteria_figure(criteria: Table) -> Figure:
 
 
 MOST_SOURCES = 7
-"""Sources with a colour of their own; the smallest are drawn together."""
+"""Number of sources with a separate colour; smaller ones are summed."""
 
 
 @style.styled
 def budget_figure(names: Sequence[str], shares: Mapping[str, Sequence[float]]) -> Figure:
-    """Shares of the variance of each result by source; the sources that matter most over all results come first.
+    """Shares of the variance of each result by source, the largest sources over all results first.
 
     Parameters
     ----------
     names : sequence of str
         The results.
     shares : mapping of str to sequence of float
-        For each source its share of every result, 0 to 1.
+        Share of each source in every result, 0 to 1.
     """
     ranked = sorted(shares, key=lambda name: -float(np.sum(shares[name])))
-    told, rest = ranked[:MOST_SOURCES], ranked[MOST_SOURCES:]
-    rows = {name: np.asarray(shares[name], dtype=np.float64) for name in told}
+    largest, rest = ranked[:MOST_SOURCES], ranked[MOST_SOURCES:]
+    rows = {name: np.asarray(shares[name], dtype=np.float64) for name in largest}
     if rest:
         rows["all others"] = np.sum([shares[name] for name in rest], axis=0)
     figure, ax = style.panel(0.75 + 0.21 * max(len(names), 3))
     places = style.category_rows(ax, list(names))
-    left = np.zeros(len(names))
+    start = np.zeros(len(names))
     for i, (name, share) in enumerate(rows.items()):
         colour = style.GREY if name == "all others" else style.CYCLE[i % len(style.CYCLE)]
-        ax.barh(places, 100 * share, left=100 * left, height=0.62, color=colour, label=name)
-        left += share
+        ax.barh(places, 100 * share, left=100 * start, height=0.62, color=colour, label=name)
+        start += share
     ax.set_xlim(0, 100)
     ax.set_xlabel("share of the variance [%]")
     ax.grid(visible=False, axis="y")
@@ -208,14 +210,14 @@ def budget_figure(names: Sequence[str], shares: Mapping[str, Sequence[float]]) -
 
 
 Interval = tuple[float, float, float]
-"""A value, and the ends of its interval."""
+"""Value and limits of its interval."""
 
 
 @style.styled
 def values_figure(
     rows: Mapping[str, Interval], label: str, *, marks: Mapping[str, Sequence[float]] | None = None
 ) -> Figure:
-    """A row a name: its value, its interval where it has one; dashed lines are the `marks` to compare with."""
+    """Values with intervals, one row each; dashed lines at `marks`."""
     lines = ["\n".join(wrap(name, 34)) for name in rows]
     figure, ax = style.panel(0.9 + 0.15 * sum(1.4 + name.count("\n") for name in lines))
     places = style.category_rows(ax, lines)
@@ -233,7 +235,7 @@ def values_figure(
 
 @style.styled
 def lines_figure(at: Sequence[float], lines: Mapping[str, Sequence[Interval]], axis: str, label: str) -> Figure:
-    """Lines over a quantity `at` (n,), each a value with its interval at every place."""
+    """Lines over a quantity `at` (n,), with an interval at every point."""
     figure, ax = style.panel(2.7)
     for name, rows, colour, marker in zip(lines, lines.values(), style.CYCLE, style.MARKERS, strict=False):
         value, low, high = np.array(rows).T
@@ -247,16 +249,16 @@ def lines_figure(at: Sequence[float], lines: Mapping[str, Sequence[Interval]], a
 
 
 MOST_NAMED = 14
-"""Layouts that can be named in one picture."""
+"""Largest number of layouts that are named in a figure."""
 COLOUR = {"tried": style.GREY, "best": style.BLUE, "chosen": style.RED, "reference": style.GREEN}
 MARKER = {"tried": ".", "best": "o", "chosen": "*", "reference": "D"}
 SIZE = {"tried": 34, "best": 30, "chosen": 150, "reference": 46}
-WORD = {"tried": "tried", "best": "best at its cost", "chosen": "the plan", "reference": "reference"}
+WORD = {"tried": "tried", "best": "best in its time", "chosen": "the plan", "reference": "reference"}
 
 
 @style.styled
 def trade_off(plan: PlanResult, name: str) -> Figure:
-    """Time against one quality of a plan's goal; the line joins the layouts that are best at their cost."""
+    """Time against one quality measure of a plan; the line joins the layouts that are best in their time."""
     label, factor = QUALITY.get(name, (name, 1.0))
     kinds: dict[str, list[tuple[float, float, str]]] = {"tried": [], "best": [], "reference": [], "chosen": []}
     for option in plan.tradeoff:
@@ -266,10 +268,10 @@ def trade_off(plan: PlanResult, name: str) -> Figure:
         if layout is not None and layout.quality.get(name) is not None:
             kinds[kind].append((layout.hours, layout.quality[name] or np.nan, ""))
     figure, ax = style.panel(3.2)
-    every = np.array([factor * quality for some in kinds.values() for _, quality, _ in some])
-    for kind, some in kinds.items():
-        if some:
-            hours, quality = zip(*((h, factor * q) for h, q, _ in sorted(some)), strict=True)
+    every = np.array([factor * quality for points in kinds.values() for _, quality, _ in points])
+    for kind, points in kinds.items():
+        if points:
+            hours, quality = zip(*((h, factor * q) for h, q, _ in sorted(points)), strict=True)
             look: dict[str, Any] = {"marker": MARKER[kind], "s": SIZE[kind], "color": COLOUR[kind], "label": WORD[kind]}
             ax.scatter(hours, quality, zorder=4 if kind != "tried" else 2, linewidths=0, **look)
             if kind == "best":

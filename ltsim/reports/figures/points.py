@@ -1,4 +1,4 @@
-"""Points against something: another epoch, limits of tests, themselves on the other face."""
+"""Figures of points: displacements, errors over limits, two-face differences."""
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -15,7 +15,7 @@ VIEWS = (("seen from above", 0, 1), ("seen from the side", 0, 2))
 
 @style.styled
 def displacement_figure(comparison: Comparison) -> Figure:
-    """Arrows of the shifts, enlarged alike, and a circle of the largest semi-axis around each tip."""
+    """Displacements as arrows of common magnification, with a circle of the largest semi-axis at each tip."""
     points = comparison.displacements
     places, shifts, semi_axes = (
         np.array([getattr(d, name) for d in points]) for name in ("place_mm", "shift_um", "semi_axes_um")
@@ -24,7 +24,7 @@ def displacement_figure(comparison: Comparison) -> Figure:
     figure = style.new_figure(3.0)
     longest = max(np.linalg.norm(shifts, axis=1).max(), semi_axes.max(), 1e-9)
     enlarged = float(0.125 * (np.ptp(places, axis=0).max() or 1.0) / longest)  # to an eighth of the picture
-    figure.suptitle(f"shifts are drawn {1e3 * enlarged:.0f} times as long", x=0.01, ha="left", fontsize=7.5)
+    figure.suptitle(f"displacements are enlarged {1e3 * enlarged:.0f} times", x=0.01, ha="left", fontsize=7.5)
     for ax, (title, i, j) in zip(figure.subplots(1, 2), VIEWS, strict=True):
         for place, shift, axes, far in zip(places, shifts, semi_axes, moved, strict=True):
             colour = style.RED if far else style.AFTER
@@ -52,7 +52,7 @@ SPREAD = 0.32
 
 @style.styled
 def shares_of_limits(content: AcceptanceFile) -> Figure:
-    """Error over limit of every test, a row a group; bars are expanded uncertainties, failed errors are crosses."""
+    """Error over limit of every test, one row per group; bars: expanded uncertainties, crosses: failed tests."""
     groups = [g.name for g in content.groups]
     figure, ax = style.panel(0.9 + 0.42 * max(len(groups), 3))
     rows = style.category_rows(ax, groups)
@@ -77,14 +77,14 @@ def shares_of_limits(content: AcceptanceFile) -> Figure:
 OBSERVABLES = (("range", style.BLUE, "o"), ("across the beam", style.ORANGE, "s"), ("elevation", style.GREEN, "^"))
 MOST_NAMES = 40
 MOST_STATIONS, NAME = 8, 20
-"""Stations that a legend names, and letters of a name."""
+"""Largest number of stations in a legend, and of characters of a name."""
 BELOW_LEGEND = 0.86
-"""Share of the axes that a legend inside them leaves."""
+"""Fraction of the axes below an inside legend."""
 
 
 @style.styled
 def check_figure(check: Check) -> Figure:
-    """Two panels: half two-face differences over their limits, target by target; misfit of pointings over time."""
+    """Half two-face differences over their limits by target, and misfit of the pointings over time."""
     figure = style.new_figure(5.2)
     above, below = figure.subplots(2, 1)
     _faces(above, check)
@@ -144,7 +144,7 @@ def _course(ax: Axes, check: Check) -> None:
             ax.axvline(item.between_s[0] / scale, color=style.RED, lw=1.0, label=None if marked else "moved")
             marked = True
     style.quiet_axis(ax)
-    ax.set_title("What each pointing misses")
+    ax.set_title("Misfit of each pointing")
     ax.set_xlabel(unit)
     ax.set_ylabel("rms [sigma]")
     ax.set_ylim(0, 1.3 * ax.get_ylim()[1])

@@ -1,4 +1,4 @@
-"""Residuals by station and against what they might depend on, and what a finding puts through them."""
+"""Figures of residuals by station and over covariates, and of findings."""
 
 from typing import Any
 
@@ -15,13 +15,13 @@ from ltsim.reports import style
 from ltsim.reports.residuals import COVARIATE_UNIT, OBSERVABLE_UNIT, USUAL, Residuals
 
 MOST_STATIONS, MOST_DOTS = 30, 40
-"""Above so many dots those of an axes are one small image."""
+"""Largest number of stations shown, and of dots per axes drawn as vectors; more dots are rasterised."""
 BAND = 1.96
 
 
 @style.styled
 def residuals_by_covariate(residuals: Residuals) -> Figure:
-    """Normalised residuals of all observables against each covariate that is known, with their running means."""
+    """Normalised residuals of all observables over each available covariate, with running means."""
     names = [name for name in USUAL if name in residuals.covariates]
     figure = style.new_figure(2.0 * max(-(-len(names) // 2), 1) + 0.4)
     axes = figure.subplots(-(-len(names) // 2), 2, sharey=True, squeeze=False)
@@ -45,7 +45,7 @@ def residuals_by_covariate(residuals: Residuals) -> Figure:
 
 @style.styled
 def residuals_by_station(after: Residuals, before: Residuals | None = None) -> Figure:
-    """A panel an observable; each station shows its residuals as dots and their root mean square as a bar."""
+    """Residuals by station as dots, with their root mean square as a bar; one panel per observable."""
     shown = [name for name in OBSERVABLES if after.of(name).any()]
     stations = after.stations[:MOST_STATIONS]
     figure = style.new_figure(1.7 * max(len(shown), 1) + 0.4)
@@ -75,16 +75,16 @@ def residuals_by_station(after: Residuals, before: Residuals | None = None) -> F
 
 @style.styled
 def signature_figure(before: Residuals, after: Residuals, covariate: str, where: Where) -> Figure:
-    """The residuals that a finding concerns, without it to the left and with it to the right, against a covariate.
+    """Residuals of the observables of a finding over a covariate, without it (left) and with it (right).
 
-    Dots elsewhere than where the finding is confined to are pale.
+    Dots outside the place of the finding are pale.
     """
     shown = [n for n in OBSERVABLES if (not where.observables or n in where.observables) and before.of(n).any()]
     figure = style.new_figure(0.5 + 1.8 * max(len(shown), 1))
     grid = figure.subplots(len(shown), 2, sharex=True, sharey="row", squeeze=False)
-    stated = before.w, after.by_noise_of(before).w
+    scaled = before.w, after.by_noise_of(before).w
     for line, observable in zip(grid, shown, strict=True):
-        for ax, residuals, normalised, word in zip(line, (before, after), stated, ("without", "with it"), strict=True):
+        for ax, residuals, normalised, word in zip(line, (before, after), scaled, ("without", "with it"), strict=True):
             rows = residuals.of(observable) & np.isfinite(residuals.covariates[covariate])
             here = rows & residuals.at(where.stations, where.targets)
             if (rows & ~here).any():
@@ -103,9 +103,10 @@ def signature_figure(before: Residuals, after: Residuals, covariate: str, where:
 
 @style.styled
 def driver_curve(curve: Curve, carrier: str, residuals: Residuals | None = None) -> Figure:
-    """Curve of a carrier over its covariate, with the 95 % band.
+    """Curve of a response over its covariate, with the 95 % band.
 
-    `residuals` without the finding are dots behind the curve of a reading, whose sign is then that of a residual.
+    `residuals` without the finding are drawn as dots behind the curve of an observable, which then has the sign of a
+    residual.
     """
     at, value, sigma = (np.array(values) for values in (curve.at, curve.value, curve.sigma))
     covariate, unit = curve.covariate, curve.unit
@@ -122,7 +123,7 @@ def driver_curve(curve: Curve, carrier: str, residuals: Residuals | None = None)
     order = np.argsort(at, kind="stable")
     x, y, half = factor * at[order], sign * value[order], abs(sign) * BAND * sigma[order]
     ax.fill_between(x, y - half, y + half, color=style.RED, alpha=0.2, linewidth=0, label="95 % band")
-    ax.plot(x, y, color=style.RED, label="what fits")
+    ax.plot(x, y, color=style.RED, label="estimate")
     ax.axhline(0.0, color=style.INK, linewidth=0.6)
     ax.set_xlabel(label)
     ax.set_ylabel(f"{carrier} [{style.unit_text(unit)}]")
@@ -138,7 +139,7 @@ def axis_text(covariate: str) -> str:
 
 
 def _axis(covariate: str) -> tuple[float, str]:
-    """Factor from the stored unit to the axis's, and the axis's label."""
+    """Factor from the stored unit to the unit of the axis, and label of the axis."""
     if covariate.endswith(("azimuth", "elevation", "incidence", "nest-direction")):
         return float(np.degrees(1.0)), f"{covariate} [°]"
     if covariate in ("time", "station-time", "lapse"):
@@ -151,7 +152,7 @@ def _reading(observable: str) -> str:
 
 
 def _dots(ax: Axes, residuals: Residuals, rows: Bools, covariate: str, **look: Any) -> None:
-    """Residuals against one covariate, over a line at zero; `look` is matplotlib's."""
+    """Draw residuals over a covariate with a line at zero; `look` is passed to matplotlib."""
     many = int(rows.sum()) > MOST_DOTS
     x, y = residuals.covariates[covariate][rows], residuals.residual[rows]
     ax.plot(x, y, ".", alpha=0.7, rasterized=many, zorder=1.5, **look)
@@ -160,7 +161,7 @@ def _dots(ax: Axes, residuals: Residuals, rows: Bools, covariate: str, **look: A
 
 
 def _running_mean(ax: Axes, x: Floats, y: Floats, *, colour: str = style.RED, label: str = "mean") -> None:
-    """Mean of the dots in about ten equally filled bins, with twice its standard error."""
+    """Draw the mean of the dots in about ten equally filled bins, with twice its standard error."""
     good = np.isfinite(x) & np.isfinite(y)
     order = np.flatnonzero(good)[np.argsort(x[good], kind="stable")]
     bins = np.array_split(order, min(len(order) // 12, 12)) if len(order) >= 36 else []
@@ -173,13 +174,13 @@ def _running_mean(ax: Axes, x: Floats, y: Floats, *, colour: str = style.RED, la
 
 
 @style.styled
-def hidden_and_found(at: Floats, hidden: Floats, found: Floats, axis: str, label: str) -> Figure:
-    """Changes of readings (n,) by what was hidden, as rings, and by what was found, over a covariate (n,)."""
+def injected_and_estimated(at: Floats, injected: Floats, estimated: Floats, axis: str, label: str) -> Figure:
+    """Changes of readings (n,), injected as rings and estimated as dots, over a covariate (n,)."""
     figure, ax = style.panel(2.7)
     order = np.argsort(at, kind="stable")
     ax.axhline(0.0, color=style.GREY, linewidth=0.7)
-    ax.plot(at[order], hidden[order], "-o", ms=5, mfc="none", color=style.INK, lw=0.8, label="hidden")
-    ax.plot(at[order], found[order], "-o", ms=2.4, color=style.RED, lw=1.2, label="found")
+    ax.plot(at[order], injected[order], "-o", ms=5, mfc="none", color=style.INK, lw=0.8, label="injected")
+    ax.plot(at[order], estimated[order], "-o", ms=2.4, color=style.RED, lw=1.2, label="estimated")
     ax.set_xlabel(axis)
     ax.set_ylabel(label)
     style.quiet_axis(ax, grid="both")

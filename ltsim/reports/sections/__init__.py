@@ -1,11 +1,11 @@
-"""Sections of a report by kind of result: one function a kind, from the content of its file to a `Section`."""
+"""Sections of a report: one function per kind of result, from the content of its file to a `Section`."""
 
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from ltsim.recordings.result_file import ResultFile, read_result
-from ltsim.reports.document import Beside, Section
+from ltsim.reports.document import ReportContext, Section
 
 WRITERS = {
     "diagnosis.json": ("diagnosis", "DiagnosisFile", "diagnosis_section"),
@@ -18,20 +18,20 @@ WRITERS = {
     "accept.json": ("plain", "AcceptanceFile", "acceptance_section"),
     "next.json": ("plain", "NextFile", "next_section"),
 }
-"""Module, model of the file, and function of each; a module is loaded when it is used, which takes its time."""
+"""Module, model and function of each result file; a module is imported on first use."""
 
 
 def content_of(folder: Path, file: str) -> ResultFile:
-    """The content of one of these files in a folder; raises RecordError."""
+    """Content of a result file in a folder; raises RecordError."""
     module, model, _ = WRITERS[file]
     content: ResultFile = read_result(folder, getattr(_module(module), model))
     return content
 
 
-def section_of(content: ResultFile, beside: Beside | None = None) -> Section:
-    """Section of a result, for a page or a terminal."""
+def section_of(content: ResultFile, context: ReportContext | None = None) -> Section:
+    """Section of a result for a page or a terminal."""
     module, _, function = WRITERS[content.FILE]
-    section: Section = getattr(_module(module), function)(content, beside or Beside())
+    section: Section = getattr(_module(module), function)(content, context or ReportContext())
     return section
 
 

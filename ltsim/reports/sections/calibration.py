@@ -19,7 +19,19 @@ from ltsim.core.units import FACTOR
 from ltsim.recordings import Recording, Setup
 from ltsim.recordings.result_file import check_source
 from ltsim.reports import figures
-from ltsim.reports.document import Beside, Block, Fact, Grid, Note, Notes, Picture, Section, mood, table_block, table_of
+from ltsim.reports.document import (
+    Block,
+    Fact,
+    Grid,
+    Note,
+    Notes,
+    Picture,
+    ReportContext,
+    Section,
+    mood,
+    table_block,
+    table_of,
+)
 from ltsim.reports.residuals import Residuals
 from ltsim.reports.sections.network import (
     adjusted_if_possible,
@@ -38,43 +50,48 @@ if TYPE_CHECKING:
     from ltsim.reports.workshop import PlacedWorkshop, Sights
 
 SETTLED = ("", "converged", "not stated")
-"""Statuses of a fit that need no warning."""
+"""Statuses of a fit that give no warning."""
 
 
-def calibration_section(content: CalibrationFile, beside: Beside) -> Section:
-    """The section of a `calibration.json`; a recording beside it adds the floor plan and the residuals before.
+def calibration_section(content: CalibrationFile, context: ReportContext) -> Section:
+    """Section of a `calibration.json`; the recording adds the floor plan and the residuals before calibration.
 
     Raises
     ------
     RecordError
         When a file is malformed.
     """
-    recording = beside.recording
-    check_source(content, recording, beside.folder or Path())
+    recording = context.recording
+    check_source(content, recording, context.folder or Path())
     agrees, words = agreement(content.fit.chi2, content.fit.dof, content.fit.p_value)
     if content.noise_estimated:
-        words = "the noise was estimated from the same readings, which leaves nothing to test"
+        words = "the noise was estimated from the same readings, so that the global test does not apply"
     converged = content.fit.status in SETTLED
-    targets, residuals = (beside.file(table.file, content) for table in (TARGETS, RESIDUALS))
-    pair = None if residuals is None or beside.brief else adjusted_if_possible(recording)
+    targets, residuals = (context.file(table.file, content) for table in (TARGETS, RESIDUALS))
+    pair = None if residuals is None or context.brief else adjusted_if_possible(recording)
     before = Residuals.from_adjustment(pair[0]) if pair else None
     after = Residuals.read(residuals).with_covariates(before) if residuals else None
     product = target_table(targets, note=f"Axes: {content.frame or 'those of the first station'}.")
-    first = _parameters(content, truth_of(beside)) if content.parameters else product
-    known = _known_values(content)
-    ahead = known if any(entry.left_out for entry in content.known) else []
+    first = _parameters(content, truth_of(context)) if content.parameters else product
+    fits = _reference_values(content)
+    ahead = fits if any(entry.left_out for entry in content.known) else []
     blocks: list[Block] = [*_warnings(content, converged=converged), *ahead, *first[:1], *_criteria(content)]
     shown = len(blocks) + 1
     if targets is not None and content.stations:
-        blocks += workshop_blocks(lambda: workshop_of(content, recording, targets, after), beside.detail)
+        blocks += workshop_blocks(lambda: workshop_of(content, recording, targets, after), context.detail)
     blocks += combined("Determined in combination", content.determined)
-    blocks += [*([] if ahead else known), *first[1:], *(product if content.parameters else ()), *_stations(content)]
-    if after is not None and not beside.brief:
+    blocks += [
+        *([] if ahead else fits),
+        *first[1:],
+        *(product if content.parameters else ()),
+        *_stations(content),
+    ]
+    if after is not None and not context.brief:
         blocks += residual_blocks(after, before)
     if content.effects:
-        blocks.append(Notes("Estimated beside the calibration", [effect.sentence for effect in content.effects]))
-    told = "What the recording tells of the combination: 0 % is nothing beyond the maker's guarantee."
-    blocks += undetermined("Not determined by this recording", content.undetermined, decimals=1, note=told)
+        blocks.append(Notes("Effects estimated with the calibration", [effect.sentence for effect in content.effects]))
+    note = "Information: share of the prior variance that the recording removes; 0 % means that it adds nothing."
+    blocks += undetermined("Not determined by this recording", content.undetermined, decimals=1, note=note)
     kind = "Calibration" if content.parameters else "Network adjustment"
     named = (recording.setup.title if recording else "") or (content.recording.title if content.recording else "")
     return Section(
@@ -109,20 +126,26 @@ def _answer(content: CalibrationFile, agreement_words: str, targets: Path | None
             f"({number(distance.before.mean_um)} to {number(distance.after.mean_um)} um)"
         )
     if content.outliers:
-        left = sum(outlier.left_out for outlier in content.outliers)
+        rejected = sum(outlier.left_out for outlier in content.outliers)
         begin += f"; {count(len(content.outliers), 'reading')} did not fit"
-        were = "was" if left == 1 else "were"
-        begin += f" and {were} left out" if left == len(content.outliers) else f", {left} left out" if left else ""
-    known = f" {targets_in_words(read_targets(targets)[2])}" if targets is not None else ""
-    return f"{begin}.{known}".rstrip()
+        were = "was" if rejected == 1 else "were"
+        begin += (
+            f" and {were} left out"
+            if rejected == len(content.outliers)
+            else f", {rejected} left out"
+            if rejected
+            else ""
+        )
+    accuracy = f" {targets_in_words(read_targets(targets)[2])}" if targets is not None else ""
+    return f"{begin}.{accuracy}".rstrip()
 
 
 def _facts(content: CalibrationFile, *, agrees: bool) -> list[Fact]:
-    fit, found = content.fit, content.noise_estimated
-    p = None if found or fit.p_value is None else two_sided(fit.p_value)
+    fit, noise_estimated = content.fit, content.noise_estimated
+    p = None if noise_estimated or fit.p_value is None else two_sided(fit.p_value)
     facts = [
         Fact("sigma0", fixed(fit.sigma0, 3), mood(agrees)),
-        Fact("p of the fit, two-sided", p_text(p), "plain" if found else mood(agrees)),
+        Fact("p of the fit, two-sided", p_text(p), "plain" if noise_estimated else mood(agrees)),
         Fact("degrees of freedom", str(fit.dof)),
         Fact("readings that do not fit", str(len(content.outliers)), "bad" if content.outliers else "plain"),
     ]
@@ -133,67 +156,64 @@ def _facts(content: CalibrationFile, *, agrees: bool) -> list[Fact]:
 
 
 def _warnings(content: CalibrationFile, *, converged: bool) -> list[Block]:
-    """Warnings before the numbers: a fit that failed, outliers, estimated noise."""
+    """Blocks of warnings: failed convergence, outliers, estimated noise."""
     blocks: list[Block] = []
     if not converged:
         blocks.append(Note("The adjustment did not converge", content.fit.sentence or content.fit.status, "bad"))
     if content.verdict.sentence and not content.noise_estimated:
-        blocks.append(Note("Which test to trust", content.verdict.sentence))
+        blocks.append(Note("Verdict", content.verdict.sentence))
     if content.correction is not None and content.correction.uncorrected_um > 0:
-        said = [content.correction.line, *content.correction.sentences]
-        blocks.append(Notes("What it is worth", [sentence(line) for line in said]))
+        lines = [content.correction.line, *content.correction.sentences]
+        blocks.append(Notes("Benefit of the calibration", [sentence(line) for line in lines]))
     if content.lost_targets:
-        text = "What is left of their readings does not determine them: " + ", ".join(content.lost_targets) + "."
+        text = f"The readings that remain do not determine {', '.join(content.lost_targets)}."
         blocks.append(Note("Targets without coordinates", text, "bad"))
-    blocks += table_block("Readings that do not belong", OUTLIERS.filled(content.outliers))
-    note = "The factor is on the stated standard deviation; the typical sigma is the median of a reading that results."
-    return blocks + table_block("Noise found from the readings", NOISE.filled(content.noise), note=note)
+    blocks += table_block("Outlying readings", OUTLIERS.filled(content.outliers))
+    note = "Factor: estimated over stated standard deviation; typical sigma: median over the readings."
+    return blocks + table_block("Noise estimated from the readings", NOISE.filled(content.noise), note=note)
 
 
-def _known_values(content: CalibrationFile) -> list[Grid]:
-    note = "Residual: stated less adjusted; error: by how much it is wrong by what the rest says, +- one sigma."
+def _reference_values(content: CalibrationFile) -> list[Grid]:
+    note = "Residual: stated minus adjusted value; error: estimate from all other observations, +- one sigma."
     shown = sorted(content.known, key=lambda entry: (not entry.left_out, -entry.w))
     fields = ("kind", "name", "component", "residual", "error+-sigma_error", "minimal_detectable=detectable", "unit")
-    return table_of("How known values fit", shown, *fields, "redundancy", "w", "left_out", note=note)
+    return table_of("Fit of the reference values", shown, *fields, "redundancy", "w", "left_out", note=note)
 
 
 def _actions(content: CalibrationFile) -> list[str]:
-    """Next steps, the most urgent first."""
-    said = []
-    left = [o for o in content.outliers if not o.left_out]
-    if left:
-        which = listing([f"{o.station} to {o.target} ({o.observable}, row {o.row})" for o in left], 3)
-        out = f"or leave them out ({option('robust=True')})"
-        said.append(f"Measure again what did not fit, {out}: {which}.")
+    """Next actions, the most urgent first."""
+    actions = []
+    remaining = [o for o in content.outliers if not o.left_out]
+    if remaining:
+        which = listing([f"{o.station} to {o.target} ({o.observable}, row {o.row})" for o in remaining], 3)
+        actions.append(f"Measure again, or reject with {option('robust=True')}: {which}.")
     test = content.fit.p_value
     if test is not None and test < AGREEMENT_LEVEL / 2 and not content.noise_estimated:
-        said.append("Find out why readings and model disagree: ltsim diagnose names what is missing from the model.")
+        actions.append("Run ltsim diagnose to locate the disagreement of readings and model.")
     if content.verdict.scale_by_sigma0 and not content.noise:
-        said.append(
-            f"Have the noise of each observable estimated, if it is not known: {option('noise_from_data=True')}."
-        )
+        actions.append(f"If the noise is not known, estimate it from the data: {option('noise_from_data=True')}.")
     cures = dict.fromkeys(entry.cure.partition(" (gain ")[0] for entry in content.undetermined if entry.cure)
-    said += [f"To determine what is still open: {cure.rstrip('.')}." for cure in list(cures)[:3]]
-    if content.parameters and not said:
-        said.append("Apply the calibration to later readings: ltsim correct.")
-    return said
+    actions += [f"To determine the open parameters: {cure.rstrip('.')}." for cure in list(cures)[:3]]
+    if content.parameters and not actions:
+        actions.append("Apply the calibration to further readings with ltsim correct.")
+    return actions
 
 
 def _parameters(content: CalibrationFile, truth: Truth | None) -> list[Block]:
-    rows, known = content.parameters, {} if truth is None else truth.instrument
+    rows, true_values = content.parameters, {} if truth is None else truth.instrument
     names = [f"{p.name}@{p.instrument}" if p.instrument else p.name for p in rows]
-    true = [known[n] / FACTOR[truth.units[n]] if truth and n in known else None for n in names]
-    text = "Corrections (truth minus reading) with 95 % intervals, against the spread that the maker guarantees."
+    true = [true_values[n] / FACTOR[truth.units[n]] if truth and n in true_values else None for n in names]
+    text = "Corrections (truth minus reading) with 95 % intervals, relative to the specified standard deviation."
     note = "Corrections, truth minus reading, +- one sigma."
     if any(p.applied is not None for p in rows):
-        note += " Applied: estimated anew without what is not applied, under the priors that the readings ask for."
+        note += " Applied: estimates without the terms that are not applied, with the prior scaled to the readings."
     blocks: list[Block] = [
         Picture("Instrument parameters", lambda: figures.parameters.parameter_figure(rows, true), text),
         *table_block("Parameters in numbers", PARAMETERS.filled(rows), note=note, folds=False),
     ]
     if len(content.covariance) == len(rows) and len(rows) > 1:
         covariance = np.array(content.covariance)
-        text = "Two parameters near +-100 % can hardly be told apart with this network."
+        text = "Two parameters near +-100 % can hardly be separated with this network."
         drawn = Picture(
             "Correlation of the parameters",
             lambda: figures.parameters.correlation_figure(rows, covariance),
@@ -212,7 +232,7 @@ def _criteria(content: CalibrationFile) -> list[Grid]:
         for name, e in content.criteria.items()
         if e.before.mean_um is not None
     ]
-    text = "How far stations disagree about distances between reflectors and about their coordinates."
+    text = "Disagreement of the stations in distances between reflectors and in their coordinates."
     return table_block("Criteria before and after calibration", CRITERIA.filled(rows), note=text)
 
 
@@ -230,7 +250,7 @@ def _stations(content: CalibrationFile) -> list[Grid]:
 def workshop_of(
     content: CalibrationFile, recording: Recording | None, targets: Path, residuals: Residuals | None
 ) -> PlacedWorkshop:
-    """The calibrated network, ready to be drawn."""
+    """Calibrated network for drawing."""
     from scipy.spatial.transform import Rotation
 
     from ltsim.reports.workshop import PlacedWorkshop, with_surroundings
@@ -260,6 +280,6 @@ def _sights(residuals: Residuals | None, stations: Sequence[str], targets: Seque
         np.array([{name: i for i, name in enumerate(names)}.get(name, -1) for name in column.tolist()])
         for names, column in ((stations, residuals.station), (targets, residuals.target))
     )
-    known = (station >= 0) & (target >= 0)
-    size = np.abs(np.nan_to_num(residuals.w[known]))
-    return Sights(station[known], target[known], size, "largest normalised residual") if known.any() else None
+    matched = (station >= 0) & (target >= 0)
+    size = np.abs(np.nan_to_num(residuals.w[matched]))
+    return Sights(station[matched], target[matched], size, "largest normalised residual") if matched.any() else None

@@ -1,4 +1,4 @@
-"""Section of a campaign in a report: factors, the improvement with its interval, errors, z-scores, coverage."""
+"""Section of a campaign: factors, improvements with intervals, errors, z-scores, coverage."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from ltsim.reports.figures.campaign import (
     MOST_LINES,
     MOST_PANELS,
     PAPER,
-    Swept,
+    SweepPoint,
     TrialDistribution,
     by_factor,
     by_setting,
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MOST_DRAWN = 200_000
-"""Trials whose values are drawn; tables and intervals use all of them."""
+"""Largest number of trials in a figure; tables and intervals use all trials."""
 MOST_CELLS, MOST_VALUES, MOST_SHOWN, MOST_ROWS = 3, 8, 4, 48
 IMPROVEMENT = "distance_improvement_percent"
 
@@ -55,7 +55,7 @@ LABELS = MappingProxyType(
 
 
 def campaign_section(folder: Path) -> Section:
-    """The section of a campaign's folder.
+    """Section of the folder of a campaign.
 
     Raises
     ------
@@ -96,23 +96,23 @@ def _mean(s: Spread, level: str = "95 %: ") -> str:
 
 
 def _answer(results: Results, spreads: Mapping[str, list[Spread]], ends: Sequence[Checked]) -> str:
-    """Answer in words: the factors, the improvement by calibration, and its best and worst cells."""
+    """Answer: factors, improvement by calibration, best and worst cells."""
     manifest, factors = results.manifest, varied(results)
     fewest, most = min(e.trials for e in ends), max(e.trials for e in ends)
     size = f"Over {fewest} trials" if fewest == most else f"Over {fewest} to {most} trials"
     if len(manifest.cells) > 1:
         size += f" in each of {len(manifest.cells)} settings"
         size += f" of {_listed([title(f).partition(' [')[0] for f in factors])}" if factors else ""
-    said = []
+    means_in_words = []
     for method in manifest.methods:
         means = [s for s in spreads.get(IMPROVEMENT, []) if s.method == method]
         if len(means) == 1:
-            said.append(f"{method} by {_mean(means[0])} %")
+            means_in_words.append(f"{method} by {_mean(means[0])} %")
         elif means:
             low, high = min(s.mean for s in means), max(s.mean for s in means)
-            said.append(f"{method} by {number(low)} to {number(high)} %")
-    told = f"{size}, calibration improves the distance criterion on average: {'; '.join(said)}."
-    return (told if said else f"{size} with {', '.join(manifest.methods)}.") + _extremes(results, spreads)
+            means_in_words.append(f"{method} by {number(low)} to {number(high)} %")
+    text = f"{size}, calibration improves the distance criterion on average: {'; '.join(means_in_words)}."
+    return (text if means_in_words else f"{size} with {', '.join(manifest.methods)}.") + _extremes(results, spreads)
 
 
 def _extremes(results: Results, spreads: Mapping[str, list[Spread]]) -> str:
@@ -122,7 +122,7 @@ def _extremes(results: Results, spreads: Mapping[str, list[Spread]]) -> str:
     names, several = cell_words(results), len(results.manifest.methods) > 1
     least, most = min(means, key=lambda s: s.mean), max(means, key=lambda s: s.mean)
     first, last = (f"{number(s.mean)} um ({f'{s.method}, ' if several else ''}{names[s.cell]})" for s in (least, most))
-    return f" Targets err least with {first}, most with {last}."
+    return f" The error of the targets is smallest with {first} and largest with {last}."
 
 
 def _listed(words: Sequence[str]) -> str:
@@ -139,7 +139,7 @@ def _facts(manifest: ManifestFile, ends: Sequence[Checked], scores: Sequence[Sco
         Fact("failed", str(failed), mood(not failed)),
     ]
     if checked:
-        facts.append(Fact("fast against full solver", f"{max(checked):.1e} sigma", mood(max(checked) < 1e-3)))
+        facts.append(Fact("batch solver against full solver", f"{max(checked):.1e} sigma", mood(max(checked) < 1e-3)))
     if scores:
         shares = [s.coverage_95 for s in scores]
         facts.append(Fact("coverage of 95 %", f"{100 * min(shares):.1f} to {100 * max(shares):.1f} %"))
@@ -151,13 +151,13 @@ def _varied(results: Results) -> list[Block]:
     for factor in results.factors:
         values = list(dict.fromkeys(factor.words(level[factor.name]) for level in results.levels))
         shown = values if len(values) <= MOST_VALUES else [values[0], "...", values[-1]]
-        told = meaning_of(factor.keys[0]).replace("`", "")
-        rows.append([title(factor), ", ".join(shown), ", ".join(factor.keys), told])
+        meaning = meaning_of(factor.keys[0]).replace("`", "")
+        rows.append([title(factor), ", ".join(shown), ", ".join(factor.keys), meaning])
     return [Grid("What was varied", ["", "values", "key", "meaning"], rows, text_columns=4)] if rows else []
 
 
 def _by_factor(results: Results, spreads: Mapping[str, list[Spread]]) -> list[Grid]:
-    """Means over the cells of each level, where cells are too many to be read; factors of few levels first."""
+    """Table of means over the cells of each level, if there are many cells; factors with few levels first."""
     if len(results.levels) <= MOST_ROWS:
         return []
     groups: dict[tuple[str, ...], list[float]] = {}
@@ -172,23 +172,25 @@ def _by_factor(results: Results, spreads: Mapping[str, list[Spread]]) -> list[Gr
 
 
 def _improvements(results: Results, spreads: Mapping[str, list[Spread]], published: Mapping[str, float]) -> list[Block]:
-    """Means with intervals over the settings, and where the paper's figure lies."""
+    """Figures of means with intervals over the settings, compared with the published values."""
     blocks: list[Block] = []
-    if len(results.levels) == 1:  # nothing to draw a mean over: the distributions say it
+    if len(results.levels) == 1:  # shown by the distributions
         return blocks
     for column, label in LABELS.items():
-        own, paper = spreads.get(column, []), published.get(column)
-        for text, figure in drawn(results, own, label, paper) if own else ():
-            outside = [s for s in own if paper is not None and not s.quantiles[1] <= paper <= s.quantiles[5]]
-            where = f"outside it in {len(outside)} of {len(own)}" if outside else "within it everywhere"
-            told = f" The paper's {number(paper)} (dashed) lies against the 90 % of trials: {where}."
-            caption = text if paper is None else text + told
+        rows, paper = spreads.get(column, []), published.get(column)
+        for text, figure in drawn(results, rows, label, paper) if rows else ():
+            outside = [s for s in rows if paper is not None and not s.quantiles[1] <= paper <= s.quantiles[5]]
+            where = f"outside in {len(outside)} of {len(rows)} settings" if outside else "inside in every setting"
+            comparison = (
+                f" The published value {number(paper)} is dashed; compared with the 90 % of the trials it is {where}."
+            )
+            caption = text if paper is None else text + comparison
             blocks.append(Picture(label.split(" [")[0].capitalize(), figure, caption))
     return blocks
 
 
 def campaign_figure(results: Results) -> Figure:
-    """The first statistic of interest over what was varied; distributions where nothing was."""
+    """Figure of the first main statistic over the factors; of distributions if nothing varies."""
     if len(results.levels) > 1:
         for column, label in LABELS.items():
             if column in results.columns:
@@ -197,7 +199,7 @@ def campaign_figure(results: Results) -> Figure:
 
 
 def _rows_of(results: Results, published: Mapping[str, float]) -> list[TrialDistribution]:
-    """The criteria, or other sizes where there are none, over the trials of the first setting and method."""
+    """Distributions of the criteria, or of other errors, over the trials of the first setting and method."""
     cell = results.manifest.cells[0].cell
     sized = [c for c in results.columns if c.endswith(("_um", "_percent"))]
     wanted = [c for c in sized if c.startswith(("distance", "coordinate"))] or sized
@@ -211,15 +213,15 @@ def _rows_of(results: Results, published: Mapping[str, float]) -> list[TrialDist
 
 
 def _distributions(results: Results, published: Mapping[str, float]) -> list[Block]:
-    """Histograms of the criteria of the file's first method; means over several settings tell more."""
+    """Histograms of the criteria of the first method, if there is one setting."""
     rows = [] if len(results.levels) > 1 else _rows_of(results, published)
-    told = "Dashed: the paper's figures and the share of trials below them." if published else ""
+    caption = "Dashed: published values, with the share of trials below them." if published else ""
     title = f"Distributions over trials: {results.manifest.methods[0]}"
-    return [Picture(title, partial(distributions, rows), told)] if rows else []
+    return [Picture(title, partial(distributions, rows), caption)] if rows else []
 
 
 def _coverage(results: Results, scores: Sequence[Scores]) -> list[Block]:
-    """z-scores and coverage: as a picture for the first cell of each method, in figures for all."""
+    """z-scores and coverage: figure for the first cell of each method, table for all cells."""
     blocks: list[Block] = []
     for method in dict.fromkeys(s.method for s in scores):
         mine = [s for s in scores if s.method == method]
@@ -227,18 +229,18 @@ def _coverage(results: Results, scores: Sequence[Scores]) -> list[Block]:
         if rows and len(blocks) < MOST_CELLS:
             place = f", {cell_words(results)[mine[0].cell]}" if len(results.levels) > 1 else ""
             blocks.append(Picture(f"Coverage: {method}{place}", partial(coverage, rows), coverage_words(rows)))
-    text = "z: estimate minus truth over its stated sigma; right sigmas give mean 0 and standard deviation 1."
+    text = "z: (estimate - truth) / stated sigma; correct sigmas give mean 0 and standard deviation 1."
     return [*blocks, *table_block("z-scores of the parameters", results.table("z_scores"), note=text)] if scores else []
 
 
 def coverage_words(rows: Sequence[Scores]) -> str:
-    """Sentence on the shares that are red, with the reason."""
+    """Sentence on the parameters whose coverage is outside the allowed band."""
     low, high = (f"{100 * bound:.1f}" for bound in ALLOWED)
     red = [row.parameter for row, out in zip(rows, uncovered(rows), strict=True) if out]
     band = f"the allowed band of {low} to {high} %"
     if not red:
-        return f"None is red: each interval reaches into {band}."
-    return f"Red, since that lies outside {band}: {', '.join(red)}."
+        return f"No parameter is red: each interval overlaps {band}."
+    return f"Red: the interval lies outside {band} for {', '.join(red)}."
 
 
 def _column_words(column: str) -> str:
@@ -250,7 +252,7 @@ def _column_words(column: str) -> str:
 
 
 def _errors(results: Results, spreads: Mapping[str, list[Spread]]) -> list[Block]:
-    """Errors before and after calibration beside what no parameter removes: a total says little without its floor."""
+    """Tables of errors before and after calibration, with the noise floor that no parameter removes."""
     names = cell_words(results)
     blocks: list[Block] = []
     for share in SHARES:
@@ -260,60 +262,58 @@ def _errors(results: Results, spreads: Mapping[str, list[Spread]]) -> list[Block
         ]
         named = "new point" if share.startswith("new_point") else "point"
         header = ["setting", "method", "raw [um]", "calibrated [um]", "noise floor [um]", "share removed"]
-        note = (
-            f"{_meaning(share)}. Noise floor: readings corrected by the true parameters. In brackets: 95 % of the mean."
-        )
+        note = f"{_meaning(share)}. Noise floor: error with the true parameters. In brackets: 95 % interval."
         if rows:
             blocks.append(Grid(f"Error of a {named}", header, rows, text_columns=2, note=note))
     return blocks
 
 
 def _meaning(column: str) -> str:
-    known = column_of(column)
-    return sentence("" if known is None else known.meaning.replace("`", "")).removesuffix(".")
+    declared = column_of(column)
+    return sentence("" if declared is None else declared.meaning.replace("`", "")).removesuffix(".")
 
 
 def _statistics(results: Results, spreads: Mapping[str, list[Spread]], ends: Sequence[Checked]) -> list[Block]:
-    """All statistics, what each of them is, and how the trials ended."""
+    """Tables of all statistics, their definitions, and the convergence of the trials."""
     cells = results.table("summary")
     more = {"cell", "deviation", "least", "largest", *(f"quantile_{q}_percent" for q in ("2.5", "25", "75", "97.5"))}
     shown = _settings(results, cells.only(" ".join(name for name in cells.header if name not in more)))
     means = [f"{_column_words(c)} [{results.units.get(c, '')}]: {_meaning(c)}" for c in spreads]
-    note = "Verified: trials that the full solver repeated; the difference is that of the estimates."
+    note = "Verified: trials repeated with the full solver; difference of the estimates."
     failed = frozenset(i for i, e in enumerate(ends) if e.failed)
     ended = results.table("ends")
     ended = _settings(results, ended.only(" ".join(name for name in ended.header if name != "cell")))
     return [
         *table_block(f"Statistics ({count(len(shown.rows), 'row')})", shown),
-        Listing("What the statistics mean", "\n".join(means)),
-        *table_block("How the trials ended", ended, note=note, marked=failed),
+        Listing("Definitions of the statistics", "\n".join(means)),
+        *table_block("Convergence of the trials", ended, note=note, marked=failed),
     ]
 
 
 def _settings(results: Results, table: TableOf) -> TableOf:
-    """A table of cells whose settings read as they were given: 0.5 and not 0.5000."""
+    """Table of cells with the settings displayed as given: 0.5 and not 0.5000."""
     given = {f.name for f in results.factors}
     columns = (replace(c, shown=".6g") if c.name in given and c.kind == "number" else c for c in table.columns)
     return replace(table, columns=tuple(columns))
 
 
 def varied(results: Results) -> list[Factor]:
-    """Factors that truly vary, those that change together with an earlier one left out."""
-    kept: list[Factor] = []
+    """Factors that vary, without those that change together with an earlier one."""
+    independent: list[Factor] = []
     for factor in results.factors:
-        own = _column(results, factor)
-        if len(set(own)) > 1 and not any(_alike(own, _column(results, other)) for other in kept):
-            kept.append(factor)
-    return kept
+        values = _column(results, factor)
+        if len(set(values)) > 1 and not any(_is_bijection(values, _column(results, other)) for other in independent):
+            independent.append(factor)
+    return independent
 
 
 def cell_words(results: Results) -> dict[int, str]:
-    """Description of each cell in a few words, by its number."""
+    """Short description of each cell, by its number."""
     factors = varied(results)
-    said = [", ".join(short(f, level[f.name]) for f in factors) for level in results.levels]
-    plain = "as the scenario" if len(said) == 1 else ""
+    texts = [", ".join(short(f, level[f.name]) for f in factors) for level in results.levels]
+    plain = "as the scenario" if len(texts) == 1 else ""
     return {
-        entry.cell: words or plain or entry.label for entry, words in zip(results.manifest.cells, said, strict=True)
+        entry.cell: words or plain or entry.label for entry, words in zip(results.manifest.cells, texts, strict=True)
     }
 
 
@@ -321,20 +321,20 @@ def _column(results: Results, factor: Factor) -> list[Any]:
     return [level[factor.name] for level in results.levels]
 
 
-def _alike(one: Sequence[Any], other: Sequence[Any]) -> bool:
-    """Whether each value of one comes with one value of the other."""
-    pairs = len(set(zip(one, other, strict=True)))
-    return pairs == len(set(one)) == len(set(other))
+def _is_bijection(first: Sequence[Any], second: Sequence[Any]) -> bool:
+    """True if the values of two columns correspond one to one."""
+    pairs = len(set(zip(first, second, strict=True)))
+    return pairs == len(set(first)) == len(set(second))
 
 
 def drawn(
     results: Results, spreads: Sequence[Spread], label: str, published: float | None
 ) -> Iterator[tuple[str, Callable[[], Figure]]]:
-    """Figures of a statistic, each with words for its caption.
+    """Captions and figures of a statistic.
 
-    A line over one factor where cells form a grid, dots over every range of a design, else a line of text a cell.
+    Lines over a factor if the cells form a grid, dots over each factor of a design, else one row per cell.
     """
-    factors, several = varied(results), f"Over {results.manifest.trials} trials a setting."
+    factors, several = varied(results), f"{results.manifest.trials} trials per setting."
     how: dict[str, Any] = {"label": label, "published": published}
     cells = len({tuple(level[f.name] for f in factors) for level in results.levels})
     of_grid = cells == len(results.levels) == math.prod(len(set(_column(results, f))) for f in factors)
@@ -355,8 +355,8 @@ def drawn(
         yield several, partial(by_setting, [_swept(s, named[s.cell], s.method, "") for s in spreads], **how)
 
 
-def _lines(results: Results, factors: Sequence[Factor], spreads: Sequence[Spread]) -> tuple[str, list[Swept]]:
-    """The axis of lines over one factor, and their points."""
+def _lines(results: Results, factors: Sequence[Factor], spreads: Sequence[Spread]) -> tuple[str, list[SweepPoint]]:
+    """Title of the axis, and points of lines over one factor."""
     along, across, panels = arranged(results, factors)
     rows = []
     for s in spreads:
@@ -367,7 +367,7 @@ def _lines(results: Results, factors: Sequence[Factor], spreads: Sequence[Spread
 
 
 def arranged(results: Results, factors: Sequence[Factor]) -> tuple[Factor, Factor | None, list[Factor]]:
-    """The factor along the lines, the one that tells lines apart (None: methods do), those of the panels."""
+    """Factor along the lines, factor of the lines (None: the method), factors of the panels."""
     levels = {f.name: len(set(_column(results, f))) for f in factors}
     along = max(factors, key=lambda f: (f.kind in ("number", "integer"), levels[f.name]))
     rest = [f for f in factors if f is not along]
@@ -382,5 +382,5 @@ def _place(factor: Factor, level: Mapping[str, Any]) -> float | str:
     return float(value) if factor.kind in ("number", "integer") and value is not None else factor.words(value)
 
 
-def _swept(s: Spread, x: float | str, line: str, panel: str) -> Swept:
-    return Swept(x, line, panel, s.mean, s.low, s.high, s.quantiles[1], s.quantiles[5])
+def _swept(s: Spread, x: float | str, line: str, panel: str) -> SweepPoint:
+    return SweepPoint(x, line, panel, s.mean, s.low, s.high, s.quantiles[1], s.quantiles[5])

@@ -1,4 +1,4 @@
-"""Section of a diagnosis in a report: the sentence, its evidence, and the truth where there is a file of it."""
+"""Section of a diagnosis: verdict, findings, evidence, and a comparison with the truth of a simulation."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from ltsim.physics.effects.verbs import effect_from
 from ltsim.recordings.recording import OBSERVABLES
 from ltsim.recordings.result_file import check_source
 from ltsim.reports import figures
-from ltsim.reports.document import Beside, Block, Fact, Grid, Note, Picture, Section, mood, table_of
+from ltsim.reports.document import Block, Fact, Grid, Note, Picture, ReportContext, Section, mood, table_of
 from ltsim.reports.residuals import OBSERVABLE_UNIT, Residuals
 from ltsim.reports.sections.network import (
     Pair,
@@ -39,15 +39,15 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MOST_MARKED = 12
-"""Targets that can be told apart in one picture."""
+"""Largest number of targets that are marked in one picture."""
 LEAST_UM = 0.1
 """Threshold [um] below which the error that an undetectable effect causes in targets is negligible."""
 MOST_STEPS = 3
-"""Points from which a curve is drawn."""
+"""Smallest number of points that are drawn as a curve."""
 
 
-def diagnosis_section(content: DiagnosisFile, beside: Beside) -> Section:
-    """The section of a `diagnosis.json`; a truth beside it puts hidden and found side by side in front.
+def diagnosis_section(content: DiagnosisFile, context: ReportContext) -> Section:
+    """Section of a `diagnosis.json`; with a truth in its folder it begins with a comparison of both.
 
     Residuals without the findings are read from `residuals_before.csv`, those with them from `residuals.csv`.
 
@@ -56,22 +56,22 @@ def diagnosis_section(content: DiagnosisFile, beside: Beside) -> Section:
     RecordError
         When a file is malformed.
     """
-    recording = beside.recording
-    check_source(content, recording, beside.folder or Path())
+    recording = context.recording
+    check_source(content, recording, context.folder or Path())
     pair = adjusted_if_possible(recording)
-    before, after = _residuals(content, beside, pair)
-    truth = truth_of(beside)
-    blocks: list[Block] = _beside_truth(content, truth, pair) if truth is not None and truth.effects else []
-    if pair is not None and beside.detail == "turn" and blocks:
+    before, after = _residuals(content, context, pair)
+    truth = truth_of(context)
+    blocks: list[Block] = _against_truth(content, truth, pair) if truth is not None and truth.effects else []
+    if pair is not None and context.detail == "turn" and blocks:
         from ltsim.reports.workshop import from_adjustment
 
         blocks = [scene(from_adjustment(pair[1], plain=pair[0])), *blocks]
     lead = len(blocks)
     for number_, finding in enumerate(content.findings, start=1):
         blocks += _finding(finding, number_, sentence(content.summary), pair, (before, after))
-    modelled = ", with the findings modelled" if content.findings else ""
+    modelled = ", with the findings in the model" if content.findings else ""
     if constants := clear_constants(content.instruments):
-        blocks.append(Note(f"The clearest constants of the instruments{modelled}", f"{'; '.join(constants)}."))
+        blocks.append(Note(f"Most significant constants of the instruments{modelled}", f"{'; '.join(constants)}."))
     blocks += _hidden(content)
     shown = len(blocks)
     blocks += _fit(content)
@@ -81,24 +81,24 @@ def diagnosis_section(content: DiagnosisFile, beside: Beside) -> Section:
         name = f" of {entry.name}" if entry.name else ""
         title = f"Constants{name}{modelled}"
         blocks += table_of(title, entry.parameters, "name=constant", "value+-sigma", "unit")
-        blocks += combined(f"What the recording determines{name} in combination", entry.determined)
+        blocks += combined(f"Determined combinations{name}", entry.determined)
     blocks += _detectability(content)
-    blocks += target_table(beside.file(TARGETS.file, content), note="Adjusted with the findings modelled.")
+    blocks += target_table(context.file(TARGETS.file, content), note="Adjusted with the findings in the model.")
     named = (recording.setup.title if recording else "") or (content.recording.title if content.recording else "")
     answer = sentence(content.summary)
     if truth is not None and truth.effects:
         what = listing([f"{a.effect.name} ({_place_of(a.effect)})" for a in truth.effects])
-        answer = f"On purpose, {what} was hidden in this simulated recording. The diagnosis, not told of it: {answer}"
+        answer = f"This recording is simulated, with {what} injected on purpose. Blind diagnosis: {answer}"
     return Section(
         f"Diagnosis: {named}" if named else "Diagnosis of a tracker network", "Diagnosis", answer,
-        mood(content.verdict == "consistent"), _facts(content), blocks, shown=shown, lead=lead, told=shown,
+        mood(content.verdict == "consistent"), _facts(content), blocks, shown=shown, lead=lead, terminal_blocks=shown,
         actions=_actions(content),
     )  # fmt: skip
 
 
 def _actions(content: DiagnosisFile) -> list[str]:
-    """Next steps: measurements that decide between explanations, then places to inspect."""
-    said = [sentence(finding.separate_by) for finding in content.findings if finding.separate_by]
+    """Next actions: measurements that separate explanations, then places to inspect."""
+    actions = [sentence(finding.separate_by) for finding in content.findings if finding.separate_by]
     for finding in content.findings:
         where = finding.where
         trackers = [f"instrument {name}" for name in where.instruments]
@@ -108,12 +108,12 @@ def _actions(content: DiagnosisFile) -> list[str]:
         cause = f"the cause of {finding.effect}" if finding.known else unnamed
         todo = f"Exchange the names {listing(where.targets)} at" if _swapped(finding) else f"Look for {cause}"
         place = listing(where.stations) if _swapped(finding) else f"({place})"
-        said.append(f"{todo} {place}; targets.csv holds coordinates that allow for it.")
-    return said
+        actions.append(f"{todo} {place}; targets.csv holds coordinates that allow for it.")
+    return actions
 
 
 def _swapped(finding: Finding) -> bool:
-    """Two reflectors were booked for each other."""
+    """True if the names of two reflectors were exchanged."""
     return finding.effect == "target-swap" and len(finding.where.targets) == 2
 
 
@@ -137,9 +137,11 @@ def _ratio(fit: Misfit) -> str:
     return f"{fit.chi2 / fit.dof:.3f}" if fit.dof > 0 and fit.chi2 is not None else NONE
 
 
-def _residuals(content: DiagnosisFile, beside: Beside, pair: Pair | None) -> tuple[Residuals | None, Residuals | None]:
-    """Residuals without and with the findings; covariates come from the recording's geometry."""
-    file, stored = (beside.file(name, content) for name in (RESIDUALS.file, BEFORE.file))
+def _residuals(
+    content: DiagnosisFile, context: ReportContext, pair: Pair | None
+) -> tuple[Residuals | None, Residuals | None]:
+    """Residuals without and with the findings, with covariates from the geometry of the recording."""
+    file, stored = (context.file(name, content) for name in (RESIDUALS.file, BEFORE.file))
     geometry = Residuals.from_adjustment(pair[0]) if pair is not None else None
     after, before = (Residuals.read(f).with_covariates(geometry) if f is not None else None for f in (file, stored))
     return (before if after is not None else None), after
@@ -148,20 +150,20 @@ def _residuals(content: DiagnosisFile, beside: Beside, pair: Pair | None) -> tup
 def _finding(
     finding: Finding, number_: int, answer: str, pair: Pair | None, residuals: tuple[Residuals | None, Residuals | None]
 ) -> list[Block]:
-    """One finding: its sentence if the answer lacks it, what carries it, where it is, what it does to the readings."""
-    name = finding.effect if finding.known else "an effect that no catalogue entry explains"
+    """Blocks of a finding: its sentence unless it is in the answer, figure, place, and table of values."""
+    name = finding.effect if finding.known else "effect outside the catalogue"
     words = finding.sentence or f"{name} {_place(finding.where)}"
-    cure = f" To tell it from the others: {finding.separate_by.rstrip('.')}." if finding.separate_by else ""
+    cure = f" To separate it from the alternatives: {finding.separate_by.rstrip('.')}." if finding.separate_by else ""
     new = finding.formula not in finding.sentence
     formula = f" Proposed term: {finding.formula}." if finding.formula and new else ""
-    said = f"{words.rstrip('.')}.{formula}{cure}"
-    blocks: list[Block] = [] if said in answer else [Note(f"Finding {number_}: {name}", said, "bad")]
+    text = f"{words.rstrip('.')}.{formula}{cure}"
+    blocks: list[Block] = [] if text in answer else [Note(f"Finding {number_}: {name}", text, "bad")]
     drawn = finding_drawing(finding, *residuals)
     if drawn is not None:
-        text = "Residuals without the finding (left) and with it modelled (right)."
+        text = "Residuals without the finding (left) and with the finding in the model (right)."
         if finding.curve is not None and len(finding.curve.at) >= MOST_STEPS:
-            text = f"The {finding.carrier} over {finding.curve.covariate}, as it fits best."
-        blocks.append(Picture(f"What finding {number_} does", drawn, text))
+            text = f"Estimated change of the {finding.carrier} over {finding.curve.covariate}."
+        blocks.append(Picture(f"Effect of finding {number_}", drawn, text))
     blocks += _whereabouts(finding, number_, pair)
     evidence = finding.evidence
     rows = [[p.name.replace("_", " "), with_sigma(p.value, p.sigma, p.unit)] for p in finding.parameters]
@@ -170,33 +172,33 @@ def _finding(
         ["chi2 falls by", f"{number(evidence.chi2_drop)} for {count(evidence.parameters, 'parameter')}"],
         ["p, corrected for the search", p_text(evidence.p_value)],
         ["probability", f"{100 * evidence.probability:.3g} %"],
-        *([f"instead {e.effect}", f"{100 * e.probability:.2g} %"] for e in finding.equivalents),
+        *([f"alternative: {e.effect}", f"{100 * e.probability:.2g} %"] for e in finding.equivalents),
     ]
     return [*blocks, Grid(f"Finding {number_} in figures", ["", "value"], rows, text_columns=2)]
 
 
 def finding_drawing(finding: Finding, before: Residuals | None, after: Residuals | None) -> Callable[[], Figure] | None:
-    """Figure of a finding: its carrier over its driver where it has a curve; else the residuals without and with it.
+    """Figure of a finding: its response over its regressor if it has a curve, else residuals without and with it.
 
-    None for mistakes, such as gross errors and names that were exchanged: both sides are without them.
+    None for mistakes such as gross errors and exchanged names, which are removed from both.
     """
     curve = finding.curve
     if curve is not None and len(curve.at) >= MOST_STEPS:
         return lambda: figures.residuals.driver_curve(curve, finding.carrier, before)
-    mended = finding.evidence.p_value is None
-    if before is None or after is None or mended or np.array_equal(before.residual, after.residual):
+    is_mistake = finding.evidence.p_value is None
+    if before is None or after is None or is_mistake or np.array_equal(before.residual, after.residual):
         return None
     where = finding.where
     wanted = [before.order if name == "time" else name for name in (*where.covariates, "time", "elevation", "row")]
-    known = [name for name in wanted if name in before.covariates and name in after.covariates]
+    available = [name for name in wanted if name in before.covariates and name in after.covariates]
     place = where.stations, where.targets
-    if not known or not before.at(*place).any() or not after.at(*place).any():
+    if not available or not before.at(*place).any() or not after.at(*place).any():
         return None
-    return lambda: figures.residuals.signature_figure(before, after, known[0], where)
+    return lambda: figures.residuals.signature_figure(before, after, available[0], where)
 
 
 def _whereabouts(finding: Finding, number_: int, pair: Pair | None) -> list[Block]:
-    """Floor plan with the place of a finding on few stations or targets; for a swap, the exchanged targets."""
+    """Floor plan with the place of a finding at few stations or targets, or with the exchanged targets."""
     from ltsim.reports.workshop import from_adjustment
 
     stations, targets = finding.where.stations, finding.where.targets
@@ -204,11 +206,11 @@ def _whereabouts(finding: Finding, number_: int, pair: Pair | None) -> list[Bloc
         return []
     swapped = _swapped(finding)
     marked, pairs = (*stations, *targets), [(targets[0], targets[1])] if swapped else []
-    text = "The red targets were booked for each other: each reading belongs to the other end of the arrow."
+    text = "The names of the red targets were exchanged: each reading belongs to the other end of the arrow."
     caption = text if swapped else "Seen from above, in red."
     workshop = from_adjustment(pair[1])
     figure = partial(figures.floor_plan.whereabouts, workshop, marked, pairs)
-    return [Picture(f"Where finding {number_} is", figure, caption)]
+    return [Picture(f"Place of finding {number_}", figure, caption)]
 
 
 def _place(where: Where) -> str:
@@ -236,84 +238,90 @@ def _fit(content: DiagnosisFile) -> list[Block]:
     pair = (("without the findings", content.fit.before), ("with the findings", content.fit.after))
     rows = [[word, number(f.chi2, 4), str(f.dof), _ratio(f), number(f.held_out_rms)] for word, f in pair]
     note = (
-        "Held-out error: five parts of the pointings are left out in turn, and foretold by a fit and a search without "
-        "them; over the noise as stated, or as found where that is larger."
+        "Held-out error: 5-fold cross-validated prediction error over the stated noise (or the estimated noise, if "
+        "larger); 1 is as good as the noise allows."
     )
     header = ["", "chi2", "degrees of freedom", "ratio", "held-out error"]
     return [Grid("Fit before and after", header, rows, note=note)]
 
 
 def _hidden(content: DiagnosisFile) -> list[Block]:
-    """Effects that are not detectable, worst first, as far as they matter."""
-    felt = [u for u in content.undetectable if u.hides_um and u.hides_um >= LEAST_UM]
-    worst = sorted(felt, key=lambda u: -(u.hides_um or 0.0))
+    """Table of undetectable effects that cause relevant errors, the largest first."""
+    relevant = [u for u in content.undetectable if u.hides_um and u.hides_um >= LEAST_UM]
+    worst = sorted(relevant, key=lambda u: -(u.hides_um or 0.0))
     rows = [[u.effect, number(u.hides_um, 2), number(u.shows_at, 2) if u.shows_at else "never"] for u in worst]
-    header = ["effect", "hides of the targets [um]", "shows at times that size"]
+    header = ["effect", "undetected target error [um]", "detectable at times that size"]
     cures = " or ".join(dict.fromkeys(u.cure for u in worst if u.cure))
-    note = "At a bad but plausible size poses, targets and constants of the instrument absorb these"
-    note += f"; what would show them: {cures}." if cures else "."
-    return [Grid("Not to be seen in this recording", header, rows, note=note)] if rows else []
+    note = "Poses, targets and instrument constants absorb these effects at a plausible worst-case size."
+    note += f" To detect them: {cures}." if cures else ""
+    return [Grid("Undetectable in this recording", header, rows, note=note)] if rows else []
 
 
 def _detectability(content: DiagnosisFile) -> list[Grid]:
-    """Smallest sizes of effects that are detected."""
+    """Table of the smallest detectable sizes of effects."""
     note = (
-        "About 80 % of recordings of this network are told as a mismatch if an effect at a middling place is this "
-        "large; to be named it may have to be larger."
+        "Size at which about 80 % of the recordings of this network give a mismatch, for a median place; naming may "
+        "need a larger effect."
     )
-    return table_of("Smallest size that is found", content.detectable, "effect", "parameter", "size", "unit", note=note)
+    return table_of("Smallest detectable size", content.detectable, "effect", "parameter", "size", "unit", note=note)
 
 
-def _beside_truth(content: DiagnosisFile, truth: Truth, pair: Pair | None) -> list[Block]:
-    """Comparison of the effects hidden in a simulated recording with its diagnosis: as a curve and in numbers."""
+def _against_truth(content: DiagnosisFile, truth: Truth, pair: Pair | None) -> list[Block]:
+    """Comparison of the injected effects of a simulated recording with the diagnosis, as curve and table."""
     named = {a.effect.name: a for a in truth.effects}
     ordered = [named.get(f.effect) for f in content.findings]
     ordered += [a for name, a in named.items() if name not in {f.effect for f in content.findings}]
-    rows = [row for one, other in zip_longest(ordered, content.findings) for row in _pair_rows(one, other)]
-    note = "From truth.json, which the diagnosis does not open; found values +- one sigma."
-    table = Grid("Hidden on purpose, and found", ["", "hidden", "found"], rows, 1, note)
+    rows = [
+        row for injected, finding in zip_longest(ordered, content.findings) for row in _pair_rows(injected, finding)
+    ]
+    note = "Injected values are from truth.json, which the diagnosis does not read; estimates +- one sigma."
+    table = Grid("Injected and diagnosed", ["", "injected", "diagnosed"], rows, 1, note)
     return [*_curves(content, truth.effects[0], pair), table]
 
 
-def _pair_rows(hidden: AppliedEffect | None, found: Finding | None) -> list[list[str]]:
-    """Effect, place and values of one pair, constants of its shape among them."""
+def _pair_rows(injected: AppliedEffect | None, finding: Finding | None) -> list[list[str]]:
+    """Rows of an injected effect and its finding: effect, place, values, shape constants."""
     true: dict[str, tuple[float | None, str]] = {}
-    if hidden is not None:
-        sizes = zip(hidden.effect.parameters, hidden.values, strict=True)
+    if injected is not None:
+        sizes = zip(injected.effect.parameters, injected.values, strict=True)
         true = {p.name: (value / p.factor, p.unit) for p, value in sizes}
-        true |= {s.name: (getattr(hidden.effect, s.name) / FACTOR[s.unit], s.unit) for s in hidden.effect.shape}
-    values = {} if found is None else {p.name: p for p in found.parameters}
-    where = [_place_of(x) if x else NONE for x in (hidden and hidden.effect, found and found.where)]
+        true |= {s.name: (getattr(injected.effect, s.name) / FACTOR[s.unit], s.unit) for s in injected.effect.shape}
+    values = {} if finding is None else {p.name: p for p in finding.parameters}
+    where = [_place_of(x) if x else NONE for x in (injected and injected.effect, finding and finding.where)]
     rows = [
-        ["effect", hidden.effect.name if hidden else NONE, found.effect if found else "not found"],
+        ["effect", injected.effect.name if injected else NONE, finding.effect if finding else "not detected"],
         ["where", *where],
     ]
     for name in dict.fromkeys([*true, *values]):
         estimate = values.get(name)
         value, unit = true.get(name, (None, estimate.unit if estimate else ""))
-        told = with_sigma(estimate.value, estimate.sigma) if estimate else NONE
-        rows.append([f"{name.replace('_', ' ')} [{unit}]" if unit else name, number(value), told])
+        text = with_sigma(estimate.value, estimate.sigma) if estimate else NONE
+        rows.append([f"{name.replace('_', ' ')} [{unit}]" if unit else name, number(value), text])
     return rows
 
 
-def _curves(content: DiagnosisFile, hidden: AppliedEffect, pair: Pair | None) -> list[Block]:
-    found = next((f for f in content.findings if f.effect == hidden.effect.name), None)
-    if pair is None or found is None:
+def _curves(content: DiagnosisFile, applied: AppliedEffect, pair: Pair | None) -> list[Block]:
+    finding = next((f for f in content.findings if f.effect == applied.effect.name), None)
+    if pair is None or finding is None:
         return []
-    told, sightings, own = {p.name: p.value for p in found.parameters}, pair[1].sightings, hidden.effect
+    estimates, sightings, injected = {p.name: p.value for p in finding.parameters}, pair[1].sightings, applied.effect
     try:
-        shape = {s.name: told[s.name] for s in own.shape if s.name in told}
-        effect = effect_from(own.name, {"stations": found.where.stations, "targets": found.where.targets}, shape)
-        values = np.array([told.get(p.name, 0.0) * p.factor for p in own.parameters])
-        true, fitted = own.shift(sightings, hidden.values), effect.shift(sightings, values)
+        shape = {s.name: estimates[s.name] for s in injected.shape if s.name in estimates}
+        effect = effect_from(
+            injected.name, {"stations": finding.where.stations, "targets": finding.where.targets}, shape
+        )
+        values = np.array([estimates.get(p.name, 0.0) * p.factor for p in injected.parameters])
+        true, fitted = injected.shift(sightings, applied.values), effect.shift(sightings, values)
     except LtsimError:
         return []
     column = int(np.argmax(np.abs(true).max(axis=0) * [1.0, *2 * [float(np.median(sightings.range_))]]))
     rows, observable = np.abs(true).max(axis=1) > 0, OBSERVABLES[column]
     unit = OBSERVABLE_UNIT[observable]
-    far = "distance" in own.covariates
+    far = "distance" in injected.covariates
     at = sightings.range_[rows] if far else sightings.time[rows] / 60.0
     hid, got = (shift[rows, column] / FACTOR[unit] for shift in (true, fitted))
     names = "distance [m]" if far else "time [min]", f"change of the {observable} [{typeset(unit)}]"
-    text = f"What {own.name} did to the {observable} readings ({_place_of(own)}), and what was found of it."
-    return [Picture("Hidden and found", lambda: figures.residuals.hidden_and_found(at, hid, got, *names), text)]
+    text = f"Change of the {observable} readings by {injected.name} ({_place_of(injected)}): injected and estimated."
+    return [
+        Picture("Injected and estimated", lambda: figures.residuals.injected_and_estimated(at, hid, got, *names), text)
+    ]

@@ -1,4 +1,4 @@
-"""A recording's section, and blocks that several kinds share: residuals, floor plan, 3D view, who stands where."""
+"""Section of a recording, and blocks that several sections share: residuals, floor plan, 3D view, targets."""
 
 from __future__ import annotations
 
@@ -19,7 +19,6 @@ from ltsim.physics.model.construction import declared_construction
 from ltsim.recordings import Recording, read
 from ltsim.reports import figures
 from ltsim.reports.document import (
-    Beside,
     Block,
     Detail,
     Fact,
@@ -27,6 +26,7 @@ from ltsim.reports.document import (
     Listing,
     Note,
     Picture,
+    ReportContext,
     Scene,
     Section,
     mood,
@@ -41,11 +41,11 @@ if TYPE_CHECKING:
 
 TRUTH = "truth.json"
 Pair = tuple[Adjustment, Adjustment]
-"""The network without and with the instrument's parameters."""
+"""Adjusted networks without and with the instrument's parameters."""
 
 
 def adjusted(recording: Recording) -> Pair:
-    """The network without and with the instrument's parameters; raises NetworkError, ConvergenceError."""
+    """Adjusted networks without and with the instrument's parameters; raises NetworkError, ConvergenceError."""
     plain, full = adjust(recording), adjust(recording, declared_construction(recording))
     plain.solution.require_success()
     full.solution.require_success()
@@ -53,21 +53,21 @@ def adjusted(recording: Recording) -> Pair:
 
 
 def adjusted_if_possible(recording: Recording | None) -> Pair | None:
-    """The same; None where there is no recording, or it cannot be adjusted."""
+    """Adjusted networks as of `adjusted`; None without a recording, or if it cannot be adjusted."""
     try:
         return adjusted(recording) if recording is not None else None
     except (NetworkError, ConvergenceError):
         return None
 
 
-def truth_of(beside: Beside) -> Truth | None:
-    """The truth of a simulation that lies beside a result."""
-    file = beside.folder / TRUTH if beside.folder else None
+def truth_of(context: ReportContext) -> Truth | None:
+    """Truth of a simulation in the folder of a result."""
+    file = context.folder / TRUTH if context.folder else None
     return read_truth(file) if file is not None and file.is_file() else None
 
 
 def residual_blocks(after: Residuals, before: Residuals | None) -> list[Block]:
-    """Residuals by station and against covariates; `before` is without the instrument's parameters."""
+    """Figures of residuals by station and over covariates; `before` is without the instrument's parameters."""
     compared = " Grey: without the instrument's parameters; blue: with." if before is not None else ""
     text = "Observed minus adjusted reading of every pointing; the bar is the root mean square."
     drawn = Picture(
@@ -77,15 +77,15 @@ def residual_blocks(after: Residuals, before: Residuals | None) -> list[Block]:
 
 
 def over_covariates(after: Residuals) -> list[Block]:
-    """Residuals against what is known of each pointing."""
-    text = "Lines: running means with twice their standard error; where the model holds they stay at zero."
-    title = "Residuals against what they might depend on"
-    known = set(USUAL) & set(after.covariates)
-    return [Picture(title, lambda: figures.residuals.residuals_by_covariate(after), text)] if known else []
+    """Figure of residuals over covariates."""
+    text = "Lines: running means with twice their standard error; they stay at zero if the model holds."
+    title = "Residuals over covariates"
+    shared = set(USUAL) & set(after.covariates)
+    return [Picture(title, lambda: figures.residuals.residuals_by_covariate(after), text)] if shared else []
 
 
 def workshop_blocks(shown: Callable[[], PlacedWorkshop], detail: Detail) -> list[Block]:
-    """The 3D view and the floor plan, as far as `detail` asks for them."""
+    """3D view and floor plan, according to `detail`."""
     if detail == "none":
         return []
     workshop = shown()
@@ -99,10 +99,10 @@ def workshop_blocks(shown: Callable[[], PlacedWorkshop], detail: Detail) -> list
 
 
 def scene(workshop: PlacedWorkshop) -> Scene | Note:
-    """The 3D view, with the page to turn; where it cannot be drawn, what it needs."""
+    """3D view with its interactive page; a note if packages are missing."""
     if not installed("pyvista"):
         return Note("No 3D view", str(missing_extra("3D views", "view")))
-    from ltsim.reports.scene_page import picture_and_page  # pyvista takes a second to load, and only this needs it
+    from ltsim.reports.scene_page import picture_and_page  # slow to import
     from ltsim.reports.style import webp_uri
 
     coloured = workshop.coloured("incidence")
@@ -114,23 +114,23 @@ def scene(workshop: PlacedWorkshop) -> Scene | Note:
 
 
 def undetermined(title: str, entries: Sequence[Combination], *, decimals: int, note: str = "") -> list[Grid]:
-    """Combinations of parameters that stay open, and the cure of each."""
+    """Table of undetermined combinations of parameters, with the measurement that determines each."""
     rows = [
         [entry.terms, entry.cure or NONE, NONE if entry.gain is None else f"{100 * entry.gain:.{decimals}f} %"]
         for entry in entries
     ]
-    header = ["combination, in units of the prior sigma", "what would determine it", "told"]
+    header = ["combination, in units of the prior sigma", "determined by", "information"]
     return [Grid(title, header, rows, text_columns=2, note=note)] if rows else []
 
 
 def combined(title: str, entries: Sequence[DeterminedEntry]) -> list[Grid]:
-    """Combinations of parameters that are known far better than each of them."""
-    note = "Together they are known far better than each of them."
+    """Table of combinations of parameters that are determined far better than the single ones."""
+    note = "The combination is determined far better than its single parameters."
     return table_of(title, entries, "terms=combination", "instrument", "value+-sigma", "unit", note=note)
 
 
 def target_table(file: Path | None, *, note: str) -> list[Grid]:
-    """Coordinates of a `targets.csv` with their expanded uncertainty; none where there is no such file."""
+    """Table of the coordinates in a `targets.csv` with expanded uncertainties; empty list without a file."""
     if file is None:
         return []
     names, points, sigma = read_targets(file)
@@ -141,18 +141,19 @@ def target_table(file: Path | None, *, note: str) -> list[Grid]:
 
 
 def targets_in_words(sigma: Floats) -> str:
-    """Uncertainty of targets in words, from standard deviations (T, 3) [m]: in plan where heights are undetermined."""
-    told = sigma[np.isfinite(sigma[:, :2]).all(axis=1)]
-    flat = bool(np.isnan(told).any())
-    known = np.sort(np.sqrt((told[:, : 2 if flat else 3] ** 2).sum(axis=1)))
-    if not len(known):
+    """Sentence on the uncertainty of targets with sigmas (T, 3) [m]; in plan if heights are undetermined."""
+    placed = sigma[np.isfinite(sigma[:, :2]).all(axis=1)]
+    flat = bool(np.isnan(placed).any())
+    sizes = np.sort(np.sqrt((placed[:, : 2 if flat else 3] ** 2).sum(axis=1)))
+    if not len(sizes):
         return ""
-    typical, worst = (number(2e6 * s, 2) for s in (np.median(known), known[-1]))
-    return f"A target is known to U = {typical} um (k = 2) in {'plan' if flat else 'space'}, the worst to {worst} um."
+    typical, worst = (number(2e6 * s, 2) for s in (np.median(sizes), sizes[-1]))
+    where = "plan" if flat else "space"
+    return f"Expanded uncertainty of a target in {where}: U = {typical} um (k = 2), {worst} um for the worst."
 
 
 def recording_section(folder: Path, *, detail: Detail = "turn", brief: bool = False) -> Section:
-    """The section of a recording; a `brief` one leaves residuals to the section of its calibration.
+    """Section of a recording; a `brief` one leaves residuals to the section of its calibration.
 
     Raises
     ------
@@ -177,7 +178,7 @@ def recording_section(folder: Path, *, detail: Detail = "turn", brief: bool = Fa
         return Section(title, "Recording", answer, "bad", facts, last)
     agrees, words = agreement(full.chi2, full.dof, full.p_value)
     outliers = full.outliers()
-    found = f" Outliers: {count(len(outliers), 'reading')}." if outliers else ""
+    outlier_text = f" Outliers: {count(len(outliers), 'reading')}." if outliers else ""
     facts += [
         Fact("sigma0", f"{np.sqrt(full.chi2 / max(full.dof, 1)):.3f}", mood(agrees)),
         Fact("p, two-sided", p_text(two_sided(full.p_value)), mood(agrees)),
@@ -187,7 +188,7 @@ def recording_section(folder: Path, *, detail: Detail = "turn", brief: bool = Fa
     if not brief:
         before, after = Residuals.from_adjustment(plain), Residuals.from_adjustment(full)
         last = [*residual_blocks(after, before), *last]
-    answer = f"{_contents(recording)} With the instrument's parameters adjusted, {words}.{found}"
+    answer = f"{_contents(recording)} With the instrument's parameters adjusted, {words}.{outlier_text}"
     return Section(title, "Recording", answer, mood(agrees and not outliers), facts, [*blocks, *last], shown=2)
 
 
@@ -214,5 +215,5 @@ def _table(recording: Recording) -> Grid:
 def _settings(folder: Path) -> Block:
     file = folder / "setup.toml"
     if not file.is_file():
-        return Note("Set-up", "There is no set-up file: the default noise and priors were used.")
+        return Note("Set-up", "There is no setup.toml; the default noise and priors were used.")
     return Listing("Set-up of the recording (setup.toml)", file.read_text(encoding="utf-8"))

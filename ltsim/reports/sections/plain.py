@@ -1,4 +1,4 @@
-"""Sections that are a sentence, tables and at most a picture: each is a few lines over its result file."""
+"""Simple sections: a sentence, tables and at most one picture."""
 
 from __future__ import annotations
 
@@ -15,7 +15,19 @@ from ltsim.measurands.comparison import DISPLACEMENTS, Comparison
 from ltsim.measurands.files import UncertaintyFile
 from ltsim.planning.result import NextFile
 from ltsim.reports import figures
-from ltsim.reports.document import Beside, Block, Fact, Grid, Note, Notes, Picture, Section, mood, table_block, table_of
+from ltsim.reports.document import (
+    Block,
+    Fact,
+    Grid,
+    Note,
+    Notes,
+    Picture,
+    ReportContext,
+    Section,
+    mood,
+    table_block,
+    table_of,
+)
 from ltsim.reports.words import count, distinct_labels, duration, listing, natural, sentence
 
 if TYPE_CHECKING:
@@ -23,30 +35,30 @@ if TYPE_CHECKING:
 
 LEVEL, LIKELY, NOTHING = 0.01, 0.5, 1e-6
 UNITED = (
-    "U: expanded uncertainty; mc: ends of the interval by Monte Carlo, to be taken where it does not agree with U "
+    "U: expanded uncertainty; mc: limits of the Monte Carlo interval, to be used if it does not agree with U "
     "(JCGM 101, clause 8)."
 )
 MOST_BARS, MOST_TESTS = 40, 200
 AGAINST = {
-    ("two-face",): "Run the tracker's own two-face compensation, or calibrate it: ltsim calibrate.",
+    ("two-face",): "Run the two-face compensation of the tracker, or estimate its errors with ltsim calibrate.",
     ("gross", "bump", "drift", "instrument-drift", "closure", "level", "mistake"): (
-        "Measure what is named here anew before the tripod is carried on."
+        "Re-measure the points of the failed tests before moving the tripod."
     ),
-    ("network",): "Find out why the stations disagree: ltsim diagnose names what is missing from the model.",
+    ("network",): "Run ltsim diagnose to locate the disagreement of the stations.",
 }
-"""Next step where a check of these kinds fails."""
+"""Next action by the kinds of the failed tests."""
 
 
-def check_section(content: CheckFile, beside: Beside) -> Section:
-    """Go or no-go, and every test."""
-    drawn = beside.file("check.svg", content)
-    caption = "Above: half two-face differences over their limits. Below: what each pointing misses over time."
+def check_section(content: CheckFile, context: ReportContext) -> Section:
+    """Section of a field check: go or no-go, and every test."""
+    drawn = context.file("check.svg", content)
+    caption = "Above: half two-face differences over their limits. Below: misfit of each pointing over time."
     blocks: list[Block] = [] if drawn is None else [Picture("At a glance", lambda: drawn.read_text("utf-8"), caption)]
-    fields = ("station", "kind=test", "sentence=what was found", "targets", "p_value")
-    for title, passed in (("Against going on", False), ("Tests that are kept", True)):
+    fields = ("station", "kind=test", "sentence=result", "targets", "p_value")
+    for title, passed in (("Tests failed", False), ("Tests passed", True)):
         blocks += table_of(title, [i for i in content.items if i.passed is passed], *fields, folds=False)
     failed = sum(not item.passed for item in content.items)
-    facts = [Fact("tests", str(len(content.items))), Fact("against going on", str(failed), mood(not failed))]
+    facts = [Fact("tests", str(len(content.items))), Fact("failed", str(failed), mood(not failed))]
     blocks = [*blocks[1:2], *blocks[:1], *blocks[2:]] if failed and drawn else blocks
     shown = 2 if failed else 1
     named = content.recording.title if content.recording else ""
@@ -55,31 +67,31 @@ def check_section(content: CheckFile, beside: Beside) -> Section:
     return Section(title, "Check", answer, mood(content.passed), facts, blocks, shown=shown, actions=actions)
 
 
-def comparison_section(content: Comparison, _: Beside) -> Section:
-    """Section of a comparison of epochs: the points that moved."""
+def comparison_section(content: Comparison, _: ReportContext) -> Section:
+    """Section of a comparison of epochs."""
     points = sorted(content.displacements, key=lambda d: (not d.moved, natural(d.target)))
     moved = [d.target for d in points if d.moved]
     caption = "Shift of each point, enlarged; circle: the largest semi-axis of its 95 % ellipsoid."
-    note = "a +- b: one standard deviation; visible: the smallest motion that is found in 4 of 5 cases."
+    note = "a +- b: one standard deviation; visible: the smallest motion that is detected with probability 80 %."
     shown = DISPLACEMENTS.filled(d.row for d in points).only("target moved dx_um dy_um dz_um a_um visible_um p_value")
     table = table_block("Every point", shown, note=note, marked=frozenset(range(len(moved))), folds=False)
     facts = [
         Fact("points", str(len(points))),
         Fact("moved", str(len(moved)), mood(not moved)),
-        Fact("no motion at all, p", p_text(content.p_value), mood(content.p_value >= content.level)),
+        Fact("no motion, p", p_text(content.p_value), mood(content.p_value >= content.level)),
         *([] if content.scale_ppm is None else [Fact("scale", f"{content.scale_ppm:+.2f} ppm")]),
     ]
     answer = " ".join(map(sentence, (content.sentence, *content.notes)))
     drawn = Picture("Displacements", lambda: figures.points.displacement_figure(content), caption)
-    said = f"Look at what moved, and measure it again before it is used as a reference: {listing(moved)}."
+    action = f"Inspect and re-measure these points before you use them as references: {listing(moved)}."
     return Section(
         "Comparison of two epochs", "Comparison", answer, mood(not moved), facts, [drawn, *table],
-        axes="the first epoch's", actions=[said] if moved else [],
+        axes="the first epoch's", actions=[action] if moved else [],
     )  # fmt: skip
 
 
-def acceptance_section(content: AcceptanceFile, _: Beside) -> Section:
-    """Tests against the maker's limits."""
+def acceptance_section(content: AcceptanceFile, _: ReportContext) -> Section:
+    """Section of acceptance tests."""
     predicted = content.kind == "predicted"
     good = mood(content.passes >= (LIKELY if predicted else 1.0))
     caption = "Each test's error over its limit, with its expanded uncertainty; the limit is at +-1."
@@ -98,8 +110,8 @@ def acceptance_section(content: AcceptanceFile, _: Beside) -> Section:
             marked=lambda t: not predicted and t.passes < 1,
         ),
         *table_of(
-            "What the tests see of one constant alone", content.sensitivities, "name=constant",
-            "prior_sigma=usual size", "smallest_failing=fails from", "unit", "test=first failed test",
+            "Sensitivity of the tests to single constants", content.sensitivities, "name=constant",
+            "prior_sigma=usual size", "smallest_failing=detected from", "unit", "test=first failed test",
         ),
     ]  # fmt: skip
     worst = content.worst_passing
@@ -108,15 +120,15 @@ def acceptance_section(content: AcceptanceFile, _: Beside) -> Section:
             f"{name} {number(value, 2)}" for name, value in worst.constants.items() if abs(value) > NOTHING
         )
         blind = [s.name for s in content.sensitivities if s.smallest_failing is None]
-        text = f"No test sees {', '.join(blind)}. " if blind else ""
+        text = f"No test detects {', '.join(blind)}. " if blind else ""
         text += (
-            f"An instrument with {constants} passes every test and places points 1.5 to 9 m away by {worst.rms_um:.0f} "
-            f"um (root mean square; {worst.largest_um:.0f} um at most) off."
+            f"An instrument with {constants} passes every test, although points at 1.5 to 9 m have errors of "
+            f"{worst.rms_um:.0f} um (rms; {worst.largest_um:.0f} um at most)."
         )
-        blocks.append(Note("What the tests do not see", text))
+        blocks.append(Note("Undetected instrument errors", text))
     facts = [
         Fact("tests", str(len(content.tests))),
-        Fact("chance to pass" if predicted else "passed", passes_words(content, content.passes), good),
+        Fact("probability to pass" if predicted else "passed", passes_words(content, content.passes), good),
         Fact("plan", content.plan),
         *([Fact("limits", content.specification.name)] if content.specification.name else []),
     ]
@@ -125,25 +137,25 @@ def acceptance_section(content: AcceptanceFile, _: Beside) -> Section:
     return Section(title, kind, sentence(content.sentence), good, facts, blocks, instrument=named)
 
 
-def uncertainty_section(content: UncertaintyFile, _: Beside) -> Section:
+def uncertainty_section(content: UncertaintyFile, _: ReportContext) -> Section:
     """Section of the uncertainties of tasks."""
-    told = [r for r in content.results if r.conformity is not None]
+    judged_results = [r for r in content.results if r.conformity is not None]
     results = content.tables()["results"]().only(
         "task result unit value U mc_low mc_high agrees judgement largest_source"
     )
     blocks: list[Block] = [*table_block("Results", results, note=UNITED, folds=False)]
     judged = [[r.task, r.name, *(number(x, 6) for x in (c.lower, c.upper, c.guard_band)), r.unit,
-               f"{100 * c.probability:.1f} %", c.judgement] for r in told if (c := r.conformity)]  # fmt: skip
+               f"{100 * c.probability:.1f} %", c.judgement] for r in judged_results if (c := r.conformity)]  # fmt: skip
     header = ["task", "result", "lower", "upper", "guard band", "unit", "conforms with", "judgement"]
     blocks += [Grid("Conformity (JCGM 106)", header, judged, 2)] if judged else []
-    caption = "Where each result's variance comes from; improve the widest bar first."
+    caption = "Contributions to the variance of each result; the widest bar is the best to improve."
     blocks.append(Picture("Budget", lambda: budget_of(content), caption))
-    blocks += [Notes("What to mind", content.warnings)] if content.warnings else []
+    blocks += [Notes("Warnings", content.warnings)] if content.warnings else []
     fields = ("source", "type", "standard_uncertainty=sigma", "share=share of the variance")
     for r in content.results:
         head = f"Budget of {r.task}, {r.name}" + (f" [{r.unit}]" if r.unit else "")
         blocks += table_of(head, [part for part in r.budget if part.share > 1e-3], *fields)
-    by_word = {w: [r.words for r in told if r.conformity and r.conformity.judgement == w]
+    by_word = {w: [r.words for r in judged_results if r.conformity and r.conformity.judgement == w]
                for w in ("accepted", "rejected", "undecided")}  # fmt: skip
     answer = (
         "; ".join(f"{word}: {listing(names, 3)}" for word, names in by_word.items() if names)
@@ -158,50 +170,50 @@ def uncertainty_section(content: UncertaintyFile, _: Beside) -> Section:
 
 
 def budget_of(content: UncertaintyFile) -> Figure:
-    """The budgets of the first results side by side."""
+    """Figure of the budgets of the first results."""
     shown = content.results[:MOST_BARS]
     sources = dict.fromkeys(part.source for r in shown for part in r.budget)
     shares = {name: [next((p.share for p in r.budget if p.source == name), 0.0) for r in shown] for name in sources}
     return figures.parameters.budget_figure([f"{r.task}, {r.name}" for r in shown], shares)
 
 
-def next_section(content: NextFile, _: Beside) -> Section:
-    """Section of proposals of further measurements."""
+def next_section(content: NextFile, _: ReportContext) -> Section:
+    """Section of proposed further measurements."""
     best = content.proposals[0]
     decided = mood(best.decides) if content.between else "plain"
     saved = [100 * (1 - factor) for factor in (best.sharper, best.serves_factor)]
-    answer = f"Measure next: {best.do} ({duration(60 * best.minutes)}); the instrument's parameters become "
-    answer += f"{saved[0]:.0f} % sharper on average, {best.serves} by {saved[1]:.0f} %."
+    answer = f"Measure next: {best.do} ({duration(60 * best.minutes)}); the standard deviations of the "
+    answer += f"instrument's parameters fall by {saved[0]:.0f} % on average, of {best.serves} by {saved[1]:.0f} %."
     answer = sentence(content.advice) if content.between and content.advice else answer
     rows = [[p.do, f"{p.minutes:.0f}", f"{100 * (1 - p.sharper):.0f} %",
              f"{p.serves} ({100 * (1 - p.serves_factor):.0f} %)"] for p in content.proposals]  # fmt: skip
-    header = ["do", "time [min]", "sharper by", "most for"]
-    note = "'Sharper' is the mean fall of the standard deviations of the instrument's parameters."
+    header = ["measurement", "time [min]", "mean fall of sigma", "largest for"]
+    note = "Fall of the standard deviations of the instrument's parameters."
     blocks: list[Block] = [Grid("Further measurements, the best first", header, rows, note=note)]
     if content.between:
         rivals = content.between[1:]
-        now = ["as it is now", *(number(content.evidence_now.get(name, 0.0)) for name in rivals), ""]
-        seen = [[p.do, *(number(p.evidence.get(name, 0.0)) for name in rivals), "yes" if p.decides else "no"]
+        now = ["current recording", *(number(content.evidence_now.get(name, 0.0)) for name in rivals), ""]
+        evidence = [[p.do, *(number(p.evidence.get(name, 0.0)) for name in rivals), "yes" if p.decides else "no"]
                 for p in content.proposals if p.evidence]  # fmt: skip
-        told = f"The larger, the more surely {content.between[0]} is told from it."
+        explanation = f"The larger the chi2, the more reliably {content.between[0]} is separated from the alternative."
         heads = ["measurement", *(f"chi2 against {name}" for name in rivals), "decides"]
-        blocks.append(Grid("What would decide", heads, [now, *seen], note=told))
-    blocks += [Note("What the diagnosis of the recording said", content.diagnosis)] if content.diagnosis else []
-    facts = [Fact("time for it", duration(60 * best.minutes)), Fact("instrument sharper by", f"{saved[0]:.0f} %")]
+        blocks.append(Grid("Separation of the alternatives", heads, [now, *evidence], note=explanation))
+    blocks += [Note("Diagnosis of the recording", content.diagnosis)] if content.diagnosis else []
+    facts = [Fact("time for it", duration(60 * best.minutes)), Fact("mean fall of sigma", f"{saved[0]:.0f} %")]
     actions = [sentence(proposal.do) for proposal in content.proposals[:1]]
     return Section("What to measure next", "Next measurement", answer, decided, facts, blocks, actions=actions)
 
 
-def history_section(content: HistoryFile, _: Beside) -> Section:
-    """Whether an instrument has changed."""
+def history_section(content: HistoryFile, _: ReportContext) -> Section:
+    """Section of the history of an instrument."""
     labels = [c.label for c in content.calibrations]
     short = dict(zip(labels, distinct_labels(labels), strict=True))
     since, usual = content.since_first, len(labels) > ENOUGH_STEPS
     changed = bool(content.events) if usual else since.p_value < LEVEL
-    known = [p for p in content.parameters if p.constant.dof]
+    determined = [p for p in content.parameters if p.constant.dof]
     text = "Estimates with 95 % intervals; the band is the mean +- the spread of the true values between calibrations."
-    course = Picture("Course of the parameters", lambda: figures.parameters.history_figure(labels, known), text)
-    drawn = [course] if known else []
+    course = Picture("Course of the parameters", lambda: figures.parameters.history_figure(labels, determined), text)
+    drawn = [course] if determined else []
     ends: dict[str, Callable[[Any], str]] = {
         "from_": lambda e: short.get(e.from_, e.from_),
         "to": lambda e: short.get(e.to, e.to),
@@ -211,22 +223,22 @@ def history_section(content: HistoryFile, _: Beside) -> Section:
     rows = [[ends["from_"](c), ends["to"](c), listing(c.changed) or ("no single one" if c.p_value < LEVEL else ""),
              f"{c.chi2:.1f} / {c.dof}", p_text(c.p_value)] for c in every]  # fmt: skip
     marked = frozenset(i for i, c in enumerate(every) if c.p_value < LEVEL)
-    few = "no event can be told" if len(labels) <= LEAST_STEPS else "only a gross event stands out"
-    hardly = f" {len(labels)} calibrations hardly tell how the instrument moves from one to the next: {few}."
+    few = "no event can be detected" if len(labels) <= LEAST_STEPS else "only a gross event can be detected"
+    hardly = f" {len(labels)} calibrations are too few to know the usual changes of the instrument: {few}."
     blocks: list[Block] = [
-        Grid("Has it changed?", ["from", "to", "above all", "chi2 / parameters", "p"], rows, 3,
-              "Marked where the chance of such differences without a change is under 1 %." + hardly * (not usual),
+        Grid("Changes between calibrations", ["from", "to", "above all", "chi2 / parameters", "p"], rows, 3,
+              "Marked: p < 1 % for such differences without a change." + hardly * (not usual),
               marked),
         *drawn,
-        *table_of("Events: steps that stand out", named, "from_=from", "to", "name=parameter", "difference+-sigma=step",
+        *table_of("Events: unusual steps", named, "from_=from", "to", "name=parameter", "difference+-sigma=step",
                   "usual=its usual step", "unit", "p_value"),
         Grid("Parameters", ["parameter", "last", "mean", "spread", "p constant"],
               [[p.name, with_sigma(p.values[-1], p.sigmas[-1], p.unit), number(p.mean), number(p.spread),
-                p_text(p.constant.p_value)] for p in known]),
+                p_text(p.constant.p_value)] for p in determined]),
         Grid("Fits of the calibrations", ["calibration", "chi2", "degrees of freedom", "sigma0"],
               [[short[c.label], number(c.fit.chi2), str(c.fit.dof), number(c.fit.sigma0)]
                for c in content.calibrations],
-              note="Where sigma0 is far above 1 the sigmas are too small, and changes look too certain."),
+              note="If sigma0 is far above 1, the sigmas are too small and changes appear too significant."),
     ]  # fmt: skip
     facts = [
         Fact("calibrations", str(len(labels))),
@@ -243,13 +255,14 @@ def _course_words(content: HistoryFile, events: Sequence[Any], usual: bool, ends
     tested = f"(chi2 {since.chi2:.0f} for {since.dof}, {format_p(since.p_value)})"
     if events:
         steps = listing(list(dict.fromkeys(f"between {e.from_} and {e.to}" for e in events)))
-        return f"had an event (a service, a blow) {steps}, in {listing(list(dict.fromkeys(e.name for e in events)))}."
+        names = listing(list(dict.fromkeys(e.name for e in events)))
+        return f"had an event (such as a service or a blow) {steps}, in {names}."
     if since.p_value >= LEVEL:
         between = [f"{ends['from_'](c)} and {ends['to'](c)}" for c in content.changes if c.p_value < LEVEL]
         return f"shows no change since the first {tested}" + (
             f", though it did between {listing(between)}." if between else "."
         )
     if usual:
-        return f"moved no more than it does from one calibration to the next {tested}."
-    which = f", above all in {listing(since.changed)}" if since.changed else ", in no single parameter for certain"
+        return f"changed no more than it usually does between calibrations {tested}."
+    which = f", mainly in {listing(since.changed)}" if since.changed else ", in no single parameter significantly"
     return f"has changed since the first{which} {tested}."

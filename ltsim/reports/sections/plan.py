@@ -1,4 +1,4 @@
-"""Section of a plan in a report: places of the tripods, quality, cost, and what is not detectable."""
+"""Section of a plan: places of the tripods, quality, time, and undetectable effects."""
 
 import json
 from functools import partial
@@ -10,7 +10,6 @@ from ltsim.core.units import MILLIMETRE
 from ltsim.planning.result import PlanResult
 from ltsim.reports import figures
 from ltsim.reports.document import (
-    Beside,
     Block,
     Fact,
     Grid,
@@ -18,6 +17,7 @@ from ltsim.reports.document import (
     Note,
     Notes,
     Picture,
+    ReportContext,
     Section,
     mood,
     table_block,
@@ -28,8 +28,8 @@ from ltsim.scene.floor import Floor
 from ltsim.simulation.scenario import Scenario, load_scenario
 
 
-def plan_section(content: PlanResult, beside: Beside) -> Section:
-    """The section of a `plan.json` (and of the `scenario.toml` beside it, for the pictures).
+def plan_section(content: PlanResult, context: ReportContext) -> Section:
+    """Section of a `plan.json`, with pictures from the `scenario.toml` in its folder.
 
     Raises
     ------
@@ -37,15 +37,15 @@ def plan_section(content: PlanResult, beside: Beside) -> Section:
         When a file is malformed.
     """
     frame = f"{content.frame[:1].upper()}{content.frame[1:]}." if content.frame else ""
-    blocks: list[Block] = [*table_block("Where to put the tripod", content.table("stations"), note=frame)]
-    file = beside.file("scenario.toml", content)
+    blocks: list[Block] = [*table_block("Places of the tripod", content.table("stations"), note=frame)]
+    file = context.file("scenario.toml", content)
     scenario = None if file is None else load_scenario(file)
-    drawn, changed = _pictures(content, scenario, turn=beside.detail == "turn")
+    drawn, changed = _pictures(content, scenario, turn=context.detail == "turn")
     blocks += drawn
     if content.not_seen:
-        blocks.append(Notes("Who does not see whom", content.not_seen))
+        blocks.append(Notes("Blocked lines of sight", content.not_seen))
     if content.reasons:
-        blocks.append(Notes("Why this plan", content.reasons))
+        blocks.append(Notes("Reasons for this plan", content.reasons))
     blocks += _tolerances(content) + _changes(content) + changed
     blocks += _curve(content) + _parameters(content)
     blocks += table_block("Expected by the paper's criteria", content.table("expected"))
@@ -55,7 +55,7 @@ def plan_section(content: PlanResult, beside: Beside) -> Section:
     points = content.table("reflectors").only("target x_mm y_mm z_mm U_x_um U_y_um U_z_um seen_from")
     blocks += table_block("Points", points, note=note)
     if content.bodies:
-        blocks.append(Notes("What stands in the hall", content.bodies))
+        blocks.append(Notes("Bodies in the hall", content.bodies))
     blocks.append(Listing("Settings of the plan", json.dumps(content.settings, indent=1)))
     good = mood(not content.broken_rules and content.reached is not False)
     return Section(
@@ -67,19 +67,19 @@ def plan_section(content: PlanResult, beside: Beside) -> Section:
 
 
 def _tolerances(content: PlanResult) -> list[Block]:
-    """Points against their tolerances, and what remains after a loss."""
+    """Tables of points against their tolerances, and after the loss of a station or sight."""
     asked = content.table("tolerances")
     if not asked.rows:
         return []
     level = content.settings.get("goal", {}).get("level_pct", 95)
-    over = frozenset(i for i, kept in enumerate(asked.column("kept")) if not kept)
+    over = frozenset(i for i, is_met in enumerate(asked.column("kept")) if not is_met)
     blocks: list[Block] = [*table_block(f"Points against their tolerances, at {level:g} %", asked, marked=over)]
     return [*blocks, *table_block("When a station or a sight is lost", content.table("losses"))]
 
 
 def _changes(content: PlanResult) -> list[Block]:
-    """Table of the reflectors to move, to add, to leave out."""
-    title, changes = "Reflectors to move, to add, to leave out", content.table("changes")
+    """Table of the reflectors to move, to add and to omit."""
+    title, changes = "Reflectors to move, to add or to omit", content.table("changes")
     if not changes.rows:
         return [Note(title, content.changes_tried)] if content.changes_tried else []
     return [*table_block(title, changes, note=content.changes_tried)]
@@ -105,7 +105,7 @@ def _facts(content: PlanResult) -> list[Fact]:
 
 
 def _pictures(content: PlanResult, scenario: Scenario | None, *, turn: bool) -> tuple[list[Block], list[Block]]:
-    """Floor plan, 3D view and who sees whom, from the plan's own scenario; where reflectors may change."""
+    """Floor plan and 3D view of the plan's scenario, and the changes of reflectors on the floor plan."""
     if scenario is None:
         return [], []
     from ltsim.reports.workshop import from_scenario
@@ -122,17 +122,17 @@ def _pictures(content: PlanResult, scenario: Scenario | None, *, turn: bool) -> 
         Picture("Floor plan", lambda: floor.floor_plan(workshop, reference=places, ground=ground), text)
     ]
     drawn += [scene(workshop)] if turn else []
-    text = "Numbers are those of the table; an arrow comes from where a reflector is now."
+    text = "Numbers are those of the table; an arrow starts at the present place of a reflector."
     changes = partial(figures.floor_plan.reflector_changes, workshop, content.reflector_changes, ground)
-    return drawn, [Picture("Where these reflectors are", changes, text)] if content.reflector_changes else []
+    return drawn, [Picture("Places of these reflectors", changes, text)] if content.reflector_changes else []
 
 
 def _curve(content: PlanResult) -> list[Block]:
-    text = "Every dot is the best layout found for its way of working."
+    text = "Each dot is the best layout for one number of stations, faces and rounds."
     blocks: list[Block] = [
-        Picture(f"Cost against quality: {name}", partial(figures.parameters.trade_off, content, name), text)
-        for name, own in content.quality.items()
-        if own is not None and sum(option.quality.get(name) is not None for option in content.tradeoff) > 1
+        Picture(f"Time against quality: {name}", partial(figures.parameters.trade_off, content, name), text)
+        for name, value in content.quality.items()
+        if value is not None and sum(option.quality.get(name) is not None for option in content.tradeoff) > 1
     ]
     factor, unit = (1e6, "um") if set(content.quality) == {"targets"} else (1.0, "")
     rows = [
@@ -142,25 +142,27 @@ def _curve(content: PlanResult) -> list[Block]:
     ]  # fmt: skip
     if rows:
         header = ["layout", "faces", "rounds", "pointings", "hours", f"objective [{unit}]" if unit else "objective",
-                  "best at its cost"]  # fmt: skip
-        blocks.append(Grid("Ways of working", header, rows, note="A smaller objective is better."))
+                  "best in its time"]  # fmt: skip
+        blocks.append(
+            Grid("Alternatives: stations, faces and rounds", header, rows, note="A smaller objective is better.")
+        )
     return blocks
 
 
 def _parameters(content: PlanResult) -> list[Block]:
     other = {p.name: p.sigma for p in content.reference.parameters} if content.reference else {}
     rows = [p for p in content.parameters if p.prior_sigma and p.sigma > 0]
-    text = "Predicted before any measurement; on the dashed line the recording would teach nothing."
+    text = "Prediction; on the dashed line the recording would add no information."
     figure = partial(figures.parameters.sigma_figure, rows, other)
-    return [Picture("What will be known of the instrument", figure, text)] if rows else []
+    return [Picture("Predicted sigma of the instrument's parameters", figure, text)] if rows else []
 
 
 def _effects(content: PlanResult) -> list[Block]:
-    """Smallest effects that would be seen, those that would be mixed up, those that leave no trace."""
-    note = "Found in most recordings of this layout if at least this large; best and worst are over its places."
-    blocks: list[Block] = [*table_block("Smallest effects that would be found", content.table("effects"), note=note)]
-    note = "Share of the first effect's trace that the second one explains."
-    blocks += table_block("Effects that look alike here", content.table("alike"), note=note)
+    """Tables of the smallest detectable effects, effects that are hard to separate, and undetectable effects."""
+    note = "Size that is detected in 80 % of the recordings of this layout; best and worst over the places."
+    blocks: list[Block] = [*table_block("Smallest detectable effects", content.table("effects"), note=note)]
+    note = "Share of the signature of the first effect that the second one explains."
+    blocks += table_block("Effects that are hard to separate", content.table("alike"), note=note)
     if content.silent:
-        blocks.append(Notes("Effects that would leave no trace", content.silent))
+        blocks.append(Notes("Undetectable effects", content.silent))
     return blocks
