@@ -55,7 +55,7 @@ def _blocks(plan: Plan) -> list[Block]:
 
 def _before(plan: Plan) -> list[Block]:
     """Reflectors worth another place, while there is time for it."""
-    worth = [change for change in plan.changes.told if change.do != "remove"]
+    worth = [change for change in plan.changes.reported if change.do != "remove"]
     if not worth:
         return []
     said = [f"{c.deed}: the other points become {c.gain_um:.2f} µm better, most {c.serves}" for c in worth]
