@@ -250,10 +250,10 @@ def load_acceptance(path: Path) -> Acceptance:
 @as_setup_error()
 def acceptance_from(data: Mapping[str, Any], file: object) -> Acceptance:
     """Check the tables of an acceptance file; `file` is named in errors (raises SetupError)."""
-    name, stated = data.get("instrument"), data.get("specification", {})
-    if isinstance(name, str) and isinstance(stated, Mapping):
+    name, specification = data.get("instrument"), data.get("specification", {})
+    if isinstance(name, str) and isinstance(specification, Mapping):
         try:
-            data = {**data, "specification": completed(name, stated)}
+            data = {**data, "specification": completed(name, specification)}
         except ModelError as problem:
             raise SetupError(f"{file}: {problem}") from None
     return checked(data, Acceptance, "acceptance file", file)

@@ -23,14 +23,14 @@ def compiled(function: Callable[..., R]) -> Callable[..., R]:
     Sums keep their order; only a product and a sum may be fused. Runs outside the interpreter lock.
     """
 
-    def kept(cache: bool) -> Callable[..., R]:
+    def compiled_kernel(cache: bool) -> Callable[..., R]:
         compiler = numba.njit(cache=cache, nogil=True, error_model="numpy", fastmath={"contract"})
         return cast(Callable[..., R], compiler(function))
 
     try:
-        return kept(cache=True)
+        return compiled_kernel(cache=True)
     except RuntimeError:  # neither the package's folder nor a home can be written to
-        return kept(cache=False)
+        return compiled_kernel(cache=False)
 
 
 def inlined(function: Callable[..., R]) -> Callable[..., R]:

@@ -75,8 +75,8 @@ class Design(TomlSection):
         sampler = qmc.Sobol if self.kind == "sobol" else qmc.LatinHypercube
         shares = sampler(len(self.ranges), seed=draw).random(self.cells)
         columns = [
-            own.at(shares[:, k], whole=kind_of(keys[name]) == "integer")
-            for k, (name, own) in enumerate(self.ranges.items())
+            limits.at(shares[:, k], whole=kind_of(keys[name]) == "integer")
+            for k, (name, limits) in enumerate(self.ranges.items())
         ]
         return [dict(zip(self.ranges, point, strict=True)) for point in zip(*columns, strict=True)]
 

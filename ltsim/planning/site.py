@@ -113,7 +113,7 @@ class SearchSpace(ValueEquality):
             rules.append(BrokenRule(f"{names[s]} stands in {survey.target_names[t]}", (names[s],)))
         for first, second in np.argwhere(too_near(position[None], self.spacing)[0]).tolist():
             gap = np.linalg.norm(position[first, :2] - position[second, :2])
-            words = f"{names[first]} and {names[second]} are {gap:.2f} m apart, closer than the minimum of {self.spacing:g} m"
+            words = f"{names[first]} and {names[second]} are {gap:.2f} m apart, closer than {self.spacing:g} m"
             rules.append(BrokenRule(f"{words} (stations.spacing_mm)", (names[first], names[second])))
         return tuple(rules)
 

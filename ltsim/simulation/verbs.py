@@ -44,8 +44,8 @@ def scenario(source: ScenarioSource, changes: Mapping[str, Any] | None = None) -
     """
     if isinstance(source, Scenario):
         return changed(source, changes, Path(source.title or "the scenario")) if changes else source
-    found = load_scenario(source)
-    return changed(found, changes, Path(source)) if changes else found
+    loaded = load_scenario(source)
+    return changed(loaded, changes, Path(source)) if changes else loaded
 
 
 def simulate(

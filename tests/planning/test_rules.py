@@ -62,7 +62,7 @@ def hall(tmp_path: Path) -> Path:
         (
             (2500, 2000),
             (2500, 2100),
-            "S1 and S2 are 0.10 m apart, closer than the minimum of 1 m (stations.spacing_mm)",
+            "S1 and S2 are 0.10 m apart, closer than 1 m (stations.spacing_mm)",
         ),
         ((300, 2000), (4000, 2000), "S1 stands outside the floor where tripods may stand (floor.corners_mm"),
         ((2500, 2000, 2100), (4000, 2000), "S1 stands with its head at 2100 mm, expected 1400 to 1800 mm (floor.he"),
