@@ -24,7 +24,7 @@ RATIO = 4.0
 
 
 def entry(name: str, group: str, error: float, limit: float, expanded: float = float("nan")) -> TestEntry:
-    """One error against its limit [m]; `expanded` is its uncertainty (95 %), NaN where nobody said it."""
+    """One error against its limit [m]; `expanded` is its uncertainty (95 %), NaN where it is not given."""
     sizes = {"error_um": error / MICROMETRE, "limit_um": limit / MICROMETRE, "expanded_um": expanded / MICROMETRE}
     return TestEntry(name=name, group=group, passes=float(abs(error) <= limit), **sizes)
 
@@ -52,7 +52,7 @@ def read_measured(file: Path, tests: Sequence[Test], limits: Floats) -> list[Tes
         i = place[name]
         entries[name] = entry(name, tests[i].group, numbers[0] * MICROMETRE, float(limits[i]), numbers[1] * MICROMETRE)
     if not entries:
-        raise SetupError(f"{file}: holds no error, expected a row a test")
+        raise SetupError(f"{file}: no measured errors; expected one row per test")
     return list(entries.values())
 
 

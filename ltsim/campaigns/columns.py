@@ -1,4 +1,4 @@
-"""The columns of a campaign's rows: the settings of the cell beside the results, each with its unit in the file."""
+"""Columns of the rows of a campaign: settings of the cell, then results, each with its unit in the file."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence

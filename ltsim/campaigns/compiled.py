@@ -18,7 +18,7 @@ if llvmlite.binding.llvm_version_info[0] >= 17:
 
 
 def compiled(function: Callable[..., R]) -> Callable[..., R]:
-    """Compile at the first call and keep the machine code beside the source.
+    """Compile at the first call and cache the machine code next to the source.
 
     Sums keep their order; only a product and a sum may be fused. Runs outside the interpreter lock.
     """
@@ -34,7 +34,7 @@ def compiled(function: Callable[..., R]) -> Callable[..., R]:
 
 
 def inlined(function: Callable[..., R]) -> Callable[..., R]:
-    """Compile into whoever calls it, so that a loop around the call still becomes vector instructions."""
+    """Compile inline into the caller, so that a loop around the call still becomes vector instructions."""
     compiler = numba.njit(inline="always", error_model="numpy", fastmath={"contract"})
     return cast(Callable[..., R], compiler(function))
 

@@ -107,7 +107,7 @@ class Factor(Entry):
 
 
 def short_names(keys: Sequence[str]) -> dict[str, str]:
-    """The last words of dotted keys, as many as tell them apart from each other and from other columns."""
+    """Shortest suffixes of dotted keys that are unique among the keys and the other columns."""
     depth = dict.fromkeys(keys, 1)
     while True:
         names = {key: "_".join(key.split(".")[-depth[key] :]) for key in keys}

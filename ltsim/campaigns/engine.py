@@ -64,7 +64,7 @@ class Calibrated:
 
     @classmethod
     def none(cls, truth: CellTruth, construction: Construction, effects: Sequence[Effect], trials: int) -> Calibrated:
-        """Trials that have given nothing yet, each with a sigma of its own."""
+        """Trials without a result, with a sigma per trial."""
         values = np.full((len(truth.recording.instruments), construction.size, trials), np.nan)
         points = np.full((*truth.state.points.shape[:2], trials), np.nan)
         extra = np.full((sum(len(e.parameters) for e in effects), trials), np.nan)
@@ -72,7 +72,7 @@ class Calibrated:
         return cls(values, values.copy(), points, np.full(trials, np.nan), lost, extra, extra.copy())
 
     def take(self, trial: int, source: Calibrated, place: int) -> None:
-        """Take a trial over from others, of which it is one; its sigmas where each trial has its own."""
+        """Copy one trial from another batch, with its sigmas where each trial has its own."""
         per_trial = ("sigma", "extra_sigma") if self.sigma.ndim == 3 else ()
         for name in ("chi2", "status", "values", "points", "extra", *per_trial):
             mine, theirs = getattr(self, name), getattr(source, name)

@@ -163,7 +163,7 @@ def _key(finding: Any) -> tuple[Any, ...]:
 
 
 def _placed(cause: Tunable, finding: Any) -> bool:
-    """Stations and targets alike; where the cause is everywhere, its observables."""
+    """Agreement of stations and targets, or of observables for a cause without a place."""
     where = finding.where
     pairs = [(set(cause.stations), set(where.stations)), (set(cause.targets), set(where.targets))]
     overlaps = all(a == b if len(a) < 2 else len(a & b) >= MIN_OVERLAP * len(a | b) for a, b in pairs)

@@ -135,7 +135,7 @@ class BatchNetwork:
         parts = (unknowns.pose, unknowns.target, unknowns.instrument, unknowns.extra)
         order = np.concatenate([part.ravel() for part in parts])
         if len(np.unique(order)) != unknowns.size:
-            raise SetupError("set-ups that stand on a common mark share unknowns, which trials in batch cannot have")
+            raise SetupError('stations that share a mark are not supported by the batch solver; use solver = "single"')
         return order
 
     @cached_property

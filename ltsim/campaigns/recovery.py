@@ -1,4 +1,4 @@
-"""Recovery: is what was injected found again, within the stated uncertainty? A check for continuous integration.
+"""Recovery of injected errors within their declared uncertainty: a check for continuous integration.
 
 Each trial simulates a recording (`lt.simulate(..., trial=N, geometry="per-trial")`), has it calibrated, by ltsim or by
 a foreign calibrator, and divides the errors of the estimates by their declared sigmas.
@@ -6,14 +6,14 @@ Which errors the instrument has is one of two modes:
 
 * `drawn`: every parameter from its prior. For a correct model and a correct covariance the z-scores are standard
   normal, priors included.
-* `stated`: as the scenario states them (what it draws is drawn). A fixed truth is not what a prior speaks of: an
-  estimate leans to the prior's mean and scatters less than its sigma says. Both follow from the covariance: with C in
-  prior sigmas and the truth t, an estimate errs by -C t on average, with covariance C - C C; so the errors less that
-  mean over that deviation are standard normal too. Besides, the stated intervals have to hold the injected value at
-  least as often as they promise.
+* `stated`: as the scenario declares them (drawn entries are drawn). With a fixed truth the prior biases the estimate
+  towards its mean and narrows its scatter. Both follow from the covariance: with C in prior sigmas and the truth t, the
+  mean error is -C t and its covariance C - C C, so errors reduced by that mean and divided by that deviation are
+  standard normal too. In addition, the declared intervals have to contain the injected value at least as often as they
+  promise.
 
-Of a foreign calibrator no prior is known: with drawn errors its z-scores are to be standard normal; with stated ones
-their mean is to be 0, their spread no wider than 1, and its intervals have to hold the truth. A parameter that has
+The prior of a foreign calibrator is unknown: with drawn errors its z-scores have to be standard normal; with stated
+ones their mean has to be 0, their spread at most 1, and its intervals have to contain the truth. A parameter that has
 neither sigmas nor a tolerance is not checked, and a run with such a parameter does not pass unless that is allowed.
 Chi-square, targets and stations are checked of ltsim's calibrator alone.
 """

@@ -40,7 +40,7 @@ from ltsim.simulation.workshop import Layout, planned
 JUDGED = {"criteria", "errors"}
 """Statistics that take corrected readings."""
 TOGETHER = 64
-"""Trials with geometries of their own that are done side by side, as far as their stations see the same."""
+"""Trials per batch where each has a separate geometry and the same sights."""
 
 
 @dataclass(frozen=True)
@@ -151,7 +151,7 @@ def run_task(task: ShardTask) -> tuple[ShardTask, bytes]:
 
 
 def shard_rows(task: ShardTask) -> pa.Table:
-    """The rows of a shard, by method, then by trial; beside those that stay only what is missing is computed."""
+    """Rows of a shard, by method, then by trial; existing rows are reused, missing ones computed."""
     if task.held is None:
         return _computed(task, 0)
     campaign, held = task.campaign, task.held
@@ -220,7 +220,7 @@ class TrialBlock:
 
     @cached_property
     def new_points(self) -> tuple[Judge, Block, Columns] | None:
-        """The same instruments elsewhere: noise of their own, the same amounts of the effects that act there too."""
+        """Held-out points of the same instruments: independent noise, the same sizes of effects that act there too."""
         if self.elsewhere is None:
             return None
         there = Normal(self.campaign.seed, self.block.trials)

@@ -1,4 +1,4 @@
-"""manifest.json, recovery.json and the tables beside them: what stands in them, for writers and readers."""
+"""Schemas of manifest.json and recovery.json, and their tables."""
 
 import math
 from collections.abc import Mapping

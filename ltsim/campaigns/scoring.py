@@ -122,7 +122,7 @@ def _checked(given: object, where: str) -> dict[str, ParameterEstimate]:
     if lost is not None:
         raise RecordError(f"'{shown(lost)}' is no unit, expected one of {', '.join(FACTOR)}", file=where)
     if not estimates:
-        raise RecordError("holds no parameter, expected one or more", file=where)
+        raise RecordError("no parameter in the result; expected at least one", file=where)
     return estimates
 
 
@@ -284,7 +284,7 @@ def score(calibration: Calibration, truth: Truth, law: Mapping[str, tuple[float,
 
 
 def _of_effects(calibration: Calibration) -> dict[str, ParameterEstimate]:
-    """Parameters of effects that were estimated beside the calibration, by the names of `true_values`."""
+    """Parameters of effects that were estimated with the calibration, by the names of `true_values`."""
     return {
         f"{entry.effect}:{parameter.name}" + (f" {entry.where}" if entry.where else ""): ParameterEstimate(
             parameter.value, parameter.sigma, parameter.unit

@@ -69,7 +69,7 @@ class Method(TomlSection):
 
 
 class Stop(TomlSection):
-    """Stopping rule of a cell, applied after each round to the rows so far: half as many again a round.
+    """Adaptive stopping rule of a cell, evaluated after each round; every round adds 50 % more trials.
 
     A cell stops when the mean of `statistic` is known `within` its bound for every method.
     """
@@ -101,7 +101,7 @@ class Campaign(TomlSection):
     trials: Annotated[int, Field(ge=1, le=10**9)] = 1000
     """Number of trials of each cell."""
     shard: Annotated[int, Field(ge=1, le=65_536)] = 4096
-    """Number of trials in a file of rows; a kill loses at most one file in progress."""
+    """Trials per output file; if the process is killed at most one unfinished file is lost."""
     geometry: Literal["shared", "per-trial"] = "shared"
     """All trials of a cell share one placing of stations and targets, or each has its own."""
     verify: Annotated[int, Field(ge=0, le=1000)] = 2
@@ -109,12 +109,12 @@ class Campaign(TomlSection):
     statistics: tuple[Statistic, ...] = ("criteria", "errors", "z-scores")
     """Groups of results that each row holds."""
     judge_in: str = ""
-    """Held-out points on which methods are judged: a scenario (built-in, or a file in the folder of this one), measured
-    with the cell's instruments as they truly are in each trial; or a table of points (`target,x_mm,y_mm,z_mm` in a
-    file `NAME.csv`), measured from the cell's stations."""
+    """Hold-out data for scoring: a scenario (built-in, or a file in the folder of this one) measured with the true
+    instruments of each trial, or a table of points (`target,x_mm,y_mm,z_mm` in a file `NAME.csv`) measured from the
+    stations of the cell."""
     judge_drift: Annotated[float, Field(ge=0)] = 0.0
-    """Until they measure in `judge_in` the instruments' errors but the range scale move by so many of their priors, at
-    random."""
+    """Random drift of the instruments (except the range scale) between calibration and validation, in units of
+    the prior sigma."""
     settings: dict[str, Any] = Field(default_factory=dict)
     """Changes of the scenario for all cells, by dotted key."""
     link: dict[str, Annotated[tuple[str, ...], Field(min_length=1)]] = Field(default_factory=dict)
@@ -206,7 +206,7 @@ class Campaign(TomlSection):
 def load_campaign(
     path: Path, changes: Mapping[str, Any] | None = None, tables: Mapping[str, Any] | None = None
 ) -> tuple[Campaign, tuple[Scenario, ...]]:
-    """A campaign file, or its `tables`, and the scenario of each of its cells, of a file beside it; raises SetupError.
+    """Campaign of a file, or of `tables` in its place, and the scenario of each of its cells; raises SetupError.
 
     `changes` are new values of keys of the file (`trials`) or dotted keys of the scenario, which then do not vary.
     """
@@ -227,7 +227,7 @@ def load_campaign(
 
 
 def overridden(campaign: Campaign, changes: Mapping[str, Any], path: Path) -> Campaign:
-    """The campaign with other values of its own keys, or of the scenario's in all cells."""
+    """Campaign with other values of its keys, or of keys of the scenario in all cells."""
     tables = campaign.model_dump(mode="json", by_alias=True, exclude_none=True)
     for key, value in changes.items():
         if key in Campaign.model_fields:
@@ -298,7 +298,7 @@ def judge_of(name: str, scenario: Scenario, path: Path) -> Scenario:
 
 
 def local_file(name: str, path: Path) -> Path | None:
-    """A file that a campaign names, seen from its own place or kept beside it; None where there is none."""
+    """File that a campaign names, relative to its folder or in it; None where there is none."""
     for candidate in (path.parent / name, path.parent / Path(name).name):
         if candidate.is_file():
             return candidate.resolve()
@@ -306,7 +306,7 @@ def local_file(name: str, path: Path) -> Path | None:
 
 
 def cad_files(scenarios: Iterable[Scenario]) -> list[Path]:
-    """The CAD files that stand in the workshops, each once."""
+    """CAD files of the workshops, each once."""
     named = (o.file for scenario in scenarios for o in scenario.workshop.obstacles if o.file is not None)
     return [Path(name) for name in dict.fromkeys(named)]
 

@@ -51,7 +51,7 @@ class Block:
     gauge_error: Floats
     """(g, B) [m]: stated less true lengths."""
     alone: tuple[Block, ...] = ()
-    """Each trial by itself, in the order of its own pointings, where each has a geometry of its own."""
+    """Single trials, each in the order of its pointings, where each has a separate geometry."""
 
     @property
     def true_values(self) -> Floats:
@@ -139,7 +139,7 @@ class CellTruth:
         return self.drawn(Normal(seed, width * number + np.arange(width)))
 
     def drawn(self, numbers: Normal, values: Floats | None = None, *, stream_key: str = "") -> Block:
-        """Draw trials; `values` (I, p, B) [SI] are those of instruments that are given, `apart` as of `TrialDraws`."""
+        """Draw trials; `values` (I, p, B) [SI] are given errors of the instruments, `stream_key` as of `TrialDraws`."""
         draw = self.population.draw(numbers, values, stream_key=stream_key)
         return self.read(draw, self._exact(draw.values))
 

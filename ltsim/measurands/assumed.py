@@ -14,7 +14,7 @@ from ltsim.recordings.coordinates import Coordinates
 SINGULAR = 1e-7
 """Eigenvalue of correlations over the largest below which a covariance has a rank defect; files round to 1e-9."""
 PLACE_TAKEN = 0.1
-"""Share of the distance between two points within which each stands in the other's place where names are exchanged."""
+"""Share of the distance between two points within which each lies at the place of the other if names are exchanged."""
 OPEN_MOTIONS = {3: (0, 1, 2), 4: (0, 1, 2, 5), 6: tuple(range(6))}
 """Rigid motions (shifts along x, y, z, turns about them) that a datum in space holds, by the rank defect."""
 

@@ -185,7 +185,7 @@ class Gap:
 
 
 def judged(gap: Gap, fixed: Bools, level: float, sources: tuple[SourceEntry, SourceEntry]) -> Comparison:
-    """The search among the common points that are not `fixed`, known to be stable, and what is told of all."""
+    """Congruence test of the common points that are not `fixed` as stable, and its report on all of them."""
     tested = np.flatnonzero(~fixed)
     moved = _search(gap, tested, level)
     displacements = tuple(_displacement(gap, i, moved, len(tested), level) for i in range(gap.count))
@@ -206,7 +206,7 @@ def judged(gap: Gap, fixed: Bools, level: float, sources: tuple[SourceEntry, Sou
 
 
 def _search(gap: Gap, tested: Ints, level: float) -> list[int]:
-    """Points that moved: added while one stands out, then each tested again beside the others."""
+    """Points that moved: added while one is significant, then each tested again together with the others."""
     moved: list[int] = []
     limit = special.chdtri(len(gap.axes), level / max(len(tested), 1))
     most = max(0, gap.count - (len(gap.axes) if gap.free.shape[1] else 0))

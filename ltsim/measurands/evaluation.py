@@ -21,7 +21,7 @@ from ltsim.recordings.result_file import SourceEntry
 from ltsim.solve.threads import single_threaded
 
 MOST_REPORTED = 8
-"""Results that stand in the few lines of an evaluation."""
+"""Number of results in the summary lines of an evaluation."""
 
 
 @dataclass(frozen=True, repr=False)

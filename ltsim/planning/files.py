@@ -28,7 +28,7 @@ from ltsim.simulation.workshop import bodies_of
 SCENARIO = "scenario.toml"
 """The hall with the plan's stations, in the plan's folder."""
 PLAN = "plan.toml"
-"""The plan that the board saves beside it."""
+"""Plan file that the board saves in the folder of a plan."""
 
 
 def plan_file(plan: PlannedNetwork, report: Detectability | None = None) -> PlanResult:

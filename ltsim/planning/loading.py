@@ -91,11 +91,13 @@ def _given(made: PlanFile, path: Path) -> dict[str, Any]:
 
 
 def _scenario(made: PlanFile, data: dict[str, Any], path: Path) -> Scenario:
-    """The scenario that a plan file names, or that of its own tables."""
+    """Scenario that a plan file names, or that its tables describe."""
     points = made.listed
     tables = [name for name in TABLES if name in data]
     if made.workshop is None and tables:
-        raise SetupError(f"{path}: [{tables[0]}] goes with a [workshop] of the plan's own; the scenario states its own")
+        raise SetupError(
+            f"{path}: [{tables[0]}] needs a [workshop] in the same plan; remove it, or set it in the scenario"
+        )
     if made.workshop is not None:
         if "scenario" in data:
             raise SetupError(f"{path}: it should have either scenario or [workshop], not both")

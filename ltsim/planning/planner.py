@@ -152,7 +152,7 @@ def evaluated(site: SearchSpace, survey: Survey, objective: Objective, built: Co
 
 
 def sight_table(site: SearchSpace, survey: Survey) -> Visibility:
-    """Who sees whom, with fixed nests aimed at the layout's stations; reflectors of its own choice are in such too."""
+    """Sights between stations and targets, with fixed nests, those of chosen reflectors too, aimed at the stations."""
     normal, aimed = aimed_normals(survey.position, survey.points)[0], _aimed(site, survey)
     return visibility(
         survey.position, survey.points, site.limits, nest_normal=normal, reaimed=~aimed, obstacles=site.obstacles

@@ -38,7 +38,7 @@ class SearchSpace(ValueEquality):
     survey: Survey
     """The layout to start from: targets, gauge, noise, order of work."""
     areas: tuple[Area, ...]
-    """Allowed areas of tripods; each stands in one of them."""
+    """Allowed areas of tripods."""
     limits: SightLimits
     aimed: Bools
     """(T,): targets in fixed nests, which are aimed anew for every layout and must serve all its stations."""
@@ -48,9 +48,9 @@ class SearchSpace(ValueEquality):
     spacing: float = 1.0
     """[m]: least distance between stations."""
     position_tolerance: float = 0.0
-    """[m]: how far an instrument may stand off its place without losing a sight."""
+    """[m]: largest offset of an instrument from its place at which every sight is still free."""
     min_sights: int = 1
-    """Every target is seen from at least so many stations."""
+    """Minimum number of stations that see each target."""
     fixed: tuple[int, ...] = ()
     """Stations that stay where they are."""
     nests: Floats | None = None
@@ -73,7 +73,7 @@ class SearchSpace(ValueEquality):
         return may_stand(self.areas, self.keep_outs, self.obstacles, position)
 
     def visible(self, position: Floats, points: Floats | None = None) -> Bools:
-        """(N, T): targets in sight, also with some play; nests left aside (they are aimed later)."""
+        """(N, T): visible targets within the position tolerance; nests are aimed later and not tested."""
         goal = self.survey.points if points is None else points
         table = visibility(position, goal, self.limits, obstacles=self.obstacles)
         turn = self.position_tolerance / table.range_
@@ -103,14 +103,14 @@ class SearchSpace(ValueEquality):
         return (*self.broken_places(survey), *self.broken_sights(survey))
 
     def broken_places(self, survey: Survey) -> tuple[BrokenRule, ...]:
-        """Rules that the places of stations break, whoever sees whom."""
+        """Rules that the places of stations break, regardless of sights."""
         names, position = survey.station_names, survey.position
         rules = []
         for name, place in zip(names, position, strict=True):
             if why := objection(self.areas, self.keep_outs, self.obstacles, place):
                 rules.append(BrokenRule(f"{name} stands {why}", (name,)))
         for s, t in np.argwhere(np.linalg.norm(position[:, None] - survey.points, axis=2) < TOUCH).tolist():
-            rules.append(BrokenRule(f"{names[s]} stands in {survey.target_names[t]}", (names[s],)))
+            rules.append(BrokenRule(f"station {names[s]} coincides with target {survey.target_names[t]}", (names[s],)))
         for first, second in np.argwhere(too_near(position[None], self.spacing)[0]).tolist():
             gap = np.linalg.norm(position[first, :2] - position[second, :2])
             words = f"{names[first]} and {names[second]} are {gap:.2f} m apart, closer than {self.spacing:g} m"
@@ -132,7 +132,7 @@ class SearchSpace(ValueEquality):
             )
         for s in np.flatnonzero(short_of_targets(visible)[0]):
             count = int(survey.visible[s].sum())
-            rules.append(BrokenRule(f"{survey.station_names[s]} sees {count} targets, fewer than {FEWEST}"))
+            rules.append(BrokenRule(f"{survey.station_names[s]} sees {count} targets, expected at least {FEWEST}"))
         if self.aimed.any():
             aimed = [self.survey.target_names[t] for t in np.flatnonzero(self.aimed)]
             turned = [name for name, ok in zip(aimed, self._served(survey.position[None])[0], strict=True) if not ok]
@@ -142,7 +142,7 @@ class SearchSpace(ValueEquality):
         return tuple(rules)
 
     def connectivity(self, visible: Bools) -> Floats:
-        """(B,): how many stations hang on the first one by two targets or more, then how many are shared at all."""
+        """(B,): number of stations connected to the first by two shared targets, plus the mean of shared targets."""
         shared = np.minimum(np.einsum("bst,brt->bsr", visible, visible, dtype=np.int64), FEWEST)
         linked = np.linalg.matrix_power((shared > 1).astype(np.float64), shared.shape[1])[:, 0] > 0
         return np.asarray(linked.sum(axis=1) + shared.mean(axis=(1, 2)) / (FEWEST + 1))

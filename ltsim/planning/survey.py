@@ -1,4 +1,4 @@
-"""A survey that nobody has made yet: where the stations stand, what they point at, how often, and what it costs."""
+"""Planned survey: places of stations, targets, pointings and their cost, before any measurement."""
 
 from __future__ import annotations
 

@@ -36,19 +36,19 @@ class EffectLaw:
     effect: Effect
     mean: Floats
     sigma: Floats
-    """(q,) [SI] each; sigma is 0 for what is stated."""
+    """(q,) [SI] each; sigma is 0 for a declared value."""
     number: int = 1
-    """Tells it from others like it at the same place, from 1."""
+    """Index among identical effects at the same place, from 1."""
 
     @property
     def upward(self) -> Bools:
-        """(q,): added variances and what is never negative."""
+        """(q,): flags of added variances and other values that are never negative."""
         kinds = [p.positive or isinstance(self.effect, NoiseEffect) for p in self.effect.parameters]
         return np.array(kinds, dtype=bool)
 
 
 def effect_laws(scenario: Scenario, effects: tuple[Effect, ...]) -> tuple[EffectLaw, ...]:
-    """The laws of a scenario's effects, which are in the order of its entries; behind them the reflectors' error."""
+    """Distributions of the effects of a scenario, in the order of its entries, then that of the reflectors' error."""
     counts, laws = Counter[tuple[str, str]](), []
     for i, effect in enumerate(effects):
         entry = scenario.effects[i] if i < len(scenario.effects) else None
@@ -65,17 +65,17 @@ def effect_laws(scenario: Scenario, effects: tuple[Effect, ...]) -> tuple[Effect
 
 @dataclass(frozen=True)
 class Normal:
-    """Standard normal numbers (size, B) of trials (B,) of a seed, by what they are for."""
+    """Standard normal numbers (size, B) of trials (B,) of a seed, by stream key."""
 
     seed: int
     trials: Ints
 
     def __call__(self, size: int, *what: str | int) -> Floats:
-        """The numbers (size, B) that are for something."""
+        """Numbers (size, B) of a stream key."""
         return trials_normal(self.seed, self.trials, size, *what)
 
     def per_trial(self) -> list[Normal]:
-        """Numbers of each trial separately; those in common are drawn once."""
+        """Sources of single trials; shared draws are cached."""
         together = lru_cache(maxsize=None)(self.__call__)
         return [_Column(self.seed, self.trials[[k]], together, k) for k in range(len(self.trials))]
 

@@ -24,7 +24,7 @@ from ltsim.simulation.workshop import Layout, planned, visibility_of
 NOTES = 20
 """Pairs that do not see each other are named one by one up to this number."""
 LEVEL_GAP = 0.5
-"""Heights further apart than this [m] are different levels."""
+"""Smallest height difference [m] between two levels."""
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,7 @@ def _notes(layout: Layout, table: Visibility) -> tuple[str, ...]:
 
 
 def _sightings(scenario: Scenario, layout: Layout, visible: Bools, seed: int, *key: str | int) -> Sightings:
-    """The pointings in the order of the work, without targets that nobody sees."""
+    """Pointings in the order of the work, without targets that no station sees."""
     pointed = np.flatnonzero(visible.any(axis=0))
     renumbered = np.full(len(layout.targets), -1)
     renumbered[pointed] = np.arange(len(pointed))

@@ -1,8 +1,7 @@
-"""A cause put into the readings of a recording that exists: its change by the exact model, and nothing else.
+"""Injection of an effect into an existing recording: its predicted change is added to the readings.
 
-Everything else of the recording stays: its noise, its slips, its instrument. The change is that of the cause at the
-pointings as the adjustment of the recording has them; how far these are from the truth changes it by their share of a
-range, 1e-4 for 1 mm in 10 m.
+Noise, outliers and the instrument stay. The change is that of the effect at the adjusted pointings of the recording;
+their error changes it by its share of a range, 1e-4 for 1 mm in 10 m.
 """
 
 from collections.abc import Mapping
@@ -89,7 +88,7 @@ class InjectionTruth(Result):
 
 
 class Injection(NamedTuple):
-    """A recording with something in it and, apart from it, what was put in."""
+    """Recording with an injected effect, and the injected effect separately."""
 
     recording: Recording
     truth: InjectionTruth

@@ -59,7 +59,7 @@ class Scenario(TomlSection, Result):
     base: str | None = None
     """A built-in scenario whose tables hold below those of this file; "none" in place of a table takes it out."""
     workshop: Workshop = Workshop()
-    """The room, its air, what stands in it."""
+    """Room, air and obstacles."""
     placing: Placing = Placing()
     """Standard deviations of the true places about the plan."""
     instrument: ScenarioInstrument = ScenarioInstrument()
@@ -69,7 +69,7 @@ class Scenario(TomlSection, Result):
     smr: Smr = Smr()
     """The reflectors."""
     reflectors: dict[str, Reflector] = Field(default_factory=dict)
-    """SMRs with radii of their own, tables `[reflectors.NAME]`, one a target or a station; the centre stands off along
+    """SMRs with a separate radius, tables `[reflectors.NAME]`, one a target or a station; the centre stands off along
     the nest's normal, and true radii are drawn with the places."""
     reference_radius_mm: NonNegative | None = None
     """Planned places are centres of an SMR of this radius, 0 for the seats; as in `setup.toml`, which takes it over."""

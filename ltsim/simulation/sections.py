@@ -1,4 +1,4 @@
-"""The tables of a scenario file (ltsim-scenario/1). Keys carry their units; whoever needs SI converts at the door."""
+"""Tables of a scenario file (ltsim-scenario/1). Keys carry their units; callers convert to SI."""
 
 from types import MappingProxyType
 from typing import Annotated, Any, Literal, Self
@@ -60,7 +60,7 @@ def _existing_preset(name: str) -> str:
 
 
 class Obstacle(TomlSection):
-    """Something that stands in the workshop: a CAD file, or a box or an upright cylinder on its place."""
+    """Obstacle in the workshop: a CAD file, or a box or an upright cylinder at a place."""
 
     name: str = ""
     """Name in messages and pictures."""

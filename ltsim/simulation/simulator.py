@@ -1,4 +1,4 @@
-"""The simulator: a scenario, a seed and a trial's number give a recording, and apart from it the truth."""
+"""Simulator: recording and truth of a scenario, a seed and a trial number."""
 
 from collections.abc import Iterator, Sequence
 from itertools import combinations

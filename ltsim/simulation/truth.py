@@ -1,4 +1,4 @@
-"""The truth of a simulated recording: kept in a file of its own (ltsim-truth/1), which no calibrator opens."""
+"""Truth of a simulated recording, in a separate file (ltsim-truth/1) that no calibrator opens."""
 
 import json
 from collections.abc import Callable, Mapping

@@ -15,7 +15,7 @@ ScenarioSource = Scenario | str | Path
 
 
 class Simulated(NamedTuple):
-    """A recording and, apart from it, what it was made from."""
+    """Recording and its truth."""
 
     recording: Recording
     truth: Truth
@@ -56,7 +56,7 @@ def simulate(
     geometry: Geometry = "shared",
     changes: Mapping[str, Any] | None = None,
 ) -> Simulated:
-    """Measure a virtual workshop once: a recording, and apart from it the truth.
+    """Measure a virtual workshop once: a recording, and its truth.
 
     Parameters
     ----------
